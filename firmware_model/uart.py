@@ -1,0 +1,145 @@
+"""Byte pipes between processors: baud-limited, with finite buffers, computed from timestamps.
+
+Nothing here runs per byte. A sender notes when the line starts to carry its bytes; a receiver works out, when
+it looks, how many have arrived since. Times are kept exactly, as integers in units of 1/baud microseconds.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+NEVER_US = 1 << 62
+"""A time that no clock here reaches."""
+
+_BITS_PER_BYTE = 10  # one start bit, eight data bits, one stop bit
+_BYTE_UNITS = _BITS_PER_BYTE * 1_000_000
+_SEGMENTS_MAX = 256  # writes kept on the line before they are accounted for
+
+
+class UartPort:
+    """One processor's end of a serial line: a transmitter and a receive buffer of stated size.
+
+    A byte that arrives while the receive buffer is full is lost and counted in `overruns`. A write that does
+    not fit into the transmit buffer is refused whole and counted in `refused`: no message goes out cut.
+
+    `due_us` is the time at which the receiver would raise its interrupt: the line has gone idle, or half the
+    receive buffer is full. A processor that compares its clock with `due_us` needs no other polling.
+
+    Args:
+        baud: bits a second of the transmitter.
+        rx_bytes: size of the receive buffer.
+        tx_bytes: size of the transmit buffer.
+    """
+
+    def __init__(self, *, baud: int, rx_bytes: int, tx_bytes: int) -> None:
+        for name, value in (("baud", baud), ("rx_bytes", rx_bytes), ("tx_bytes", tx_bytes)):
+            if value <= 0:
+                raise ValueError(f"{name} must be positive, not {value}")
+        self.baud = baud
+        self.rx_bytes = rx_bytes
+        self.tx_bytes = tx_bytes
+        self.due_us = NEVER_US
+        self.overruns = 0
+        self.refused = 0
+        self.received = 0
+        self.sent = 0
+        self._peer: UartPort | None = None
+        self._busy_until = 0  # end of the last byte written, in units of 1/baud us
+        self._incoming: deque[tuple[int, bytes]] = deque()  # (start in peer units, bytes)
+        self._taken = 0  # bytes of the first incoming segment that have arrived
+        self._buffer = bytearray()
+
+    def write(self, data: bytes, now_us: int) -> bool:
+        """True where all of `data` was queued for the line; False where the transmit buffer had no room.
+
+        An unconnected port sends into the air: the bytes take their time and are gone.
+        """
+        now = now_us * self.baud
+        start = max(now, self._busy_until)
+        waiting = -((now - start) // _BYTE_UNITS)  # rounded up
+        if waiting + len(data) > self.tx_bytes:
+            self.refused += 1
+            return False
+        if data:
+            self._busy_until = start + len(data) * _BYTE_UNITS
+            self.sent += len(data)
+            if self._peer is not None:
+                self._peer._carry(start, bytes(data))
+        return True
+
+    def tx_free(self, now_us: int) -> int:
+        """Bytes that a write at `now_us` may have without being refused."""
+        backlog = max(0, self._busy_until - now_us * self.baud)
+        return self.tx_bytes + (-backlog // _BYTE_UNITS)
+
+    def read(self, now_us: int) -> bytes:
+        """All bytes that arrived up to `now_us` and found room, oldest first; empties the receive buffer."""
+        self._arrive(now_us)
+        data = bytes(self._buffer)
+        self._buffer.clear()
+        self._plan_due()
+        return data
+
+    def reset(self) -> None:
+        """Nothing comes back; both directions of this port are emptied, as by a power cycle; counters stay."""
+        self._incoming.clear()
+        self._buffer.clear()
+        self._taken = 0
+        self._busy_until = 0
+        self.due_us = NEVER_US
+
+    def _carry(self, start: int, data: bytes) -> None:
+        self._incoming.append((start, data))
+        if len(self._incoming) > _SEGMENTS_MAX and self._peer is not None:
+            self._arrive(start // self._peer.baud)  # nobody reads: what has arrived settles in the buffer
+        self._plan_due()
+
+    def _arrive(self, now_us: int) -> None:
+        peer = self._peer
+        if peer is None:
+            return
+        now = now_us * peer.baud
+        while self._incoming:
+            start, data = self._incoming[0]
+            arrived = min(len(data), max(0, (now - start) // _BYTE_UNITS))
+            fresh = arrived - self._taken
+            if fresh > 0:
+                room = self.rx_bytes - len(self._buffer)
+                self._buffer += data[self._taken : self._taken + min(fresh, room)]
+                self.overruns += max(0, fresh - room)
+                self.received += fresh
+            if arrived < len(data):
+                self._taken = max(arrived, self._taken)
+                return
+            self._incoming.popleft()
+            self._taken = 0
+
+    def _plan_due(self) -> None:
+        """Sets `due_us` to the end of the burst now on the line, or to when the buffer is half full."""
+        peer = self._peer
+        if self._buffer or peer is None or not self._incoming:
+            self.due_us = 0 if self._buffer else NEVER_US
+            return
+        half = max(1, self.rx_bytes // 2)
+        count = -self._taken
+        end = 0
+        for start, data in self._incoming:
+            if count > 0 and start > end:
+                break  # the line was idle in between
+            if count + len(data) >= half:
+                end = start + (half - count) * _BYTE_UNITS
+                break
+            count += len(data)
+            end = start + len(data) * _BYTE_UNITS
+        self.due_us = -(-end // peer.baud)
+
+
+def connect(a: UartPort, b: UartPort) -> None:
+    """Nothing comes back; joins two ports by a line each way.
+
+    Raises ValueError where either port is already connected.
+    """
+    if a is b or a._peer is not None or b._peer is not None:
+        raise ValueError("both ends must be two different ports that are not connected yet")
+    a._peer = b
+    b._peer = a
