@@ -1,0 +1,20 @@
+"""The candidate effects: one file each, found by name.
+
+An effect is data (`Effect`): equation, parameters with typical size and tolerance, known aliases, the slots
+through which it enters the model, what closing the loop on it means, and where it comes from.
+"""
+
+from host.effects.effect import SLOTS, Closing, Context, Effect, Parameter
+from host.effects.feedforward import compose_feedforward
+from host.effects.registry import EffectError, load_effects
+
+__all__ = [
+    "SLOTS",
+    "Closing",
+    "Context",
+    "Effect",
+    "EffectError",
+    "Parameter",
+    "compose_feedforward",
+    "load_effects",
+]

@@ -1,0 +1,56 @@
+"""Turns effects with values into the numbers of the feed-forward block on board."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from host.effects.effect import Effect
+
+Contributions = dict[str, Any]
+
+
+def neutral_contributions() -> Contributions:
+    """The block that changes nothing: gain 1, the rest 0."""
+    return {
+        "gain": 1.0,
+        "bias_ned": (0.0, 0.0, 0.0),
+        "linear_drag": (0.0, 0.0, 0.0),
+        "quadratic_drag": (0.0, 0.0, 0.0),
+        "attitude_offset": (0.0, 0.0),
+        "prediction_time_s": 0.0,
+    }
+
+
+def compose_feedforward(effects: Iterable[tuple[Effect, Sequence[float]]]) -> Contributions:
+    """The block's numbers for all effects together: gains multiply, the rest adds.
+
+    An effect without `to_feedforward` contributes nothing. Wind enters as the drag it causes at rest and
+    level, bias_ned = (d + c |w|) w with d the mean of the horizontal linear coefficients: the block has no
+    air speed. Raises ValueError for a contribution the block does not have.
+    """
+    total = neutral_contributions()
+    wind = (0.0, 0.0, 0.0)
+    for effect, theta in effects:
+        if effect.to_feedforward is None:
+            continue
+        for key, value in effect.to_feedforward(tuple(float(number) for number in theta)).items():
+            if key == "wind_ned":
+                wind = _sum(wind, value)
+            elif key == "gain":
+                total["gain"] *= value
+            elif key == "prediction_time_s":
+                total["prediction_time_s"] += value
+            elif key in total:
+                total[key] = _sum(total[key], value)
+            else:
+                raise ValueError(f"effect {effect.name}: the feed-forward block has no {key!r}")
+    speed = sum(w * w for w in wind) ** 0.5
+    linear, quadratic = total["linear_drag"], total["quadratic_drag"]
+    rate = 0.5 * (linear[0] + linear[1]) + 0.5 * (quadratic[0] + quadratic[1]) * speed
+    total["bias_ned"] = _sum(total["bias_ned"], tuple(rate * w for w in wind))
+    return total
+
+
+def _sum(a: Sequence[float], b: Sequence[float]) -> tuple[float, ...]:
+    return tuple(x + y for x, y in zip(a, b, strict=True))

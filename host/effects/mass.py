@@ -1,0 +1,41 @@
+"""Mass: the vehicle weighs more or less than its file says."""
+
+from __future__ import annotations
+
+from host.effects.effect import Closing, Effect, Parameter
+
+
+def _factor(ops, theta):
+    return theta[0]
+
+
+def _feedforward(theta):
+    return {"gain": 1.0 / theta[0]}
+
+
+EFFECT = Effect(
+    name="mass",
+    title="Mass",
+    equation="m = factor m_nominal",
+    source="payloads and batteries: 5-30 %; only thrust over mass shows without a weighing",
+    parameters=(
+        Parameter(
+            key="factor",
+            unit="1",
+            neutral=1.0,
+            typical=0.08,
+            tolerance=0.01,
+            lower=0.4,
+            upper=2.5,
+            description="mass over the vehicle file's mass",
+        ),
+    ),
+    aliases=("thrust-gain", "battery-sag"),
+    closing=Closing(
+        model="the mass times a constant",
+        planner="plans with the mass that is there",
+        law="the commanded thrust is multiplied by the factor",
+    ),
+    mass_factor=_factor,
+    to_feedforward=_feedforward,
+)

@@ -1,0 +1,41 @@
+"""Mocap latency: a pose is older than its time stamp says, for the vehicle and in the log."""
+
+from __future__ import annotations
+
+from host.effects.effect import Closing, Effect, Parameter
+
+
+def _latency(ops, theta):
+    return theta[0]
+
+
+def _feedforward(theta):
+    return {"prediction_time_s": theta[0]}
+
+
+EFFECT = Effect(
+    name="mocap-latency",
+    title="Undeclared mocap latency",
+    equation="pose(t) = true pose(t - latency_s)",
+    source="5-15 ms of exposure, computation and network in camera systems",
+    parameters=(
+        Parameter(
+            key="latency_s",
+            unit="s",
+            neutral=0.0,
+            typical=0.015,
+            tolerance=0.0005,
+            lower=0.0,
+            upper=0.08,
+            description="age of a pose at the time it is stamped with",
+        ),
+    ),
+    aliases=("motor-lag", "actuation-delay", "linear-drag"),
+    closing=Closing(
+        model="the pose the estimator corrects with, and the logged pose, are delayed",
+        planner="nothing to plan: the error grows with speed",
+        law="the estimate is predicted forward by the latency",
+    ),
+    mocap_latency_s=_latency,
+    to_feedforward=_feedforward,
+)

@@ -1,0 +1,36 @@
+"""Motor lag: the rotors follow their command more slowly, or faster, than the vehicle file says."""
+
+from __future__ import annotations
+
+from host.effects.effect import Closing, Effect, Parameter
+
+
+def _lag(ops, theta, nominal_s):
+    return nominal_s + theta[0]
+
+
+EFFECT = Effect(
+    name="motor-lag",
+    title="Motor lag",
+    equation="dT_i/dt = (T_i,command - T_i) / (lag_nominal + extra_s)",
+    source="first order, 12-70 ms on small quadrotors",
+    parameters=(
+        Parameter(
+            key="extra_s",
+            unit="s",
+            neutral=0.0,
+            typical=0.015,
+            tolerance=0.001,
+            lower=-0.008,
+            upper=0.08,
+            description="time constant beyond the vehicle file's",
+        ),
+    ),
+    aliases=("mocap-latency", "actuation-delay"),
+    closing=Closing(
+        model="rotor thrust with the longer time constant",
+        planner="plans that stay away from fast changes of thrust difference",
+        law=None,
+    ),
+    motor_lag_s=_lag,
+)

@@ -1,0 +1,47 @@
+"""Quadratic body drag: the frame's own air resistance, growing with the square of the air speed."""
+
+from __future__ import annotations
+
+from host.effects.effect import Closing, Effect, Parameter
+
+_SPEED_SQUARED_FLOOR = 1e-12  # keeps the derivative of |v| finite at rest; 1e-6 m/s of speed
+
+
+def _force(ops, theta, ctx):
+    (c,) = theta
+    x, y, z = ctx.v_air_frd
+    scale = -c * ops.sqrt(x * x + y * y + z * z + _SPEED_SQUARED_FLOOR)
+    return (scale * x, scale * y, scale * z)
+
+
+def _feedforward(theta):
+    (c,) = theta
+    return {"quadratic_drag": (c, c, c)}
+
+
+EFFECT = Effect(
+    name="quadratic-drag",
+    title="Quadratic body drag",
+    equation="a_frd = -c |v_air| v_air_frd",
+    source="1/2 rho CdA / m with CdA 5e-3..3.3e-2 m^2 measured on quadrotors (0.004-0.03 1/m at 0.75 kg)",
+    parameters=(
+        Parameter(
+            key="c",
+            unit="1/m",
+            neutral=0.0,
+            typical=0.03,
+            tolerance=0.002,
+            lower=-0.05,
+            upper=0.5,
+            description="half the air density times the drag area over mass, positive against the motion",
+        ),
+    ),
+    aliases=("linear-drag", "wind"),
+    closing=Closing(
+        model="a drag force quadratic in the air speed",
+        planner="plans with lower peak speed",
+        law="the predicted drag along the reference is fed forward",
+    ),
+    specific_force_frd=_force,
+    to_feedforward=_feedforward,
+)

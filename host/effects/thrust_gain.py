@@ -1,0 +1,41 @@
+"""Thrust gain: every rotor gives a constant share more or less than its curve says."""
+
+from __future__ import annotations
+
+from host.effects.effect import Closing, Effect, Parameter
+
+
+def _factor(ops, theta, ctx):
+    return theta[0]
+
+
+def _feedforward(theta):
+    return {"gain": theta[0]}
+
+
+EFFECT = Effect(
+    name="thrust-gain",
+    title="Thrust gain",
+    equation="T_i = gain T_i,nominal",
+    source="5-10 % between propellers, batteries and motor controllers of one type",
+    parameters=(
+        Parameter(
+            key="gain",
+            unit="1",
+            neutral=1.0,
+            typical=0.08,
+            tolerance=0.01,
+            lower=0.4,
+            upper=2.0,
+            description="thrust over the vehicle file's thrust, all rotors alike",
+        ),
+    ),
+    aliases=("mass", "battery-sag"),
+    closing=Closing(
+        model="every rotor's thrust times a constant",
+        planner="plans with the thrust that is there",
+        law="the commanded thrust is divided by the gain",
+    ),
+    thrust_factor=_factor,
+    to_feedforward=_feedforward,
+)

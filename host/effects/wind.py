@@ -1,0 +1,46 @@
+"""Constant horizontal wind: the drag acts on the air speed, not on the ground speed."""
+
+from __future__ import annotations
+
+from host.effects.effect import Closing, Effect, Parameter
+
+
+def _wind(ops, theta):
+    wx, wy = theta
+    return (wx, wy, 0.0)
+
+
+def _feedforward(theta):
+    wx, wy = theta
+    return {"wind_ned": (wx, wy, 0.0)}
+
+
+def _axis(key: str, direction: str) -> Parameter:
+    return Parameter(
+        key=key,
+        unit="m/s",
+        neutral=0.0,
+        typical=1.5,
+        tolerance=0.05,
+        lower=-10.0,
+        upper=10.0,
+        description=f"velocity of the air to the {direction}",
+    )
+
+
+EFFECT = Effect(
+    name="wind",
+    title="Constant wind",
+    equation="v_air_ned = v_ned - (wx, wy, 0)",
+    source="0.5-3 m/s outdoors and near air conditioning; acts only through drag",
+    parameters=(_axis("wx", "north"), _axis("wy", "east")),
+    aliases=("linear-drag", "quadratic-drag", "com-offset", "frame-tilt"),
+    requires_any=("linear-drag", "quadratic-drag"),
+    closing=Closing(
+        model="the drag terms see the velocity through the air",
+        planner="plans with the drag of the air that moves: slower against the wind",
+        law="the drag of the mean wind at rest is fed forward as a constant acceleration",
+    ),
+    wind_ned=_wind,
+    to_feedforward=_feedforward,
+)

@@ -1,0 +1,213 @@
+"""The rigid-body model f(x, u): paper equation 1, first-order lag on rotor thrust, and the effects' slots.
+
+State x, 16 scalars: p_ned 3, v_ned 3, Theta 3 (roll, pitch, yaw), rate_frd 3, rotor thrust 4 (N, nominal,
+before any thrust factor). The same source runs on floats, CasADi scalars and numpy lanes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from firmware_model.law.constants import GRAVITY
+from firmware_model.law.ops import Ops
+from firmware_model.law.rotations import euler_rates, euler_to_matrix, mat_t_vec, mat_vec
+
+from host.effects import Context, Effect
+
+Scalar = Any
+Part = tuple[Effect, Sequence[Scalar]]  # an effect and its parameter values
+
+STATE_SIZE = 16
+P, V, THETA, RATE, THRUST = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 16)
+
+
+class Rotor(Protocol):
+    """One rotor: where it stands and how it turns seen from above."""
+
+    @property
+    def position_m(self) -> Sequence[float]: ...
+    @property
+    def spin(self) -> str: ...
+
+
+class Airframe(Protocol):
+    """What the model reads of a vehicle file."""
+
+    @property
+    def mass_kg(self) -> float: ...
+    @property
+    def inertia_kg_m2(self) -> Sequence[float]: ...
+    @property
+    def rotors(self) -> Sequence[Rotor]: ...
+    @property
+    def thrust_max_n(self) -> float: ...
+    @property
+    def thrust_curve(self) -> Sequence[float]: ...
+    @property
+    def torque_per_thrust_m(self) -> float: ...
+    @property
+    def motor_lag_s(self) -> float: ...
+
+
+def derivative(
+    ops: Ops,
+    vehicle: Airframe,
+    effects: Sequence[Part],
+    x: Sequence[Scalar],
+    thrust_command: Sequence[Scalar],
+    voltage_ratio: Scalar = 1.0,
+    t_s: Scalar = 0.0,
+    acceleration_ned: Sequence[Scalar] | None = None,
+    rate_dot_frd: Sequence[Scalar] | None = None,
+) -> list[Scalar]:
+    """xdot, 16 scalars, for commanded rotor thrusts in N.
+
+    `acceleration_ned` and `rate_dot_frd` are added to the translational and angular acceleration: the learned
+    residual d(x) of paper equation 2, or a disturbance being estimated. Paper equation 1; the slots'
+    meaning is stated in `host.effects.effect`.
+    """
+    v, thrust = x[3:6], x[12:16]
+    rate = x[9:12]
+    R = euler_to_matrix(ops, x[6:9])
+    mass, thrust, collective, force, torque_extra = _loads(
+        ops, vehicle, effects, x, R, thrust, voltage_ratio, t_s
+    )
+    tau = rotor_torque(vehicle, thrust)
+    if torque_extra is not None:
+        tau = _add(tau, torque_extra)
+
+    up = collective / mass
+    if force is None:
+        a = (-R[2] * up, -R[5] * up, GRAVITY - R[8] * up)
+    else:
+        ax, ay, az = mat_vec(R, (force[0], force[1], force[2] - up))
+        a = (ax, ay, az + GRAVITY)
+    jx, jy, jz = vehicle.inertia_kg_m2
+    wx, wy, wz = rate
+    alpha = (
+        (tau[0] - (jz - jy) * wy * wz) / jx,
+        (tau[1] - (jx - jz) * wz * wx) / jy,
+        (tau[2] - (jy - jx) * wx * wy) / jz,
+    )
+    if acceleration_ned is not None:
+        a = _add(a, acceleration_ned)
+    if rate_dot_frd is not None:
+        alpha = _add(alpha, rate_dot_frd)
+
+    inverse_lag = 1.0 / motor_lag_s(ops, vehicle, effects)
+    thrust_dot = [
+        (command - now) * inverse_lag for command, now in zip(thrust_command, x[12:16], strict=True)
+    ]
+    return [*v, *a, *euler_rates(ops, x[6:9], rate), *alpha, *thrust_dot]
+
+
+def residual_acceleration_ned(
+    ops: Ops,
+    vehicle: Airframe,
+    effects: Sequence[Part],
+    x: Sequence[Scalar],
+    voltage_ratio: Scalar = 1.0,
+    t_s: Scalar = 0.0,
+) -> Sequence[Scalar]:
+    """The effects' state-only force as acceleration in the world: the part of d(x) a planner minimises."""
+    R = euler_to_matrix(ops, x[6:9])
+    force = _loads(ops, vehicle, effects, x, R, x[12:16], voltage_ratio, t_s)[3]
+    return (0.0, 0.0, 0.0) if force is None else mat_vec(R, force)
+
+
+def rotor_torque(vehicle: Airframe, thrust: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar]:
+    """Torque about the body axes from the rotor thrusts: r x (0, 0, -T), and the rotors' reaction about z."""
+    tau_x = tau_y = tau_z = 0.0
+    for rotor, T in zip(vehicle.rotors, thrust, strict=True):
+        spin = 1.0 if rotor.spin == "ccw" else -1.0
+        tau_x = tau_x - rotor.position_m[1] * T
+        tau_y = tau_y + rotor.position_m[0] * T
+        tau_z = tau_z + spin * vehicle.torque_per_thrust_m * T
+    return tau_x, tau_y, tau_z
+
+
+def motor_lag_s(ops: Ops, vehicle: Airframe, effects: Sequence[Part]) -> Scalar:
+    """Time constant of the rotor thrusts with all effects."""
+    lag: Scalar = vehicle.motor_lag_s
+    for effect, theta in effects:
+        if effect.motor_lag_s is not None:
+            lag = effect.motor_lag_s(ops, theta, lag)
+    return lag
+
+
+def mocap_latency_s(ops: Ops, effects: Sequence[Part]) -> Scalar:
+    """Undeclared age of a pose at its time stamp: the sum over all effects, 0 without any."""
+    latency: Scalar = 0.0
+    for effect, theta in effects:
+        if effect.mocap_latency_s is not None:
+            latency = latency + effect.mocap_latency_s(ops, theta)
+    return latency
+
+
+def has_latency(effects: Sequence[Part]) -> bool:
+    """Whether an effect delays the poses."""
+    return any(effect.mocap_latency_s is not None for effect, _ in effects)
+
+
+def _loads(
+    ops: Ops,
+    vehicle: Airframe,
+    effects: Sequence[Part],
+    x: Sequence[Scalar],
+    R: Sequence[Scalar],
+    thrust: Sequence[Scalar],
+    voltage_ratio: Scalar,
+    t_s: Scalar,
+) -> tuple[Scalar, Sequence[Scalar], Scalar, Sequence[Scalar] | None, Sequence[Scalar] | None]:
+    """Mass, rotor thrusts after factors, their sum, the effects' specific force and torque (None: none)."""
+    mass: Scalar = vehicle.mass_kg
+    wind: Sequence[Scalar] | None = None
+    for effect, theta in effects:
+        if effect.mass_factor is not None:
+            mass = mass * effect.mass_factor(ops, theta)
+        if effect.wind_ned is not None:
+            w = effect.wind_ned(ops, theta)
+            wind = w if wind is None else _add(wind, w)
+    collective = thrust[0] + thrust[1] + thrust[2] + thrust[3]
+    if not any(e.thrust_factor or e.specific_force_frd or e.torque_frd for e, _ in effects):
+        return mass, thrust, collective, None, None
+
+    v = x[3:6]
+    v_air = v if wind is None else (v[0] - wind[0], v[1] - wind[1], v[2] - wind[2])
+    ctx = Context(
+        p_ned=x[0:3],
+        v_ned=v,
+        v_air_frd=mat_t_vec(R, v_air),
+        R=R,
+        rate_frd=x[9:12],
+        thrust=thrust,
+        collective_n=collective,
+        mass_kg=mass,
+        voltage_ratio=voltage_ratio,
+        t_s=t_s,
+        rotor_positions=tuple(tuple(rotor.position_m) for rotor in vehicle.rotors),
+    )
+    factor: Scalar | None = None
+    for effect, theta in effects:
+        if effect.thrust_factor is not None:
+            f = effect.thrust_factor(ops, theta, ctx)
+            factor = f if factor is None else factor * f
+    if factor is not None:
+        thrust = [factor * T for T in thrust]
+        collective = factor * collective
+        ctx = ctx._replace(thrust=thrust, collective_n=collective)
+    force: Sequence[Scalar] | None = None
+    torque: Sequence[Scalar] | None = None
+    for effect, theta in effects:
+        if effect.specific_force_frd is not None:
+            f = effect.specific_force_frd(ops, theta, ctx)
+            force = f if force is None else _add(force, f)
+        if effect.torque_frd is not None:
+            t = effect.torque_frd(ops, theta, ctx)
+            torque = t if torque is None else _add(torque, t)
+    return mass, thrust, collective, force, torque
+
+
+def _add(a: Sequence[Scalar], b: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar]:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]

@@ -1,0 +1,146 @@
+"""Each effect's equation against numbers worked out by hand, and neutral values that change nothing."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from firmware_model.law.ops import FLOAT
+
+from host.effects import compose_feedforward, load_effects
+from host.models import dynamics
+
+EFFECTS = load_effects()
+S = 0.088
+VEHICLE = SimpleNamespace(
+    mass_kg=0.752,
+    inertia_kg_m2=(2.5e-3, 2.1e-3, 4.3e-3),
+    rotors=tuple(
+        SimpleNamespace(position_m=(x, y, 0.0), spin=spin)
+        for x, y, spin in ((S, S, "ccw"), (-S, -S, "ccw"), (S, -S, "cw"), (-S, S, "cw"))
+    ),
+    thrust_max_n=8.5,
+    thrust_curve=(0.0, 1.0),
+    torque_per_thrust_m=0.022,
+    motor_lag_s=0.033,
+)
+COMMAND = (2.0, 1.9, 1.8, 2.1)
+
+
+def state(seed: int = 0) -> list[float]:
+    rng = np.random.default_rng(seed)
+    x = 0.5 * rng.standard_normal(16)
+    x[12:] = 1.8 + 0.2 * rng.standard_normal(4)
+    return [float(value) for value in x]
+
+
+def level(v=(0.0, 0.0, 0.0), thrust=1.8) -> list[float]:
+    return [0.0, 0.0, -1.0, *v, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, *(thrust,) * 4]
+
+
+def rates(effects, x, **kwargs):
+    return np.array(dynamics.derivative(FLOAT, VEHICLE, effects, x, COMMAND, **kwargs))
+
+
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_effect_neutral_changes_nothing(name):
+    effect = EFFECTS[name]
+    x = state(3)
+    np.testing.assert_allclose(
+        rates([(effect, effect.neutral)], x, voltage_ratio=0.9), rates([], x), rtol=0, atol=1e-13
+    )
+
+
+@pytest.mark.parametrize("name", sorted(set(EFFECTS) - {"wind", "mocap-latency"}))
+def test_effect_typical_changes_something(name):
+    effect = EFFECTS[name]
+    theta = [parameter.neutral + parameter.typical for parameter in effect.parameters]
+    x = state(4)
+    assert np.abs(rates([(effect, theta)], x, voltage_ratio=0.9) - rates([], x)).max() > 1e-3
+
+
+def test_linear_drag_level_flight_opposes_each_axis():
+    change = rates([(EFFECTS["linear-drag"], (0.4, 0.3, 0.2))], level((2.0, -1.0, 0.5))) - rates(
+        [], level((2.0, -1.0, 0.5))
+    )
+    np.testing.assert_allclose(change[3:6], (-0.8, 0.3, -0.1), atol=1e-14)
+
+
+def test_quadratic_drag_level_flight_grows_with_speed_times_velocity():
+    v = (3.0, 4.0, 0.0)
+    change = rates([(EFFECTS["quadratic-drag"], (0.03,))], level(v)) - rates([], level(v))
+    np.testing.assert_allclose(change[3:6], (-0.45, -0.6, 0.0), atol=1e-9)
+
+
+def test_wind_at_rest_pushes_through_the_drag():
+    parts = [(EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["wind"], (1.0, -2.0))]
+    np.testing.assert_allclose(
+        (rates(parts, level()) - rates([], level()))[3:6], (0.4, -0.6, 0.0), atol=1e-14
+    )
+    np.testing.assert_array_equal(rates(parts[1:], level()), rates([], level()))
+
+
+def test_thrust_gain_and_inverse_mass_accelerate_alike():
+    x = state(5)
+    gain = rates([(EFFECTS["thrust-gain"], (0.9,))], x)
+    mass = rates([(EFFECTS["mass"], (1.0 / 0.9,))], x)
+    np.testing.assert_allclose(gain[3:6], mass[3:6], rtol=1e-13)
+
+
+def test_battery_sag_scales_thrust_by_a_power_of_the_voltage_ratio():
+    change = rates([(EFFECTS["battery-sag"], (2.0,))], level(), voltage_ratio=0.9)
+    np.testing.assert_allclose(change[5], 9.81 - 0.81 * 7.2 / 0.752, rtol=1e-13)
+
+
+def test_motor_lag_slows_the_rotor_thrusts():
+    x = level()
+    fast, slow = rates([], x), rates([(EFFECTS["motor-lag"], (0.033,))], x)
+    np.testing.assert_allclose(slow[12:], 0.5 * fast[12:], rtol=1e-13)
+
+
+def test_com_offset_moves_the_lever_of_every_rotor():
+    x, y = 0.004, -0.003
+    moved = SimpleNamespace(**vars(VEHICLE))
+    moved.rotors = tuple(
+        SimpleNamespace(position_m=(r.position_m[0] - x, r.position_m[1] - y, 0.0), spin=r.spin)
+        for r in VEHICLE.rotors
+    )
+    s = state(6)
+    expected = dynamics.derivative(FLOAT, moved, [], s, COMMAND)
+    np.testing.assert_allclose(rates([(EFFECTS["com-offset"], (x, y))], s), expected, atol=1e-12)
+
+
+def test_mocap_latency_adds_to_the_pose_path_only():
+    parts = [(EFFECTS["mocap-latency"], (0.012,))]
+    assert dynamics.mocap_latency_s(FLOAT, parts) == 0.012
+    assert dynamics.has_latency(parts)
+    np.testing.assert_array_equal(rates(parts, state(7)), rates([], state(7)))
+
+
+def test_compose_feedforward_gain_and_mass_multiply_and_drag_adds():
+    block = compose_feedforward(
+        [
+            (EFFECTS["thrust-gain"], (0.9,)),
+            (EFFECTS["mass"], (1.25,)),
+            (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)),
+            (EFFECTS["wind"], (2.0, 0.0)),
+            (EFFECTS["motor-lag"], (0.01,)),
+            (EFFECTS["mocap-latency"], (0.015,)),
+        ]
+    )
+    assert block["gain"] == pytest.approx(0.72)
+    assert block["linear_drag"] == (0.4, 0.3, 0.2)
+    assert block["bias_ned"] == pytest.approx((0.7, 0.0, 0.0))
+    assert block["prediction_time_s"] == 0.015
+
+
+def test_compose_feedforward_nothing_is_the_neutral_block():
+    assert compose_feedforward([]) == {
+        "gain": 1.0,
+        "bias_ned": (0.0, 0.0, 0.0),
+        "linear_drag": (0.0, 0.0, 0.0),
+        "quadratic_drag": (0.0, 0.0, 0.0),
+        "attitude_offset": (0.0, 0.0),
+        "prediction_time_s": 0.0,
+    }

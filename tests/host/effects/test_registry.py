@@ -1,0 +1,98 @@
+"""The registry finds effects by name and says what is wrong with a file it cannot use."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from host.effects import SLOTS, EffectError, load_effects
+
+NINE = {
+    "linear-drag": ("dx", "dy", "dz"),
+    "quadratic-drag": ("c",),
+    "wind": ("wx", "wy"),
+    "thrust-gain": ("gain",),
+    "mass": ("factor",),
+    "battery-sag": ("exponent",),
+    "motor-lag": ("extra_s",),
+    "com-offset": ("x", "y"),
+    "mocap-latency": ("latency_s",),
+}
+
+WORKSPACE_EFFECT = """
+from host.effects import Closing, Effect, Parameter
+
+EFFECT = Effect(
+    name="{name}",
+    title="t", equation="e", source="s", aliases=(),
+    parameters=(Parameter(key="k", unit="1", neutral=0.0, typical=1.0, tolerance=0.1, lower=-5.0, upper=5.0,
+                          description="d"),),
+    closing=Closing(model="m", planner="p", law=None),
+    torque_frd=lambda ops, theta, ctx: (theta[0], 0.0, 0.0),
+)
+"""
+
+
+def write(workspace: Path, file: str, text: str) -> None:
+    (workspace / "effects").mkdir(exist_ok=True)
+    (workspace / "effects" / file).write_text(text, encoding="utf-8")
+
+
+def test_load_effects_shipped_has_the_nine_with_their_keys():
+    effects = load_effects()
+    assert {name: effect.keys for name, effect in effects.items()} == NINE
+    assert list(effects) == sorted(effects)
+    assert all(len(effect.source_id) == 12 for effect in effects.values())
+
+
+def test_load_effects_aliases_are_mutual_where_shipped():
+    effects = load_effects()
+    for effect in effects.values():
+        for alias in effect.aliases:
+            if alias in effects:
+                assert effect.name in effects[alias].aliases, (effect.name, alias)
+
+
+def test_load_effects_workspace_adds_an_effect(tmp_path):
+    write(tmp_path, "roll_push.py", WORKSPACE_EFFECT.format(name="roll-push"))
+    effects = load_effects(tmp_path)
+    assert effects["roll-push"].keys == ("k",)
+    assert len(effects) == len(NINE) + 1
+
+
+def test_load_effects_workspace_changed_file_changes_source_id(tmp_path):
+    write(tmp_path, "roll_push.py", WORKSPACE_EFFECT.format(name="roll-push"))
+    before = load_effects(tmp_path)["roll-push"].source_id
+    write(tmp_path, "roll_push.py", WORKSPACE_EFFECT.format(name="roll-push") + "# changed\n")
+    assert load_effects(tmp_path)["roll-push"].source_id != before
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "message"),
+    [
+        ("broken.py", "EFFECT = (", r"effects/broken\.py: SyntaxError"),
+        ("nothing.py", "x = 1\n", r"effects/nothing\.py: defines no EFFECT"),
+        ("other.py", WORKSPACE_EFFECT.format(name="roll-push"), r"must be roll_push\.py"),
+        ("wind.py", WORKSPACE_EFFECT.format(name="wind"), r"wind is a shipped effect"),
+        (
+            "bad_name.py",
+            WORKSPACE_EFFECT.format(name="Bad"),
+            r"effects/bad_name\.py: ValueError: effect name",
+        ),
+    ],
+)
+def test_load_effects_bad_workspace_file_is_named(tmp_path, file, text, message):
+    write(tmp_path, file, text)
+    with pytest.raises(EffectError, match=message) as error:
+        load_effects(tmp_path)
+    assert error.value.exit_code == 2
+
+
+def test_effects_fill_at_least_one_slot_and_state_their_source():
+    for effect in load_effects().values():
+        assert any(getattr(effect, slot) is not None for slot in SLOTS)
+        assert effect.source
+        assert effect.equation
+        assert effect.closing.model
+        assert effect.closing.planner
