@@ -1,0 +1,215 @@
+"""The vehicle as its file declares it: one frozen type with the file's own keys.
+
+Frames: body FRD, world NED. Rotor i of the file is driven by motor_command[i]. A rotor's thrust is
+T / thrust_max_n = c1 u + c2 u^2 at full battery; its reaction torque about +z_frd is +torque_per_thrust_m T
+for a rotor that turns counter-clockwise seen from above, minus that for a clockwise one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from functools import cached_property
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, Field, field_validator, model_validator
+
+from host.vehicle.strict_toml import Strict, validate
+
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+Positive3 = tuple[Positive, Positive, Positive]
+NonNegative3 = tuple[NonNegative, NonNegative, NonNegative]
+Vector3 = tuple[float, float, float]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
+
+
+def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
+    """The interval itself. Raises ValueError unless low is below high."""
+    if not interval[0] < interval[1]:
+        raise ValueError(f"{list(interval)} is not an interval, give [low, high] with low below high")
+    return interval
+
+
+Interval = Annotated[tuple[float, float], AfterValidator(_ordered)]
+
+
+class Rotor(Strict):
+    """One rotor: where it sits and which way it turns."""
+
+    position_m: Vector3
+    """From the centre of mass, FRD."""
+    spin: Literal["cw", "ccw"]
+    """Seen from above."""
+
+    @property
+    def spin_sign(self) -> int:
+        """+1 for ccw, -1 for cw: the sign of the reaction torque about +z_frd."""
+        return 1 if self.spin == "ccw" else -1
+
+
+class Battery(Strict):
+    """The battery's cells and its voltage range."""
+
+    cells: Annotated[int, Field(ge=1, le=24)]
+    full_v: Positive
+    empty_v: Positive
+    capacity_ah: Positive
+
+    @model_validator(mode="after")
+    def _full_above_empty(self) -> Self:
+        if not self.full_v > self.empty_v:
+            raise ValueError(f"full_v {self.full_v:g} is not above empty_v {self.empty_v:g}, mend one")
+        return self
+
+
+class Limits(Strict):
+    """What a plan may ask of the vehicle; the same limits are checked on board."""
+
+    speed_max_m_s: Positive
+    tilt_max_deg: Annotated[float, Field(gt=0.0, le=85.0)]
+    body_rate_max_rad_s: Positive3
+    """Roll, pitch and yaw rate, FRD."""
+    jerk_max_m_s3: Positive
+    thrust_headroom: Interval
+    """Lowest and highest share of thrust_max_n that a plan may use of any rotor."""
+    geofence_m: tuple[Interval, Interval, Interval]
+    """[low, high] of north, east and down; up is negative down."""
+
+    @field_validator("thrust_headroom")
+    @classmethod
+    def _within_range(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if value[0] < 0.0 or value[1] > 1.0:
+            raise ValueError(f"{list(value)} leaves 0..1, give shares of thrust_max_n")
+        return value
+
+
+class Gains(Strict):
+    """Gains of the on-board law, body axes FRD; positions and velocities in NED."""
+
+    position_p: NonNegative3
+    """1/s^2."""
+    velocity_d: NonNegative3
+    """1/s."""
+    attitude_p: NonNegative3
+    """1/s."""
+    rate_p: NonNegative3
+    """1/s."""
+    rate_i: NonNegative3
+    """1/s^2."""
+    rate_d: NonNegative3
+    """Of the filtered body rate's derivative; no unit."""
+    rate_integral_limit: NonNegative3
+    """Largest angular acceleration that the rate integral may ask for, rad/s^2."""
+    rate_filter_hz: Positive
+    """Corner of the first-order filter on the body rate."""
+
+
+def _read_only(mapping: Mapping[str, float]) -> Mapping[str, float]:
+    """The same entries behind a view that refuses changes."""
+    return MappingProxyType(dict(mapping))
+
+
+ToleranceKey = Annotated[str, Field(pattern=r"^[a-z][a-z0-9]*(-[a-z0-9]+)*(\.[a-z][a-z0-9_]*)?$")]
+
+
+class Vehicle(Strict):
+    """A quadrotor. Keyword-only, immutable, hashable, picklable; `id` names its content."""
+
+    name: Name
+    mass_kg: Positive
+    inertia_kg_m2: Positive3
+    """Diagonal about x, y, z of FRD."""
+    thrust_max_n: Positive
+    """Of one rotor, at full battery."""
+    thrust_curve: tuple[NonNegative, NonNegative]
+    torque_per_thrust_m: Positive
+    motor_lag_s: Positive
+    rotors: tuple[Rotor, Rotor, Rotor, Rotor]
+    battery: Battery
+    limits: Limits
+    gains: Gains
+    tolerances: Annotated[Mapping[ToleranceKey, Positive], AfterValidator(_read_only)]
+    """One sigma of what is not worth naming, by "effect.parameter" or "effect"."""
+
+    @field_validator("inertia_kg_m2")
+    @classmethod
+    def _inertia_of_a_body(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+        if 2.0 * max(value) > sum(value) * (1.0 + 1e-9):
+            raise ValueError(f"{list(value)} is no rigid body's, no axis may exceed the sum of the other two")
+        return value
+
+    @field_validator("thrust_curve")
+    @classmethod
+    def _curve_reaches_one(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if abs(sum(value) - 1.0) > 1e-9:
+            raise ValueError(f"c1 + c2 is {sum(value):g}, scale them to a sum of 1")
+        return value
+
+    @field_validator("rotors")
+    @classmethod
+    def _rotors_span_all_axes(cls, value: tuple[Rotor, ...]) -> tuple[Rotor, ...]:
+        # The 4 x 4 allocation is singular exactly when some combination of rotors changes nothing.
+        rows = [[1.0, -r.position_m[1], r.position_m[0], float(r.spin_sign)] for r in value]
+        size = max(abs(entry) for row in rows for entry in row[1:3]) or 1.0
+        scaled = [[row[0], row[1] / size, row[2] / size, row[3]] for row in rows]
+        if abs(_determinant(scaled)) < 1e-6:
+            raise ValueError("these rotors cannot turn the vehicle about all axes, check positions and spins")
+        return value
+
+    @model_validator(mode="after")
+    def _can_hover(self) -> Self:
+        ceiling = 4.0 * self.thrust_max_n * self.limits.thrust_headroom[1]
+        weight = self.mass_kg * 9.81
+        if ceiling <= weight:
+            raise ValueError(
+                f"cannot hover: the rotors may give {ceiling:.3g} N in all, the weight is {weight:.3g} N; "
+                "raise thrust_max_n or limits.thrust_headroom, or lower mass_kg"
+            )
+        return self
+
+    @cached_property
+    def id(self) -> str:
+        """First 12 hex digits of the SHA-256 of the canonical text."""
+        return hashlib.sha256(self.to_toml().encode()).hexdigest()[:12]
+
+    @property
+    def id_bytes(self) -> bytes:
+        """The id as the 6 bytes that blobs and messages carry."""
+        return bytes.fromhex(self.id)
+
+    def tolerance(self, effect: str, parameter: str, default: float) -> float:
+        """One sigma of `effect.parameter`: its own entry, else the effect's, else `default`."""
+        return self.tolerances.get(f"{effect}.{parameter}", self.tolerances.get(effect, default))
+
+    def replace(self, **changes: Any) -> Vehicle:
+        """A vehicle with these fields changed, checked like a file. Raises ConfigurationError."""
+        fields = {name: getattr(self, name) for name in type(self).model_fields}
+        return validate({**fields, **changes}, self.name, Vehicle)
+
+    def to_toml(self) -> str:
+        """Canonical TOML text: the same vehicle gives the same bytes, and reads back equal."""
+        from host.vehicle.files import write_toml
+
+        return write_toml(self)
+
+    def __hash__(self) -> int:
+        return hash(self.id)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How to build the same vehicle in another process."""
+        from host.vehicle.files import parse_vehicle
+
+        return parse_vehicle, (self.to_toml(), self.name)
+
+
+def _determinant(matrix: list[list[float]]) -> float:
+    """Determinant by expansion along the first row."""
+    if len(matrix) == 1:
+        return matrix[0][0]
+    total = 0.0
+    for column, entry in enumerate(matrix[0]):
+        minor = [row[:column] + row[column + 1 :] for row in matrix[1:]]
+        total += (-1) ** column * entry * _determinant(minor)
+    return total

@@ -1,0 +1,145 @@
+"""TOML files from users, read strictly: unknown keys refused, all problems told at once.
+
+One problem is one line, `file: key.path: what, remedy`. Vehicles, routes and worlds come through here.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterator, Sequence
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+
+class ConfigurationError(ValueError):
+    """A file from a user says something wrong; `problems` holds one line for each thing to mend."""
+
+    exit_code = 2
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("\n".join(self.problems))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How to build the same error in another process."""
+        return type(self), (self.problems,)
+
+
+class Strict(BaseModel):
+    """Base of everything read from a user's TOML: frozen, no unknown keys, no coercion, finite numbers."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """The plain data of a TOML text. Raises ConfigurationError naming `source`, line and column."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError([f"{source}: not valid TOML: {error}; mend the syntax there"]) from None
+
+
+def validate(data: dict[str, Any], source: str, model: type[ModelT]) -> ModelT:
+    """`data` as a checked `model`. Raises ConfigurationError with one line for each problem."""
+    try:
+        return model.model_validate(_tuples(data))
+    except ValidationError as error:
+        known = sorted(set(_field_names(model)))
+        lines = [f"{source}: {_problem(details, data, known)}" for details in error.errors(include_url=False)]
+        raise ConfigurationError(list(dict.fromkeys(lines))) from None
+
+
+def read_strict(text: str, source: str, model: type[ModelT]) -> ModelT:
+    """The `model` that the TOML `text` holds. Raises ConfigurationError with every problem found."""
+    return validate(parse_toml(text, source), source, model)
+
+
+def _tuples(value: Any) -> Any:
+    """The same data with tuples for lists, so that strict validation keeps everything immutable."""
+    if isinstance(value, list):
+        return tuple(_tuples(item) for item in value)
+    if isinstance(value, dict):
+        return {key: _tuples(item) for key, item in value.items()}
+    return value
+
+
+def _field_names(model: type[BaseModel]) -> Iterator[str]:
+    """Every key that a file of this model may hold, nested tables included."""
+    schema = model.model_json_schema()
+    for part in (schema, *schema.get("$defs", {}).values()):
+        yield from part.get("properties", {})
+
+
+def _key_path(location: Sequence[int | str], data: Any) -> str:
+    """`rotors[1].spin` for ("rotors", 1, "spin"); tags that pydantic adds for unions are left out."""
+    path = ""
+    for position, item in enumerate(location):
+        if isinstance(item, int):
+            path += f"[{item}]"
+            data = data[item] if isinstance(data, list | tuple) and item < len(data) else None
+            continue
+        last = position == len(location) - 1
+        if isinstance(data, dict) and item not in data and not last:
+            continue
+        path += f".{item}" if path else item
+        data = data.get(item) if isinstance(data, dict) else None
+    return path or "(file)"
+
+
+_KINDS = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "string_type": "a text in quotes",
+    "bool_type": "true or false",
+    "tuple_type": "a list",
+    "model_type": "a table",
+    "mapping_type": "a table",
+    "dict_type": "a table",
+    "finite_number": "a finite number",
+}
+
+
+def _problem(details: ErrorDetails, data: dict[str, Any], known: Sequence[str]) -> str:
+    """One line, what is wrong and what to do, for one of pydantic's error records."""
+    kind, location, context = details["type"], details["loc"], details.get("ctx", {})
+    path = _key_path(location, data)
+    name = str(location[-1]) if location else ""
+    got = _shown(details.get("input"))
+    if kind == "missing":
+        return f"{path}: missing, add it"
+    if kind == "extra_forbidden":
+        near = difflib.get_close_matches(name, [key for key in known if key != name], n=1)
+        return f"{path}: unknown key, " + (f"did you mean {near[0]}?" if near else "remove it")
+    if kind in _KINDS:
+        return f"{path}: {got} is not {_KINDS[kind]}, write {_KINDS[kind]}"
+    if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
+        words = {"greater_than": "above", "greater_than_equal": "at least", "less_than": "below"}
+        return f"{path}: {got} is out of range, give a value {words.get(kind, 'at most')} {next(iter(context.values())):g}"
+    if kind in ("too_long", "too_short"):
+        wanted = context.get("max_length", context.get("min_length"))
+        word = "at most" if kind == "too_long" else "at least"
+        return f"{path}: {context.get('actual_length')} entries, give {word} {wanted}"
+    if kind in ("literal_error", "enum"):
+        return f"{path}: {got} is not possible, choose {context.get('expected')}"
+    if kind in ("union_tag_not_found", "union_tag_invalid"):
+        field = str(context.get("discriminator", "kind")).strip("'")
+        expected = context.get("expected_tags")
+        return f"{path}.{field}: " + (f"unknown, choose {expected}" if expected else "missing, add it")
+    if kind == "string_pattern_mismatch":
+        return f"{path}: {got} is not a valid text here, it must match {context.get('pattern')}"
+    message = details["msg"].removeprefix("Value error, ")
+    return f"{path}: {message[:1].lower()}{message[1:]}"
+
+
+def _shown(value: Any) -> str:
+    """The value as its user wrote it, shortened."""
+    text = repr(list(value)) if isinstance(value, tuple) else repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
