@@ -122,7 +122,8 @@ def _problem(details: ErrorDetails, data: dict[str, Any], known: Sequence[str]) 
         return f"{path}: {got} is not {_KINDS[kind]}, write {_KINDS[kind]}"
     if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
         words = {"greater_than": "above", "greater_than_equal": "at least", "less_than": "below"}
-        return f"{path}: {got} is out of range, give a value {words.get(kind, 'at most')} {next(iter(context.values())):g}"
+        word, bound = words.get(kind, "at most"), next(iter(context.values()))
+        return f"{path}: {got} is out of range, give a value {word} {bound:g}"
     if kind in ("too_long", "too_short"):
         wanted = context.get("max_length", context.get("min_length"))
         word = "at most" if kind == "too_long" else "at least"
