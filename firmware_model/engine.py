@@ -1,7 +1,7 @@
 """How the flight MCU calls its law: named blocks of doubles in, named blocks of doubles out.
 
 The firmware neither knows who compiled its step function nor how. `FloatEngine` runs the law's own source on
-Python floats: for unit tests and for readers. Sessions hand in an engine of host.codegen, which looks the same.
+Python floats: for unit tests and for readers. Sessions hand in a compiled engine, which looks the same.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the vehicle is doing, as one table: every state times event is a transition or a refusal with a reason.
+"""What the vehicle is doing, as one table: every state times event moves it or is refused with a reason.
 
 The table is data, `update` is pure, and the table checks itself when it is built: no pair is missing, only
 power leads into BOOT, and a failure in the air leads into FAILSAFE or nowhere.

@@ -81,7 +81,7 @@ class UartPort:
         return data
 
     def reset(self) -> None:
-        """Nothing comes back; both directions of this port are emptied, as by a power cycle; counters stay."""
+        """Nothing comes back; both directions of this port are emptied, as by a power cycle."""
         self._incoming.clear()
         self._buffer.clear()
         self._taken = 0

@@ -9,7 +9,7 @@ from firmware_model.supervisor import FLYING, TRANSITIONS, Event, State, update
 FAILURES = (Event.MOCAP_LOST, Event.LINK_LOST, Event.TILTED)
 
 
-@pytest.mark.parametrize(("state", "event"), itertools.product(State, Event))
+@pytest.mark.parametrize(("state", "event"), list(itertools.product(State, Event)))
 def test_update_every_state_and_event_moves_or_refuses_with_a_reason(state, event):
     outcome = update(state, event)
     assert isinstance(outcome.state, State)
@@ -20,7 +20,7 @@ def test_update_every_state_and_event_moves_or_refuses_with_a_reason(state, even
 
 
 def test_table_covers_the_product_and_nothing_else():
-    assert set(TRANSITIONS) == set(itertools.product(State, Event))
+    assert set(TRANSITIONS) == set(list(itertools.product(State, Event)))
 
 
 def test_flight_as_planned_visits_the_phases_in_order():
@@ -51,7 +51,7 @@ def test_disarm_in_flight_is_refused(state):
     assert update(state, Event.DISARM).refusal is not None
 
 
-@pytest.mark.parametrize(("state", "event"), itertools.product(sorted(FLYING), FAILURES))
+@pytest.mark.parametrize(("state", "event"), list(itertools.product(sorted(FLYING), FAILURES)))
 def test_failure_in_the_air_never_returns_to_normal_flight(state, event):
     assert update(state, event).state in (State.FAILSAFE, State.LANDING)
 

@@ -1,0 +1,210 @@
+"""What there is to follow, as a timeline of septic pieces and yaw pieces.
+
+A flight is one track after the other: climb and hover, the live reference, hold, descent. Each is built once,
+when its phase begins; a tick then only advances the time inside the current piece. All positions in m, NED; a
+node is p, v, a, j, three each.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+Vector = tuple[float, float, float]
+Node = tuple[float, ...]
+
+SEPTIC_PEAK = 35.0 / 16.0
+"""Peak speed over mean speed of a septic from rest to rest."""
+QUINTIC_PEAK = 15.0 / 8.0
+"""Peak acceleration over mean acceleration where the speed goes by a quintic."""
+BRAKING = 5.0
+"""m/s^2 at which a descent without position takes the speed out."""
+SINK = 0.981
+"""m/s^2 by which thrust then falls short of hover: a tenth of g."""
+_ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """A timeline from 0 to `end_us`: piece k holds from starts_us[k] until the next one starts.
+
+    blocks[k] is what the law's `piece` input takes (26 doubles: duration, time inside, node, node);
+    yaw_blocks[k] likewise (6 doubles: duration, time inside, yaw, rate, yaw, rate).
+    """
+
+    starts_us: tuple[int, ...]
+    blocks: tuple[memoryview, ...]
+    yaw_starts_us: tuple[int, ...]
+    yaw_blocks: tuple[memoryview, ...]
+    end_us: int
+
+    def __post_init__(self) -> None:
+        for starts, blocks, size in (
+            (self.starts_us, self.blocks, 26),
+            (self.yaw_starts_us, self.yaw_blocks, 6),
+        ):
+            if not starts or starts[0] != 0 or len(starts) != len(blocks):
+                raise ValueError("a track begins with a piece at 0 and has as many starts as pieces")
+            if any(b <= a for a, b in zip(starts, (*starts[1:], self.end_us), strict=True)):
+                raise ValueError("pieces must start one after the other, before the end")
+            if any(len(block) != size for block in blocks):
+                raise ValueError(f"a block must have {size} values")
+
+
+def track(
+    nodes: Sequence[tuple[int, Node]],
+    yaw_nodes: Sequence[tuple[int, float, float]],
+) -> Track:
+    """A Track through nodes (t_us, 12 values) and yaw nodes (t_us, yaw, rate); both times start anywhere.
+
+    The track lasts as long as the nodes do. Before its first and after its last node yaw is held.
+    """
+    first_us, end_us = nodes[0][0], nodes[-1][0]
+    starts = []
+    blocks = []
+    for (t0, node0), (t1, node1) in pairwise(nodes):
+        starts.append(t0 - first_us)
+        blocks.append(_block([(t1 - t0) * 1e-6, 0.0, *node0, *node1]))
+    yaw_starts: list[int] = []
+    yaw_blocks: list[memoryview] = []
+    for t0, t1, *values in _yaw_pieces(yaw_nodes, first_us, end_us):
+        yaw_starts.append(int(t0) - first_us)
+        yaw_blocks.append(_block([(t1 - t0) * 1e-6, 0.0, *values]))
+    return Track(
+        starts_us=tuple(starts),
+        blocks=tuple(blocks),
+        yaw_starts_us=tuple(yaw_starts),
+        yaw_blocks=tuple(yaw_blocks),
+        end_us=end_us - first_us,
+    )
+
+
+def climb(
+    p: Vector, yaw: float, node: Node, yaw_end: float, *, speed: float, clear: float, hover_us: int
+) -> Track:
+    """From rest at `p` to rest at the node's position by septic pieces, then `hover_us` of hover.
+
+    Where the node lies further than `clear` to the side, the vehicle first climbs straight up to its height.
+    Peak speed is `speed`, but no piece is shorter than a second and a half. Yaw turns the short way round.
+    """
+    target: Vector = (node[0], node[1], node[2])
+    corners = [p]
+    if math.hypot(target[0] - p[0], target[1] - p[1]) > clear:
+        corners.append((p[0], p[1], target[2]))
+    corners.append(target)
+    t_us = 0
+    nodes: list[tuple[int, Node]] = [(0, _rest(p))]
+    for a, b in pairwise(corners):
+        t_us += seconds_us(max(1.5, SEPTIC_PEAK * math.dist(a, b) / speed))
+        nodes.append((t_us, _rest(b)))
+    turn = math.remainder(yaw_end - yaw, 2.0 * math.pi)
+    nodes.append((t_us + hover_us, _rest(target)))
+    return track(nodes, [(0, yaw_end - turn, 0.0), (t_us, yaw_end, 0.0)])
+
+
+def hold(p: Vector, yaw: float, duration_us: int) -> Track:
+    """At rest at `p` for `duration_us`."""
+    return track([(0, _rest(p)), (duration_us, _rest(p))], [(0, yaw, 0.0)])
+
+
+def land(state: Node, yaw: float, *, floor: float, speed: float, deceleration: float) -> Track:
+    """From the reference state (p, v, a, j) to a stop, then straight down at `speed` to 1 m below `floor`.
+
+    A vehicle at rest begins to descend at once. The end of the track is a timeout: touchdown comes before.
+    """
+    t_us = 0
+    nodes: list[tuple[int, Node]] = [(0, state)]
+    p: Vector = (state[0], state[1], state[2])
+    velocity: Vector = (state[3], state[4], state[5])
+    if math.hypot(*velocity) > 0.05 or math.hypot(*state[6:9]) > 0.05:
+        t_us = seconds_us(max(0.8, QUINTIC_PEAK * math.hypot(*velocity) / deceleration))
+        p = _coast(state, _ZERO, t_us * 1e-6)
+        nodes.append((t_us, _rest(p)))
+    down: Vector = (0.0, 0.0, speed)
+    t_us += 1_000_000
+    p = _below(p, 0.5 * speed)
+    nodes.append((t_us, (*p, *down, *_ZERO, *_ZERO)))
+    rest_us = seconds_us(max(1.0, (floor + 1.0 - p[2]) / speed))
+    p = _below(p, speed * rest_us * 1e-6)
+    nodes.append((t_us + rest_us, (*p, *down, *_ZERO, *_ZERO)))
+    return track(nodes, [(0, yaw, 0.0)])
+
+
+def level_descent(
+    p: Vector, velocity: Vector, yaw: float, *, speed: float, damped_us: int, end_us: int
+) -> Track:
+    """From `velocity` to `speed` straight down within a second and so on until `damped_us`, then ever faster.
+
+    Meant to be followed without position feedback. Within the second after `damped_us` thrust sinks to nine
+    tenths of hover and stays there until `end_us`: that part needs no velocity feedback either.
+    """
+    down: Vector = (0.0, 0.0, speed)
+    brake_us = seconds_us(max(1.0, QUINTIC_PEAK * math.dist(velocity, down) / BRAKING))
+    start: Node = (*p, *velocity, *_ZERO, *_ZERO)
+    p1 = _coast(start, down, brake_us * 1e-6)
+    damped_us = max(damped_us, brake_us + 100_000)
+    p2 = _below(p1, speed * (damped_us - brake_us) * 1e-6)
+    p3 = _below(p2, speed + 0.15 * SINK)  # 3 s^2 - 2 s^3, integrated twice
+    fall_us = damped_us + 1_000_000
+    end_us = max(end_us, fall_us + 1_000_000)
+    fall_s = (end_us - fall_us) * 1e-6
+    fall = speed + 0.5 * SINK
+    p4 = _below(p3, (fall + 0.5 * SINK * fall_s) * fall_s)
+    nodes: list[tuple[int, Node]] = [
+        (0, start),
+        (brake_us, (*p1, *down, *_ZERO, *_ZERO)),
+        (damped_us, (*p2, *down, *_ZERO, *_ZERO)),
+        (fall_us, (*p3, 0.0, 0.0, fall, 0.0, 0.0, SINK, *_ZERO)),
+        (end_us, (*p4, 0.0, 0.0, fall + SINK * fall_s, 0.0, 0.0, SINK, *_ZERO)),
+    ]
+    return track(nodes, [(0, yaw, 0.0)])
+
+
+def seconds_us(seconds: float) -> int:
+    """Whole microseconds, a whole number of milliseconds: phases begin and end on a tick."""
+    return 1000 * math.ceil(1000.0 * seconds - 1e-9)
+
+
+def _coast(state: Node, velocity: Vector, dt_s: float) -> Vector:
+    """Where a vehicle ends whose velocity goes from the state's to `velocity` by a quintic within `dt_s`.
+
+    Integral of the quintic Hermite polynomial from the state's v, a, j to `velocity`, 0, 0.
+    """
+    x, y, z = (
+        state[i]
+        + dt_s * (state[3 + i] + velocity[i]) / 2.0
+        + dt_s**2 * state[6 + i] / 10.0
+        + dt_s**3 * state[9 + i] / 120.0
+        for i in range(3)
+    )
+    return (x, y, z)
+
+
+def _below(p: Vector, depth: float) -> Vector:
+    return (p[0], p[1], p[2] + depth)
+
+
+def _rest(p: Vector) -> Node:
+    return (*p, *_ZERO, *_ZERO, *_ZERO)
+
+
+def _block(values: list[float]) -> memoryview:
+    return memoryview(array("d", values))
+
+
+def _yaw_pieces(
+    yaw_nodes: Sequence[tuple[int, float, float]], first_us: int, end_us: int
+) -> list[tuple[int, int, float, float, float, float]]:
+    """Pieces (t0, t1, y0, r0, y1, r1) that cover first_us to end_us; held where there is no node."""
+    rows = []
+    start_us, start_yaw, _ = yaw_nodes[0]
+    if start_us > first_us:
+        rows.append((first_us, min(start_us, end_us), start_yaw, 0.0, start_yaw, 0.0))
+    rows.extend((a[0], b[0], a[1], a[2], b[1], b[2]) for a, b in pairwise(yaw_nodes))
+    last_us, last_yaw, _ = yaw_nodes[-1]
+    if last_us < end_us:
+        rows.append((max(last_us, first_us), end_us, last_yaw, 0.0, last_yaw, 0.0))
+    return [row for row in rows if row[0] < end_us and row[1] > first_us]
