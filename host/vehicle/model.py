@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from functools import cached_property
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
@@ -169,7 +168,7 @@ class Vehicle(Strict):
             )
         return self
 
-    @cached_property
+    @property
     def id(self) -> str:
         """First 12 hex digits of the SHA-256 of the canonical text."""
         return hashlib.sha256(self.to_toml().encode()).hexdigest()[:12]

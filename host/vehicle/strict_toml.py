@@ -91,7 +91,7 @@ def _key_path(location: Sequence[int | str], data: Any) -> str:
             continue
         path += f".{item}" if path else item
         data = data.get(item) if isinstance(data, dict) else None
-    return path or "(file)"
+    return path
 
 
 _KINDS = {
@@ -137,7 +137,7 @@ def _problem(details: ErrorDetails, data: dict[str, Any], known: Sequence[str]) 
     if kind == "string_pattern_mismatch":
         return f"{path}: {got} is not a valid text here, it must match {context.get('pattern')}"
     message = details["msg"].removeprefix("Value error, ")
-    return f"{path}: {message[:1].lower()}{message[1:]}"
+    return (f"{path}: " if path else "") + message
 
 
 def _shown(value: Any) -> str:

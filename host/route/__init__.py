@@ -1,0 +1,23 @@
+"""Routes: waypoints, times, heading, limits and keep-out shapes, read strictly from TOML."""
+
+from host.route.checks import check_route
+from host.route.files import list_routes, load_route, parse_route
+from host.route.generators import FigureEight, RandomWaypoints, random_route
+from host.route.model import LimitsOverride, Route, YawProfile
+from host.route.shapes import Box, Cylinder, Sphere
+
+__all__ = [
+    "Box",
+    "Cylinder",
+    "FigureEight",
+    "LimitsOverride",
+    "RandomWaypoints",
+    "Route",
+    "Sphere",
+    "YawProfile",
+    "check_route",
+    "list_routes",
+    "load_route",
+    "parse_route",
+    "random_route",
+]

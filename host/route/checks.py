@@ -1,0 +1,97 @@
+"""Routes that contradict themselves or the vehicle are refused here, before any solver starts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+from firmware_model.law.ops import FLOAT
+
+from host.route.model import Route
+from host.vehicle import ConfigurationError, Limits, Vehicle
+
+HEIGHT_MIN_M = 0.5
+"""A reference starts and ends at rest at least this high."""
+
+
+def check_route(route: Route, vehicle: Vehicle) -> Limits:
+    """The limits a plan for this route must keep.
+
+    Raises ConfigurationError (exit code 2) with every contradiction.
+    """
+    limits = route.limits.applied_to(vehicle.limits)
+    problems = [
+        *_loosened(route, vehicle.limits),
+        *_misplaced(route, limits),
+        *_too_fast(route, limits),
+    ]
+    if problems:
+        raise ConfigurationError([f"{route.name}: {problem}" for problem in problems])
+    return limits
+
+
+def _loosened(route: Route, limits: Limits) -> Iterator[str]:
+    """Limits of the route that go beyond the vehicle's; those would be refused on board."""
+    own = route.limits
+    for name in ("speed_max_m_s", "tilt_max_deg", "jerk_max_m_s3"):
+        value, bound = getattr(own, name), getattr(limits, name)
+        if value is not None and value > bound:
+            yield f"limits.{name}: {value:g} is above the vehicle's {bound:g}, lower it"
+    if own.body_rate_max_rad_s is not None:
+        for axis, (value, bound) in enumerate(
+            zip(own.body_rate_max_rad_s, limits.body_rate_max_rad_s, strict=True)
+        ):
+            if value > bound:
+                name = f"limits.body_rate_max_rad_s[{axis}]"
+                yield f"{name}: {value:g} is above the vehicle's {bound:g}, lower it"
+    intervals = []
+    if own.thrust_headroom is not None:
+        intervals.append(("thrust_headroom", own.thrust_headroom, limits.thrust_headroom))
+    if own.geofence_m is not None:
+        pairs = zip(own.geofence_m, limits.geofence_m, strict=True)
+        intervals.extend((f"geofence_m[{axis}]", *pair) for axis, pair in enumerate(pairs))
+    for name, value, bound in intervals:
+        if value[0] < bound[0] or value[1] > bound[1]:
+            yield f"limits.{name}: {list(value)} leaves the vehicle's {list(bound)}, stay inside it"
+
+
+def _misplaced(route: Route, limits: Limits) -> Iterator[str]:
+    """Waypoints outside the geofence, inside a keep-out shape, or too low to start or end at."""
+    last = len(route.waypoints_m) - 1
+    for k, point in enumerate(route.waypoints_m):
+        path = f"waypoints_m[{k}]"
+        for axis, (value, (low, high)) in enumerate(zip(point, limits.geofence_m, strict=True)):
+            if not low <= value <= high:
+                name = ("north", "east", "down")[axis]
+                yield f"{path}: {name} {value:g} m is outside the geofence [{low:g}, {high:g}], move it"
+        if k in (0, last) and -point[2] < HEIGHT_MIN_M:
+            yield f"{path}: starts or ends {-point[2]:g} m up, move it to down <= -{HEIGHT_MIN_M:g}"
+        elif point[2] > 0.0:
+            yield f"{path}: lies below the floor (down {point[2]:g} m), move it up"
+        for number, shape in enumerate(route.keep_out):
+            depth = -shape.signed_distance(FLOAT, point)
+            if depth > 0.0:
+                yield f"{path}: lies {depth:.2f} m inside keep_out[{number}] ({shape.kind}), move one of them"
+
+
+def _too_fast(route: Route, limits: Limits) -> Iterator[str]:
+    """Legs too long for their time even straight and at top speed, and a heading that turns too fast."""
+    legs = list(pairwise(route.waypoints_m))
+    speed = limits.speed_max_m_s
+    if route.times_s is not None:
+        for k, ((a, b), (t0, t1)) in enumerate(zip(legs, pairwise(route.times_s), strict=True)):
+            needed = math.dist(a, b) / (t1 - t0)
+            if needed > speed:
+                yield f"times_s[{k + 1}]: leg {k} needs {needed:.1f} m/s, the limit is {speed:g}; slow down"
+    elif route.length_m / route.duration_s > speed:
+        yield (
+            f"total_time_s: {route.length_m:.1f} m in {route.duration_s:g} s needs "
+            f"{route.length_m / route.duration_s:.1f} m/s, the limit is {speed:g}; give it more time"
+        )
+    yaw_end_s = route.yaw.times_s[-1]
+    if yaw_end_s > route.duration_s:
+        yield f"yaw.times_s: ends at {yaw_end_s:g} s, the route at {route.duration_s:g} s; shorten it"
+    rate, bound = route.yaw.rate_max(), limits.body_rate_max_rad_s[2]
+    if rate > bound:
+        yield f"yaw.yaw_deg: turns at {rate:.2f} rad/s, the limit is {bound:g}; give the turn more time"

@@ -1,0 +1,80 @@
+"""Route files: found by name or path, read strictly, expanded into waypoints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from host.route.generators import FigureEight, RandomWaypoints
+from host.route.model import LimitsOverride, Route, YawProfile
+from host.route.shapes import Shape
+from host.vehicle.files import find_file, list_files, read_text
+from host.vehicle.model import Name, Positive, Vector3
+from host.vehicle.strict_toml import ConfigurationError, Strict, read_strict, validate
+
+
+class RouteFile(Strict):
+    """A route file: a Route whose waypoints are listed or made by exactly one generator."""
+
+    name: Name
+    waypoints_m: Annotated[tuple[Vector3, ...], Field(min_length=2)] | None = None
+    figure_eight: FigureEight | None = None
+    random: RandomWaypoints | None = None
+    times_s: tuple[float, ...] | None = None
+    total_time_s: Positive | None = None
+    yaw: YawProfile = YawProfile()
+    limits: LimitsOverride = LimitsOverride()
+    keep_out: tuple[Shape, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_source_of_waypoints(self) -> Self:
+        given = [self.waypoints_m, self.figure_eight, self.random]
+        if sum(source is not None for source in given) != 1:
+            raise ValueError("give exactly one of waypoints_m, [figure_eight] and [random]")
+        return self
+
+    def expanded(self, source: str) -> Route:
+        """The route with its waypoints listed. Raises ConfigurationError."""
+        fields = {name: getattr(self, name) for name in Route.model_fields}
+        if self.figure_eight is not None:
+            fields["waypoints_m"] = self.figure_eight.waypoints()
+        if self.random is not None:
+            fields["waypoints_m"] = self.random.waypoints()
+            if self.times_s is None and self.total_time_s is None:
+                fields["total_time_s"] = self.random.total_time_s()
+        return validate(fields, source, Route)
+
+
+def parse_route(text: str, source: str) -> Route:
+    """The route in a TOML text; `source` names it in errors. Raises ConfigurationError with every problem."""
+    return read_strict(text, source, RouteFile).expanded(source)
+
+
+def load_route(name_or_path: str | Path, workspace: Path | None = None) -> Route:
+    """The route of a path, or of a name: looked up in `workspace`/routes, then among the shipped ones.
+
+    `NAME:SEED` draws a route with a [random] table anew with that seed.
+    Raises ConfigurationError (exit code 2).
+    """
+    text, _, seed = (
+        str(name_or_path).partition(":") if isinstance(name_or_path, str) else (name_or_path, "", "")
+    )
+    path = find_file(text, "routes", workspace, what="route")
+    if not seed:
+        return parse_route(read_text(path), str(text))
+    file = read_strict(read_text(path), str(text), RouteFile)
+    if file.random is None or not (seed.isascii() and seed.isdigit()):
+        raise ConfigurationError(
+            [f"{name_or_path}: :SEED is a whole number after a route with a [random] table"]
+        )
+    drawn = file.random.model_copy(update={"seed": int(seed)})
+    return file.model_copy(update={"random": drawn, "name": f"{file.name}-{int(seed)}"}).expanded(
+        str(name_or_path)
+    )
+
+
+def list_routes(workspace: Path | None = None) -> dict[str, Path]:
+    """Name to file of every route: the shipped ones, over them those of `workspace`."""
+    return list_files("routes", workspace)
