@@ -1,0 +1,126 @@
+"""Files that verbs leave behind: written whole or not at all, never over another one; provenance."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from host.errors import UsageError
+
+SEALED_OPTIONS = ("--world", "--world-seed", "--plant", "--plant-options", "--truth")
+"""Options that tell what a simulated world holds: left out of every provenance."""
+
+
+def content_id(content: bytes) -> str:
+    """First 12 hex digits of the SHA-256 of an artefact's content (without its provenance)."""
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
+def check_output(path: str | Path, force: bool = False) -> Path:
+    """`path` as one that may be written. Call it before the work starts.
+
+    Raises UsageError where its folder is missing, it is a folder, or it exists and `force` is not set.
+    """
+    target = Path(path)
+    if not target.parent.is_dir():
+        raise UsageError(f"{path}: its folder does not exist, make it or choose another name")
+    if target.is_dir():
+        raise UsageError(f"{path}: is a folder, give a file name")
+    if target.exists() and not force:
+        raise UsageError(f"{path}: exists, choose another name or add --force")
+    return target
+
+
+@contextlib.contextmanager
+def open_atomic(path: str | Path, force: bool = False) -> Iterator[BinaryIO]:
+    """A binary file that appears under `path` when the block ends, and never where the block raises.
+
+    Until then it is `path`.part. Raises UsageError as `check_output` does.
+    """
+    target = check_output(path, force)
+    partial = target.with_name(target.name + ".part")
+    try:
+        with partial.open("wb") as file:
+            yield file
+        check_output(target, force)
+        os.replace(partial, target)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def write_atomic(path: str | Path, content: bytes | str, force: bool = False) -> Path:
+    """The path written: the whole content under its final name, or nothing. Raises UsageError."""
+    with open_atomic(path, force) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+    return Path(path)
+
+
+def version() -> str:
+    """Trimtab's version, as installed."""
+    return metadata.version("trimtab")
+
+
+def git_state() -> str | None:
+    """Commit of the checkout this code runs from, with -dirty where files differ; None outside of one."""
+    root = Path(__file__).parent.parent
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return answer.stdout.strip() or None
+
+
+def public_command(argv: Sequence[str] | None = None) -> str:
+    """The command line without what the seal forbids and without absolute paths.
+
+    World, plant, their options and seeds are left out, for `demo` its seed too; a path keeps its last part.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    sealed = SEALED_OPTIONS + (("--seed",) if words[:1] == ["demo"] else ())
+    kept = ["trimtab"]
+    skip_next = False
+    for word in words:
+        if skip_next:
+            skip_next = False
+            continue
+        option, equals, value = word.partition("=")
+        if option in sealed:
+            skip_next = not equals
+            continue
+        if equals and option.startswith("-"):
+            kept.append(f"{option}={_without_folder(value)}")
+        else:
+            kept.append(_without_folder(word))
+    return " ".join(kept)
+
+
+def provenance(
+    *, seed: int | None = None, parents: Mapping[str, str] | None = None, argv: Sequence[str] | None = None
+) -> dict[str, Any]:
+    """Where an artefact comes from: version, git state, command, host seed, and its parents' ids by role.
+
+    No wall-clock time, no absolute path, nothing that the seal forbids.
+    """
+    return {
+        "version": version(),
+        "git": git_state(),
+        "command": public_command(argv),
+        "seed": seed,
+        "parents": dict(parents or {}),
+    }
+
+
+def _without_folder(word: str) -> str:
+    """The last part of an absolute path, any other word as it is."""
+    return Path(word).name if os.path.isabs(word) and len(word) > 1 else word

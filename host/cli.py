@@ -1,0 +1,150 @@
+"""The `trimtab` command: verbs found by name and imported only when run; errors are one line and a code."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import tempfile
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cyclopts import App, CycloptsError
+
+from host import output
+from host.errors import BUG, INTERRUPTED
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verb:
+    """A verb: its name, its module below host.verbs (which holds `command`), and its line in the help."""
+
+    name: str
+    module: str
+    help: str
+
+
+VERBS = (
+    Verb(
+        name="demo",
+        module="demo",
+        help="Plan, fly, trace what is missing, plan again; one report at the end.",
+    ),
+    Verb(name="plan", module="plan", help="Make a checked reference for a route."),
+    Verb(name="sitl", module="sitl", help="Play a simulated vehicle and its camera system at a port."),
+    Verb(name="upload", module="upload", help="Send a reference or feed-forward to a vehicle and commit it."),
+    Verb(name="fly", module="fly", help="Fly a reference, simulated or at a port, and write its log."),
+    Verb(name="learn", module="learn", help="Train a residual model on flight logs."),
+    Verb(name="trace", module="trace", help="Name the missing effects behind flight logs."),
+    Verb(name="compare", module="compare", help="Set flights side by side."),
+    Verb(name="import", module="import_", help="Turn somebody else's flight log into one of ours."),
+    Verb(name="log", module="log", help="Look into a flight log, recover or export it."),
+    Verb(name="study", module="study", help="Run a study over many sealed worlds."),
+    Verb(name="bench", module="bench", help="Measure speed on this machine."),
+    Verb(name="sweep", module="sweep", help="Repeat a session over a range of settings."),
+    Verb(name="init", module="init", help="Make a workspace."),
+    Verb(name="ls", module="ls", help="List vehicles, routes, effects and artefacts."),
+    Verb(name="show", module="show", help="Show what a file holds."),
+    Verb(name="doctor", module="doctor", help="Check this machine's set-up."),
+)
+
+
+def present_verbs() -> tuple[Verb, ...]:
+    """The verbs whose module is there."""
+    folder = Path(__file__).parent / "verbs"
+    return tuple(
+        verb
+        for verb in VERBS
+        if (folder / f"{verb.module}.py").is_file() or (folder / verb.module / "__init__.py").is_file()
+    )
+
+
+def _version() -> str:
+    """Trimtab's version, as installed."""
+    from host.artefacts import version
+
+    return version()
+
+
+def build_app() -> App:
+    """The cyclopts application; no verb's module is imported."""
+    app = App(
+        name="trimtab",
+        help="Close the gap between a quadrotor's model and its flights.",
+        version=_version,
+        help_format="plaintext",
+        result_action="return_value",
+        suppress_keyboard_interrupt=False,
+    )
+    for verb in present_verbs():
+        app.command(f"host.verbs.{verb.module}:command", name=verb.name, help=verb.help)
+    return app
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The exit code of one run. Errors are one line each on stderr; for a bug it names a file."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = _run(words)
+        sys.stdout.flush()
+        return code
+    except KeyboardInterrupt:
+        return _fail(words, "interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        # Whoever read our output has gone, as in `trimtab ls | head`: leave quietly.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        code = getattr(error, "exit_code", None)
+        if isinstance(code, int):
+            return _fail(words, str(error) or type(error).__name__, code)
+        if isinstance(error, OSError) and error.filename is not None:
+            return _fail(words, f"{error.filename}: {error.strerror}, check the file and its folder", 2)
+        saved = _save_traceback(words)
+        what = f"{type(error).__name__}: {error}".splitlines()[0]
+        return _fail(words, f"a bug of ours: {what}; its traceback is in {saved}, please report it", BUG)
+
+
+def _run(words: list[str]) -> int:
+    """The exit code of the verb that `words` name."""
+    try:
+        result = build_app()(words, exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        text = " ".join(str(error).split())
+        return _fail(words, f"{text} Try: trimtab {_verb_of(words)}--help", 2)
+    return result if isinstance(result, int) and not isinstance(result, bool) else 0
+
+
+def _verb_of(words: Sequence[str]) -> str:
+    """The verb in `words` with a blank behind it, or nothing."""
+    known = {verb.name for verb in present_verbs()}
+    return f"{words[0]} " if words and words[0] in known else ""
+
+
+def _fail(words: Sequence[str], message: str, code: int) -> int:
+    """`code`, after telling the message on stderr, and as JSON where asked for and not said yet."""
+    for line in message.splitlines():
+        output.warn(line)
+    if "--json" in words and not output.emitted():
+        output.emit({"error": message, "exit_code": code}, True)
+    return code
+
+
+def _save_traceback(words: Sequence[str]) -> str:
+    """Name of a new file with the current exception's traceback and what was run."""
+    python = sys.version.split()[0]
+    text = f"trimtab {_version()} on Python {python}\narguments: {words}\n\n{traceback.format_exc()}"
+    try:
+        handle, name = tempfile.mkstemp(prefix="trimtab-bug-", suffix=".txt")
+    except OSError:
+        sys.stderr.write(text)
+        return "the lines above"
+    with contextlib.suppress(OSError), os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(text)
+    return name
+
+
+if __name__ == "__main__":
+    sys.exit(main())

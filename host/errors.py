@@ -1,0 +1,64 @@
+"""Problems that a user can do something about, each with the exit code of its kind.
+
+The message is one line: what is wrong and what to do. Packages that may not import this module have
+exceptions of their own with an attribute `exit_code`; the command line treats them alike.
+"""
+
+from __future__ import annotations
+
+EXIT_CODES = {
+    0: "done; `undecided`, `nothing-missing` and `outside-library` are answers",
+    1: "a gate missed, a plan infeasible, a reference refused on board, or a flight that ended in failsafe",
+    2: "usage, configuration, wrong vehicle, too little data, or a route that contradicts itself",
+    3: "link: no vehicle at the port, or one that speaks another dialect",
+    4: "a solver gave up",
+    5: "an unreadable log",
+    70: "a bug of ours; the line names the file with its traceback",
+    130: "interrupted",
+}
+"""What each exit code of `trimtab` means."""
+
+BUG = 70
+INTERRUPTED = 130
+
+
+class TrimtabError(Exception):
+    """A problem with an exit code; its text is shown as it is."""
+
+    exit_code: int = 1
+
+
+class GateMissed(TrimtabError):
+    """The work was done and its result is below what was asked for."""
+
+
+class Refused(TrimtabError):
+    """A plan is infeasible or the vehicle refused it; the text names node and reason."""
+
+
+class FlightFailed(TrimtabError):
+    """A flight ended in failsafe."""
+
+
+class UsageError(TrimtabError):
+    """Arguments, files or data that cannot be used as given."""
+
+    exit_code = 2
+
+
+class LinkError(TrimtabError):
+    """No vehicle at the port, or one that speaks another dialect."""
+
+    exit_code = 3
+
+
+class SolverError(TrimtabError):
+    """A solver gave up; the text says in which state."""
+
+    exit_code = 4
+
+
+class LogError(TrimtabError):
+    """A log that cannot be read."""
+
+    exit_code = 5

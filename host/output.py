@@ -1,0 +1,54 @@
+"""What a verb says on stdout: lines for people, and with --json one object as the last line."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+_emitted = False
+
+
+def emit(result: Mapping[str, Any], as_json: bool) -> None:
+    """Print `result` as one line of JSON where `as_json`, else nothing. Call it last, once.
+
+    Numpy scalars and arrays become numbers and lists, paths texts. Absent is None: raises ValueError on NaN
+    or infinity.
+    """
+    global _emitted
+    if as_json:
+        text = json.dumps(result, allow_nan=False, default=_plain)
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+        _emitted = True
+
+
+def say(*lines: str) -> None:
+    """Print lines for people to stdout."""
+    for line in lines:
+        sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def warn(line: str) -> None:
+    """Print one line to stderr."""
+    sys.stderr.write(f"trimtab: {line}\n")
+    sys.stderr.flush()
+
+
+def emitted() -> bool:
+    """Whether this process has printed its JSON object."""
+    return _emitted
+
+
+def _plain(value: Any) -> Any:
+    """A value that json does not know as one it knows."""
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, Mapping):
+        return dict(value)
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"no JSON form for {type(value).__name__}")

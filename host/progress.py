@@ -1,0 +1,71 @@
+"""Progress with an estimate of the time left: on stderr, and only where that is a terminal."""
+
+from __future__ import annotations
+
+import sys
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+    from rich.progress import TaskID
+
+
+class Progress:
+    """One bar. Without a terminal every call does nothing, so callers never ask. NO_COLOR is honoured.
+
+    `total` None shows a bar that only moves; `detail` is a short text beside it.
+    """
+
+    def __init__(self, title: str, total: float | None = None, *, enabled: bool | None = None) -> None:
+        self._title = title
+        self._total = total
+        self._enabled = sys.stderr.isatty() if enabled is None else enabled
+        self._bar: RichProgress | None = None
+        self._task: TaskID | None = None
+
+    def __enter__(self) -> Self:
+        if self._enabled:
+            from rich.console import Console
+            from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+            from rich.progress import Progress as RichProgress
+
+            self._bar = RichProgress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TimeElapsedColumn(),
+                TextColumn("left"),
+                TimeRemainingColumn(),
+                TextColumn("{task.fields[detail]}"),
+                console=Console(stderr=True),
+                transient=True,
+            )
+            self._bar.start()
+            self._task = self._bar.add_task(self._title, total=self._total, detail="")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        self._bar = self._task = None
+
+    def advance(self, amount: float = 1.0, detail: str | None = None) -> None:
+        """Move the bar on by `amount`."""
+        if self._bar is not None and self._task is not None:
+            fields: dict[str, Any] = {} if detail is None else {"detail": detail}
+            self._bar.update(self._task, advance=amount, **fields)
+
+    def update(
+        self, completed: float | None = None, *, total: float | None = None, detail: str | None = None
+    ) -> None:
+        """Set the bar to `completed` of `total`."""
+        if self._bar is not None and self._task is not None:
+            fields: dict[str, Any] = {} if detail is None else {"detail": detail}
+            self._bar.update(self._task, completed=completed, total=total, **fields)
+
+    def say(self, line: str) -> None:
+        """Print a line above the bar."""
+        if self._bar is not None:
+            self._bar.console.print(line, markup=False, highlight=False)

@@ -1,0 +1,25 @@
+"""Options that verbs share, as annotated types for their parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+Json = Annotated[bool, Parameter(name="--json", negative="")]
+"""Print one JSON object as the last line of stdout."""
+
+Force = Annotated[bool, Parameter(name="--force", negative="")]
+"""Overwrite the output file."""
+
+Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
+"""Where to write."""
+
+VehicleName = Annotated[str, Parameter(name="--vehicle")]
+"""Vehicle file, by name or path."""
+
+WorkspaceFolder = Annotated[Path | None, Parameter(name="--workspace")]
+"""Folder with vehicles/, routes/ and effects/; the current one by default."""
+
+DEFAULT_VEHICLE = "research"
