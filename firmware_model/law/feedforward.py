@@ -1,0 +1,110 @@
+"""The residual acceleration a model predicts along the reference, so that the law can counter it.
+
+Form (a) is a block of `FF_SIZE` numbers; form (b) a network of at most three hidden layers of 32. Either or both,
+summed. Both see the reference and its flat attitude, never the estimate; `prediction_time_s` is the exception: the
+estimator takes poses to be that much older than stamped.
+
+Block layout: gain (real over nominal rotor thrust), bias_ned 3 (m/s^2), linear drag 3 (1/s) and quadratic drag 3
+(1/m) along FRD axes, both positive against the motion, attitude offset 2 (roll, pitch, rad: what the measured
+attitude shows while thrust points where it should), prediction time (s).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from firmware_model.law.ops import Ops, Scalar, Vector
+from firmware_model.law.rotations import dot, mat_t_vec, mat_vec
+
+FF_SIZE = 13
+GAIN = 0
+BIAS = slice(1, 4)
+LINEAR = slice(4, 7)
+QUADRATIC = slice(7, 10)
+ATTITUDE_OFFSET = slice(10, 12)
+PREDICTION_TIME = 12
+NEUTRAL: tuple[float, ...] = (1.0, *(0.0,) * 12)
+"""The block that changes nothing."""
+
+MAX_LAYERS, MAX_WIDTH = 3, 32
+NETWORK_INPUTS, NETWORK_OUTPUTS = 6, 3
+
+
+def specific_force_ned(ops: Ops, block: Vector, v_ref: Vector, R_flat: Vector) -> tuple[Scalar, ...]:
+    """Predicted residual acceleration (m/s^2, NED) at the reference's velocity (NED) and flat attitude (9)."""
+    v = mat_t_vec(R_flat, v_ref)
+    speed = ops.sqrt(dot(v, v) + 1e-12)
+    drag = mat_vec(R_flat, _drag(block, v, speed))
+    return tuple(bias + d for bias, d in zip(block[BIAS], drag, strict=True))
+
+
+def specific_force_rate_ned(
+    ops: Ops, block: Vector, v_ref: Vector, a_ref: Vector, rate: Vector, R_flat: Vector
+) -> tuple[Scalar, ...]:
+    """Time derivative of `specific_force_ned` (m/s^3, NED) where the velocity changes by `a_ref` (NED).
+
+    `rate` is the body rate of the flat attitude (FRD).
+    """
+    v, a = mat_t_vec(R_flat, v_ref), mat_t_vec(R_flat, a_ref)
+    p, q, r = rate
+    # Velocity and force as seen from the turning body: v' = R^T a - omega x v, then F' + omega x F.
+    dv = (a[0] - (q * v[2] - r * v[1]), a[1] - (r * v[0] - p * v[2]), a[2] - (p * v[1] - q * v[0]))
+    speed = ops.sqrt(dot(v, v) + 1e-12)
+    speed_dot = dot(v, dv) / speed
+    fx, fy, fz = _drag(block, v, speed)
+    gx, gy, gz = _drag(block, dv, speed)
+    kx, ky, kz = block[QUADRATIC]
+    return mat_vec(
+        R_flat,
+        (
+            gx - kx * speed_dot * v[0] + (q * fz - r * fy),
+            gy - ky * speed_dot * v[1] + (r * fx - p * fz),
+            gz - kz * speed_dot * v[2] + (p * fy - q * fx),
+        ),
+    )
+
+
+def weight_count(layers: Sequence[int]) -> int:
+    """How many weights a network with these hidden widths has. Raises ValueError beyond 3 layers of 32."""
+    if not 1 <= len(layers) <= MAX_LAYERS or not all(1 <= width <= MAX_WIDTH for width in layers):
+        raise ValueError(
+            f"hidden layers {list(layers)}: 1 to {MAX_LAYERS} layers of 1 to {MAX_WIDTH} are possible"
+        )
+    sizes = (NETWORK_INPUTS, *layers, NETWORK_OUTPUTS)
+    return sum((a + 1) * b for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+
+
+def network(ops: Ops, weights: Vector, layers: Sequence[int], v: Vector, rpy: Vector) -> tuple[Scalar, ...]:
+    """Residual acceleration (m/s^2, NED) of a tanh network at velocity `v` (NED) and Euler angles `rpy`.
+
+    `weights`: layer by layer, for every neuron its inputs' weights, then its bias; the output layer is linear.
+    Raises ValueError where the number of weights is not that of `layers`.
+    """
+    if len(weights) != weight_count(layers):
+        raise ValueError(f"{len(weights)} weights for {weight_count(layers)} of hidden layers {list(layers)}")
+    values: list[Scalar] = [*v, *rpy]
+    at = 0
+    for width in layers:
+        values, at = _layer(weights, at, width, values)
+        values = [ops.tanh(value) for value in values]
+    return tuple(_layer(weights, at, NETWORK_OUTPUTS, values)[0])
+
+
+def _layer(weights: Vector, at: int, width: int, values: Sequence[Scalar]) -> tuple[list[Scalar], int]:
+    """The layer's sums, and where the next layer's weights begin."""
+    out = []
+    for _ in range(width):
+        total = weights[at + len(values)]
+        for k, value in enumerate(values):
+            total = total + weights[at + k] * value
+        out.append(total)
+        at += len(values) + 1
+    return out, at
+
+
+def _drag(block: Vector, v: Vector, speed: Scalar) -> tuple[Scalar, ...]:
+    """Drag along FRD for a velocity in FRD, with the quadratic part at this speed."""
+    return tuple(
+        -(linear + quadratic * speed) * component
+        for linear, quadratic, component in zip(block[LINEAR], block[QUADRATIC], v, strict=True)
+    )

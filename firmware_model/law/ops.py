@@ -1,0 +1,101 @@
+"""The operations the law is written with, so that one source serves floats, CasADi symbols and numpy lanes.
+
+A scalar is whatever the operations take: a float, a casadi.SX or an array with one value a lane. Sums, products and
+comparisons are Python's own operators; everything else goes through the `ops` object passed as first argument.
+`host.codegen.ops` has the instances for CasADi and numpy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, TypeAlias
+
+Scalar: TypeAlias = Any
+"""A float, a casadi.SX or an array of shape (lanes,)."""
+Vector: TypeAlias = Sequence[Any]
+"""Scalars in a row: 3 of a vector, 4 of a quaternion (w first), 9 of a matrix (row-major)."""
+
+
+class Ops(Protocol):
+    """What the law needs beyond + - * / and comparisons."""
+
+    @property
+    def where(self) -> Callable[[Any, Any, Any], Any]:
+        """(condition, a, b) -> a where the condition holds, else b. Both are evaluated: keep both finite."""
+        ...
+
+    @property
+    def minimum(self) -> Callable[[Any, Any], Any]: ...
+    @property
+    def maximum(self) -> Callable[[Any, Any], Any]: ...
+    @property
+    def clip(self) -> Callable[[Any, Any, Any], Any]:
+        """(x, low, high) -> x kept within low..high."""
+        ...
+
+    @property
+    def sqrt(self) -> Callable[[Any], Any]: ...
+    @property
+    def sin(self) -> Callable[[Any], Any]: ...
+    @property
+    def cos(self) -> Callable[[Any], Any]: ...
+    @property
+    def tan(self) -> Callable[[Any], Any]: ...
+    @property
+    def asin(self) -> Callable[[Any], Any]: ...
+    @property
+    def atan2(self) -> Callable[[Any, Any], Any]: ...
+    @property
+    def exp(self) -> Callable[[Any], Any]: ...
+    @property
+    def log(self) -> Callable[[Any], Any]: ...
+    @property
+    def tanh(self) -> Callable[[Any], Any]: ...
+    @property
+    def fabs(self) -> Callable[[Any], Any]: ...
+    @property
+    def floor(self) -> Callable[[Any], Any]: ...
+
+
+class FloatOps:
+    """Operations on Python floats."""
+
+    sqrt = staticmethod(math.sqrt)
+    sin = staticmethod(math.sin)
+    cos = staticmethod(math.cos)
+    tan = staticmethod(math.tan)
+    asin = staticmethod(math.asin)
+    atan2 = staticmethod(math.atan2)
+    exp = staticmethod(math.exp)
+    log = staticmethod(math.log)
+    tanh = staticmethod(math.tanh)
+    fabs = staticmethod(math.fabs)
+
+    @staticmethod
+    def where(condition: Any, a: Any, b: Any) -> Any:
+        """`a` where the condition holds, else `b`."""
+        return a if condition else b
+
+    @staticmethod
+    def minimum(a: Any, b: Any) -> Any:
+        """The lesser of two."""
+        return a if a < b else b
+
+    @staticmethod
+    def maximum(a: Any, b: Any) -> Any:
+        """The greater of two."""
+        return a if a > b else b
+
+    @staticmethod
+    def clip(x: Any, low: Any, high: Any) -> Any:
+        """`x` kept within low..high."""
+        return low if x < low else high if x > high else x
+
+    @staticmethod
+    def floor(x: Any) -> float:
+        """The greatest whole number not above `x`, as a float."""
+        return float(math.floor(x))
+
+
+FLOAT: Ops = FloatOps()

@@ -1,0 +1,246 @@
+"""One tick of the flight MCU at 1 kHz: estimate, reference, feed-forward, controller, allocation, running sums.
+
+`step(ops, inputs) -> outputs` is pure: what must be remembered comes in and goes out as the block `memory`. The same
+source runs on floats, is traced by CasADi for the compiled engines, and runs on numpy lanes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from firmware_model.law import feedforward
+from firmware_model.law.allocation import allocate, allocation_matrix, invert4, thrust_to_command
+from firmware_model.law.dfbc import Gains, Reference, control
+from firmware_model.law.estimator import Estimate, EstimatorGains, correct, predict
+from firmware_model.law.flatness import Body, flat_attitude, flat_rates
+from firmware_model.law.ops import Ops, Scalar, Vector
+from firmware_model.law.reference import hermite_yaw, septic
+from firmware_model.law.rotations import quat_to_matrix
+
+TICK_S = 0.001
+MOTOR_COUNTS = 65536.0
+"""Counts of the running sum per unit of motor command and tick."""
+GYRO_COUNTS = 4096.0
+"""Per rad/s and tick."""
+FORCE_COUNTS = 1024.0
+"""Per m/s^2 and tick."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """A named vector going in or out."""
+
+    name: str
+    size: int
+
+
+EST_P, EST_V, EST_Q, EST_BIAS = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
+"""The estimate in `memory`: p_ned, v_ned, q_ned_frd, gyro bias."""
+RATE_FILTERED = slice(13, 16)
+RATE_INTEGRAL = slice(16, 19)
+MOTOR_SUM, GYRO_SUM, FORCE_SUM = slice(19, 23), slice(23, 26), slice(26, 29)
+"""Running sums in counts since boot, not yet rounded: the sender takes floor and wraps."""
+LAST_COMMAND = slice(29, 33)
+MEMORY_SIZE = 33
+MEMORY: dict[str, slice] = {
+    "p": EST_P,
+    "v": EST_V,
+    "q": EST_Q,
+    "gyro_bias": EST_BIAS,
+    "rate_filtered": RATE_FILTERED,
+    "rate_integral": RATE_INTEGRAL,
+    "motor_sum": MOTOR_SUM,
+    "gyro_sum": GYRO_SUM,
+    "force_sum": FORCE_SUM,
+    "motor_command": LAST_COMMAND,
+}
+
+_AXES = ("X", "Y", "Z")
+GAIN_NAMES = ("POS_P", "VEL_D", "ATT_P", "RATE_P", "RATE_I", "RATE_D", "RATE_IMAX")
+_DIRECT = (
+    "MASS_KG", "INERTIA_X", "INERTIA_Y", "INERTIA_Z",
+    "THRUST_MAX_N", "THRUST_C1", "THRUST_C2", "THRUST_MIN",
+    *(f"{name}_{axis}" for name in GAIN_NAMES for axis in _AXES),
+    "RATE_FILTER_HZ",
+    "EST_POS", "EST_VEL", "EST_ATT", "EST_BIAS",
+)  # fmt: skip
+_ROTORS = tuple(f"ROTOR{i}_{what}" for i in (1, 2, 3, 4) for what in ("X", "Y", "SPIN"))
+SOURCES: tuple[str, ...] = (*_DIRECT, *_ROTORS, "TORQUE_RATIO")
+"""Names a parameter table must have for the law.
+
+MASS_KG; INERTIA_ kg m^2; THRUST_MAX_N of one rotor; THRUST_C1, C2 of the curve; THRUST_MIN: least share of THRUST_MAX_N
+a turning rotor gives; gains after `dfbc.Gains` (RATE_IMAX: bound of the rate integral, rad/s^2); RATE_FILTER_HZ; EST_
+gains after `estimator.EstimatorGains`; ROTORi_X, Y (m, FRD), ROTORi_SPIN (+1 ccw, -1 cw from above); TORQUE_RATIO:
+reaction torque over thrust, m.
+"""
+PARAMETERS: tuple[str, ...] = (*_DIRECT, *(f"ALLOCATION_{k}" for k in range(16)))
+"""Layout of the block `parameters`: values from the table, then the inverse allocation, row-major."""
+_AT = {name: k for k, name in enumerate(PARAMETERS)}
+_ALLOCATION = slice(_AT["ALLOCATION_0"], _AT["ALLOCATION_0"] + 16)
+
+INPUTS: tuple[Block, ...] = (
+    Block(name="memory", size=MEMORY_SIZE),
+    Block(name="gyro", size=3),
+    Block(name="specific_force", size=3),
+    Block(name="mocap_new", size=1),
+    Block(name="mocap_p", size=3),
+    Block(name="mocap_q", size=4),
+    Block(name="mocap_age_s", size=1),
+    Block(name="mocap_interval_s", size=1),
+    Block(name="armed", size=1),
+    Block(name="feedback_weights", size=2),
+    Block(name="piece", size=26),
+    Block(name="yaw_piece", size=6),
+    Block(name="feedforward", size=feedforward.FF_SIZE),
+    Block(name="ff_accel_ned", size=3),
+    Block(name="parameters", size=len(PARAMETERS)),
+)
+OUTPUTS: tuple[Block, ...] = (
+    Block(name="memory", size=MEMORY_SIZE),
+    Block(name="motor_command", size=4),
+    Block(name="collective_n", size=1),
+    Block(name="rate_cmd", size=3),
+    Block(name="torque", size=3),
+    Block(name="saturated", size=1),
+    Block(name="reference", size=14),
+    Block(name="cos_tilt", size=1),
+    Block(name="position_error", size=1),
+)
+
+
+def parameter_vector(table: Mapping[str, float]) -> tuple[float, ...]:
+    """The block `parameters` for a table that has the names of `SOURCES`.
+
+    Raises KeyError for a missing name and ValueError for rotors that cannot produce every torque.
+    """
+    positions = [(table[f"ROTOR{i}_X"], table[f"ROTOR{i}_Y"]) for i in (1, 2, 3, 4)]
+    spins = [table[f"ROTOR{i}_SPIN"] for i in (1, 2, 3, 4)]
+    inverse = invert4(allocation_matrix(positions, spins, table["TORQUE_RATIO"]))
+    return (*(float(table[name]) for name in _DIRECT), *inverse)
+
+
+def initial_memory(
+    p: Sequence[float] = (0.0, 0.0, 0.0), q: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
+) -> tuple[float, ...]:
+    """The block `memory` of a vehicle at rest at pose p (NED), q_ned_frd."""
+    memory = [0.0] * MEMORY_SIZE
+    memory[EST_P], memory[EST_Q] = p, q
+    return tuple(memory)
+
+
+def body(parameters: Vector) -> Body:
+    """Mass and inertia out of the block `parameters`."""
+    return Body(parameters[0], parameters[1:4])
+
+
+def gains(parameters: Vector) -> Gains:
+    """The controller's gains out of the block `parameters`."""
+    start = _AT["POS_P_X"]
+    triples = [parameters[start + 3 * k : start + 3 * k + 3] for k in range(6)]
+    return Gains(*triples, filter_rate=6.283185307179586 * parameters[_AT["RATE_FILTER_HZ"]])
+
+
+def integral_limit(parameters: Vector) -> Vector:
+    """Bounds of the rate integral (rad/s^2) out of the block `parameters`."""
+    start = _AT["RATE_IMAX_X"]
+    return parameters[start : start + 3]
+
+
+def estimator_gains(parameters: Vector) -> EstimatorGains:
+    """The estimator's gains out of the block `parameters`."""
+    start = _AT["EST_POS"]
+    return EstimatorGains(*parameters[start : start + 4])
+
+
+def motors(
+    ops: Ops, parameters: Vector, collective_n: Scalar, torque: Vector, gain: Scalar
+) -> tuple[list[Scalar], list[Scalar], Scalar]:
+    """Motor commands (4, in 0..1), the nominal rotor thrusts they stand for (N), and 1 where something was given up.
+
+    `gain` is real over nominal rotor thrust: the rotors are asked for that much less.
+    """
+    thrust_max, c1, c2 = parameters[4], parameters[5], parameters[6]
+    per_gain = 1.0 / gain
+    thrust, saturated = allocate(
+        ops,
+        parameters[_ALLOCATION],
+        collective_n * per_gain,
+        [per_gain * t for t in torque],
+        parameters[7] * thrust_max,
+        thrust_max,
+    )
+    return [thrust_to_command(ops, t, thrust_max, c1, c2) for t in thrust], list(thrust), saturated
+
+
+def feedforward_terms(ops: Ops, block: Vector, ref: Reference, ff_accel_ned: Vector) -> tuple[Vector, Vector]:
+    """Residual acceleration along the reference and its derivative (NED): the block's, plus the network's."""
+    R_flat, _ = flat_attitude(ops, ref.a, ref.yaw)
+    rate = flat_rates(ops, ref.a, ref.j, ref.yaw, ref.yaw_rate)
+    accel = feedforward.specific_force_ned(ops, block, ref.v, R_flat)
+    jerk = feedforward.specific_force_rate_ned(ops, block, ref.v, ref.a, rate, R_flat)
+    return [a + b for a, b in zip(accel, ff_accel_ned, strict=True)], jerk
+
+
+def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
+    """The output blocks of one tick. `mocap_new` and `armed` are 0 or 1; every input must be finite."""
+    memory, parameters = inputs["memory"], inputs["parameters"]
+    gyro, force, block = inputs["gyro"], inputs["specific_force"], inputs["feedforward"]
+
+    # Estimate.
+    est = Estimate(memory[EST_P], memory[EST_V], memory[EST_Q], memory[EST_BIAS])
+    est, rate, a, _ = predict(ops, est, gyro, force, TICK_S)
+    interval = ops.where(inputs["mocap_new"][0] > 0.5, inputs["mocap_interval_s"][0], 0.0)
+    age = inputs["mocap_age_s"][0] + block[feedforward.PREDICTION_TIME]
+    pose = (inputs["mocap_p"], inputs["mocap_q"])
+    est = correct(ops, est, rate, a, *pose, age, interval, estimator_gains(parameters))
+    R = quat_to_matrix(ops, est.q)
+    rate = [g - b for g, b in zip(gyro, est.bias, strict=True)]
+
+    # Reference and what is known of the residual along it.
+    piece, yaw_piece = inputs["piece"], inputs["yaw_piece"]
+    p_r, v_r, a_r, j_r, _ = septic(piece[0], piece[1], piece[2:14], piece[14:26])
+    yaw, yaw_rate = hermite_yaw(*(yaw_piece[k] for k in range(6)))
+    ref = Reference(p_r, v_r, a_r, j_r, yaw, yaw_rate)
+    ff_accel, ff_jerk = feedforward_terms(ops, block, ref, inputs["ff_accel_ned"])
+
+    # Controller.
+    k = gains(parameters)
+    filtered = memory[RATE_FILTERED]
+    integral = memory[RATE_INTEGRAL]
+    collective, torque, rate_cmd, integral_dot = control(
+        ops, k, body(parameters), est.p, est.v, R, rate, filtered, integral, ref, ff_accel,
+        inputs["feedback_weights"], ff_jerk, block[feedforward.ATTITUDE_OFFSET],
+    )  # fmt: skip
+    command, _, saturated = motors(ops, parameters, collective, torque, block[feedforward.GAIN])
+
+    # Memory.
+    on = ops.where(inputs["armed"][0] > 0.5, 1.0, 0.0)
+    command = [on * u for u in command]
+    saturated = on * saturated
+    advance = TICK_S * k.filter_rate
+    advance = advance / (1.0 + 0.5 * advance)
+    filtered = [f + advance * (w - f) for f, w in zip(filtered, rate, strict=True)]
+    integral = [
+        on * ops.clip(i + TICK_S * d, -limit, limit)
+        for i, d, limit in zip(integral, integral_dot, integral_limit(parameters), strict=True)
+    ]
+    # The last command is the one that acted over the interval this tick closes.
+    last = memory[LAST_COMMAND]
+    sums = [
+        *(s + MOTOR_COUNTS * u for s, u in zip(memory[MOTOR_SUM], last, strict=True)),
+        *(s + GYRO_COUNTS * g for s, g in zip(memory[GYRO_SUM], gyro, strict=True)),
+        *(s + FORCE_COUNTS * f for s, f in zip(memory[FORCE_SUM], force, strict=True)),
+    ]
+    away = [r - e for r, e in zip(p_r, est.p, strict=True)]
+    return {
+        "memory": [*est.p, *est.v, *est.q, *est.bias, *filtered, *integral, *sums, *command],
+        "motor_command": command,
+        "collective_n": [collective],
+        "rate_cmd": rate_cmd,
+        "torque": torque,
+        "saturated": [saturated],
+        "reference": [*p_r, *v_r, *a_r, *j_r, yaw, yaw_rate],
+        "cos_tilt": [R[8]],
+        "position_error": [ops.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])],
+    }
