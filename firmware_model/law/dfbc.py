@@ -2,7 +2,7 @@
 
     a_cmd   = a_r + K_p (p_r - p) + K_v (v_r - v) - d_ff
     f       = g e3 - a_cmd                        thrust direction: z_des = f / |f|, heading: yaw_r
-    T       = m max(f . z_B, floor)
+    T       = m max(f . z_B, floor g)
     w_cmd   = w_ff(f, j_r - d_ff', yaw_r, yaw_r') - K_att e_R,     e_R = 1/2 vee(R_des^T R - R^T R_des)
     tau     = J (K_w (w_cmd - w) + I - K_d w_f') + w x J w,        I' = K_i (w_cmd - w)
 
@@ -20,8 +20,6 @@ from firmware_model.law.flatness import Body, heading, heading_matrix, heading_r
 from firmware_model.law.ops import Ops, Scalar, Vector
 from firmware_model.law.rotations import attitude_error, cross
 
-LEAST_SPECIFIC_THRUST = 1.0
-"""m/s^2 along -z_frd, at least: a vehicle without thrust cannot turn."""
 GREATEST_FEEDBACK = 15.0
 """m/s^2 that position and velocity errors may ask for together; more is scaled down in its direction."""
 
@@ -29,7 +27,8 @@ GREATEST_FEEDBACK = 15.0
 class Gains(NamedTuple):
     """Gains, 3 each: position (1/s^2) and velocity (1/s) along NED; attitude (1/s), body rate (1/s), its integral
 
-    (1/s^2) and derivative (no unit) along FRD; filter_rate: corner of the rate filter (rad/s).
+    (1/s^2) and derivative (no unit) along FRD; filter_rate: corner of the rate filter (rad/s); thrust_floor: least
+    collective thrust as a share of the weight, since a vehicle without thrust cannot turn.
     """
 
     position: Vector
@@ -39,6 +38,7 @@ class Gains(NamedTuple):
     rate_integral: Vector
     rate_derivative: Vector
     filter_rate: Any
+    thrust_floor: Any
 
 
 class Reference(NamedTuple):
@@ -90,7 +90,7 @@ def control(
     at = heading(ops, f, ref.yaw)
 
     thrust = f[0] * R[2] + f[1] * R[5] + f[2] * R[8]
-    collective = model.mass_kg * ops.maximum(thrust, LEAST_SPECIFIC_THRUST)
+    collective = model.mass_kg * ops.maximum(thrust, gains.thrust_floor * GRAVITY)
 
     error = attitude_error(heading_matrix(at), R)
     error = (error[0] - attitude_offset[0], error[1] - attitude_offset[1], error[2])

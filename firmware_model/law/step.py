@@ -56,24 +56,22 @@ MEMORY: dict[str, slice] = {
     "motor_command": LAST_COMMAND,
 }
 
-_AXES = ("X", "Y", "Z")
-GAIN_NAMES = ("POS_P", "VEL_D", "ATT_P", "RATE_P", "RATE_I", "RATE_D", "RATE_IMAX")
 _DIRECT = (
-    "MASS_KG", "INERTIA_X", "INERTIA_Y", "INERTIA_Z",
-    "THRUST_MAX_N", "THRUST_C1", "THRUST_C2", "THRUST_MIN",
-    *(f"{name}_{axis}" for name in GAIN_NAMES for axis in _AXES),
-    "RATE_FILTER_HZ",
-    "EST_POS", "EST_VEL", "EST_ATT", "EST_BIAS",
+    "MASS", "INERTIA_X", "INERTIA_Y", "INERTIA_Z",
+    "THRUST_MAX", "THRUST_C1", "THRUST_C2", "THRUST_MIN",
+    "POS_P_N", "POS_P_E", "POS_P_D",
+    "VEL_D_N", "VEL_D_E", "VEL_D_D",
+    "ATT_P_X", "ATT_P_Y", "ATT_P_Z",
+    "RATE_P_X", "RATE_P_Y", "RATE_P_Z",
+    "RATE_I_X", "RATE_I_Y", "RATE_I_Z",
+    "RATE_D_X", "RATE_D_Y", "RATE_D_Z",
+    "RATE_ILIM_X", "RATE_ILIM_Y", "RATE_ILIM_Z",
+    "RATE_FILT_HZ", "THRUST_FLOOR",
+    "EST_POS", "EST_VEL", "EST_ATT", "EST_BIAS", "EST_BIAS_MAX",
 )  # fmt: skip
 _ROTORS = tuple(f"ROTOR{i}_{what}" for i in (1, 2, 3, 4) for what in ("X", "Y", "SPIN"))
-SOURCES: tuple[str, ...] = (*_DIRECT, *_ROTORS, "TORQUE_RATIO")
-"""Names a parameter table must have for the law.
-
-MASS_KG; INERTIA_ kg m^2; THRUST_MAX_N of one rotor; THRUST_C1, C2 of the curve; THRUST_MIN: least share of THRUST_MAX_N
-a turning rotor gives; gains after `dfbc.Gains` (RATE_IMAX: bound of the rate integral, rad/s^2); RATE_FILTER_HZ; EST_
-gains after `estimator.EstimatorGains`; ROTORi_X, Y (m, FRD), ROTORi_SPIN (+1 ccw, -1 cw from above); TORQUE_RATIO:
-reaction torque over thrust, m.
-"""
+SOURCES: tuple[str, ...] = (*_DIRECT, *_ROTORS, "TORQUE_PER_N")
+"""Names of the parameter table that the law reads; meaning and unit are the table's."""
 PARAMETERS: tuple[str, ...] = (*_DIRECT, *(f"ALLOCATION_{k}" for k in range(16)))
 """Layout of the block `parameters`: values from the table, then the inverse allocation, row-major."""
 _AT = {name: k for k, name in enumerate(PARAMETERS)}
@@ -116,7 +114,7 @@ def parameter_vector(table: Mapping[str, float]) -> tuple[float, ...]:
     """
     positions = [(table[f"ROTOR{i}_X"], table[f"ROTOR{i}_Y"]) for i in (1, 2, 3, 4)]
     spins = [table[f"ROTOR{i}_SPIN"] for i in (1, 2, 3, 4)]
-    inverse = invert4(allocation_matrix(positions, spins, table["TORQUE_RATIO"]))
+    inverse = invert4(allocation_matrix(positions, spins, table["TORQUE_PER_N"]))
     return (*(float(table[name]) for name in _DIRECT), *inverse)
 
 
@@ -136,14 +134,18 @@ def body(parameters: Vector) -> Body:
 
 def gains(parameters: Vector) -> Gains:
     """The controller's gains out of the block `parameters`."""
-    start = _AT["POS_P_X"]
+    start = _AT["POS_P_N"]
     triples = [parameters[start + 3 * k : start + 3 * k + 3] for k in range(6)]
-    return Gains(*triples, filter_rate=6.283185307179586 * parameters[_AT["RATE_FILTER_HZ"]])
+    return Gains(
+        *triples,
+        filter_rate=6.283185307179586 * parameters[_AT["RATE_FILT_HZ"]],
+        thrust_floor=parameters[_AT["THRUST_FLOOR"]],
+    )
 
 
 def integral_limit(parameters: Vector) -> Vector:
     """Bounds of the rate integral (rad/s^2) out of the block `parameters`."""
-    start = _AT["RATE_IMAX_X"]
+    start = _AT["RATE_ILIM_X"]
     return parameters[start : start + 3]
 
 
@@ -167,7 +169,7 @@ def motors(
         parameters[_ALLOCATION],
         collective_n * per_gain,
         [per_gain * t for t in torque],
-        parameters[7] * thrust_max,
+        parameters[7],
         thrust_max,
     )
     return [thrust_to_command(ops, t, thrust_max, c1, c2) for t in thrust], list(thrust), saturated
@@ -194,6 +196,8 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
     age = inputs["mocap_age_s"][0] + block[feedforward.PREDICTION_TIME]
     pose = (inputs["mocap_p"], inputs["mocap_q"])
     est = correct(ops, est, rate, a, *pose, age, interval, estimator_gains(parameters))
+    most = parameters[_AT["EST_BIAS_MAX"]]
+    est = est._replace(bias=[ops.clip(b, -most, most) for b in est.bias])
     R = quat_to_matrix(ops, est.q)
     rate = [g - b for g, b in zip(gyro, est.bias, strict=True)]
 
