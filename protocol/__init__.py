@@ -1,1 +1,1 @@
-"""Everything that crosses the link or lands in a file: dialect, framing, transfers, blobs, parameters, log schemas."""
+"""What crosses the link or lands in a file: dialect, framing, transfers, blobs, parameters, log schemas."""

@@ -1,0 +1,85 @@
+"""Writes `protocol/generated/`: `python -m protocol.generate [folder]`.
+
+The dialect module comes from `dialect/trimtab.xml` by pymavlink's mavgen, `frames.py` (what a processor needs
+to find messages in a byte stream) from the same file, and `*_pb2.py` from `log/*.proto` by grpcio-tools.
+Needs pymavlink and grpcio-tools; the product itself needs only what is written here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parent
+DIALECT = ROOT / "dialect" / "trimtab.xml"
+PROTOS = ROOT / "log"
+GENERATED = ROOT / "generated"
+
+_INIT = '"""Made by `python -m protocol.generate`; not edited by hand."""\n'
+
+_FRAMES = '''"""What finds messages in a byte stream. Made by `python -m protocol.generate`."""
+
+DIALECT_VERSION = {version}
+
+# id: (name, checksum seed, longest payload in bytes)
+MESSAGES: dict[int, tuple[str, int, int]] = {{
+{rows}}}
+'''
+
+
+def generate(folder: Path = GENERATED) -> list[Path]:
+    """The files written into `folder`, sorted by name; the same bytes on every run."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "__init__.py").write_text(_INIT, encoding="utf-8")
+    _write_dialect(folder)
+    _write_frames(folder)
+    _write_protos(folder)
+    return sorted(path for path in folder.iterdir() if path.suffix in (".py", ".pyi"))
+
+
+def _write_dialect(folder: Path) -> None:
+    from pymavlink.generator import mavgen  # the generator, not the codec
+
+    output = folder / "trimtab.py"
+    options = mavgen.Opts(str(output), wire_protocol="2.0", language="Python3", validate=True)
+    chatter = io.StringIO()
+    with contextlib.redirect_stdout(chatter):
+        done = mavgen.mavgen(options, [str(DIALECT)])
+    if not done:
+        raise RuntimeError(f"mavgen refused {DIALECT.name}:\n{chatter.getvalue()}")
+
+
+def _write_frames(folder: Path) -> None:
+    from pymavlink.generator import mavparse
+
+    xml = mavparse.MAVXML(str(DIALECT), mavparse.PROTOCOL_2_0)
+    version = re.search(r"<dialect>(\d+)</dialect>", DIALECT.read_text(encoding="utf-8"))
+    if version is None:
+        raise RuntimeError(f"{DIALECT.name} states no <dialect> version")
+    rows = "".join(
+        f'    {message.id}: ("{message.name}", {message.crc_extra}, {message.wire_length}),\n'
+        for message in sorted(xml.message, key=lambda message: message.id)
+    )
+    text = _FRAMES.format(version=version[1], rows=rows)
+    (folder / "frames.py").write_text(text, encoding="utf-8")
+
+
+def _write_protos(folder: Path) -> None:
+    import grpc_tools
+    from grpc_tools import protoc
+
+    protos = sorted(path.name for path in PROTOS.glob("*.proto"))
+    if not protos:
+        return
+    include = Path(grpc_tools.__file__).parent / "_proto"
+    options = [f"-I{PROTOS}", f"-I{include}", f"--python_out={folder}", f"--pyi_out={folder}"]
+    if protoc.main(["protoc", *options, *protos]) != 0:
+        raise RuntimeError("protoc refused the log's schemas")
+
+
+if __name__ == "__main__":
+    for written in generate(Path(sys.argv[1]) if len(sys.argv) > 1 else GENERATED):
+        print(written.name)

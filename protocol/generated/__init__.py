@@ -1,0 +1,1 @@
+"""Made by `python -m protocol.generate`; not edited by hand."""

@@ -1,0 +1,187 @@
+"""The parameter table: everything that can be set on board, with type, default, unit and bounds.
+
+Every parameter is a float; float32 on the wire and on board. Names have at most 16 characters. Defaults
+describe the 0.752 kg research quadrotor. In a name X, Y, Z are axes of body FRD, N, E, D those of world NED.
+
+Values are compared after rounding to float32 (`equal`): a host that holds 0.1 and a vehicle that answers
+0.10000000149 agree.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+NAME_MAX = 16
+_FLOAT = struct.Struct("<f")
+
+
+def float32(value: float) -> float:
+    """`value` rounded to the nearest float32. Raises ValueError where it is not finite in float32."""
+    try:
+        rounded = _FLOAT.unpack(_FLOAT.pack(value))[0]
+    except OverflowError:
+        raise ValueError(f"{value!r} is beyond float32") from None
+    if not math.isfinite(rounded):
+        raise ValueError(f"{value!r} is not a finite number")
+    return rounded
+
+
+def equal(a: float, b: float) -> bool:
+    """Whether the two values are the same on board: equal after rounding to float32."""
+    return float32(a) == float32(b)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One row: `min` and `max` are allowed themselves; `unit` is empty for a pure number."""
+
+    name: str
+    default: float
+    unit: str
+    min: float
+    max: float
+    description: str
+
+    def __post_init__(self) -> None:
+        if not 0 < len(self.name) <= NAME_MAX or not self.name.isascii():
+            raise ValueError(f"parameter name {self.name!r} must have 1 to {NAME_MAX} ASCII characters")
+        if not self.min <= self.default <= self.max:
+            raise ValueError(f"{self.name}: default {self.default} outside {self.min}..{self.max}")
+
+    def check(self, value: float) -> float:
+        """`value` as float32. Raises ValueError naming parameter, value and bounds where not allowed."""
+        try:
+            rounded = float32(value)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
+        if not (self.min <= value <= self.max or float32(self.min) <= rounded <= float32(self.max)):
+            bounds = f"{self.min:g}..{self.max:g} {self.unit}".rstrip()
+            raise ValueError(f"{self.name}: {value:g} is outside {bounds}")
+        return rounded
+
+
+def _row(name: str, default: float, unit: str, low: float, high: float, description: str) -> Parameter:
+    return Parameter(name=name, default=default, unit=unit, min=low, max=high, description=description)
+
+
+def _axes(
+    stem: str, axes: str, defaults: tuple[float, ...], unit: str, low: float, high: float, description: str
+) -> Iterator[Parameter]:
+    for axis, default in zip(axes, defaults, strict=True):
+        yield _row(f"{stem}_{axis}", default, unit, low, high, f"{description}, {axis.lower()} axis")
+
+
+def _rotors() -> Iterator[Parameter]:
+    arm = 0.088
+    places = ((arm, arm, 1.0), (-arm, -arm, 1.0), (arm, -arm, -1.0), (-arm, arm, -1.0))
+    for number, (x, y, spin) in enumerate(places, start=1):
+        yield _row(f"ROTOR{number}_X", x, "m", -2.0, 2.0, f"rotor {number}, forward of the centre of mass")
+        yield _row(f"ROTOR{number}_Y", y, "m", -2.0, 2.0, f"rotor {number}, right of the centre of mass")
+        text = f"rotor {number} seen from above: 1 counter-clockwise, -1 clockwise"
+        yield _row(f"ROTOR{number}_SPIN", spin, "", -1.0, 1.0, text)
+
+
+PARAMETERS: tuple[Parameter, ...] = (
+    # The vehicle.
+    _row("MASS", 0.752, "kg", 0.01, 50.0, "mass"),
+    *_axes("INERTIA", "XYZ", (2.5e-3, 2.1e-3, 4.3e-3), "kg m^2", 1e-7, 10.0, "moment of inertia"),
+    *_rotors(),
+    _row("TORQUE_PER_N", 0.022, "m", 1e-5, 1.0, "reaction torque of a rotor over its thrust"),
+    _row("THRUST_MAX", 8.5, "N", 1e-3, 500.0, "thrust of one rotor at full command and full battery"),
+    _row("THRUST_C1", 0.0, "", 0.0, 1.0, "linear part of the thrust curve T/T_max = c1 u + c2 u^2"),
+    _row("THRUST_C2", 1.0, "", 0.0, 1.0, "quadratic part of the thrust curve"),
+    _row("THRUST_MIN", 0.05, "N", 0.0, 50.0, "least thrust of a rotor while armed"),
+    # The law.
+    *_axes("POS_P", "NED", (6.0, 6.0, 10.0), "1/s^2", 0.0, 100.0, "gain of the position error"),
+    *_axes("VEL_D", "NED", (4.0, 4.0, 6.0), "1/s", 0.0, 50.0, "gain of the velocity error"),
+    *_axes("ATT_P", "XYZ", (8.0, 8.0, 3.0), "1/s", 0.0, 100.0, "gain of the attitude error"),
+    *_axes("RATE_P", "XYZ", (18.0, 18.0, 8.0), "1/s", 0.0, 500.0, "gain of the body rate error"),
+    *_axes("RATE_I", "XYZ", (5.0, 5.0, 1.0), "1/s^2", 0.0, 500.0, "gain of the body rate error's integral"),
+    *_axes("RATE_D", "XYZ", (0.25, 0.25, 0.0), "", 0.0, 20.0, "gain of the body rate's derivative"),
+    *_axes("RATE_ILIM", "XYZ", (8.0, 8.0, 2.0), "rad/s^2", 0.0, 1000.0, "bound of the rate integral"),
+    _row("RATE_FILT_HZ", 40.0, "Hz", 1.0, 300.0, "corner of the body rate filter behind the derivative"),
+    _row("THRUST_FLOOR", 0.2, "", 0.0, 1.0, "least collective thrust commanded, share of the weight"),
+    # The estimator: continuous gains.
+    _row("EST_POS", 20.0, "1/s", 0.0, 500.0, "gain of a pose's position error on position"),
+    _row("EST_VEL", 120.0, "1/s^2", 0.0, 5000.0, "gain of a pose's position error on velocity"),
+    _row("EST_ATT", 5.0, "1/s", 0.0, 500.0, "gain of a pose's attitude error on attitude"),
+    _row("EST_BIAS", 0.5, "1/s^2", 0.0, 50.0, "gain of a pose's attitude error on the gyro bias"),
+    _row("EST_BIAS_MAX", 0.2, "rad/s", 0.0, 2.0, "bound of the estimated gyro bias"),
+    # What the on-board check accepts.
+    _row("LIM_SPEED", 10.0, "m/s", 0.1, 100.0, "greatest speed of a reference"),
+    _row("LIM_TILT_DEG", 60.0, "deg", 1.0, 180.0, "greatest tilt of a reference"),
+    *_axes("LIM_RATE", "XYZ", (6.0, 6.0, 3.0), "rad/s", 0.1, 100.0, "greatest body rate of a reference"),
+    _row("LIM_JERK", 80.0, "m/s^3", 0.1, 10000.0, "greatest jerk of a reference"),
+    _row("LIM_THR_LO", 0.08, "", 0.0, 1.0, "least thrust of a rotor on a reference, of THRUST_MAX"),
+    _row("LIM_THR_HI", 0.65, "", 0.0, 1.0, "greatest thrust of a rotor on a reference, of THRUST_MAX"),
+    _row("FENCE_N_MIN", -10.0, "m", -10000.0, 10000.0, "southern wall of the flight volume"),
+    _row("FENCE_N_MAX", 10.0, "m", -10000.0, 10000.0, "northern wall of the flight volume"),
+    _row("FENCE_E_MIN", -10.0, "m", -10000.0, 10000.0, "western wall of the flight volume"),
+    _row("FENCE_E_MAX", 10.0, "m", -10000.0, 10000.0, "eastern wall of the flight volume"),
+    _row("FENCE_D_MIN", -6.0, "m", -10000.0, 10000.0, "ceiling of the flight volume, down is positive"),
+    _row("FENCE_D_MAX", 0.3, "m", -10000.0, 10000.0, "bottom of the flight volume, down is positive"),
+    _row("END_HEIGHT", 0.5, "m", 0.0, 100.0, "least height at which a reference starts and ends"),
+    # The flight around a reference.
+    _row("TAKEOFF_SPEED", 1.0, "m/s", 0.05, 10.0, "greatest speed of the climb to the first node"),
+    _row(
+        "TAKEOFF_CLEAR", 0.3, "m", 0.0, 100.0, "a first node further to the side is climbed to upright first"
+    ),
+    _row("HOVER_S", 1.0, "s", 0.0, 60.0, "hover before tracking"),
+    _row("HOLD_S", 1.0, "s", 0.0, 600.0, "hold after the last node"),
+    _row("LAND_SPEED", 0.5, "m/s", 0.05, 5.0, "speed of the descent"),
+    _row("LAND_DECEL", 4.0, "m/s^2", 0.1, 50.0, "greatest deceleration to a stop before an early landing"),
+    _row("IDLE_S", 30.0, "s", 1.0, 3600.0, "time armed on the floor after which the vehicle disarms"),
+    # Failsafes.
+    _row("FS_TILT_DEG", 85.0, "deg", 10.0, 180.0, "tilt that counts as loss of control"),
+    _row("FS_TILT_S", 0.3, "s", 0.001, 60.0, "time beyond FS_TILT_DEG before the motors stop"),
+    _row("FS_MOCAP_S", 0.5, "s", 0.01, 60.0, "time without a pose before the vehicle descends level"),
+    _row("FS_LINK_S", 3.0, "s", 0.1, 3600.0, "time without a message of the host before the vehicle lands"),
+    _row("FS_SINK_SPEED", 0.7, "m/s", 0.05, 5.0, "speed of the level descent without position"),
+)
+
+
+def _index(table: tuple[Parameter, ...]) -> Mapping[str, Parameter]:
+    names = {row.name: row for row in table}
+    if len(names) != len(table):
+        raise ValueError("a parameter name occurs twice")
+    return MappingProxyType(names)
+
+
+BY_NAME: Mapping[str, Parameter] = _index(PARAMETERS)
+"""The rows by name."""
+
+INDEX: Mapping[str, int] = MappingProxyType({row.name: index for index, row in enumerate(PARAMETERS)})
+"""Place of each name in the table: PARAM_VALUE's param_index."""
+
+DEFAULTS: Mapping[str, float] = MappingProxyType({row.name: row.default for row in PARAMETERS})
+"""Default of each parameter, in the table's order."""
+
+
+def complete(values: Mapping[str, float]) -> dict[str, float]:
+    """A value for every parameter in the table's order, rounded to float32: `values`, defaults elsewhere.
+
+    Raises ValueError where a name is not in the table or a value is not allowed.
+    """
+    unknown = sorted(set(values) - set(BY_NAME))
+    if unknown:
+        raise ValueError(f"no such parameter: {', '.join(unknown)}")
+    return {row.name: row.check(values.get(row.name, row.default)) for row in PARAMETERS}
+
+
+def differences(
+    expected: Mapping[str, float], on_board: Mapping[str, float]
+) -> dict[str, tuple[float, float]]:
+    """(expected, on board) of each parameter of `expected` that differs after rounding to float32.
+
+    A parameter that is not on board counts as NaN there.
+    """
+    found = {}
+    for name, value in expected.items():
+        other = on_board.get(name, math.nan)
+        if math.isnan(other) or not equal(value, other):
+            found[name] = (value, other)
+    return found
