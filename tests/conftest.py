@@ -1,6 +1,102 @@
-"""Shared test settings: property tests draw the same examples on every run."""
+"""Shared test settings: derandomised property tests, and skips that say why.
 
+`require("compiler")` skips a test where this machine lacks a part; TRIMTAB_REQUIRE=compiler,generator turns such
+skips into failures. A skip without a reason always fails.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+from collections.abc import Callable, Generator
+from typing import Any
+
+import pytest
 from hypothesis import settings
 
 settings.register_profile("trimtab", derandomize=True, deadline=None, database=None)
 settings.load_profile("trimtab")
+
+# One cache of compiled engines and no colour, whatever the machine's own settings are.
+os.environ["NO_COLOR"] = "1"
+
+
+def _compiler() -> str | None:
+    if any(shutil.which(name) for name in ("cc", "gcc", "clang")) or importlib.util.find_spec("ziglang"):
+        return None
+    return "no C compiler (cc, gcc, clang or the compiler extra)"
+
+
+def _module(name: str, extra: str) -> Callable[[], str | None]:
+    return lambda: None if importlib.util.find_spec(name) else f"{name} is not installed ({extra})"
+
+
+def _program(*names: str) -> Callable[[], str | None]:
+    return lambda: None if any(map(shutil.which, names)) else f"no {' or '.join(names)} on PATH"
+
+
+def _pty() -> str | None:
+    return None if hasattr(os, "openpty") else "no pseudo-terminals here"
+
+
+PARTS: dict[str, Callable[[], str | None]] = {
+    "browser": _program("chromium", "chromium-browser", "google-chrome"),
+    "compiler": _compiler,
+    "generator": _module("grpc_tools", "requirements-all.lock"),
+    "git": _program("git"),
+    "node": _program("node"),
+    "pty": _pty,
+    "uv": _program("uv"),
+}
+"""Parts that a machine may lack: name to a check that returns what is missing, or None."""
+
+
+def required_parts() -> frozenset[str]:
+    """The parts that TRIMTAB_REQUIRE names. Raises pytest.UsageError on an unknown one."""
+    named = frozenset(part.strip() for part in os.environ.get("TRIMTAB_REQUIRE", "").split(",") if part.strip())
+    unknown = sorted(named - PARTS.keys())
+    if unknown:
+        raise pytest.UsageError(f"TRIMTAB_REQUIRE: unknown {', '.join(unknown)}; known: {', '.join(PARTS)}")
+    return named
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Refuse a misspelt TRIMTAB_REQUIRE before any test runs."""
+    required_parts()
+
+
+@pytest.fixture(scope="session")
+def require() -> Callable[[str], None]:
+    """A function that skips the test where a part is missing; its reason starts with the part's name."""
+
+    def check(part: str) -> None:
+        missing = PARTS[part]()
+        if missing:
+            pytest.skip(f"{part}: {missing}")
+
+    return check
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Turn a skip of a required part, or one without a reason, into a failure."""
+    report = yield
+    if report.skipped and not hasattr(report, "wasxfail"):
+        reason = _reason(report.longrepr)
+        part = reason.partition(":")[0]
+        if part in required_parts():
+            report.outcome = "failed"
+            report.longrepr = f"skipped, but TRIMTAB_REQUIRE names this part: {reason}"
+        elif not reason or reason == "unconditional skip":
+            report.outcome = "failed"
+            report.longrepr = "a skip must say why"
+    return report
+
+
+def _reason(longrepr: Any) -> str:
+    """The reason of a skip report, or an empty text."""
+    text = longrepr[2] if isinstance(longrepr, tuple) else str(longrepr)
+    return text.removeprefix("Skipped").removeprefix(":").strip()

@@ -1,0 +1,37 @@
+# `make demo` and `make test` need Python 3.11 or newer and make; both set up .venv first.
+# TRIMTAB_PYTHON=/path/to/python3 chooses the Python, TESTS=path narrows a test run, WORKERS=n its processes.
+
+VENV := .venv
+PYTHON := $(VENV)/bin/python
+READY := $(VENV)/trimtab.stamp
+READY_ALL := $(VENV)/trimtab-all.stamp
+WORKERS ?= auto
+TESTS ?=
+PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
+export TRIMTAB_PYTHON
+
+.PHONY: venv demo test test-all lint generate
+
+venv: $(READY)
+
+$(READY): requirements.lock pyproject.toml .ci/venv
+	@.ci/venv requirements.lock $@
+
+$(READY_ALL): requirements-all.lock $(READY)
+	@.ci/venv requirements-all.lock $@
+
+demo: $(READY)
+	$(VENV)/bin/trimtab demo
+
+test: $(READY)
+	$(PYTEST) -m "not full" $(TESTS)
+
+test-all: $(READY_ALL)
+	$(PYTEST) $(TESTS)
+
+lint: $(READY_ALL)
+	$(PYTHON) -m ruff check .
+	$(PYTHON) -m pyright
+
+generate: $(READY_ALL)
+	$(PYTHON) -m protocol.generate
