@@ -12,7 +12,6 @@ from typing import Any, Protocol
 from firmware_model.law.constants import GRAVITY
 from firmware_model.law.ops import Ops
 from firmware_model.law.rotations import euler_rates, euler_to_matrix, mat_t_vec, mat_vec
-
 from host.effects import Context, Effect
 
 Scalar = Any

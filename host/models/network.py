@@ -1,8 +1,8 @@
 """The learned residual: a small tanh network from [v_ned, Theta] to an acceleration (paper IV-A).
 
-The acceleration is in the world, NED. The weights are one flat vector xi: layer by layer, the matrix row by
-row, then its bias. The same network runs on scalars in `ops` style, as CasADi matrix products and on numpy
-lanes.
+The acceleration is in the world, NED. The weights are one flat vector xi in the law's order: layer by layer,
+for every neuron its inputs' weights, then its bias. The same network runs on scalars (the law's own form), as
+CasADi matrix products and on numpy lanes.
 """
 
 from __future__ import annotations
@@ -10,36 +10,37 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import casadi
 import numpy as np
 
+from firmware_model.law.feedforward import NETWORK_INPUTS, NETWORK_OUTPUTS, network, weight_count
 from firmware_model.law.ops import Ops
-
-INPUTS = 6
-OUTPUTS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """The shape of a network: widths of the hidden layers between 6 inputs and 3 outputs."""
+    """The shape of a network: widths of the hidden layers between 6 inputs and 3 outputs.
+
+    Raises ValueError beyond three layers of 32: a network must fit the vehicle.
+    """
 
     hidden: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        if not self.hidden or any(width < 1 for width in self.hidden):
-            raise ValueError(f"hidden widths must be one or more positive numbers, got {self.hidden}")
+        weight_count(self.hidden)
 
     @property
     def sizes(self) -> tuple[int, ...]:
         """Width of every layer, inputs and outputs included."""
-        return (INPUTS, *self.hidden, OUTPUTS)
+        return (NETWORK_INPUTS, *self.hidden, NETWORK_OUTPUTS)
 
     @property
     def size(self) -> int:
         """Number of weights."""
-        return sum((rows + 1) * columns for rows, columns in zip(self.sizes, self.sizes[1:], strict=False))
+        return weight_count(self.hidden)
 
     def initial(self, rng: np.random.Generator) -> np.ndarray:
         """A flat start vector: normal over the square root of the fan-in, the last layer a tenth of it.
@@ -48,55 +49,51 @@ class Layout:
         the nominal model.
         """
         xi = np.zeros(self.size)
-        last = len(self.sizes) - 2
-        for index, (matrix, _, rows, columns) in enumerate(self._slices()):
-            scale = (0.1 if index == last else 1.0) / math.sqrt(columns)
-            xi[matrix] = scale * rng.standard_normal(rows * columns)
+        layers = list(self._layers())
+        for layer in layers:
+            scale = (0.1 if layer is layers[-1] else 1.0) / math.sqrt(layer.columns - 1)
+            weights = xi[layer.where].reshape(layer.rows, layer.columns)
+            weights[:, :-1] = scale * rng.standard_normal((layer.rows, layer.columns - 1))
         return xi
 
-    def scalars(self, ops: Ops, xi: Sequence[Any], inputs: Sequence[Any]) -> list[Any]:
-        """The 3 outputs for 6 scalar inputs."""
-        values = list(inputs)
-        last = len(self.sizes) - 2
-        for index, (matrix, bias, rows, columns) in enumerate(self._slices()):
-            sums = []
-            for row in range(rows):
-                total = xi[bias.start + row]
-                for column in range(columns):
-                    total = total + xi[matrix.start + row * columns + column] * values[column]
-                sums.append(total)
-            values = sums if index == last else [ops.tanh(total) for total in sums]
-        return values
+    def scalars(self, ops: Ops, xi: Sequence[Any], inputs: Sequence[Any]) -> Sequence[Any]:
+        """The 3 outputs for 6 scalar inputs, by the law's own form."""
+        return network(ops, xi, self.hidden, inputs[0:3], inputs[3:6])
 
     def matrices(self, xi: Any, inputs: Any) -> Any:
         """Outputs (3, n) for inputs (6, n) as CasADi matrix products; `xi` and `inputs` are MX or SX."""
         values = inputs
-        last = len(self.sizes) - 2
         ones = casadi.DM.ones(1, inputs.shape[1])
-        for index, (matrix, bias, rows, columns) in enumerate(self._slices()):
-            weight = casadi.reshape(xi[matrix], columns, rows).T  # CasADi stores columns first
-            values = casadi.mtimes(weight, values) + casadi.mtimes(xi[bias], ones)
-            if index != last:
+        for layer in self._layers():
+            if values is not inputs:
                 values = casadi.tanh(values)
+            weights = casadi.reshape(xi[layer.where], layer.columns, layer.rows).T  # CasADi: columns first
+            values = casadi.mtimes(weights, casadi.vertcat(values, ones))
         return values
 
     def arrays(self, xi: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         """Outputs (3, n) for inputs (6, n) on numpy."""
         values = inputs
-        last = len(self.sizes) - 2
-        for index, (matrix, bias, rows, columns) in enumerate(self._slices()):
-            values = xi[matrix].reshape(rows, columns) @ values + xi[bias, None]
-            if index != last:
+        for layer in self._layers():
+            if values is not inputs:
                 values = np.tanh(values)
+            weights = xi[layer.where].reshape(layer.rows, layer.columns)
+            values = weights[:, :-1] @ values + weights[:, -1:]
         return values
 
-    def _slices(self) -> Iterator[tuple[slice, slice, int, int]]:
-        """Layer by layer: where the matrix and the bias are in xi, rows, columns."""
+    def _layers(self) -> Iterator[_Layer]:
+        """Where every layer's weights are; each row ends with its bias."""
         start = 0
-        for columns, rows in zip(self.sizes, self.sizes[1:], strict=False):
-            middle = start + rows * columns
-            yield slice(start, middle), slice(middle, middle + rows), rows, columns
-            start = middle + rows
+        for inputs, outputs in pairwise(self.sizes):
+            stop = start + outputs * (inputs + 1)
+            yield _Layer(slice(start, stop), outputs, inputs + 1)
+            start = stop
+
+
+class _Layer(NamedTuple):
+    where: slice
+    rows: int
+    columns: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

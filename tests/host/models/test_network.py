@@ -42,7 +42,7 @@ def test_network_wrong_or_infinite_weights_are_refused():
         Network(layout=layout, xi=np.zeros(3))
     with pytest.raises(ValueError, match="finite"):
         Network(layout=layout, xi=np.full(layout.size, np.nan))
-    with pytest.raises(ValueError, match="hidden widths"):
+    with pytest.raises(ValueError, match="hidden layers"):
         Layout(hidden=())
     network = Network(layout=layout, xi=np.zeros(layout.size))
     with pytest.raises(ValueError, match="read-only"):

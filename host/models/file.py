@@ -1,0 +1,164 @@
+"""Reads and writes models: `NAME.model.toml`, and the network's weights beside it in `NAME.model.npz`."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from host import artefacts
+from host.errors import UsageError
+from host.models.model import Covariance, Model, Region, network_digest
+from host.models.network import Layout, Network
+from host.vehicle.files import write_toml
+from host.vehicle.strict_toml import ConfigurationError, Strict, read_strict
+
+SUFFIX = ".model.toml"
+_Id = Annotated[str, Field(pattern=r"^[0-9a-f]{12}$")]
+_Matrix = tuple[tuple[float, ...], ...]
+_Table = Mapping[str, Mapping[str, float]]
+_Provenance = Mapping[str, str | int | float | Mapping[str, str]]
+
+
+class ModelFileError(UsageError):
+    """A model file that cannot be written or used."""
+
+
+class _CovarianceTable(Strict):
+    names: tuple[str, ...]
+    matrix: _Matrix
+
+
+class _NetworkTable(Strict):
+    hidden: tuple[int, ...]
+    file: str
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+class _RegionTable(Strict):
+    speed_max_m_s: float
+    tilt_max_deg: float
+    thrust_min_n: float
+    thrust_max_n: float
+
+
+class _File(Strict):
+    kind: Literal["trimtab-model"]
+    version: Literal[1]
+    id: _Id | None = None
+    vehicle_id: _Id
+    vehicle_name: str
+    data: tuple[str, ...] = ()
+    effects: _Table = Field(default_factory=dict)
+    adjustments: _Table = Field(default_factory=dict)
+    sources: Mapping[str, str] = Field(default_factory=dict)
+    covariance: _CovarianceTable | None = None
+    network: _NetworkTable | None = None
+    region: _RegionTable | None = None
+    provenance: _Provenance = Field(default_factory=dict)
+
+
+def write_model(model: Model, path: Path | str, *, force: bool = False) -> Path:
+    """The path of the written model.
+
+    The weights are written first, the TOML last, each whole or not at all. Raises ModelFileError where the
+    name does not end in .model.toml, UsageError where the file exists and `force` is not set.
+    """
+    path = Path(path)
+    if not path.name.endswith(SUFFIX):
+        raise ModelFileError(f"{path}: a model's name ends in {SUFFIX}")
+    artefacts.check_output(path, force)
+    weights = path.with_name(path.name.removesuffix(".toml") + ".npz")
+    content = model.content()
+    network = content.pop("network", None)
+    if network is not None:
+        network["file"] = weights.name
+    table = _File(
+        kind="trimtab-model",
+        version=1,
+        id=model.id,
+        vehicle_id=model.vehicle_id,
+        vehicle_name=model.vehicle_name,
+        data=model.data,
+        effects=content["effects"],
+        adjustments=content["adjustments"],
+        sources=content["sources"],
+        covariance=None if model.covariance is None else _CovarianceTable(**content["covariance"]),
+        network=None if network is None else _NetworkTable(**network),
+        region=None if model.region is None else _RegionTable(**content["region"]),
+        provenance={key: value for key, value in model.provenance.items() if value is not None},
+    )
+    try:
+        if model.network is not None:
+            with artefacts.open_atomic(weights, force=True) as file:
+                np.savez(file, xi=model.network.xi)
+        return artefacts.write_atomic(path, write_toml(table), force)
+    except OSError as error:
+        raise ModelFileError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def read_model(path: Path | str, *, vehicle_id: str | None = None) -> Model:
+    """The model in a file.
+
+    Raises ConfigurationError with every problem of the TOML, ModelFileError where the file or its weights are
+    missing or changed, or where it is of another vehicle than `vehicle_id`.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise ModelFileError(f"{path}: cannot be read: {reason}") from error
+    table = read_strict(text, path.name, _File)
+    try:
+        model = Model(
+            vehicle_id=table.vehicle_id,
+            vehicle_name=table.vehicle_name,
+            effects=table.effects,
+            adjustments=table.adjustments,
+            covariance=None if table.covariance is None else Covariance(**_plain(table.covariance)),
+            sources=table.sources,
+            network=None if table.network is None else _read_network(path, table.network),
+            region=None if table.region is None else Region(**_plain(table.region)),
+            data=table.data,
+            provenance=table.provenance,
+        )
+    except ModelFileError:
+        raise
+    except ValueError as error:
+        raise ConfigurationError([f"{path.name}: {error}"]) from None
+    if table.id is not None and table.id != model.id:
+        raise ModelFileError(
+            f"{path.name}: its id {table.id} is not that of its content {model.id}: it was edited; "
+            "remove the id line to use it all the same"
+        )
+    if vehicle_id is not None and model.vehicle_id != vehicle_id:
+        raise ModelFileError(
+            f"{path.name}: is of vehicle {model.vehicle_name} ({model.vehicle_id}), not of {vehicle_id}; "
+            "trace or learn with this vehicle's flights"
+        )
+    return model
+
+
+def _plain(table: Strict) -> dict[str, Any]:
+    return {name: getattr(table, name) for name in type(table).model_fields}
+
+
+def _read_network(path: Path, table: _NetworkTable) -> Network:
+    """The network whose weights lie beside the model file."""
+    if Path(table.file).name != table.file:
+        raise ModelFileError(f"{path.name}: network.file {table.file!r} must be a name in the same folder")
+    weights = path.with_name(table.file)
+    try:
+        with np.load(weights, allow_pickle=False) as archive:
+            xi = np.asarray(archive["xi"], dtype=float)
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise ModelFileError(f"{table.file}: the weights of {path.name} cannot be read: {error}") from error
+    network = Network(layout=Layout(hidden=table.hidden), xi=xi)
+    if network_digest(network) != table.sha256:
+        raise ModelFileError(f"{table.file}: not the weights {path.name} was written with")
+    return network

@@ -1,0 +1,169 @@
+"""A model: what was found beyond the nominal vehicle, with its uncertainty, and what data it came from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+from host.artefacts import content_id
+from host.effects import Effect
+from host.models.dynamics import Part
+from host.models.network import Network
+
+Values = Mapping[str, Mapping[str, float]]
+"""Effect name -> parameter key -> value."""
+Use = Literal["both", "effects", "adjustments", "none"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Covariance:
+    """Covariance of the named parameters, "effect.key", in this order."""
+
+    names: tuple[str, ...]
+    matrix: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        size = len(self.names)
+        if len(set(self.names)) != size:
+            raise ValueError(f"covariance names repeat: {self.names}")
+        if len(self.matrix) != size or any(len(row) != size for row in self.matrix):
+            raise ValueError(f"covariance of {size} names needs {size} x {size} entries")
+        for i in range(size):
+            if not (math.isfinite(self.matrix[i][i]) and self.matrix[i][i] >= 0.0):
+                raise ValueError(
+                    f"variance of {self.names[i]} is {self.matrix[i][i]}, must be finite and >= 0"
+                )
+            for k in range(i):
+                a, b = self.matrix[i][k], self.matrix[k][i]
+                if not abs(a - b) <= 1e-9 * math.sqrt(self.matrix[i][i] * self.matrix[k][k]) + 1e-300:
+                    raise ValueError(f"covariance is not symmetric at {self.names[i]}, {self.names[k]}")
+
+    def sd(self, name: str) -> float | None:
+        """Standard deviation of one parameter, None where it is not among the names."""
+        if name not in self.names:
+            return None
+        i = self.names.index(name)
+        return math.sqrt(self.matrix[i][i])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """The region the data covers; beyond it the model extrapolates."""
+
+    speed_max_m_s: float
+    tilt_max_deg: float
+    thrust_min_n: float
+    """Least and greatest collective thrust."""
+    thrust_max_n: float
+
+    def __post_init__(self) -> None:
+        numbers = (self.speed_max_m_s, self.tilt_max_deg, self.thrust_min_n, self.thrust_max_n)
+        if not all(math.isfinite(number) and number >= 0.0 for number in numbers):
+            raise ValueError(f"a region's numbers must be finite and >= 0, got {numbers}")
+        if self.thrust_min_n > self.thrust_max_n:
+            raise ValueError(f"thrust range {self.thrust_min_n}..{self.thrust_max_n} N is empty")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Model:
+    """What a model file holds.
+
+    `effects` are the named ones, `adjustments` move within their tolerances; no effect is in both. `sources`
+    has the id of each effect's file. `data` are the ids of the logs it came from. `provenance` is no part of
+    the id.
+    """
+
+    vehicle_id: str
+    vehicle_name: str
+    effects: Values = field(default_factory=dict)
+    adjustments: Values = field(default_factory=dict)
+    covariance: Covariance | None = None
+    sources: Mapping[str, str] = field(default_factory=dict)
+    network: Network | None = None
+    region: Region | None = None
+    data: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        both = sorted(set(self.effects) & set(self.adjustments))
+        if both:
+            raise ValueError(f"{', '.join(both)}: an effect is either named or an adjustment, not both")
+        known = set()
+        for name, values in (*self.effects.items(), *self.adjustments.items()):
+            for key, value in values.items():
+                known.add(f"{name}.{key}")
+                if not math.isfinite(value):
+                    raise ValueError(f"{name}.{key} is {value}, must be finite")
+        if self.covariance is not None and not set(self.covariance.names) <= known:
+            extra = sorted(set(self.covariance.names) - known)
+            raise ValueError(f"covariance names no parameter of this model: {', '.join(extra)}")
+
+    @cached_property
+    def id(self) -> str:
+        """First 12 hex digits of the SHA-256 of the content without provenance."""
+        text = json.dumps(self.content(), sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return content_id(text.encode())
+
+    def content(self) -> dict[str, Any]:
+        """Everything but the provenance, as plain data; the network by its layout and hash."""
+        content: dict[str, Any] = {
+            "vehicle_id": self.vehicle_id,
+            "vehicle_name": self.vehicle_name,
+            "effects": {name: dict(values) for name, values in self.effects.items()},
+            "adjustments": {name: dict(values) for name, values in self.adjustments.items()},
+            "sources": dict(self.sources),
+            "data": list(self.data),
+        }
+        if self.covariance is not None:
+            content["covariance"] = {"names": self.covariance.names, "matrix": self.covariance.matrix}
+        if self.region is not None:
+            content["region"] = dict(vars(self.region))
+        if self.network is not None:
+            content["network"] = {
+                "hidden": self.network.layout.hidden,
+                "sha256": network_digest(self.network),
+            }
+        return content
+
+    def sd(self, name: str, key: str) -> float | None:
+        """Standard deviation of a parameter; None where the file has none."""
+        return None if self.covariance is None else self.covariance.sd(f"{name}.{key}")
+
+    def parts(self, effects: Mapping[str, Effect], use: Use = "both") -> list[Part]:
+        """Effects with values for `host.models`, sorted by name; keys the file leaves out are neutral.
+
+        "after" of a report uses both, "before" none. Raises ValueError for an effect or key nobody defines.
+        """
+        chosen: dict[str, Mapping[str, float]] = {}
+        if use in ("both", "effects"):
+            chosen.update(self.effects)
+        if use in ("both", "adjustments"):
+            chosen.update(self.adjustments)
+        parts: list[Part] = []
+        for name in sorted(chosen):
+            effect = effects.get(name)
+            if effect is None:
+                raise ValueError(
+                    f"the model names {name}, which is no known effect; known: {', '.join(effects)}"
+                )
+            extra = sorted(set(chosen[name]) - set(effect.keys))
+            if extra:
+                raise ValueError(
+                    f"{name} has no parameter {', '.join(extra)}; it has {', '.join(effect.keys)}"
+                )
+            theta = tuple(
+                chosen[name].get(key, neutral)
+                for key, neutral in zip(effect.keys, effect.neutral, strict=True)
+            )
+            parts.append((effect, theta))
+        return parts
+
+
+def network_digest(network: Network) -> str:
+    """SHA-256 of the weights as little-endian doubles."""
+    return hashlib.sha256(network.xi.astype("<f8").tobytes()).hexdigest()
