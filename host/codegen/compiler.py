@@ -1,0 +1,134 @@
+"""C source to a shared library: which compiler, with which flags, and where the result is kept.
+
+The flags keep IEEE arithmetic as written (no contraction, never -ffast-math), so that compiled code and CasADi's
+virtual machine agree bit for bit. Libraries are kept in the user's cache by the hash of everything they follow from,
+written to a temporary name and renamed. Where there is no compiler, nothing here is needed.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import importlib.util
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared")
+ENGINES = ("auto", "vm", "c")
+ENGINE_VARIABLE = "TRIMTAB_ENGINE"
+_SECONDS = 300
+
+
+class CodegenError(Exception):
+    """What was asked for cannot be compiled or run here; one line that says why and what to do."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compiler:
+    """A C compiler: the command to start it, and what tells this installation of it from another."""
+
+    command: tuple[str, ...]
+    identity: str
+
+    @property
+    def name(self) -> str:
+        """How a person calls it."""
+        return Path(self.command[0]).name if len(self.command) == 1 else "ziglang"
+
+
+def engine_choice(engine: str | None = None) -> str:
+    """ "auto", "vm" or "c": as asked, else by the environment's TRIMTAB_ENGINE, else "auto".
+
+    Raises CodegenError for another word.
+    """
+    choice = engine or os.environ.get(ENGINE_VARIABLE) or "auto"
+    if choice not in ENGINES:
+        where = "engine" if engine else ENGINE_VARIABLE
+        raise CodegenError(f"{where} is {choice!r}, choose one of {', '.join(ENGINES)}")
+    return choice
+
+
+def find_compiler() -> Compiler | None:
+    """The first of cc, gcc, clang on PATH, else the `ziglang` package's, else None."""
+    for name in ("cc", "gcc", "clang"):
+        path = shutil.which(name)
+        if path is not None:
+            return Compiler(command=(path,), identity=f"{name} {_stamp(Path(path))}")
+    spec = importlib.util.find_spec("ziglang")
+    if spec is not None and spec.origin is not None:
+        command = (sys.executable, "-m", "ziglang", "cc")
+        return Compiler(command=command, identity=f"ziglang {_stamp(Path(spec.origin))}")
+    return None
+
+
+def shared_library(source: str, compiler: Compiler) -> Path:
+    """Path of the shared library for this C source, compiled now unless the cache has it.
+
+    Raises CodegenError where the compiler fails.
+    """
+    path = library_path(source, compiler)
+    if not path.exists():
+        _compile(source, compiler, path)
+    return path
+
+
+def library_path(source: str, compiler: Compiler) -> Path:
+    """Where the cache keeps, or would keep, the library for this source, compiler, flags and machine."""
+    parts = (source, compiler.identity, " ".join(FLAGS), sys.platform, platform.machine())
+    digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+    return cache_directory() / f"{digest}.so"
+
+
+@cache
+def _temporary() -> Path:
+    """A directory of this process alone, gone at its end: where no cache can be kept."""
+    path = Path(tempfile.mkdtemp(prefix="trimtab-"))
+    atexit.register(shutil.rmtree, path, ignore_errors=True)
+    return path
+
+
+def cache_directory() -> Path:
+    """The directory of compiled libraries: XDG_CACHE_HOME or ~/.cache, then trimtab/codegen."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        root = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
+        path = root / "trimtab" / "codegen"
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return _temporary()
+    return path if os.access(path, os.W_OK | os.X_OK) else _temporary()
+
+
+def _stamp(path: Path) -> str:
+    """Real path, size and time of a file: changes where another version is installed."""
+    real = path.resolve()
+    status = real.stat()
+    return f"{real} {status.st_size} {status.st_mtime_ns}"
+
+
+def _compile(source: str, compiler: Compiler, path: Path) -> None:
+    """Nothing; the library is at `path` afterwards, whole. Raises CodegenError."""
+    with tempfile.TemporaryDirectory(prefix=".build-", dir=path.parent) as folder:
+        text, library = Path(folder) / "function.c", Path(folder) / "function.so"
+        text.write_text(source, encoding="utf-8")
+        command = [*compiler.command, *FLAGS, "-o", str(library), str(text), "-lm"]
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, errors="replace", timeout=_SECONDS, check=False
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise CodegenError(f"the C compiler {compiler.name} does not run: {error}") from None
+        if done.returncode != 0 or not library.exists():
+            said = (done.stderr or done.stdout).strip().splitlines()
+            detail = said[0] if said else f"exit code {done.returncode}"
+            raise CodegenError(f"the C compiler {compiler.name} failed: {detail}")
+        os.replace(library, path)

@@ -1,0 +1,175 @@
+"""A function of named blocks as an engine: fixed memory in and out, and a call without arguments.
+
+Either CasADi's virtual machine evaluates it or compiled C does, both through CasADi's buffer interface, with the same
+bits. `engine` is "auto" (C where a compiler works, else the virtual machine), "vm" or "c"; None asks the environment's
+TRIMTAB_ENGINE.
+"""
+
+from __future__ import annotations
+
+import logging
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Protocol
+
+import casadi as ca
+
+from host.codegen.compiler import CodegenError, engine_choice, find_compiler, library_path, shared_library
+from host.codegen.ops import CASADI
+
+_log = logging.getLogger(__name__)
+
+
+class BlockLike(Protocol):
+    """A named vector."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def size(self) -> int: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """A named vector of `size` doubles."""
+
+    name: str
+    size: int
+
+
+BlockFunction = Callable[[Any, dict[str, Sequence[Any]]], Mapping[str, Sequence[Any]]]
+"""fn(ops, inputs) -> outputs, both by block name."""
+
+
+class CompiledEngine:
+    """Write `inputs`, call, read `outputs`: memoryviews of doubles by block name, the same for the engine's life.
+
+    kind: "vm" or "c". function: the casadi.Function behind it. Not to be copied or pickled: it holds addresses.
+    """
+
+    def __init__(
+        self, function: ca.Function, inputs: Sequence[BlockLike], outputs: Sequence[BlockLike], kind: str
+    ) -> None:
+        self.kind = kind
+        self.function = function
+        self.inputs: Mapping[str, memoryview] = _memory(inputs)
+        self.outputs: Mapping[str, memoryview] = _memory(outputs)
+        # Dropping either the function or its buffer while the trigger lives crashes: hold all three.
+        self._buffer, self._trigger = function.buffer()
+        for index, view in enumerate(self.inputs.values()):
+            self._buffer.set_arg(index, view)
+        for index, view in enumerate(self.outputs.values()):
+            self._buffer.set_res(index, view)
+
+    def __call__(self) -> None:
+        """Nothing comes back; `outputs` holds the function's value at `inputs`."""
+        self._trigger()
+
+    def __reduce__(self) -> Any:
+        raise TypeError("an engine holds addresses of this process and cannot be pickled")
+
+
+def sx_function(
+    fn: BlockFunction, inputs: Sequence[BlockLike], outputs: Sequence[BlockLike], name: str
+) -> ca.Function:
+    """The casadi.Function of `fn` traced with SX scalars: one column vector a block, in the blocks' order.
+
+    Raises ValueError where `fn` returns other blocks or sizes than stated.
+    """
+    symbols = [ca.SX.sym(block.name, block.size) for block in inputs]
+    values = {
+        block.name: ca.vertsplit(symbol) if block.size > 1 else [symbol]
+        for block, symbol in zip(inputs, symbols, strict=True)
+    }
+    result = fn(CASADI, values)
+    names = [block.name for block in outputs]
+    if sorted(result) != sorted(names):
+        raise ValueError(f"{name} returned the blocks {sorted(result)}, not {sorted(names)}")
+    columns = []
+    for block in outputs:
+        scalars = list(result[block.name])
+        if len(scalars) != block.size:
+            raise ValueError(f"{name} returned {len(scalars)} values for {block.name}, not {block.size}")
+        columns.append(ca.densify(ca.vertcat(*(ca.SX(scalar) for scalar in scalars))))
+    labels_in = [f"in_{block.name}" for block in inputs]
+    labels_out = [f"out_{block.name}" for block in outputs]
+    return ca.Function(name, symbols, columns, labels_in, labels_out, {"cse": True})
+
+
+def compile_function(function: ca.Function, *, engine: str | None = None) -> tuple[ca.Function, str]:
+    """The same function and "c" where it could be compiled, else `function` itself and "vm".
+
+    Raises CodegenError where "c" is asked for and there is no compiler, or it fails.
+    """
+    choice = engine_choice(engine)
+    if choice == "vm":
+        return function, "vm"
+    compiler = find_compiler()
+    if compiler is None:
+        if choice == "c":
+            raise CodegenError("no C compiler: install cc, gcc, clang or the Python package ziglang")
+        return function, "vm"
+    name = function.name()
+    generator = ca.CodeGenerator(f"{name}.c", {"with_header": False})
+    generator.add(function)
+    source = generator.dump()
+    try:
+        path = shared_library(source, compiler)
+        try:
+            return ca.external(name, str(path)), "c"
+        except RuntimeError:  # not a library of this machine, or a damaged one: make it anew, once
+            path.unlink(missing_ok=True)
+            path = shared_library(source, compiler)
+            return ca.external(name, str(path)), "c"
+    except (CodegenError, RuntimeError, OSError) as error:
+        if choice == "c":
+            if isinstance(error, CodegenError):
+                raise
+            place = library_path(source, compiler)
+            raise CodegenError(f"the compiled {name} in {place.parent} cannot be used: {error}") from None
+        _log.warning("%s; going on without it, slower", error)
+        return function, "vm"
+
+
+def function_engine(
+    function: ca.Function,
+    inputs: Sequence[BlockLike],
+    outputs: Sequence[BlockLike],
+    *,
+    engine: str | None = None,
+) -> CompiledEngine:
+    """An engine for a casadi.Function whose arguments and results are dense vectors of the blocks' sizes, in order.
+
+    Raises ValueError where the sizes differ, CodegenError as `compile_function` does.
+    """
+    sizes = [function.nnz_in(k) for k in range(function.n_in())]
+    sizes_out = [function.nnz_out(k) for k in range(function.n_out())]
+    if sizes != [block.size for block in inputs] or sizes_out != [block.size for block in outputs]:
+        raise ValueError(f"{function.name()} has {sizes} to {sizes_out} values, not the blocks' sizes")
+    compiled, kind = compile_function(function, engine=engine)
+    return CompiledEngine(compiled, inputs, outputs, kind)
+
+
+def compile_blocks(
+    fn: BlockFunction,
+    inputs: Sequence[BlockLike],
+    outputs: Sequence[BlockLike],
+    name: str,
+    *,
+    engine: str | None = None,
+) -> CompiledEngine:
+    """An engine for `fn(ops, inputs) -> outputs`, traced once with SX scalars.
+
+    `name` is a C identifier. Raises ValueError where `fn` returns other blocks, CodegenError as `compile_function`.
+    """
+    return function_engine(sx_function(fn, inputs, outputs, name), inputs, outputs, engine=engine)
+
+
+def _memory(blocks: Sequence[BlockLike]) -> Mapping[str, memoryview]:
+    """Zeroed doubles for each block; a block's name occurs once."""
+    views = {block.name: memoryview(array("d", bytes(8 * block.size))) for block in blocks}
+    if len(views) != len(blocks):
+        raise ValueError("a block's name occurs twice")
+    return MappingProxyType(views)

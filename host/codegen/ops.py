@@ -1,0 +1,66 @@
+"""The law's operations on CasADi symbols (`CASADI`) and on numpy lanes (`NUMPY`); see `firmware_model.law.ops`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+
+class CasadiOps:
+    """Operations on casadi.SX (or MX) scalars; plain numbers may be mixed in and stay numbers among themselves."""
+
+    minimum = staticmethod(ca.fmin)
+    maximum = staticmethod(ca.fmax)
+    sqrt = staticmethod(ca.sqrt)
+    sin = staticmethod(ca.sin)
+    cos = staticmethod(ca.cos)
+    tan = staticmethod(ca.tan)
+    asin = staticmethod(ca.asin)
+    atan2 = staticmethod(ca.atan2)
+    exp = staticmethod(ca.exp)
+    log = staticmethod(ca.log)
+    tanh = staticmethod(ca.tanh)
+    fabs = staticmethod(ca.fabs)
+    floor = staticmethod(ca.floor)
+
+    @staticmethod
+    def where(condition: Any, a: Any, b: Any) -> Any:
+        """`a` where the condition holds, else `b`; both are part of the expression."""
+        if isinstance(condition, bool | np.bool_ | int | float):
+            return a if condition else b
+        return ca.if_else(condition, a, b)
+
+    @staticmethod
+    def clip(x: Any, low: Any, high: Any) -> Any:
+        """`x` kept within low..high."""
+        return ca.fmin(ca.fmax(x, low), high)
+
+
+class NumpyOps:
+    """Operations on arrays of shape (lanes,), one independent value a lane; plain numbers may be mixed in."""
+
+    where = staticmethod(np.where)
+    minimum = staticmethod(np.minimum)
+    maximum = staticmethod(np.maximum)
+    sqrt = staticmethod(np.sqrt)
+    sin = staticmethod(np.sin)
+    cos = staticmethod(np.cos)
+    tan = staticmethod(np.tan)
+    asin = staticmethod(np.arcsin)
+    atan2 = staticmethod(np.arctan2)
+    exp = staticmethod(np.exp)
+    log = staticmethod(np.log)
+    tanh = staticmethod(np.tanh)
+    fabs = staticmethod(np.fabs)
+    floor = staticmethod(np.floor)
+
+    @staticmethod
+    def clip(x: Any, low: Any, high: Any) -> Any:
+        """`x` kept within low..high."""
+        return np.minimum(np.maximum(x, low), high)
+
+
+CASADI = CasadiOps()
+NUMPY = NumpyOps()
