@@ -2,6 +2,7 @@
 
 from host.vehicle.files import list_vehicles, load_vehicle, parse_vehicle
 from host.vehicle.model import Battery, Gains, Limits, Rotor, Vehicle
+from host.vehicle.parameters import to_parameters
 from host.vehicle.strict_toml import ConfigurationError
 
 __all__ = [
@@ -14,4 +15,5 @@ __all__ = [
     "list_vehicles",
     "load_vehicle",
     "parse_vehicle",
+    "to_parameters",
 ]

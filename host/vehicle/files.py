@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from host.vehicle.model import Vehicle
+from host.vehicle.parameters import parameter_problems
 from host.vehicle.strict_toml import ConfigurationError, Strict, read_strict
 
 
@@ -16,7 +17,11 @@ def parse_vehicle(text: str, source: str) -> Vehicle:
 
     Raises ConfigurationError with every problem.
     """
-    return read_strict(text, source, Vehicle)
+    vehicle = read_strict(text, source, Vehicle)
+    problems = parameter_problems(vehicle)
+    if problems:
+        raise ConfigurationError([f"{source}: {problem}" for problem in problems])
+    return vehicle
 
 
 def load_vehicle(name_or_path: str | Path, workspace: Path | None = None) -> Vehicle:
