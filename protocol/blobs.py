@@ -4,7 +4,7 @@ Little-endian, no padding, exact length. Both begin with a header of 46 B:
 
     magic "TRTB", kind u8, version u8, flags u16, vehicle id 6 B, origin 3 x float64, count u32, count u32
 
-A reference goes on with as many nodes as the first count says, t_us u32 and p, v, a, j (3 x float32 each, NED,
+A reference goes on with as many nodes as the first count says, t_us u32 and p, v, a, j (3 float32 each, NED,
 p relative to the origin; 52 B), then as many yaw rows as the second says, t_us u32, yaw, yaw rate (float32;
 12 B). A feed-forward goes on with the model id (6 B), the number of hidden layers u8, their widths (u8 each),
 then float32 numbers: the first count's of form (a), the second's of form (b). Its flags say which it has.
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import operator
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -321,9 +322,13 @@ def _check_id(name: str, value: str) -> None:
 
 
 def _time(name: str, value: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= T_US_MAX:
+    try:
+        t_us = operator.index(value)
+    except TypeError:
+        t_us = -1
+    if not 0 <= t_us <= T_US_MAX:
         raise BlobError(f"{name}: {value!r} is not a whole number of 0..{T_US_MAX} us")
-    return value
+    return t_us
 
 
 def _check_increasing(name: str, times: Sequence[int]) -> None:

@@ -1,0 +1,113 @@
+"""The dialect's messages under short names, who speaks, and what a vehicle says about itself.
+
+A message is built with its fields in the order of `dialect/trimtab.xml`, by place or by name; text fields
+are bytes. `mavlink` holds the dialect's constants (`mavlink.MAV_CMD_NAV_LAND`).
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from protocol.generated import trimtab as mavlink
+from protocol.generated.frames import DIALECT_VERSION
+
+Message = mavlink.MAVLink_message
+
+Heartbeat = mavlink.MAVLink_heartbeat_message
+Ping = mavlink.MAVLink_ping_message
+ParamRequestRead = mavlink.MAVLink_param_request_read_message
+ParamRequestList = mavlink.MAVLink_param_request_list_message
+ParamValue = mavlink.MAVLink_param_value_message
+ParamSet = mavlink.MAVLink_param_set_message
+CommandLong = mavlink.MAVLink_command_long_message
+CommandAck = mavlink.MAVLink_command_ack_message
+Timesync = mavlink.MAVLink_timesync_message
+AttPosMocap = mavlink.MAVLink_att_pos_mocap_message
+AutopilotVersion = mavlink.MAVLink_autopilot_version_message
+StatusText = mavlink.MAVLink_statustext_message
+FcControl = mavlink.MAVLink_fc_control_message
+FcEstimate = mavlink.MAVLink_fc_estimate_message
+FcStatus = mavlink.MAVLink_fc_status_message
+RadioStats = mavlink.MAVLink_radio_stats_message
+UploadBegin = mavlink.MAVLink_upload_begin_message
+UploadChunk = mavlink.MAVLink_upload_chunk_message
+UploadStatus = mavlink.MAVLink_upload_status_message
+UploadVerdict = mavlink.MAVLink_upload_verdict_message
+UploadCommit = mavlink.MAVLink_upload_commit_message
+UploadAbort = mavlink.MAVLink_upload_abort_message
+
+VEHICLE = (1, mavlink.MAV_COMP_ID_AUTOPILOT1)
+"""System and component of the flight processor."""
+VEHICLE_RADIO = (1, mavlink.MAV_COMP_ID_TELEMETRY_RADIO)
+HOST = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
+HOST_RADIO = (255, mavlink.MAV_COMP_ID_TELEMETRY_RADIO)
+CAMERAS = (254, 1)
+"""The motion capture system, which sends poses to the host."""
+
+NO_TICK = 0xFFFF_FFFF
+"""FC_STATUS.reference_tick before it is known."""
+NO_NODE = 0xFFFF
+"""UPLOAD_VERDICT.node where none is concerned."""
+FORCE = 21196.0
+"""COMMAND_LONG.param2 of MAV_CMD_COMPONENT_ARM_DISARM that disarms in flight."""
+
+_MARK = 0x54
+VENDOR_ID = 0x5454
+"""AUTOPILOT_VERSION.vendor_id of a Trimtab vehicle; product_id is its dialect's version."""
+
+
+class UploadState(IntEnum):
+    """UPLOAD_STATUS.state: what the receiver holds of the blob the message is about."""
+
+    IDLE = mavlink.TRIMTAB_UPLOAD_IDLE
+    RECEIVING = mavlink.TRIMTAB_UPLOAD_RECEIVING
+    STAGED = mavlink.TRIMTAB_UPLOAD_STAGED
+    REFUSED = mavlink.TRIMTAB_UPLOAD_REFUSED
+    LIVE = mavlink.TRIMTAB_UPLOAD_LIVE
+
+
+class UploadResult(IntEnum):
+    """UPLOAD_STATUS.result: how the receiver took the last message about the blob."""
+
+    OK = mavlink.TRIMTAB_UPLOAD_RESULT_OK
+    TOO_LARGE = mavlink.TRIMTAB_UPLOAD_RESULT_TOO_LARGE
+    BAD_KIND = mavlink.TRIMTAB_UPLOAD_RESULT_BAD_KIND
+    BAD_REQUEST = mavlink.TRIMTAB_UPLOAD_RESULT_BAD_REQUEST
+    CORRUPT = mavlink.TRIMTAB_UPLOAD_RESULT_CORRUPT
+    UNKNOWN = mavlink.TRIMTAB_UPLOAD_RESULT_UNKNOWN
+    BUSY = mavlink.TRIMTAB_UPLOAD_RESULT_BUSY
+    REFUSED = mavlink.TRIMTAB_UPLOAD_RESULT_REFUSED
+
+
+def vehicle_heartbeat(state: int, *, armed: bool, failsafe: bool = False) -> Heartbeat:
+    """The heartbeat of a Trimtab vehicle in `state` (TRIMTAB_STATE, 0..255)."""
+    mode = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
+    if failsafe:
+        status = mavlink.MAV_STATE_CRITICAL
+    elif armed:
+        status = mavlink.MAV_STATE_ACTIVE
+    else:
+        status = mavlink.MAV_STATE_BOOT if state == mavlink.TRIMTAB_STATE_BOOT else mavlink.MAV_STATE_STANDBY
+    custom_mode = _MARK << 24 | DIALECT_VERSION << 16 | state
+    return Heartbeat(mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_GENERIC, mode, custom_mode, status, 3)
+
+
+def host_heartbeat() -> Heartbeat:
+    """The heartbeat of a ground station."""
+    mode, status = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mavlink.MAV_STATE_ACTIVE
+    return Heartbeat(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, mode, _MARK << 24, status, 3)
+
+
+def dialect_version(heartbeat: Heartbeat) -> int | None:
+    """Version of the dialect that the sender of this heartbeat speaks; None where it is no Trimtab vehicle.
+
+    Compare with DIALECT_VERSION: with another version the private messages cannot be read.
+    """
+    if heartbeat.autopilot != mavlink.MAV_AUTOPILOT_GENERIC or heartbeat.custom_mode >> 24 != _MARK:
+        return None
+    return (heartbeat.custom_mode >> 16) & 0xFF
+
+
+def is_vehicle(heartbeat: Heartbeat) -> bool:
+    """Whether the sender is a flight controller of any make, not a ground station or a part of one."""
+    return heartbeat.autopilot != mavlink.MAV_AUTOPILOT_INVALID

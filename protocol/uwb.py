@@ -1,0 +1,233 @@
+"""Between byte streams and radio frames: MAVLink 2 messages found in bytes and packed into frames of 116 B.
+116 B.
+
+A message never crosses a frame. Nothing here decodes payloads; an id, a length and a checksum are all it
+takes.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from enum import IntEnum
+
+from fastcrc.crc16 import mcrf4xx
+
+from protocol.generated.frames import MESSAGES
+
+FRAME_BYTES = 116
+"""Payload of a radio frame: 127 B less 11 of its own header and checksum."""
+
+MAGIC = 0xFD
+HEADER_BYTES = 10
+OVERHEAD_BYTES = HEADER_BYTES + 2
+SIGNATURE_BYTES = 13
+LONGEST_BYTES = OVERHEAD_BYTES + 255 + SIGNATURE_BYTES
+"""No message is longer, so no splitter keeps more than one byte less between two calls."""
+
+_SIGNED = 0x01
+_PRIVATE = 52100
+_MAGIC = bytes([MAGIC])
+# id: (checksum seed, longest payload). Standard messages may have grown extensions that we do not know.
+_KNOWN: dict[int, tuple[bytes, int]] = {
+    number: (bytes([seed]), longest if number >= _PRIVATE else 255)
+    for number, (_, seed, longest) in MESSAGES.items()
+}
+
+
+def message_id(message: bytes) -> int:
+    """Id of a whole message."""
+    return message[7] | message[8] << 8 | message[9] << 16
+
+
+class StreamSplitter:
+    """Finds whole messages of the dialect in a stream that may lose, repeat or garble bytes.
+
+    A message counts when its id is known, its length possible and its checksum right; otherwise the search
+    goes on one byte further, so that a damaged message costs none of its neighbours.
+
+    Attributes, all counts since construction:
+        messages: whole messages found.
+        bad_bytes: bytes that belonged to none.
+        bad_checksums: plausible headers whose checksum was wrong.
+    """
+
+    def __init__(self) -> None:
+        self.messages = 0
+        self.bad_bytes = 0
+        self.bad_checksums = 0
+        self._pending = b""
+
+    @property
+    def pending_bytes(self) -> int:
+        """Bytes kept for the next call: the beginning of what may become a message."""
+        return len(self._pending)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """The messages that `data` completes, oldest first, each exactly as it was in the stream."""
+        data = self._pending + data if self._pending else bytes(data)
+        found: list[bytes] = []
+        at, end = 0, len(data)
+        while at < end:
+            if data[at] != MAGIC:
+                skipped = data.find(_MAGIC, at)
+                skipped = end if skipped < 0 else skipped
+                self.bad_bytes += skipped - at
+                at = skipped
+                continue
+            if end - at < OVERHEAD_BYTES:
+                break
+            length, flags = data[at + 1], data[at + 2]
+            known = _KNOWN.get(data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16)
+            if known is None or length > known[1] or flags > _SIGNED:
+                self.bad_bytes += 1
+                at += 1
+                continue
+            stop = at + HEADER_BYTES + length
+            after = stop + 2 + SIGNATURE_BYTES if flags else stop + 2
+            if after > end:
+                break
+            if mcrf4xx(data[at + 1 : stop] + known[0]) != data[stop] | data[stop + 1] << 8:
+                self.bad_checksums += 1
+                self.bad_bytes += 1
+                at += 1
+                continue
+            found.append(data[at:after])
+            at = after
+        self._pending = data[at:]
+        self.messages += len(found)
+        return found
+
+
+class Priority(IntEnum):
+    """Classes of messages, the most urgent first."""
+
+    URGENT = 0
+    CONTROL = 1
+    STATUS = 2
+    UPLOAD = 3
+
+
+_URGENT = ("ATT_POS_MOCAP", "TIMESYNC", "COMMAND_LONG", "COMMAND_ACK")
+_CONTROL = ("FC_CONTROL", "FC_ESTIMATE")
+
+
+def _priority(name: str) -> Priority:
+    if name in _URGENT:
+        return Priority.URGENT
+    if name in _CONTROL:
+        return Priority.CONTROL
+    return Priority.UPLOAD if name.startswith("UPLOAD_") else Priority.STATUS
+
+
+PRIORITIES: dict[int, Priority] = {number: _priority(name) for number, (name, _, _) in MESSAGES.items()}
+"""Class of each message by id."""
+
+CAPACITY_BYTES: Mapping[Priority, int] = {
+    Priority.URGENT: 1024,
+    Priority.CONTROL: 512,
+    Priority.STATUS: 4096,
+    Priority.UPLOAD: 4096,
+}
+"""Room of each queue."""
+
+_POSE = next(number for number, (name, _, _) in MESSAGES.items() if name == "ATT_POS_MOCAP")
+
+
+class FramePacker:
+    """Packs whole messages into radio frames, the most urgent first, in order within each class.
+
+    Poses come before everything, and at most `poses` of them wait: a newer one replaces the oldest. Where a
+    queue has no room, control telemetry drops its oldest message and every other class refuses the new one.
+
+    Args:
+        poses: poses that may wait; with 1 a frame holds the newest, with 2 two travel together.
+        capacity: room of each queue in bytes.
+
+    Attributes, all counts since construction:
+        refused: messages dropped for lack of room, control telemetry included.
+        replaced: poses dropped for a newer one.
+        oversize: messages that fit no frame.
+        packed: messages handed out.
+    """
+
+    def __init__(self, *, poses: int = 1, capacity: Mapping[Priority, int] = CAPACITY_BYTES) -> None:
+        if poses < 1:
+            raise ValueError(f"poses must be at least 1, not {poses}")
+        self.refused = 0
+        self.replaced = 0
+        self.oversize = 0
+        self.packed = 0
+        self._most_poses = poses
+        self._capacity = [capacity[priority] for priority in Priority]
+        self._poses: deque[bytes] = deque()
+        self._queues: list[deque[bytes]] = [deque() for _ in Priority]
+        self._bytes = [0 for _ in Priority]
+        self._waiting = 0
+
+    @property
+    def waiting(self) -> int:
+        """Messages that wait."""
+        return self._waiting
+
+    def waiting_bytes(self, priority: Priority) -> int:
+        """Bytes that wait in this class, poses not counted."""
+        return self._bytes[priority]
+
+    def offer(self, message: bytes) -> bool:
+        """True where the whole message was queued, False where it was dropped and counted."""
+        size = len(message)
+        if size > FRAME_BYTES:
+            self.oversize += 1
+            return False
+        number = message[7] | message[8] << 8 | message[9] << 16
+        if number == _POSE:
+            self._poses.append(message)
+            self._waiting += 1
+            if len(self._poses) > self._most_poses:
+                self._poses.popleft()
+                self._waiting -= 1
+                self.replaced += 1
+            return True
+        priority = PRIORITIES.get(number, Priority.STATUS)
+        queue = self._queues[priority]
+        used = self._bytes[priority] + size
+        room = self._capacity[priority]
+        while used > room:
+            self.refused += 1
+            if priority is not Priority.CONTROL or not queue:
+                return False
+            used -= len(queue.popleft())
+            self._waiting -= 1
+        queue.append(message)
+        self._bytes[priority] = used
+        self._waiting += 1
+        return True
+
+    def take(self, limit: int = FRAME_BYTES, *, lowest: Priority = Priority.UPLOAD) -> bytes | None:
+        """The next frame of at most `limit` bytes, None where nothing waits that fits.
+
+        `lowest` is the least urgent class that may go: a radio that rations uploads passes STATUS.
+        """
+        if not self._waiting:
+            return None
+        parts: list[bytes] = []
+        room = limit
+        poses = self._poses
+        while poses and len(poses[0]) <= room:
+            message = poses.popleft()
+            room -= len(message)
+            parts.append(message)
+        for priority in range(lowest + 1):
+            queue = self._queues[priority]
+            while queue and len(queue[0]) <= room:
+                message = queue.popleft()
+                size = len(message)
+                self._bytes[priority] -= size
+                room -= size
+                parts.append(message)
+        if not parts:
+            return None
+        self._waiting -= len(parts)
+        self.packed += len(parts)
+        return parts[0] if len(parts) == 1 else b"".join(parts)
