@@ -1,7 +1,8 @@
 """Rotor thrusts for a collective thrust and a torque, and motor commands for rotor thrusts.
 
-[T, tau_x, tau_y, tau_z] = C [T1..T4], paper equation 1, with tau = r x (0, 0, -T) and the rotors' reaction torque
-about +z_frd: +kappa T for a rotor that turns counter-clockwise seen from above, -kappa T for a clockwise one.
+[T, tau_x, tau_y, tau_z] = C [T1..T4], paper equation 1, with tau = r x (0, 0, -T) and the rotors' reaction
+torque about +z_frd: +kappa T for a rotor that turns counter-clockwise seen from above, -kappa T for a
+clockwise one.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ def allocate(
 ) -> tuple[tuple[Scalar, ...], Scalar]:
     """Thrust of the four rotors (N, within t_min..t_max) and 1 where something was given up, else 0.
 
-    Given up first: yaw torque; then collective thrust, shifted up or down; last, roll and pitch torque, scaled
-    together. Roll and pitch are whole as long as any collective thrust leaves room for them.
+    Given up first: yaw torque; then collective thrust, shifted up or down; last, roll and pitch torque,
+    scaled together. Roll and pitch are whole as long as any collective thrust leaves room for them.
 
     Args:
         inverse16: C^-1, row-major; its first column (how rotors share thrust) must be positive.

@@ -1,7 +1,7 @@
-"""The verdict on a reference: whether the vehicle can and may fly it, by one function for planner and vehicle.
+"""The verdict on a reference: whether the vehicle can and may fly it; one function for planner and vehicle.
 
-Judged is what is flown: the septic pieces between the nodes, not the nodes. Limits are compared inside every piece,
-at least every 12.5 ms, with the thrust of every rotor from the flat outputs. Floats only.
+Judged is what is flown: the septic pieces between the nodes, not the nodes. Limits are compared inside every
+piece, at least every 12.5 ms, with the thrust of every rotor from the flat outputs. Floats only.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ class Airframe:
 class Limits:
     """What a reference may ask for.
 
-    thrust_headroom: least and greatest share of a rotor's greatest thrust; geofence_m: (low, high) of north, east
-    and down; end_height_m: least height of both ends above the floor z = 0.
+    thrust_headroom: least and greatest share of a rotor's greatest thrust; geofence_m: (low, high) of north,
+    east and down; end_height_m: least height of both ends above the floor z = 0.
     """
 
     speed_max_m_s: float
@@ -97,8 +97,8 @@ class Limits:
 class Verdict:
     """What was found: `ok`, or the first node whose piece breaks a limit, and the numbers.
 
-    margins: least distance to each bound over the whole flight, negative where broken; empty where the nodes are
-    no reference at all.
+    margins: least distance to each bound over the whole flight, negative where broken; empty where the nodes
+    are no reference at all.
     """
 
     ok: bool
@@ -151,10 +151,10 @@ def check_reference(
     origin: Sequence[float] = (0.0, 0.0, 0.0),
     ends_at_rest: bool = True,
 ) -> Verdict:
-    """The verdict on the reference through `nodes` (positions relative to `origin`, NED) with this yaw profile.
+    """The verdict on the reference through `nodes` (NED, positions relative to `origin`) and `yaw_nodes`.
 
-    Nodes are judged as stored: first t_us 0, strictly increasing, finite. With `ends_at_rest` (the default) both ends
-    are at rest and at least `limits.end_height_m` above the floor.
+    Nodes are judged as stored: first t_us 0, strictly increasing, finite. With `ends_at_rest` (the default)
+    both ends are at rest and at least `limits.end_height_m` above the floor.
     """
     broken = _structure(nodes, yaw_nodes, origin)
     if broken is None and ends_at_rest:
@@ -310,9 +310,10 @@ def _scan(
 def _samples(
     nodes: Sequence[Node], yaw_nodes: Sequence[YawNode], samples_per_piece: int
 ) -> Iterator[tuple[int, float, float, float, float]]:
-    """Piece, time inside it, time (both us), yaw and yaw rate of every sample, in order; the last node included.
+    """Piece, time inside it, time (both us), yaw and yaw rate of every sample, in order up to the last node.
 
-    Yaw pieces shorter than four samples add their own quarter points, so that no jerk of the heading hides between.
+    Yaw pieces shorter than four samples add their own quarter points, so that no jerk of the heading hides
+    between.
     """
     short = [
         before[0] + 0.25 * k * (after[0] - before[0])

@@ -6,9 +6,9 @@
     w_cmd   = w_ff(f, j_r - d_ff', yaw_r, yaw_r') - K_att e_R,     e_R = 1/2 vee(R_des^T R - R^T R_des)
     tau     = J (K_w (w_cmd - w) + I - K_d w_f') + w x J w,        I' = K_i (w_cmd - w)
 
-with d_ff the residual acceleration fed forward and w_f' the derivative of the body rate behind a first-order filter.
-Paper sections III-B and V-B ("a PD translational controller and a PID body rate controller"). Memory (I and the
-filter's state) comes in and its derivative goes out.
+with d_ff the residual acceleration fed forward and w_f' the derivative of the body rate behind a first-order
+filter. Paper sections III-B and V-B ("a PD translational controller and a PID body rate controller"). Memory
+(I and the filter's state) comes in and its derivative goes out.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ GREATEST_FEEDBACK = 15.0
 
 
 class Gains(NamedTuple):
-    """Gains, 3 each: position (1/s^2) and velocity (1/s) along NED; attitude (1/s), body rate (1/s), its integral
+    """The controller's constants.
 
-    (1/s^2) and derivative (no unit) along FRD; filter_rate: corner of the rate filter (rad/s); thrust_floor: least
-    collective thrust as a share of the weight, since a vehicle without thrust cannot turn.
+    Three each along NED: position (1/s^2), velocity (1/s); along FRD: attitude (1/s), body rate (1/s), its
+    integral (1/s^2) and derivative (no unit). filter_rate: corner of the rate filter (rad/s). thrust_floor:
+    least collective thrust as a share of the weight, since a vehicle without thrust cannot turn.
     """
 
     position: Vector
@@ -68,7 +69,7 @@ def control(
     ff_jerk: Vector = (0.0, 0.0, 0.0),
     attitude_offset: Vector = (0.0, 0.0),
 ) -> tuple[Scalar, Vector, Vector, Vector]:
-    """Collective thrust (N), torque (N m), commanded body rate (rad/s) and the integral's derivative (rad/s^3).
+    """Collective thrust (N), torque (N m), commanded body rate (rad/s), the integral's derivative (rad/s^3).
 
     Args:
         p, v: NED. R: R_ned_frd, 9 scalars. rate, rate_filtered, integral (rad/s^2): FRD.

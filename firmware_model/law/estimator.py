@@ -1,9 +1,9 @@
-"""Position, velocity, attitude and gyro bias from gyro and accelerometer, corrected by poses that arrive late.
+"""Position, velocity, attitude and gyro bias: gyro and accelerometer, corrected by poses that arrive late.
 
-Prediction is strapdown integration at the base tick. A correction compares the late pose with what the present
-estimate says about that moment, under constant acceleration and constant body rate since then; no history is kept.
-Gains are continuous rates, multiplied by the time since the last correction, so that a model of the loop may take
-the limit of many small corrections.
+Prediction is strapdown integration at the base tick. A correction compares the late pose with what the
+present estimate says about that moment, under constant acceleration and constant body rate since then; no
+history is kept. Gains are continuous rates, multiplied by the time since the last correction, so that a model
+of the loop may take the limit of many small corrections.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ def correct(
 ) -> Estimate:
     """The estimate drawn towards a pose measured `age_s` ago; unchanged where `dt_s_since_last` is 0.
 
-    Position is compared `age_s` back, p - v age + a age^2 / 2 (exact for constant acceleration); attitude by turning
-    the measured one forward by exp(rate age). The sign of either quaternion does not matter.
+    Position is compared `age_s` back, p - v age + a age^2 / 2 (exact for constant acceleration); attitude by
+    turning the measured one forward by exp(rate age). The sign of either quaternion does not matter.
     """
     dt = ops.minimum(dt_s_since_last, LONGEST_INTERVAL_S)
     half = 0.5 * age_s

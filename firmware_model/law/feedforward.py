@@ -1,17 +1,18 @@
 """The residual acceleration a model predicts along the reference, so that the law can counter it.
 
-Form (a) is a block of `FF_SIZE` numbers; form (b) a network of at most three hidden layers of 32. Either or both,
-summed. Both see the reference and its flat attitude, never the estimate; `prediction_time_s` is the exception: the
-estimator takes poses to be that much older than stamped.
+Form (a) is a block of `FF_SIZE` numbers; form (b) a network of at most three hidden layers of 32. Either or
+both, summed. Both see the reference and its flat attitude, never the estimate; `prediction_time_s` is the
+exception: the estimator takes poses to be that much older than stamped.
 
-Block layout: gain (real over nominal rotor thrust), bias_ned 3 (m/s^2), linear drag 3 (1/s) and quadratic drag 3
-(1/m) along FRD axes, both positive against the motion, attitude offset 2 (roll, pitch, rad: what the measured
-attitude shows while thrust points where it should), prediction time (s).
+Block layout: gain (real over nominal rotor thrust), bias_ned 3 (m/s^2), linear drag 3 (1/s) and quadratic
+drag 3 (1/m) along FRD axes, both positive against the motion, attitude offset 2 (roll, pitch, rad: what the
+measured attitude shows while thrust points where it should), prediction time (s).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 from firmware_model.law.ops import Ops, Scalar, Vector
 from firmware_model.law.rotations import dot, mat_t_vec, mat_vec
@@ -31,7 +32,7 @@ NETWORK_INPUTS, NETWORK_OUTPUTS = 6, 3
 
 
 def specific_force_ned(ops: Ops, block: Vector, v_ref: Vector, R_flat: Vector) -> tuple[Scalar, ...]:
-    """Predicted residual acceleration (m/s^2, NED) at the reference's velocity (NED) and flat attitude (9)."""
+    """Predicted residual acceleration (m/s^2, NED) at the reference's velocity (NED) and flat attitude."""
     v = mat_t_vec(R_flat, v_ref)
     speed = ops.sqrt(dot(v, v) + 1e-12)
     drag = mat_vec(R_flat, _drag(block, v, speed))
@@ -71,14 +72,14 @@ def weight_count(layers: Sequence[int]) -> int:
             f"hidden layers {list(layers)}: 1 to {MAX_LAYERS} layers of 1 to {MAX_WIDTH} are possible"
         )
     sizes = (NETWORK_INPUTS, *layers, NETWORK_OUTPUTS)
-    return sum((a + 1) * b for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+    return sum((a + 1) * b for a, b in pairwise(sizes))
 
 
 def network(ops: Ops, weights: Vector, layers: Sequence[int], v: Vector, rpy: Vector) -> tuple[Scalar, ...]:
     """Residual acceleration (m/s^2, NED) of a tanh network at velocity `v` (NED) and Euler angles `rpy`.
 
-    `weights`: layer by layer, for every neuron its inputs' weights, then its bias; the output layer is linear.
-    Raises ValueError where the number of weights is not that of `layers`.
+    `weights`: layer by layer, for every neuron its inputs' weights, then its bias; the output layer is
+    linear. Raises ValueError where the number of weights is not that of `layers`.
     """
     if len(weights) != weight_count(layers):
         raise ValueError(f"{len(weights)} weights for {weight_count(layers)} of hidden layers {list(layers)}")

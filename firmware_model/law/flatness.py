@@ -1,8 +1,9 @@
 """From flat outputs (position with its derivatives, yaw) to attitude, body rate, thrust and torque.
 
-Without residual forces the rotors' specific force is f = g e3 - a along z_frd (thrust is -z). x_frd is chosen in the
-vertical plane of the heading, so that yaw is the yaw of ZYX Euler angles. All of it happens in the heading frame: NED
-turned by yaw. Singular only where f lies along the heading's own y axis (a roll of 90 degrees).
+Without residual forces the rotors' specific force is f = g e3 - a along z_frd (thrust is -z). x_frd is chosen
+in the vertical plane of the heading, so that yaw is the yaw of ZYX Euler angles. All of it happens in the
+heading frame: NED turned by yaw. Singular only where f lies along the heading's own y axis (a roll of 90
+degrees).
 
 Sources: paper section III-B; Mellinger and Kumar 2011; Faessler, Franchi and Scaramuzza 2018 (choice of x).
 """
@@ -27,7 +28,10 @@ class Body(NamedTuple):
 
 
 class Heading(NamedTuple):
-    """Where thrust points, in the heading frame: unit z (3), its horizontal-forward part n, |f|, cos and sin yaw."""
+    """Where thrust points, in the heading frame.
+
+    z: unit vector; n: its length across the lateral axis; force: |f|; cos and sin of yaw.
+    """
 
     z: Vector
     n: Any

@@ -1,8 +1,8 @@
 """The operations the law is written with, so that one source serves floats, CasADi symbols and numpy lanes.
 
-A scalar is whatever the operations take: a float, a casadi.SX or an array with one value a lane. Sums, products and
-comparisons are Python's own operators; everything else goes through the `ops` object passed as first argument.
-`host.codegen.ops` has the instances for CasADi and numpy.
+A scalar is whatever the operations take: a float, a casadi.SX or an array with one value a lane. Sums,
+products and comparisons are Python's own operators; everything else goes through the `ops` object passed as
+first argument. `host.codegen.ops` has the instances for CasADi and numpy.
 """
 
 from __future__ import annotations

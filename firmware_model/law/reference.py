@@ -1,7 +1,7 @@
 """The reference between its nodes: septic pieces in position, cubic pieces in yaw.
 
-A node holds p, v, a, j in NED, 12 scalars. Pieces that share nodes join with continuous p, v, a and j (C3). The time
-inside a piece is expected within 0..dt; who calls picks the piece and holds yaw outside its nodes.
+A node holds p, v, a, j in NED, 12 scalars. Pieces that share nodes join with continuous p, v, a and j (C3).
+The time inside a piece is expected within 0..dt; who calls picks the piece and holds yaw outside its nodes.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ Triple = tuple[Scalar, Scalar, Scalar]
 def septic(
     dt_s: Scalar, s_s: Scalar, node0: Vector, node1: Vector
 ) -> tuple[Triple, Triple, Triple, Triple, Triple]:
-    """Position, velocity, acceleration, jerk and snap, `s_s` into the piece of length `dt_s` between two nodes.
+    """Position, velocity, acceleration, jerk, snap: `s_s` into the piece of length `dt_s` between two nodes.
 
-    The polynomial of degree 7 in x = s/dt that meets p, v, a, j at both ends. Its first four coefficients are node0's
-    own; the other four solve a constant 4 x 4 system for what is then missing at x = 1.
+    The polynomial of degree 7 in x = s/dt that meets p, v, a, j at both ends. Its first four coefficients are
+    node0's own; the other four solve a constant 4 x 4 system for what is then missing at x = 1.
     """
     h = dt_s
     x = s_s / h

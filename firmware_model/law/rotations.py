@@ -1,7 +1,7 @@
-"""Rotations: quaternions (Hamilton, w first, q_ned_frd), matrices (row-major 9-tuples, R_ned_frd), ZYX Euler angles.
+"""Rotations: quaternions (Hamilton, w first, q_ned_frd), matrices (9, row-major, R_ned_frd), Euler angles.
 
-v_ned = R_ned_frd v_frd. Euler angles Theta are (roll, pitch, yaw). No branch depends on a value, so the same source
-runs on floats, CasADi symbols and numpy lanes.
+v_ned = R_ned_frd v_frd. Euler angles Theta are (roll, pitch, yaw). No branch depends on a value, so the same
+source runs on floats, CasADi symbols and numpy lanes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""One tick of the flight MCU at 1 kHz: estimate, reference, feed-forward, controller, allocation, running sums.
+"""One tick of the flight MCU at 1 kHz: estimate, reference, feed-forward, control, allocation, running sums.
 
-`step(ops, inputs) -> outputs` is pure: what must be remembered comes in and goes out as the block `memory`. The same
-source runs on floats, is traced by CasADi for the compiled engines, and runs on numpy lanes.
+`step(ops, inputs) -> outputs` is pure: what must be remembered comes in and goes out as the block `memory`.
+The same source runs on floats, is traced by CasADi for the compiled engines, and runs on numpy lanes.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def estimator_gains(parameters: Vector) -> EstimatorGains:
 def motors(
     ops: Ops, parameters: Vector, collective_n: Scalar, torque: Vector, gain: Scalar
 ) -> tuple[list[Scalar], list[Scalar], Scalar]:
-    """Motor commands (4, in 0..1), the nominal rotor thrusts they stand for (N), and 1 where something was given up.
+    """Motor commands (0..1), the nominal rotor thrusts they stand for (N), 1 where something was given up.
 
     `gain` is real over nominal rotor thrust: the rotors are asked for that much less.
     """

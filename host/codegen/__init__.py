@@ -1,4 +1,4 @@
-"""Turns functions written with `ops` into callables: through CasADi's virtual machine, or compiled C where possible."""
+"""Turns functions written with `ops` into callables: CasADi's virtual machine, or C where possible."""
 
 from host.codegen.compiler import CodegenError, Compiler, find_compiler
 from host.codegen.engine import (

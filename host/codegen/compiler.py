@@ -1,8 +1,8 @@
 """C source to a shared library: which compiler, with which flags, and where the result is kept.
 
-The flags keep IEEE arithmetic as written (no contraction, never -ffast-math), so that compiled code and CasADi's
-virtual machine agree bit for bit. Libraries are kept in the user's cache by the hash of everything they follow from,
-written to a temporary name and renamed. Where there is no compiler, nothing here is needed.
+The flags keep IEEE arithmetic as written (no contraction, never -ffast-math), so that compiled code and
+CasADi's virtual machine agree bit for bit. Libraries are kept in the user's cache by the hash of everything
+they follow from, written to a temporary name and renamed. Where there is no compiler, nothing here is needed.
 """
 
 from __future__ import annotations

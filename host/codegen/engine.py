@@ -1,8 +1,8 @@
 """A function of named blocks as an engine: fixed memory in and out, and a call without arguments.
 
-Either CasADi's virtual machine evaluates it or compiled C does, both through CasADi's buffer interface, with the same
-bits. `engine` is "auto" (C where a compiler works, else the virtual machine), "vm" or "c"; None asks the environment's
-TRIMTAB_ENGINE.
+Either CasADi's virtual machine evaluates it or compiled C does, both through CasADi's buffer interface, with
+the same bits. `engine` is "auto" (C where a compiler works, else the virtual machine), "vm" or "c"; None asks
+the environment's TRIMTAB_ENGINE.
 """
 
 from __future__ import annotations
@@ -39,14 +39,15 @@ class Block:
     size: int
 
 
-BlockFunction = Callable[[Any, dict[str, Sequence[Any]]], Mapping[str, Sequence[Any]]]
+BlockFunction = Callable[[Any, Mapping[str, Sequence[Any]]], Mapping[str, Sequence[Any]]]
 """fn(ops, inputs) -> outputs, both by block name."""
 
 
 class CompiledEngine:
-    """Write `inputs`, call, read `outputs`: memoryviews of doubles by block name, the same for the engine's life.
+    """Write `inputs`, call, read `outputs`: memoryviews of doubles by block name, fixed for life.
 
-    kind: "vm" or "c". function: the casadi.Function behind it. Not to be copied or pickled: it holds addresses.
+    kind: "vm" or "c". function: the casadi.Function behind it. Not to be copied or pickled: it holds
+    addresses.
     """
 
     def __init__(
@@ -59,9 +60,9 @@ class CompiledEngine:
         # Dropping either the function or its buffer while the trigger lives crashes: hold all three.
         self._buffer, self._trigger = function.buffer()
         for index, view in enumerate(self.inputs.values()):
-            self._buffer.set_arg(index, view)
+            self._buffer.set_arg(index, view)  # pyright: ignore[reportCallIssue]
         for index, view in enumerate(self.outputs.values()):
-            self._buffer.set_res(index, view)
+            self._buffer.set_res(index, view)  # pyright: ignore[reportCallIssue]
 
     def __call__(self) -> None:
         """Nothing comes back; `outputs` holds the function's value at `inputs`."""
@@ -79,7 +80,7 @@ def sx_function(
     Raises ValueError where `fn` returns other blocks or sizes than stated.
     """
     symbols = [ca.SX.sym(block.name, block.size) for block in inputs]
-    values = {
+    values: dict[str, Sequence[Any]] = {
         block.name: ca.vertsplit(symbol) if block.size > 1 else [symbol]
         for block, symbol in zip(inputs, symbols, strict=True)
     }
@@ -140,7 +141,7 @@ def function_engine(
     *,
     engine: str | None = None,
 ) -> CompiledEngine:
-    """An engine for a casadi.Function whose arguments and results are dense vectors of the blocks' sizes, in order.
+    """An engine for a casadi.Function of dense vectors: arguments and results are the blocks, in order.
 
     Raises ValueError where the sizes differ, CodegenError as `compile_function` does.
     """
@@ -162,7 +163,8 @@ def compile_blocks(
 ) -> CompiledEngine:
     """An engine for `fn(ops, inputs) -> outputs`, traced once with SX scalars.
 
-    `name` is a C identifier. Raises ValueError where `fn` returns other blocks, CodegenError as `compile_function`.
+    `name` is a C identifier. Raises ValueError where `fn` returns other blocks, CodegenError as
+    `compile_function`.
     """
     return function_engine(sx_function(fn, inputs, outputs, name), inputs, outputs, engine=engine)
 

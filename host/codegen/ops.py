@@ -1,4 +1,4 @@
-"""The law's operations on CasADi symbols (`CASADI`) and on numpy lanes (`NUMPY`); see `firmware_model.law.ops`."""
+"""The law's operations (`firmware_model.law.ops`) on CasADi symbols, `CASADI`, and numpy lanes, `NUMPY`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class CasadiOps:
-    """Operations on casadi.SX (or MX) scalars; plain numbers may be mixed in and stay numbers among themselves."""
+    """Operations on casadi.SX (or MX) scalars; plain numbers may be mixed in."""
 
     minimum = staticmethod(ca.fmin)
     maximum = staticmethod(ca.fmax)
