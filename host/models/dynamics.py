@@ -60,17 +60,31 @@ def derivative(
     acceleration_ned: Sequence[Scalar] | None = None,
     rate_dot_frd: Sequence[Scalar] | None = None,
 ) -> list[Scalar]:
-    """xdot, 16 scalars, for commanded rotor thrusts in N.
+    """xdot, 16 scalars, for commanded rotor thrusts in N; the other arguments as of `rigid_body`."""
+    body = rigid_body(ops, vehicle, effects, x, voltage_ratio, t_s, acceleration_ned, rate_dot_frd)
+    return [*body, *thrust_rates(x[THRUST], thrust_command, motor_lag_s(ops, vehicle, effects))]
+
+
+def rigid_body(
+    ops: Ops,
+    vehicle: Airframe,
+    effects: Sequence[Part],
+    x: Sequence[Scalar],
+    voltage_ratio: Scalar = 1.0,
+    t_s: Scalar = 0.0,
+    acceleration_ned: Sequence[Scalar] | None = None,
+    rate_dot_frd: Sequence[Scalar] | None = None,
+) -> list[Scalar]:
+    """Derivative of p, v, Theta and rate, 12 scalars: explicit, since rotor thrusts are states.
 
     `acceleration_ned` and `rate_dot_frd` are added to the translational and angular acceleration: the learned
     residual d(x) of paper equation 2, or a disturbance being estimated. Paper equation 1; the slots'
     meaning is stated in `host.effects.effect`.
     """
-    v, thrust = x[3:6], x[12:16]
-    rate = x[9:12]
-    R = euler_to_matrix(ops, x[6:9])
+    v, rate = x[V], x[RATE]
+    R = euler_to_matrix(ops, x[THETA])
     mass, thrust, collective, force, torque_extra = _loads(
-        ops, vehicle, effects, x, R, thrust, voltage_ratio, t_s
+        ops, vehicle, effects, x, R, x[THRUST], voltage_ratio, t_s
     )
     tau = rotor_torque(vehicle, thrust)
     if torque_extra is not None:
@@ -93,12 +107,13 @@ def derivative(
         a = _add(a, acceleration_ned)
     if rate_dot_frd is not None:
         alpha = _add(alpha, rate_dot_frd)
+    return [*v, *a, *euler_rates(ops, x[THETA], rate), *alpha]
 
-    inverse_lag = 1.0 / motor_lag_s(ops, vehicle, effects)
-    thrust_dot = [
-        (command - now) * inverse_lag for command, now in zip(thrust_command, x[12:16], strict=True)
-    ]
-    return [*v, *a, *euler_rates(ops, x[6:9], rate), *alpha, *thrust_dot]
+
+def thrust_rates(thrust: Sequence[Scalar], command: Sequence[Scalar], lag_s: Scalar) -> list[Scalar]:
+    """Derivative of the four rotor thrusts: first order towards the command."""
+    per_lag = 1.0 / lag_s
+    return [(wanted - now) * per_lag for wanted, now in zip(command, thrust, strict=True)]
 
 
 def residual_acceleration_ned(
