@@ -1,0 +1,154 @@
+"""Who may import whom: the design's table as an allow-list, and third-party packages at the edges."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+OURS = ("firmware_model", "host", "protocol", "sitl")
+LEAVES = ("host.codegen", "host.vehicle", "host.log")
+
+ALLOWED: dict[str, tuple[str, ...]] = {
+    "protocol": ("protocol",),
+    "firmware_model.law": ("firmware_model.law",),
+    "firmware_model": ("firmware_model", "protocol"),
+    # The three leaves that sitl may use import nothing else of host.
+    "host.codegen": (*LEAVES, "protocol", "firmware_model.law"),
+    "host.vehicle": (*LEAVES, "protocol", "firmware_model.law"),
+    "host.log": (*LEAVES, "protocol", "firmware_model.law"),
+    "host": ("host", "protocol", "firmware_model.law"),
+    "sitl.studies.scoring": ("sitl", "protocol", "firmware_model", *LEAVES, "host.effects", "host.trace"),
+    "sitl": ("sitl", "protocol", "firmware_model", *LEAVES),
+}
+"""Package to what of ours it may import; the longest matching name decides."""
+
+EDGES: dict[str, tuple[str, ...]] = {
+    "casadi": ("host.codegen", "host.models", "host.plan", "host.learn", "host.trace"),
+    "cyclopts": ("host.cli", "host.verbs"),
+    "fastcrc": ("protocol",),
+    "foxglove_schemas_protobuf": ("host.log",),
+    "google": ("protocol", "host.log"),
+    "grpc_tools": ("protocol.generate",),
+    "jinja2": ("host.report",),
+    "matplotlib": ("host.report", "host.verbs"),
+    "mcap": ("host.log",),
+    "mcap_protobuf": ("host.log",),
+    "numpy": ("host", "sitl"),
+    "pydantic": ("host", "sitl"),
+    "pydantic_core": ("host.vehicle",),
+    "pymavlink": ("protocol.codec", "protocol.generate", "protocol.generated"),
+    "rich": ("host.progress",),
+    "scipy": ("host", "sitl"),
+    "serial": ("host.link.ports",),
+    "zstandard": ("host.log",),
+}
+"""Third-party package to the places that may import it; one that is not listed may be imported nowhere."""
+
+
+def module_name(path: Path) -> str:
+    """Dotted name of a source file below the root."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def within(name: str, packages: tuple[str, ...]) -> bool:
+    """Whether `name` is one of `packages` or lies in one."""
+    return any(name == package or name.startswith(package + ".") for package in packages)
+
+
+def is_module(name: str) -> bool:
+    """Whether one of our own modules or packages has this name."""
+    path = ROOT.joinpath(*name.split("."))
+    return path.is_dir() or path.with_suffix(".py").is_file()
+
+
+def imports(source: str) -> Iterator[tuple[int, str]]:
+    """(line, module) of every import in a source text, in functions too; relative ones start with a dot."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            base = "." * node.level + (node.module or "")
+            for alias in node.names:
+                inner = f"{base}.{alias.name}"
+                yield node.lineno, inner if base.split(".")[0] in OURS and is_module(inner) else base
+        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if called in ("import_module", "__import__") and isinstance(node.args[0].value, str):
+                yield node.lineno, node.args[0].value
+
+
+def violations(module: str, source: str) -> list[str]:
+    """One line for each import of `module` that the tables do not allow."""
+    rule = max((name for name in ALLOWED if within(module, (name,))), key=len)
+    found = []
+    for line, target in imports(source):
+        top = target.split(".")[0]
+        if target.startswith("."):
+            found.append(f"{module}:{line} imports relatively")
+        elif top in OURS:
+            allowed = ALLOWED[rule]
+            if not within(target, allowed):
+                found.append(f"{module}:{line} imports {target}; {rule} may import {', '.join(allowed)}")
+        elif top not in sys.stdlib_module_names and not within(module, EDGES.get(top, ())):
+            found.append(f"{module}:{line} imports {target}; only {EDGES.get(top, 'nobody')} may")
+    return found
+
+
+SOURCES = sorted(path for package in OURS for path in (ROOT / package).rglob("*.py"))
+
+
+@pytest.mark.parametrize("package", OURS)
+def test_imports_of_package_stay_within_allow_list(package: str) -> None:
+    chosen = [path for path in SOURCES if path.relative_to(ROOT).parts[0] == package]
+    assert chosen
+    found = [line for path in chosen for line in violations(module_name(path), path.read_text("utf-8"))]
+    assert found == []
+
+
+@pytest.mark.parametrize("package", ["host", "firmware_model"])
+def test_package_root_of_allowed_subpackage_imports_nothing(package: str) -> None:
+    # Whoever imports host.vehicle or firmware_model.law also runs the package's own __init__.
+    assert list(imports((ROOT / package / "__init__.py").read_text("utf-8"))) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("host.link.client", "from sitl import vehicle"),
+        ("host.plan.solve", "def f():\n    import firmware_model.supervisor"),
+        ("host.plan.solve", "from firmware_model import supervisor"),
+        ("host.vehicle.files", "from host.errors import UsageError"),
+        ("host.log.reader", "if TYPE_CHECKING:\n    import host.trace"),
+        ("protocol.upload", "import host"),
+        ("firmware_model.law.dfbc", "import numpy"),
+        ("firmware_model.law.dfbc", "from protocol import parameters"),
+        ("firmware_model.engine", "import casadi"),
+        ("sitl.plant", "from host.trace import evidence"),
+        ("sitl.plant", "import importlib\nimportlib.import_module('host.effects')"),
+        ("host.link.client", "import serial"),
+        ("host.report.page", "import pandas"),
+        ("host.cli", "from . import output"),
+    ],
+)
+def test_forbidden_import_is_found(module: str, source: str) -> None:
+    assert len(violations(module, source)) == 1
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("host.plan.solve", "from firmware_model import law\nfrom firmware_model.law.ops import FLOAT"),
+        ("sitl.vehicle", "from host.vehicle import Vehicle\nfrom host.codegen import compile_blocks"),
+        ("sitl.studies.scoring", "from host.trace import evidence"),
+        ("host.link.ports", "import serial, math"),
+    ],
+)
+def test_allowed_import_passes(module: str, source: str) -> None:
+    assert violations(module, source) == []
