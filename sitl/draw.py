@@ -1,0 +1,104 @@
+"""The world as one seed makes it: effects with values, deviations of the build, sensors and radio."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from host.vehicle import Vehicle
+from sitl.kinds import BUILD_TOLERANCES, DRAG, KINDS, Kind, Quantity
+from sitl.seeds import Purpose, world_generator
+from sitl.world import Draw, ImuSettings, MocapSettings, RadioSettings, Turbulence, WorldFile
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """One world: `effects` maps kind to its numbers, `deviations` (kind, key) to what the build is off by."""
+
+    name: str
+    seed: int
+    effects: Mapping[str, Mapping[str, float]]
+    deviations: Mapping[tuple[str, str], float]
+    turbulence: Turbulence
+    mocap: MocapSettings
+    imu: ImuSettings
+    radio: RadioSettings
+
+    def value(self, kind: str, key: str) -> float:
+        """A number as the plant has it: the effect's, else neutral with the build's deviation."""
+        if kind in self.effects:
+            return self.effects[kind][key]
+        quantity = next(q for q in KINDS[kind].quantities if q.key == key)
+        value = quantity.neutral + self.deviations.get((kind, key), 0.0)
+        return min(max(value, quantity.lower), quantity.upper)
+
+    def build_factor(self, part: str, key: str) -> float:
+        """What to multiply a number of the vehicle file by: 1 plus the build's deviation."""
+        return 1.0 + self.deviations.get((part, key), 0.0)
+
+
+def draw_world(name: str, file: WorldFile, seed: int, vehicle: Vehicle) -> World:
+    """The world of a file and a seed for this vehicle: nothing else enters."""
+    effects = dict(file.stated)
+    if file.draw is not None:
+        for kind in _draw_kinds(file.draw, frozenset(effects), seed):
+            effects[kind] = _draw_sizes(KINDS[kind], file.draw, seed)
+    return World(
+        name=name,
+        seed=seed,
+        effects={kind: effects[kind] for kind in KINDS if kind in effects},
+        deviations=_draw_deviations(vehicle, seed) if file.tolerances else {},
+        turbulence=file.turbulence,
+        mocap=file.mocap,
+        imu=file.imu,
+        radio=file.radio,
+    )
+
+
+def _draw_kinds(draw: Draw, stated: frozenset[str], seed: int) -> list[str]:
+    """The kinds present: a uniform choice among the sets in which wind has a drag to act through."""
+    rng = world_generator(seed, Purpose.KINDS)
+    drags = set(DRAG)
+    needs_drag = not stated & drags
+    while True:
+        count = int(rng.integers(draw.count[0], draw.count[1] + 1))
+        chosen = {draw.kinds[i] for i in rng.permutation(len(draw.kinds))[:count]}
+        if "wind" not in chosen or not needs_drag or chosen & drags:
+            return [kind for kind in KINDS if kind in chosen]
+
+
+def _draw_sizes(kind: Kind, draw: Draw, seed: int) -> dict[str, float]:
+    """The numbers of one kind: log-uniform multiples of the typical size, turned or mirrored."""
+    rng = world_generator(seed, Purpose.SIZES, list(KINDS).index(kind.name))
+    low, high = (math.log(bound) for bound in draw.size)
+    if kind.spread == "turned":
+        angle = rng.uniform(0.0, 2.0 * math.pi)
+        size = math.exp(rng.uniform(low, high))
+        factors = [size * math.cos(angle), size * math.sin(angle)]
+    else:
+        factors = [math.exp(f) for f in rng.uniform(low, high, len(kind.quantities))]
+        if kind.spread == "either":
+            factors = [f * rng.choice((-1.0, 1.0)) for f in factors]
+    return {q.key: _bounded(q, f) for q, f in zip(kind.quantities, factors, strict=True)}
+
+
+def _bounded(quantity: Quantity, factor: float) -> float:
+    return float(np.clip(quantity.neutral + factor * quantity.typical, quantity.lower, quantity.upper))
+
+
+def _draw_deviations(vehicle: Vehicle, seed: int) -> dict[tuple[str, str], float]:
+    """What the build is off by, one normal draw a number with the vehicle file's sigma, else the default."""
+    rng = world_generator(seed, Purpose.TOLERANCES)
+    deviations = {}
+    for kind in KINDS.values():
+        for quantity in kind.quantities:
+            share = float(rng.standard_normal())
+            sigma = 0.0 if kind.outside else vehicle.tolerance(kind.name, quantity.key, quantity.tolerance)
+            if sigma > 0.0:
+                deviations[kind.name, quantity.key] = sigma * (abs(share) if kind.one_sided else share)
+    for (part, key), default in BUILD_TOLERANCES.items():
+        deviations[part, key] = vehicle.tolerance(part, key, default) * float(rng.standard_normal())
+    return deviations

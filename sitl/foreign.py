@@ -1,0 +1,127 @@
+"""Foreign plants: physics from a file outside this package, checked at every step.
+
+`path.py:Class` is built as `Class(vehicle, options, seed)`: the vehicle file, a dict, and a number that
+differs from flight to flight. It offers `reset(p_ned, q_ned_frd)`, `step(motor_command, dt_us)` with four
+commands in 0..1 held over a whole number of milliseconds, and `state()`, which gives p_ned, v_ned,
+q_ned_frd (w first), rate_frd, specific_force_frd and battery_v, free of noise. z_ned = 0 is the floor;
+contact is the plant's affair.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import sys
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from host.vehicle import Vehicle
+from sitl.world import TICK_US
+
+_PARTS = (("p_ned", 3), ("v_ned", 3), ("q_ned_frd", 4), ("rate_frd", 3), ("specific_force_frd", 3))
+_UNIT_TOLERANCE = 1e-3
+
+
+class ForeignPlantError(RuntimeError):
+    """A foreign plant cannot be loaded, raised, or returned what no vehicle can do; names the plant."""
+
+    exit_code = 2
+
+
+class ForeignPlant:
+    """A foreign plant behind the simulator's own interface. Satisfies `sitl.plant.PlantPort`.
+
+    Every method raises ForeignPlantError where the plant raises or returns something unusable.
+    """
+
+    def __init__(self, name: str, body: Any) -> None:
+        self.name = name
+        self._body = body
+        self.pose = memoryview(bytearray(80)).cast("d")
+        self.sensed = memoryview(bytearray(56)).cast("d")
+
+    def reset(self, p_ned: Sequence[float], q_ned_frd: Sequence[float]) -> None:
+        """Nothing comes back; the plant is put at rest at a pose."""
+        self._guard("reset", tuple(p_ned), tuple(q_ned_frd))
+        self._take()
+
+    def step(self, motor_command: Sequence[float]) -> None:
+        """Nothing comes back; one millisecond passes with the commands held."""
+        self._guard("step", tuple(motor_command), TICK_US)
+        self._take()
+
+    def _guard(self, method: str, *arguments: Any) -> Any:
+        try:
+            return getattr(self._body, method)(*arguments)
+        except Exception as error:  # whatever a foreign plant raises ends the session with its name
+            raise ForeignPlantError(
+                f"plant {self.name}: {method} raised {type(error).__name__}: {error}"
+            ) from error
+
+    def _take(self) -> None:
+        state = self._guard("state")
+        try:
+            *parts, battery_v = state
+            sizes = zip(parts, _PARTS, strict=True)
+            numbers = [_vector(part, name, size) for part, (name, size) in sizes]
+            battery_v = float(battery_v)
+        except (TypeError, ValueError) as error:
+            expected = ", ".join(name for name, _ in _PARTS)
+            raise ForeignPlantError(
+                f"plant {self.name}: state must be {expected}, battery_v ({error})"
+            ) from None
+        for values, (name, _) in zip([*numbers, [battery_v]], [*_PARTS, ("battery_v", 1)], strict=True):
+            if not all(map(math.isfinite, values)):
+                raise ForeignPlantError(f"plant {self.name}: {name} is {values}, not finite")
+        norm = math.sqrt(sum(c * c for c in numbers[2]))
+        if abs(norm - 1.0) > _UNIT_TOLERANCE:
+            raise ForeignPlantError(f"plant {self.name}: q_ned_frd has length {norm:.6g}, not 1")
+        p, v, q, rate, force = numbers
+        for i, value in enumerate((*p, *v, *q)):
+            self.pose[i] = value
+        for i, value in enumerate((*rate, *force, battery_v)):
+            self.sensed[i] = value
+
+
+def load_foreign_plant(spec: str, vehicle: Vehicle, options: Mapping[str, Any], seed: int) -> ForeignPlant:
+    """The plant that `path.py:Class` names. Raises ForeignPlantError where it cannot be built."""
+    file, _, class_name = spec.rpartition(":")
+    path = Path(file)
+    if not file or not class_name:
+        raise ForeignPlantError(f"plant {spec}: give it as path.py:Class")
+    if not path.is_file():
+        raise ForeignPlantError(f"plant {spec}: no such file {file}")
+    module_spec = importlib.util.spec_from_file_location(f"trimtab_plant_{path.stem}", path)
+    if module_spec is None or module_spec.loader is None:
+        raise ForeignPlantError(f"plant {spec}: {file} is not a Python file")
+    module = importlib.util.module_from_spec(module_spec)
+    name = f"{path.name}:{class_name}"
+    sys.modules[module_spec.name] = module  # dataclasses in the file look their module up here
+    try:
+        module_spec.loader.exec_module(module)
+        body = getattr(module, class_name)(vehicle, dict(options), seed)
+    except Exception as error:  # a user's file may raise anything
+        raise ForeignPlantError(f"plant {name}: cannot be built, {type(error).__name__}: {error}") from error
+    missing = [method for method in ("reset", "step", "state") if not callable(getattr(body, method, None))]
+    if missing:
+        raise ForeignPlantError(f"plant {name}: has no {', '.join(missing)}")
+    return ForeignPlant(name, body)
+
+
+def read_plant_options(path: str | Path | None) -> dict[str, Any]:
+    """The options of a `--plant-options` file, none without one. Raises ForeignPlantError."""
+    if path is None:
+        return {}
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ForeignPlantError(f"plant options {path}: {error}") from None
+
+
+def _vector(part: Any, name: str, size: int) -> list[float]:
+    numbers = [float(value) for value in part]
+    if len(numbers) != size:
+        raise ValueError(f"{name} has {len(numbers)} numbers, not {size}")
+    return numbers

@@ -1,0 +1,330 @@
+"""One tick of the simulated vehicle's physics as a symbolic function, written apart from the host's models.
+
+The host's nominal model has Euler angles, thrust that lags by itself and forces on the body as a whole.
+Here the attitude is a quaternion, the rotors have speeds, forces act at each rotor hub, the centre of mass
+may be off the origin, and feet touch a floor. Every effect of a world enters where it arises, so that the
+host's form of it is an approximation, as it is for a real vehicle.
+
+A rotor's speed is a share of its full speed: thrust is `thrust_max_n * speed**2`. Frames: world NED, body
+FRD with the origin in the middle of the rotors; the state's p and v are the centre of mass's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+Scalar = Any
+Vector = Sequence[Scalar]
+
+TICK_S = 0.001
+GRAVITY_M_S2 = 9.81
+
+
+class Block(NamedTuple):
+    """A named vector."""
+
+    name: str
+    size: int
+
+
+STATE = (
+    Block("p_ned", 3),
+    Block("v_ned", 3),
+    Block("q_ned_frd", 4),
+    Block("rate_frd", 3),
+    Block("rotor_speed", 4),
+    Block("charge_used_c", 1),
+    Block("gust", 6),
+)
+"""Memory of a tick, in order: `gust` is three accelerations in NED (m/s^2) and three about FRD (rad/s^2)."""
+
+PARAMETERS = (
+    Block("mass_kg", 1),
+    Block("inertia", 6),  # xx yy zz xy xz yz of the tensor's elements, about the centre of mass
+    Block("inertia_inverse", 6),
+    Block("com_frd", 3),
+    Block("rotors_frd", 12),
+    Block("spins", 4),
+    Block("thrust_max_n", 1),
+    Block("thrust_curve", 2),
+    Block("torque_per_thrust_m", 1),
+    Block("hover_speed", 1),
+    Block(
+        "rise_half_tick", 1
+    ),  # exp(-half a tick / time constant) of a rotor that speeds up, and of one that slows
+    Block("fall_half_tick", 1),
+    Block("thrust_gain", 1),
+    Block("linear_drag", 3),
+    Block("quadratic_drag", 1),
+    Block("wind_ned", 2),
+    Block("flapping", 1),
+    Block("tether", 6),  # stiffness 1/s^2, damping 1/s, slack m, anchor NED
+    Block("floor", 2),  # stiffness N/m and damping N s/m of one foot
+    Block("sag_exponent", 1),
+    Block("battery", 6),  # sag switch 0/1, full V, empty V, resistance ohm, capacity C, hover power W
+    Block("gust", 3),  # memory over a tick, added sd of acceleration and of angular acceleration
+)
+"""The constants of one flight, in order."""
+
+INPUTS = (
+    Block("state", sum(size for _, size in STATE)),
+    Block("parameters", sum(size for _, size in PARAMETERS)),
+    Block("command", 4),
+    Block("noise", 6),
+)
+OUTPUTS = (INPUTS[0], Block("pose", 10), Block("sensed", 7))
+"""`pose`: p_ned, v_ned of the origin, q_ned_frd. `sensed`: rate_frd, specific_force_frd at the origin, V."""
+
+ROTOR_DRAG_SHARE = 0.5  # of the linear drag: goes with rotor speed; the rest is the frame
+_PLATE = (0.94, 1.06, 1.2)  # drag area seen along each body axis over the mean of x and y
+_WIND_HEIGHT_M = 1.5  # where a world's wind is given; slower below
+_WIND_SHEAR = 0.08
+_GAIN_REYNOLDS = 0.3  # a propeller's thrust error shrinks as it turns faster
+_SAG_LOAD = -0.1  # a loaded motor gives way less than in proportion to voltage
+_FRICTION = 0.8
+_SLIP_M_S = 0.02
+_WIND_FLOOR_M = 0.05
+
+
+def tick(ops: Any, inputs: Mapping[str, Vector]) -> dict[str, list[Scalar]]:
+    """State, pose and sensed quantities after one millisecond with the motor command held.
+
+    `ops` is the arithmetic (`where`, `exp`, ...) of floats, CasADi scalars or numpy lanes; `noise` six
+    standard normal numbers. Midpoint rule on the rigid body, exact exponentials for rotors and gusts, the
+    battery stepped once.
+    """
+    P = _cut(PARAMETERS, inputs["parameters"])
+    x = _cut(STATE, inputs["state"])
+    p, v, q, w = x["p_ned"], x["v_ned"], x["q_ned_frd"], x["rate_frd"]
+    voltage, charge = _battery(ops, P, x["rotor_speed"], x["charge_used_c"][0])
+    speeds = _rotor_speeds(ops, P, x["rotor_speed"], inputs["command"], voltage)
+    gust = _gust(P, x["gust"], inputs["noise"])
+    wind = _wind(ops, P, p)
+
+    def slope(p: Vector, v: Vector, q: Vector, w: Vector, n: Vector) -> tuple[Vector, ...]:
+        R = rotation(q)
+        a, w_dot = _accelerations(ops, P, p, v, R, w, n, wind, gust)
+        return v, a, _quaternion_rate(q, w), w_dot
+
+    h = TICK_S
+    start = (p, v, q, w)
+    middle = p, v, q, w = _along(start, slope(p, v, q, w, speeds[0]), h / 2)
+    p, v, q, w = _along(start, slope(p, v, q, w, speeds[1]), h)
+    q = _unit(ops, q)
+
+    com = P["com_frd"]
+    before = _origin(start[0], start[1], rotation(start[2]), start[3], com)
+    after = _origin(p, v, rotation(q), w, com)
+    mean = [(b - a) / h for a, b in zip(before[1], after[1], strict=True)]
+    mean[2] = mean[2] - GRAVITY_M_S2
+    force = _into_body(rotation(_unit(ops, middle[2])), mean)
+    state = [*p, *v, *q, *w, *speeds[2], charge, *gust]
+    return {"state": state, "pose": [*after[0], *after[1], *q], "sensed": [*w, *force, voltage]}
+
+
+def _accelerations(
+    ops: Any,
+    P: Mapping[str, Any],
+    p: Vector,
+    v: Vector,
+    R: Vector,
+    w: Vector,
+    speeds: Vector,
+    wind: Vector,
+    gust: Vector,
+) -> tuple[list[Scalar], list[Scalar]]:
+    """Acceleration of the centre of mass in NED and angular acceleration in FRD."""
+    mass, com = P["mass_kg"][0], P["com_frd"]
+    arms = [[P["rotors_frd"][3 * i + k] - com[k] for k in range(3)] for i in range(4)]
+    air = _into_body(R, [v[0] - wind[0], v[1] - wind[1], v[2]])
+    force: list[Scalar] = [0.0, 0.0, 0.0]
+    torque: list[Scalar] = [0.0, 0.0, 0.0]
+
+    def push(arm: Vector, f: Vector) -> None:
+        for k, m in enumerate(_cross(arm, f)):
+            force[k] = force[k] + f[k]
+            torque[k] = torque[k] + m
+
+    drag = [d * mass for d in P["linear_drag"]]
+    for i, arm in enumerate(arms):
+        relative = speeds[i] / P["hover_speed"][0]
+        gain = 1 + (P["thrust_gain"][0] - 1) / (1 + _GAIN_REYNOLDS * (relative - 1))
+        thrust = P["thrust_max_n"][0] * gain * speeds[i] * speeds[i]
+        hub = _add(air, _cross(w, arm))
+        share = ROTOR_DRAG_SHARE / 4 * relative
+        push(arm, [-share * drag[0] * hub[0], -share * drag[1] * hub[1], -share * drag[2] * hub[2] - thrust])
+        flap = P["flapping"][0] / 4 * relative
+        torque[0] = torque[0] - flap * P["inertia"][0] * hub[1]
+        torque[1] = torque[1] + flap * P["inertia"][1] * hub[0]
+        torque[2] = torque[2] + P["spins"][i] * P["torque_per_thrust_m"][0] * thrust
+
+    middle = [-c for c in com]
+    flow = _add(air, _cross(w, middle))
+    speed = ops.sqrt(_dot(flow, flow))
+    frame = (1 - ROTOR_DRAG_SHARE, mass * speed)
+    plate = [frame[0] * drag[k] + frame[1] * _PLATE[k] * P["quadratic_drag"][0] for k in range(3)]
+    push(middle, [-c * u for c, u in zip(plate, flow, strict=True)])
+
+    outside = _tether(ops, P, p, v)
+    for arm in arms:
+        foot, lever = _foot(ops, P, p, v, R, w, arm)
+        outside = _add(outside, foot)
+        torque = _add(torque, lever)
+    a = [f / mass + o / mass + g for f, o, g in zip(_into_world(R, force), outside, gust[:3], strict=True)]
+    a[2] = a[2] + GRAVITY_M_S2
+    momentum = _symmetric(P["inertia"], w)
+    turning = [t - c for t, c in zip(torque, _cross(w, momentum), strict=True)]
+    return a, _add(_symmetric(P["inertia_inverse"], turning), gust[3:])
+
+
+def _foot(
+    ops: Any, P: Mapping[str, Any], p: Vector, v: Vector, R: Vector, w: Vector, arm: Vector
+) -> tuple[list[Scalar], list[Scalar]]:
+    """Force in NED and torque in FRD of the floor on the foot below a rotor: damped spring and friction."""
+    depth = p[2] + R[6] * arm[0] + R[7] * arm[1] + R[8] * arm[2]
+    velocity = _add(v, _into_world(R, _cross(w, arm)))
+    press = ops.maximum(P["floor"][0] * depth + P["floor"][1] * velocity[2], 0.0)
+    press = ops.where(depth > 0.0, press, 0.0)
+    slip = ops.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1] + _SLIP_M_S * _SLIP_M_S)
+    grip = -_FRICTION * press / slip
+    force = [grip * velocity[0], grip * velocity[1], -press]
+    return force, _cross(arm, _into_body(R, force))
+
+
+def _tether(ops: Any, P: Mapping[str, Any], p: Vector, v: Vector) -> list[Scalar]:
+    """Force in NED of an elastic line from a fixed anchor to the centre of mass; slack below its length."""
+    stiffness, damping, slack, *anchor = P["tether"]
+    line = [a - b for a, b in zip(p, anchor, strict=True)]
+    length = ops.sqrt(_dot(line, line) + 1e-12)
+    pull = stiffness * (length - slack) + damping * _dot(line, v) / length
+    pull = ops.where(length > slack, ops.maximum(pull, 0.0), 0.0) * P["mass_kg"][0] / length
+    return [-pull * c for c in line]
+
+
+def _wind(ops: Any, P: Mapping[str, Any], p: Vector) -> list[Scalar]:
+    """Horizontal velocity of the air in NED: it grows with a low power of height."""
+    height = ops.maximum(-p[2], _WIND_FLOOR_M)
+    shear = ops.exp(_WIND_SHEAR * ops.log(height / _WIND_HEIGHT_M))
+    return [shear * component for component in P["wind_ned"]]
+
+
+def _rotor_speeds(
+    ops: Any, P: Mapping[str, Any], speeds: Vector, command: Vector, voltage: Scalar
+) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
+    """Rotor speeds at the start, middle and end of the tick: each follows its command, first order."""
+    c1, c2 = P["thrust_curve"]
+    sag = 0.5 * P["sag_exponent"][0] * ops.log(voltage / P["battery"][1])
+    middle: list[Scalar] = []
+    end: list[Scalar] = []
+    for n, u in zip(speeds, command, strict=True):
+        load = 1 + _SAG_LOAD * (n / P["hover_speed"][0] - 1)
+        target = ops.sqrt(u * (c1 + c2 * u)) * ops.exp(sag * load)
+        keep = ops.where(target > n, P["rise_half_tick"][0], P["fall_half_tick"][0])
+        middle.append(target + (n - target) * keep)
+        end.append(target + (n - target) * keep * keep)
+    return list(speeds), middle, end
+
+
+def _battery(ops: Any, P: Mapping[str, Any], speeds: Vector, charge: Scalar) -> tuple[Scalar, Scalar]:
+    """Voltage under load at the start of the tick, V, and charge used at its end, C.
+
+    The open-circuit voltage falls with depth of discharge like a lithium-polymer cell's; rotor power grows
+    with speed cubed. Without sag the voltage is the full one. Load: V^2 - V_oc V + R P = 0.
+    """
+    sags, full, empty, resistance, capacity, hover_power = P["battery"]
+    power: Scalar = 0.0
+    for n in speeds:
+        relative = n / P["hover_speed"][0]
+        power = power + 0.25 * hover_power * relative * relative * relative
+    depth = charge / capacity
+    knee = depth * depth * depth * depth
+    used = 0.3 * (1 - ops.exp(-18 * depth)) + 0.45 * depth + 0.25 * knee * knee
+    open_circuit = full - (full - empty) * used
+    room = ops.maximum(open_circuit * open_circuit - 4 * resistance * power, 0.0)
+    loaded = 0.5 * (open_circuit + ops.sqrt(room))
+    voltage = ops.where(sags > 0.5, loaded, full)
+    return voltage, charge + sags * TICK_S * power / voltage
+
+
+def _gust(P: Mapping[str, Any], gust: Vector, noise: Vector) -> list[Scalar]:
+    """The next state of the turbulence: six independent Ornstein-Uhlenbeck processes, held over the tick."""
+    keep, force, torque = P["gust"]
+    added = (force, force, force, torque, torque, torque)
+    return [keep * g + s * n for g, s, n in zip(gust, added, noise, strict=True)]
+
+
+def _origin(p: Vector, v: Vector, R: Vector, w: Vector, com: Vector) -> tuple[list[Scalar], list[Scalar]]:
+    """Position and velocity in NED of the body's origin, from those of the centre of mass."""
+    offset = _into_world(R, com)
+    spin = _into_world(R, _cross(w, com))
+    return [a - b for a, b in zip(p, offset, strict=True)], [a - b for a, b in zip(v, spin, strict=True)]
+
+
+def rotation(q: Vector) -> list[Scalar]:
+    """R_ned_frd, row-major, of a unit quaternion, Hamilton and w first."""
+    w, x, y, z = q
+    xx, yy, zz = 2 * x * x, 2 * y * y, 2 * z * z
+    xy, xz, yz = 2 * x * y, 2 * x * z, 2 * y * z
+    wx, wy, wz = 2 * w * x, 2 * w * y, 2 * w * z
+    return [1 - yy - zz, xy - wz, xz + wy, xy + wz, 1 - xx - zz, yz - wx, xz - wy, yz + wx, 1 - xx - yy]
+
+
+def _quaternion_rate(q: Vector, w: Vector) -> list[Scalar]:
+    a, b, c, d = q
+    x, y, z = w
+    return [
+        -0.5 * (b * x + c * y + d * z),
+        0.5 * (a * x + c * z - d * y),
+        0.5 * (a * y + d * x - b * z),
+        0.5 * (a * z + b * y - c * x),
+    ]
+
+
+def _unit(ops: Any, q: Vector) -> list[Scalar]:
+    scale = 1 / ops.sqrt(_dot(q, q))
+    return [scale * c for c in q]
+
+
+def _along(y: tuple[Vector, ...], slope: tuple[Vector, ...], h: float) -> tuple[list[Scalar], ...]:
+    return tuple([a + h * b for a, b in zip(*parts, strict=True)] for parts in zip(y, slope, strict=True))
+
+
+def _into_world(R: Vector, u: Vector) -> list[Scalar]:
+    return [R[3 * i] * u[0] + R[3 * i + 1] * u[1] + R[3 * i + 2] * u[2] for i in range(3)]
+
+
+def _into_body(R: Vector, u: Vector) -> list[Scalar]:
+    return [R[i] * u[0] + R[3 + i] * u[1] + R[6 + i] * u[2] for i in range(3)]
+
+
+def _symmetric(m: Vector, u: Vector) -> list[Scalar]:
+    xx, yy, zz, xy, xz, yz = m
+    return [
+        xx * u[0] + xy * u[1] + xz * u[2],
+        xy * u[0] + yy * u[1] + yz * u[2],
+        xz * u[0] + yz * u[1] + zz * u[2],
+    ]
+
+
+def _cross(a: Vector, b: Vector) -> list[Scalar]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def _dot(a: Vector, b: Vector) -> Scalar:
+    total: Scalar = a[0] * b[0]
+    for s, t in zip(a[1:], b[1:], strict=True):
+        total = total + s * t
+    return total
+
+
+def _add(a: Vector, b: Vector) -> list[Scalar]:
+    return [s + t for s, t in zip(a, b, strict=True)]
+
+
+def _cut(layout: Sequence[Block], values: Vector) -> dict[str, list[Scalar]]:
+    parts, start = {}, 0
+    for name, size in layout:
+        parts[name] = [values[i] for i in range(start, start + size)]
+        start += size
+    return parts

@@ -1,0 +1,190 @@
+"""The air between the two radios: half-duplex slots on demand, loss in bursts, delay, damage, cuts.
+
+Design choices, not measurements: no trustworthy figures for ultra-wideband telemetry on quadrotors were
+found. Frames are opaque here; what is in them is the radios' affair.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from sitl.world import RadioSettings
+
+FRAME_BYTES = 116
+NEVER_US = 1 << 62
+_BLOCK = 1024
+_SHORT_SHARE = 0.5  # of a full frame's risk in a bad spell that a very short frame still runs
+_FLIPS_MAX = 6
+
+
+class Radio(Protocol):
+    """What the channel sees of a radio: frames out on request, frames in."""
+
+    def air_send(self, now_us: int, limit: int = FRAME_BYTES) -> bytes | None: ...
+    def air_receive(self, frame: bytes, now_us: int) -> None: ...
+
+
+@dataclass
+class DirectionCounts:
+    """What happened to the frames of one direction."""
+
+    sent: int = 0
+    lost: int = 0
+    cut: int = 0
+    duplicated: int = 0
+    corrupted: int = 0
+    delivered: int = 0
+
+
+class BurstLoss:
+    """A Gilbert-Elliott chain, advanced once a frame: a bad spell loses full frames, a good one none.
+
+    Args:
+        loss: share of full frames lost in the long run.
+        burst_frames: mean number of frames in a bad spell.
+        draw: the next uniform number in 0..1.
+    """
+
+    def __init__(self, loss: float, burst_frames: float, draw: Callable[[], float]) -> None:
+        self._leave = 1.0 / burst_frames
+        self._enter = loss / (burst_frames * (1.0 - loss))
+        self._draw = draw
+        self._bad = draw() < loss
+
+    def lost(self, size: int) -> bool:
+        """Whether the next frame, of `size` bytes, is lost."""
+        chance = self._draw()
+        self._bad = chance >= self._leave if self._bad else chance < self._enter
+        risk = _SHORT_SHARE + (1.0 - _SHORT_SHARE) * size / FRAME_BYTES
+        return self._bad and self._draw() < risk
+
+
+class _Direction:
+    """Frames from one radio to the other: where they come from, where they go, and the chance they meet."""
+
+    def __init__(self, source: Radio, settings: RadioSettings, rng: np.random.Generator) -> None:
+        self.source = source
+        self.draw = _uniforms(rng).__next__
+        self.loss = BurstLoss(settings.loss, settings.burst_frames, self.draw)
+        self.counts = DirectionCounts()
+        self.may_have = True  # whether the source may have a frame: no, once it had none, until it is told
+
+
+class RadioChannel:
+    """The channel between a ground and a vehicle radio.
+
+    `due_us` is when the channel next has work: a slot that somebody may want, or a delivery. A radio that got
+    something new to send is announced by `wake`.
+
+    Args:
+        ground, vehicle: the two radios. up_rng, down_rng: chance of ground to vehicle and back.
+    """
+
+    def __init__(
+        self,
+        *,
+        ground: Radio,
+        vehicle: Radio,
+        settings: RadioSettings,
+        up_rng: np.random.Generator,
+        down_rng: np.random.Generator,
+    ) -> None:
+        self._settings = settings
+        self._up = _Direction(ground, settings, up_rng)
+        self._down = _Direction(vehicle, settings, down_rng)
+        self._turn, self._other = self._up, self._down
+        self._slot_us = 0
+        self._air: list[tuple[int, int, _Direction, bytes]] = []
+        self._serial = 0
+        self._cuts_us = [
+            (round(start * 1e6), round((start + length) * 1e6)) for start, length in settings.cuts_s
+        ]
+        self.due_us = 0
+
+    @property
+    def up(self) -> DirectionCounts:
+        """Counts from ground to vehicle."""
+        return self._up.counts
+
+    @property
+    def down(self) -> DirectionCounts:
+        """Counts from vehicle to ground."""
+        return self._down.counts
+
+    def wake(self, now_us: int, *, ground: bool) -> None:
+        """Nothing comes back; a radio may have something to send from now on."""
+        (self._up if ground else self._down).may_have = True
+        self.due_us = min(self.due_us, max(self._slot_us, now_us))
+
+    def tick(self, now_us: int) -> list[Radio]:
+        """The radios that have just received frames; frames due are delivered, a slot due is given away."""
+        woken: list[Radio] = []
+        while self._air and self._air[0][0] <= now_us:
+            _, _, direction, frame = heapq.heappop(self._air)
+            target = self._down.source if direction is self._up else self._up.source
+            direction.counts.delivered += 1
+            target.air_receive(frame, now_us)
+            if target not in woken:
+                woken.append(target)
+        if now_us >= self._slot_us and (self._turn.may_have or self._other.may_have):
+            self._give_slot(now_us)
+        wants = self._turn.may_have or self._other.may_have
+        self.due_us = max(self._slot_us, now_us + 1) if wants else NEVER_US
+        if self._air:
+            self.due_us = min(self.due_us, self._air[0][0])
+        return woken
+
+    def _give_slot(self, now_us: int) -> None:
+        """The slot goes to the side whose turn it is, else to the other; the turn then passes on."""
+        for direction, other in ((self._turn, self._other), (self._other, self._turn)):
+            if not direction.may_have:
+                continue
+            frame = direction.source.air_send(now_us, FRAME_BYTES)
+            if frame is None:
+                direction.may_have = False
+                continue
+            self._slot_us = now_us + self._settings.slot_us
+            self._turn, self._other = other, direction
+            self._transmit(direction, frame, now_us)
+            return
+
+    def _transmit(self, direction: _Direction, frame: bytes, now_us: int) -> None:
+        settings, counts, draw = self._settings, direction.counts, direction.draw
+        counts.sent += 1
+        lost = direction.loss.lost(len(frame))
+        if any(start <= now_us < end for start, end in self._cuts_us):
+            counts.cut += 1
+            return
+        if lost:
+            counts.lost += 1
+            return
+        if draw() < settings.corrupt * len(frame) / FRAME_BYTES:
+            counts.corrupted += 1
+            frame = _flip(frame, draw)
+        copies = 1
+        if draw() < settings.duplicate:
+            counts.duplicated += 1
+            copies = 2
+        for _ in range(copies):
+            delay = settings.slot_us + settings.latency_us + int(draw() * settings.jitter_us)
+            self._serial += 1
+            heapq.heappush(self._air, (now_us + delay, self._serial, direction, frame))
+
+
+def _flip(frame: bytes, draw: Callable[[], float]) -> bytes:
+    """The frame with one to a few bits turned over."""
+    damaged = bytearray(frame)
+    for _ in range(1 + int(draw() * _FLIPS_MAX)):
+        bit = int(draw() * 8 * len(damaged))
+        damaged[bit >> 3] ^= 1 << (bit & 7)
+    return bytes(damaged)
+
+
+def _uniforms(rng: np.random.Generator) -> Iterator[float]:
+    while True:
+        yield from rng.random(_BLOCK).tolist()

@@ -1,0 +1,146 @@
+"""What vehicle and camera system measure: noise and bias drawn in blocks, so that a tick only adds."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from sitl.world import TICK_US, ImuSettings, MocapSettings
+
+NEVER_US = 1 << 62
+_BLOCK = 1024
+_STAMP_JITTER = (
+    0.15  # of an undeclared latency: cameras stamped by a busy computer are late by varying amounts
+)
+
+
+class Imu:
+    """Noise and bias of gyro, accelerometer and voltage, a row of seven numbers a tick.
+
+    Args:
+        settings: standard deviations. rng: the flight's generator; the biases are its first draws.
+    """
+
+    def __init__(self, settings: ImuSettings, rng: np.random.Generator) -> None:
+        s = settings
+        self._rng = rng
+        self._noise = np.array(
+            [s.gyro_noise_rad_s] * 3 + [s.accelerometer_noise_m_s2] * 3 + [s.voltage_noise_v]
+        )
+        bias = np.array([s.gyro_bias_rad_s] * 3 + [s.accelerometer_bias_m_s2] * 3 + [0.0])
+        self.bias = bias * rng.standard_normal(7)
+
+    def rows(self) -> list[list[float]]:
+        """The errors of the next ticks: rows of gyro 3, specific force 3, voltage 1."""
+        return (self._rng.standard_normal((_BLOCK, 7)) * self._noise + self.bias).tolist()
+
+
+class Pose(NamedTuple):
+    """One measured pose: stamp and arrival at the host in us, position in NED, attitude q_ned_frd."""
+
+    stamp_us: int
+    arrival_us: int
+    p_ned: tuple[float, float, float]
+    q_ned_frd: tuple[float, float, float, float]
+
+
+class Mocap:
+    """A camera system: poses at a fixed rate, noisy, arriving later than taken, some of them never.
+
+    Stamps are honest up to `latency_s`: a pose shows the vehicle as it was that much before its stamp,
+    varying a little from pose to pose. `due_us` is when the camera next has work.
+
+    Args:
+        settings: rate, noise, delay, gaps. latency_s: undeclared age of a pose at its stamp.
+        rng: the flight's generator.
+    """
+
+    def __init__(self, settings: MocapSettings, latency_s: float, rng: np.random.Generator) -> None:
+        self._settings = settings
+        self._latency_us = latency_s * 1e6
+        self._rng = rng
+        self._period_us = 1_000_000 // settings.rate_hz
+        self._gaps_us = [
+            (round(start * 1e6), round((start + length) * 1e6)) for start, length in settings.gaps_s
+        ]
+        self._rows: list[list[float]] = []
+        self._seen_us = 0.0
+        self._stamp_us = 0
+        self._way: deque[Pose] = deque()
+        self._ready: list[Pose] = []
+        self._next_exposure()
+        self.due_us = self._exposure_due_us
+
+    def tick(self, now_us: int, pose: Sequence[float], rate_frd: Sequence[float]) -> None:
+        """Nothing comes back; takes the exposure due and lets poses arrive.
+
+        `pose` is p_ned, v_ned, q_ned_frd of the vehicle at `now_us`; within the tick it moves on evenly.
+        """
+        while self._exposure_due_us <= now_us:
+            self._expose((self._seen_us - now_us) * 1e-6, pose, rate_frd)
+            self._next_exposure()
+        while self._way and self._way[0].arrival_us <= now_us:
+            self._ready.append(self._way.popleft())
+        arrival = self._way[0].arrival_us if self._way else NEVER_US
+        self.due_us = min(self._exposure_due_us, arrival)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether poses have arrived that nobody has read."""
+        return bool(self._ready)
+
+    def read(self) -> list[Pose]:
+        """The poses that have arrived since the last call, oldest first."""
+        ready, self._ready = self._ready, []
+        return ready
+
+    def _next_exposure(self) -> None:
+        """Chance of the next frame: when the vehicle is really seen, and at which tick that falls."""
+        if not self._rows:
+            self._rows = self._draw()
+        self._row = self._rows.pop()
+        self._stamp_us += self._period_us
+        late = self._latency_us * (1.0 + self._row[6])
+        self._seen_us = max(self._stamp_us - late, 0.0)
+        self._exposure_due_us = int(self._seen_us) // TICK_US * TICK_US
+
+    def _expose(self, dt_s: float, pose: Sequence[float], rate_frd: Sequence[float]) -> None:
+        noise = self._row
+        if noise[7] < self._settings.dropout or any(a <= self._stamp_us < b for a, b in self._gaps_us):
+            return
+        x, y, z, vx, vy, vz, *q = pose
+        p = (x + vx * dt_s + noise[0], y + vy * dt_s + noise[1], z + vz * dt_s + noise[2])
+        turn = [dt_s * w + e for w, e in zip(rate_frd, noise[3:6], strict=True)]
+        arrival = self._stamp_us + self._settings.delay_us + int(noise[8] * self._settings.delay_jitter_us)
+        if self._way:
+            arrival = max(arrival, self._way[-1].arrival_us)
+        self._way.append(Pose(self._stamp_us, arrival, p, _turned(q, turn)))
+
+    def _draw(self) -> list[list[float]]:
+        """Rows of position noise 3, attitude noise 3, stamp jitter, two uniform numbers; last one first."""
+        s, rng = self._settings, self._rng
+        angle = math.radians(s.attitude_noise_deg)
+        normal = rng.standard_normal((_BLOCK, 6)) * ([s.position_noise_m] * 3 + [angle] * 3)
+        jitter = rng.uniform(-_STAMP_JITTER, _STAMP_JITTER, (_BLOCK, 1))
+        return np.hstack([normal, jitter, rng.random((_BLOCK, 2))])[::-1].tolist()
+
+
+def _turned(q: Sequence[float], turn: Sequence[float]) -> tuple[float, float, float, float]:
+    """Unit quaternion q followed by a small rotation vector in the body, w first."""
+    w, x, y, z = q
+    a, b, c = (0.5 * angle for angle in turn)
+    scale = 1.0 / math.sqrt(1.0 + a * a + b * b + c * c)
+    return (
+        scale * (w - x * a - y * b - z * c),
+        scale * (x + w * a + y * c - z * b),
+        scale * (y + w * b + z * a - x * c),
+        scale * (z + w * c + x * b - y * a),
+    )
+
+
+DatagramEncoder = Callable[[Pose], bytes]
+"""Turns a pose into the datagram the camera system sends to the host."""

@@ -1,0 +1,212 @@
+"""World files: what physics, sensors and radio a simulated flight meets, read strictly from TOML.
+
+A world states its effects with values, or which kinds to draw; the seed of the draw is not in the file.
+What is left out keeps the defaults below.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+from pydantic import Field, create_model, field_validator, model_validator
+
+from host.vehicle import ConfigurationError
+from host.vehicle.strict_toml import Strict, read_strict
+from sitl.kinds import DRAG, KINDS
+
+TICK_US = 1000
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+MicrosecondsUp = Annotated[int, Field(ge=0, le=1_000_000)]
+Spell = tuple[NonNegative, Annotated[float, Field(gt=0.0)]]
+"""[start, length] in seconds."""
+
+
+class Turbulence(Strict):
+    """Ornstein-Uhlenbeck disturbance of the body, drawn a flight."""
+
+    force_m_s2: NonNegative = 0.04
+    """Standard deviation of each axis in NED, as acceleration."""
+    torque_rad_s2: NonNegative = 0.5
+    """Standard deviation of each axis in FRD, as angular acceleration."""
+    correlation_s: Annotated[float, Field(gt=0.0)] = 0.3
+
+
+class MocapSettings(Strict):
+    """The camera system."""
+
+    rate_hz: Annotated[int, Field(ge=10, le=500)] = 100
+    position_noise_m: NonNegative = 0.001
+    attitude_noise_deg: NonNegative = 0.3
+    delay_us: MicrosecondsUp = 4000
+    """From exposure to arrival at the host; the stamp is the exposure, so this delay is declared."""
+    delay_jitter_us: MicrosecondsUp = 500
+    dropout: Share = 0.002
+    """Share of single poses that never arrive."""
+    gaps_s: tuple[Spell, ...] = ()
+    """[start, length] of spells without any pose."""
+
+    @field_validator("rate_hz")
+    @classmethod
+    def _divides_tick(cls, value: int) -> int:
+        if 1_000_000 % (value * TICK_US):
+            raise ValueError(f"{value} does not divide 1000 ticks a second, choose 50, 100, 125, 200 or 250")
+        return value
+
+
+class ImuSettings(Strict):
+    """Gyro, accelerometer and voltage measurement: white noise every tick, a bias drawn a flight."""
+
+    gyro_noise_rad_s: NonNegative = 0.02
+    gyro_bias_rad_s: NonNegative = 0.004
+    accelerometer_noise_m_s2: NonNegative = 0.08
+    accelerometer_bias_m_s2: NonNegative = 0.03
+    voltage_noise_v: NonNegative = 0.005
+
+
+class RadioSettings(Strict):
+    """The channel between the two radios; each direction loses frames on its own."""
+
+    slot_us: Annotated[int, Field(ge=TICK_US, le=50_000)] = 2000
+    """Half-duplex slot: one frame of one side."""
+    loss: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.01
+    """Share of full frames lost in the long run; shorter ones fare better."""
+    burst_frames: Annotated[float, Field(ge=1.0)] = 5.0
+    """Mean length of a spell of losses (Gilbert-Elliott)."""
+    latency_us: MicrosecondsUp = 3000
+    """From the end of the slot to delivery."""
+    jitter_us: MicrosecondsUp = 1000
+    """Largest addition to the latency, uniform."""
+    duplicate: Share = 0.002
+    corrupt: Share = 0.001
+    """Share of frames delivered with flipped bits."""
+    cuts_s: tuple[Spell, ...] = ()
+    """[start, length] of spells in which nothing passes either way."""
+
+    @field_validator("slot_us")
+    @classmethod
+    def _whole_ticks(cls, value: int) -> int:
+        if value % TICK_US:
+            raise ValueError(f"{value} is not a whole number of {TICK_US} us ticks")
+        return value
+
+
+class Draw(Strict):
+    """Which effects to draw from the seed."""
+
+    count: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
+    """Fewest and most kinds."""
+    kinds: Annotated[tuple[str, ...], Field(min_length=1)] = tuple(
+        k.name for k in KINDS.values() if not k.outside
+    )
+    size: tuple[Annotated[float, Field(gt=0.0)], Annotated[float, Field(gt=0.0)]] = (0.5, 2.0)
+    """Smallest and largest multiple of the typical size."""
+
+    @field_validator("kinds")
+    @classmethod
+    def _known(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        unknown = [name for name in value if name not in KINDS]
+        if unknown:
+            raise ValueError(f"unknown {', '.join(unknown)}, choose from {', '.join(KINDS)}")
+        if len(set(value)) < len(value):
+            raise ValueError("a kind is named twice, name each once")
+        return value
+
+    @field_validator("size")
+    @classmethod
+    def _ordered(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if value[0] > value[1]:
+            raise ValueError(f"{list(value)} is not an interval, give [low, high]")
+        return value
+
+    @model_validator(mode="after")
+    def _enough_kinds(self) -> Self:
+        if not self.count[0] <= self.count[1] <= len(self.kinds):
+            raise ValueError(
+                f"count {list(self.count)} needs low <= high <= {len(self.kinds)}, the number of kinds"
+            )
+        return self
+
+
+def _effect_tables() -> type[Strict]:
+    """A model with one optional table a kind, every number of it mandatory and bounded."""
+    tables: dict[str, Any] = {}
+    for name, kind in KINDS.items():
+        fields: dict[str, Any] = {
+            q.key: (Annotated[float, Field(ge=q.lower, le=q.upper)], ...) for q in kind.quantities
+        }
+        identifier = name.replace("-", "_")
+        table = create_model(identifier, __base__=Strict, **fields)
+        tables[identifier] = (table | None, Field(default=None, alias=name))
+    return create_model("Effects", __base__=Strict, **tables)
+
+
+if TYPE_CHECKING:
+    Effects = Strict
+else:
+    Effects = _effect_tables()
+
+
+class WorldFile(Strict):
+    """A world as its file states it."""
+
+    description: str
+    tolerances: bool
+    """Whether the build deviates from the vehicle file within its tolerances, drawn from the seed."""
+    effects: Effects = Effects()
+    draw: Draw | None = None
+    turbulence: Turbulence = Turbulence()
+    mocap: MocapSettings = MocapSettings()
+    imu: ImuSettings = ImuSettings()
+    radio: RadioSettings = RadioSettings()
+
+    @property
+    def stated(self) -> dict[str, dict[str, float]]:
+        """The effects with values in the file, by name."""
+        tables = ((name, getattr(self.effects, name.replace("-", "_"))) for name in KINDS)
+        return {name: table.model_dump() for name, table in tables if table is not None}
+
+    @model_validator(mode="after")
+    def _effects_go_together(self) -> Self:
+        stated = set(self.stated)
+        drawn = set(self.draw.kinds) if self.draw is not None else set()
+        if twice := sorted(stated & drawn):
+            raise ValueError(f"{', '.join(twice)} both in effects and in draw.kinds, leave out one")
+        if "wind" in stated and not stated & set(DRAG):
+            raise ValueError(f"effects.wind acts only through drag, add {' or '.join(DRAG)}")
+        if drawn == {"wind"} and not stated & set(DRAG):
+            raise ValueError(f"draw.kinds holds wind without a drag, add {' or '.join(DRAG)}")
+        return self
+
+
+def load_world(name_or_path: str | Path) -> tuple[str, WorldFile]:
+    """Name and content of a world: a path to a TOML, or the name of a shipped one.
+
+    Raises ConfigurationError (exit code 2) where no such file is, or with everything wrong in it.
+    """
+    shipped = list_worlds()
+    text = str(name_or_path)
+    if text in shipped:
+        path = shipped[text]
+    elif text.endswith(".toml") or "/" in text:
+        path = Path(text)
+        if not path.is_file():
+            raise ConfigurationError([f"{text}: no such world file, check the path"])
+    else:
+        raise ConfigurationError(
+            [f"{text}: no such world, known: {', '.join(shipped)}; or give a path to a .toml"]
+        )
+    try:
+        content = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError([f"{text}: cannot be read ({error}), check the file"]) from None
+    return path.stem, read_strict(content, text, WorldFile)
+
+
+def list_worlds() -> dict[str, Path]:
+    """Name to file of every shipped world, sorted by name."""
+    folder = Path(str(files("sitl") / "worlds"))
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
