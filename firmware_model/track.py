@@ -22,8 +22,8 @@ QUINTIC_PEAK = 15.0 / 8.0
 """Peak acceleration over mean acceleration where the speed goes by a quintic."""
 BRAKING = 5.0
 """m/s^2 at which a descent without position takes the speed out."""
-SINK = 0.981
-"""m/s^2 by which thrust then falls short of hover: a tenth of g."""
+SINK = 1.5
+"""m/s^2 by which thrust falls short of hover once velocity is unknown too."""
 _ZERO: Vector = (0.0, 0.0, 0.0)
 
 
@@ -138,8 +138,8 @@ def level_descent(
 ) -> Track:
     """From `velocity` to `speed` straight down within a second and so on until `damped_us`, then ever faster.
 
-    Meant to be followed without position feedback. Within the second after `damped_us` thrust sinks to nine
-    tenths of hover and stays there until `end_us`: that part needs no velocity feedback either.
+    Meant to be followed without position feedback. Within the second after `damped_us` thrust sinks by SINK,
+    where it stays until `end_us`: that part needs no velocity feedback either.
     """
     down: Vector = (0.0, 0.0, speed)
     brake_us = seconds_us(max(1.0, QUINTIC_PEAK * math.dist(velocity, down) / BRAKING))

@@ -107,8 +107,8 @@ def test_level_descent_is_smooth_down_to_the_open_loop_part():
     states = list(sampled(t))
     assert max(np.linalg.norm(a) for _, _, a in states) < 5.1
     _, v, a = septic(t.blocks[-1], 1.0)
-    np.testing.assert_allclose(a, [0.0, 0.0, 0.981], atol=1e-6)
-    assert v[2] == pytest.approx(0.8 + 0.981 * 1.5, abs=1e-6)
+    np.testing.assert_allclose(a, [0.0, 0.0, 1.5], atol=1e-6)
+    assert v[2] == pytest.approx(0.8 + 1.5 * 1.5, abs=1e-6)
     speeds = [v[2] for _, v, _ in sampled(t) if v[0] < 1e-9]
     assert all(b >= a - 1e-9 for a, b in pairwise(speeds))
 

@@ -1,0 +1,61 @@
+"""The uploaded feed-forward in the engine's inputs: form (a) as it is, form (b) along the reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from firmware_model.law import feedforward as law
+from firmware_model.law.flatness import flat_attitude
+from firmware_model.law.ops import FLOAT
+from firmware_model.law.rotations import matrix_to_euler
+from protocol.blobs import FeedForward
+
+
+class FeedForwardInput:
+    """Keeps the engine's blocks `feedforward` and `ff_accel_ned`; neutral where nothing is on board.
+
+    The network is evaluated whenever `update` is called and held in between.
+    """
+
+    def __init__(self, block: memoryview[float], accel_ned: memoryview[float]) -> None:
+        self._block = block
+        self._accel = accel_ned
+        self._hidden: tuple[int, ...] = ()
+        self._weights: tuple[float, ...] = ()
+        self._held = False
+        self.clear()
+
+    def clear(self) -> None:
+        """Nothing comes back; no feed-forward acts."""
+        self._fill(self._block, law.NEUTRAL)
+        self._fill(self._accel, (0.0, 0.0, 0.0))
+        self._hidden = self._weights = ()
+
+    def load(self, blob: FeedForward) -> None:
+        """Nothing comes back; this feed-forward acts."""
+        self.clear()
+        if blob.block is not None:
+            self._fill(self._block, blob.block)
+        self._hidden, self._weights = blob.layers[1:-1], blob.weights
+
+    def hold(self, accel_ned: Sequence[float]) -> None:
+        """Nothing comes back; this residual acceleration (m/s^2) takes the network's place until `resume`."""
+        self._held = True
+        self._fill(self._accel, accel_ned)
+
+    def resume(self) -> None:
+        """Nothing comes back; the network acts again."""
+        self._held = False
+        self._fill(self._accel, (0.0, 0.0, 0.0))
+
+    def update(self, reference: Sequence[float]) -> None:
+        """Nothing comes back; the network has seen this reference (p, v, a, j in NED, yaw, yaw rate)."""
+        if self._hidden and not self._held:
+            R, _ = flat_attitude(FLOAT, reference[6:9], reference[12])
+            rpy = matrix_to_euler(FLOAT, R)
+            self._fill(self._accel, law.network(FLOAT, self._weights, self._hidden, reference[3:6], rpy))
+
+    @staticmethod
+    def _fill(view: memoryview[float], values: Sequence[float]) -> None:
+        for k, value in enumerate(values):
+            view[k] = value
