@@ -86,6 +86,8 @@ def _key_path(location: Sequence[int | str], data: Any) -> str:
             path += f"[{item}]"
             data = data[item] if isinstance(data, list | tuple) and item < len(data) else None
             continue
+        if item == "[key]":  # pydantic's mark for a problem of the key itself
+            continue
         last = position == len(location) - 1
         if isinstance(data, dict) and item not in data and not last:
             continue

@@ -1,0 +1,218 @@
+"""Route files: shipped ones, generators, and routes that contradict themselves."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_model.law.ops import FLOAT
+from host.route import (
+    Box,
+    Cylinder,
+    Route,
+    Sphere,
+    YawProfile,
+    check_route,
+    list_routes,
+    load_route,
+    parse_route,
+    random_route,
+)
+from host.vehicle import ConfigurationError, Vehicle, load_vehicle
+
+SHIPPED = ("figure-eight", "pretzel", "random")
+GOOD = """
+name = "good"
+total_time_s = 6.0
+waypoints_m = [[0, 0, -1], [3, 0, -1], [0, 3, -1]]
+"""
+
+
+@pytest.fixture(scope="module")
+def research() -> Vehicle:
+    return load_vehicle("research")
+
+
+def problems(text: str, vehicle: Vehicle) -> list[str]:
+    """The lines that reading and checking `text` raises."""
+    with pytest.raises(ConfigurationError) as caught:
+        check_route(parse_route(text, "bad.toml"), vehicle)
+    return list(caught.value.problems)
+
+
+def test_shipped_routes_are_listed() -> None:
+    assert tuple(list_routes()) == SHIPPED
+
+
+@pytest.mark.parametrize("name", [*SHIPPED, "random:7"])
+def test_shipped_route_fits_the_research_vehicle_and_reads_back_equal(name: str, research: Vehicle) -> None:
+    route = load_route(name)
+    assert check_route(route, research) == research.limits
+    again = parse_route(route.to_toml(), "again")
+    assert again == route
+    assert again.id == route.id
+
+
+def test_pretzel_has_the_papers_waypoints_and_time() -> None:
+    # Section V-B: 7 waypoints, N = 280 steps of 0.03 s.
+    route = load_route("pretzel")
+    assert len(route.waypoints_m) == 7
+    assert route.duration_s == pytest.approx(280 * 0.03)
+
+
+def test_figure_eight_crosses_its_centre_twice_a_turn() -> None:
+    route = load_route("figure-eight")
+    assert sum(point == (0.0, 0.0, -1.5) for point in route.waypoints_m) == 5
+    assert max(point[0] for point in route.waypoints_m) == 2.5
+    assert max(point[1] for point in route.waypoints_m) == 1.5
+
+
+def test_random_route_repeats_with_its_seed_and_differs_without(research: Vehicle) -> None:
+    assert random_route(3) == random_route(3)
+    assert random_route(3).waypoints_m != random_route(4).waypoints_m
+    assert load_route("random:3").waypoints_m == random_route(3).waypoints_m
+
+
+@given(seed=st.integers(0, 2**32), count=st.integers(2, 12))
+def test_random_waypoints_stay_in_the_box_and_apart(seed: int, count: int) -> None:
+    box = ((-2.0, 2.0), (-1.0, 3.0), (-2.0, -1.0))
+    route = random_route(seed, count=count, box_m=box, leg_min_m=1.0)
+    assert len(route.waypoints_m) == count
+    for point in route.waypoints_m:
+        assert all(low <= value <= high for value, (low, high) in zip(point, box, strict=True))
+    legs = [math.dist(a, b) for a, b in zip(route.waypoints_m, route.waypoints_m[1:], strict=False)]
+    assert min(legs) >= 1.0
+
+
+def test_contradictions_are_all_told_before_solving(research: Vehicle) -> None:
+    lines = problems(
+        """
+        name = "bad"
+        total_time_s = 1.0
+        waypoints_m = [[0, 0, -0.2], [30, 0, -1], [0, 3, -1]]
+        yaw = { yaw_deg = [0.0, 180.0], times_s = [0.0, 1.2] }
+        limits = { speed_max_m_s = 20.0, geofence_m = [[-1, 1], [-20, 4], [-3, 0]] }
+        [[keep_out]]
+        kind = "box"
+        min_m = [-1, 2, -2]
+        max_m = [1, 4, 0]
+        [[keep_out]]
+        kind = "cylinder"
+        centre_m = [0, 3]
+        radius_m = 0.3
+        down_m = [-2, 0]
+        """,
+        research,
+    )
+    assert [line.split(":")[1].strip() for line in lines] == [
+        "limits.speed_max_m_s",
+        "limits.geofence_m[1]",
+        "waypoints_m[0]",
+        "waypoints_m[1]",
+        "waypoints_m[2]",
+        "waypoints_m[2]",
+        "total_time_s",
+        "yaw.times_s",
+        "yaw.yaw_deg",
+    ]
+    assert "lies 1.00 m inside keep_out[0] (box)" in lines[4]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("total_time_s = 6.0", "", "give either total_time_s or times_s"),
+        ("total_time_s = 6.0", "total_time_s = 6.0\ntimes_s = [0, 2, 4]", "and not both"),
+        ("total_time_s = 6.0", "times_s = [0, 2]", "2 times_s for 3 waypoints_m"),
+        ("total_time_s = 6.0", "times_s = [0, 2, 2]", "must start at 0 and increase"),
+        ("total_time_s = 6.0", "times_s = [0, 0.1, 2]", "times_s[1]: leg 0 needs 30.0 m/s"),
+        ("[3, 0, -1]", "[0, 0, -1]", "waypoints 0 and 1 are the same point"),
+        ("[3, 0, -1]", "[3, 0, 0.2]", "waypoints_m[1]: lies below the floor"),
+        ("[3, 0, -1]", "[3, 0]", "waypoints_m[1][2]: missing"),
+        ("[3, 0, -1], [0, 3, -1]", "", "waypoints_m: 1 entries, give at least 2"),
+        ('name = "good"', 'name = "good"\nspeed = 3', "speed: unknown key"),
+        ('name = "good"', 'name = "good"\nkeep_out = [{kind = "cone"}]', "keep_out[0].kind: unknown, choose"),
+        ('name = "good"', 'name = "good"\n[random]\nseed = 1', "random.count: missing"),
+        ('name = "good"', 'name = "good', "not valid TOML"),
+    ],
+)
+def test_bad_route_is_named_with_its_key(research: Vehicle, old: str, new: str, said: str) -> None:
+    assert old in GOOD
+    lines = problems(GOOD.replace(old, new), research)
+    assert any(said in line for line in lines), lines
+
+
+def test_two_sources_of_waypoints_are_refused(research: Vehicle) -> None:
+    text = GOOD + "[figure_eight]\ncentre_m = [0, 0, -1]\nlength_m = 2\nwidth_m = 1\n"
+    assert problems(text, research) == [
+        "bad.toml: give exactly one of waypoints_m, [figure_eight] and [random]"
+    ]
+
+
+def test_random_box_too_small_for_its_legs_is_refused() -> None:
+    with pytest.raises(ValueError, match="does not fit the box"):
+        random_route(1, box_m=((0.0, 1.0), (0.0, 1.0), (-2.0, -1.0)), leg_min_m=3.0)
+
+
+@pytest.mark.parametrize("name", ["random:x", "pretzel:3", "random:-1"])
+def test_seed_behind_a_name_needs_a_random_table(name: str) -> None:
+    with pytest.raises(ConfigurationError, match="SEED is a whole number"):
+        load_route(name)
+
+
+def test_workspace_route_is_found_by_name(tmp_path: Path) -> None:
+    (tmp_path / "routes").mkdir()
+    (tmp_path / "routes" / "mine.toml").write_text(GOOD)
+    assert load_route("mine", tmp_path).name == "good"
+    with pytest.raises(ConfigurationError, match="mine: no such route, known: figure-eight"):
+        load_route("mine")
+
+
+def test_tighter_limits_replace_the_vehicles(research: Vehicle) -> None:
+    route = parse_route(GOOD + "[limits]\nspeed_max_m_s = 4.0\n", "r")
+    limits = check_route(route, research)
+    assert limits.speed_max_m_s == 4.0
+    assert limits.tilt_max_deg == research.limits.tilt_max_deg
+
+
+def test_yaw_profile_passes_its_values_without_overshoot() -> None:
+    profile = YawProfile(yaw_deg=(0.0, 90.0, 180.0, 90.0), times_s=(0.0, 2.0, 4.0, 6.0))
+    rows = profile.nodes()
+    assert [math.degrees(yaw) for _, yaw, _ in rows] == pytest.approx([0.0, 90.0, 180.0, 90.0])
+    assert [rate for _, _, rate in rows] == pytest.approx([0.0, math.radians(45.0), 0.0, 0.0])
+    # A rest-to-rest cubic turns 1.5 times as fast in its middle as on average.
+    assert profile.rate_max() == pytest.approx(1.5 * math.radians(45.0))
+
+
+def test_constant_yaw_is_one_node_at_rest() -> None:
+    assert YawProfile(yaw_deg=(90.0,)).nodes() == ((0.0, math.radians(90.0), 0.0),)
+    assert (
+        Route(name="r", waypoints_m=((0.0, 0.0, -1.0), (1.0, 0.0, -1.0)), total_time_s=3.0).yaw.rate_max()
+        == 0.0
+    )
+
+
+BOX = Box(kind="box", min_m=(0.0, 0.0, -2.0), max_m=(2.0, 2.0, 0.0))
+SPHERE = Sphere(kind="sphere", centre_m=(0.0, 0.0, -1.0), radius_m=0.5)
+CYLINDER = Cylinder(kind="cylinder", centre_m=(1.0, 0.0), radius_m=1.0, down_m=(-2.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("shape", "point", "distance"),
+    [
+        (BOX, (1.0, 1.0, -1.0), -1.0),
+        (BOX, (5.0, 6.0, -1.0), 5.0),
+        (SPHERE, (0.0, 3.0, -5.0), 4.5),
+        (SPHERE, (0.0, 0.0, -1.0), -0.5),
+        (CYLINDER, (5.0, 0.0, -5.0), math.sqrt(18)),
+        (CYLINDER, (1.0, 0.0, -0.2), -0.2),
+    ],
+)
+def test_signed_distance_of_shape_is_the_hand_computed_one(
+    shape: Box | Sphere | Cylinder, point: tuple[float, float, float], distance: float
+) -> None:
+    assert shape.signed_distance(FLOAT, point) == pytest.approx(distance, abs=2e-6)
