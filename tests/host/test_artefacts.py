@@ -1,0 +1,113 @@
+"""Files are written whole or not at all, never over another one, and say where they come from."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from host.artefacts import (
+    check_output,
+    content_id,
+    git_state,
+    open_atomic,
+    provenance,
+    public_command,
+    write_atomic,
+)
+from host.errors import UsageError
+
+
+def test_write_leaves_the_file_and_nothing_else(tmp_path: Path) -> None:
+    path = write_atomic(tmp_path / "a.ref", b"bytes")
+    assert path.read_bytes() == b"bytes"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.ref"]
+
+
+def test_write_refuses_an_existing_file_unless_forced(tmp_path: Path) -> None:
+    path = write_atomic(tmp_path / "a.toml", "first")
+    with pytest.raises(UsageError, match="exists, choose another name or add --force"):
+        write_atomic(path, "second")
+    assert path.read_text() == "first"
+    write_atomic(path, "second", force=True)
+    assert path.read_text() == "second"
+
+
+def write_half(path: Path, error: BaseException, force: bool = False) -> None:
+    """Start to write `path`, then raise `error`."""
+    with open_atomic(path, force) as file:
+        file.write(b"half")
+        raise error
+
+
+@pytest.mark.parametrize("error", [ValueError(), KeyboardInterrupt()])
+def test_interrupted_write_leaves_nothing(tmp_path: Path, error: BaseException) -> None:
+    with pytest.raises(type(error)):
+        write_half(tmp_path / "a.mcap", error)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_interrupted_forced_write_keeps_the_old_file(tmp_path: Path) -> None:
+    path = write_atomic(tmp_path / "a.mcap", b"old")
+    with pytest.raises(ValueError, match="stop"):
+        write_half(path, ValueError("stop"), force=True)
+    assert path.read_bytes() == b"old"
+
+
+def test_file_made_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    writing = open_atomic(path)
+    writing.__enter__().write(b"ours")
+    path.write_bytes(b"theirs")
+    with pytest.raises(UsageError, match="exists"):
+        writing.__exit__(None, None, None)
+    assert path.read_bytes() == b"theirs"
+
+
+def test_output_in_missing_folder_or_onto_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="its folder does not exist"):
+        check_output(tmp_path / "gone" / "a.ref")
+    with pytest.raises(UsageError, match="is a folder"):
+        check_output(tmp_path, force=True)
+
+
+def test_content_id_is_the_hash_s_start() -> None:
+    assert content_id(b"abc") == hashlib.sha256(b"abc").hexdigest()[:12] == "ba7816bf8f01"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("fly /tmp/x/a.ref --world w --seed 3 --world-seed=9 -o /tmp/o.mcap", "fly a.ref --seed 3 -o o.mcap"),
+        ("fly a.ref --plant=p.py:P --plant-options o.toml --flight 2", "fly a.ref --flight 2"),
+        ("demo --seed 77 --world w", "demo"),
+        ("plan pretzel --model=/home/me/m.toml", "plan pretzel --model=m.toml"),
+        ("sitl --truth t.json --port pty", "sitl --port pty"),
+    ],
+)
+def test_public_command_leaves_out_world_and_folders(words: str, said: str) -> None:
+    assert public_command(words.split()) == f"trimtab {said}"
+
+
+def test_provenance_has_no_time_and_no_path(tmp_path: Path) -> None:
+    record = provenance(seed=4, parents={"vehicle": "0123456789ab"}, argv=["plan", str(tmp_path / "r.toml")])
+    assert record["version"].count(".") == 2
+    assert record["command"] == "trimtab plan r.toml"
+    assert record["seed"] == 4
+    assert record["parents"] == {"vehicle": "0123456789ab"}
+    assert str(tmp_path) not in str(record)
+    assert record == provenance(
+        seed=4, parents={"vehicle": "0123456789ab"}, argv=["plan", str(tmp_path / "r.toml")]
+    )
+
+
+def test_git_state_names_the_commit(require: Callable[[str], None]) -> None:
+    require("git")
+    state = git_state()
+    if not (Path(__file__).parents[2] / ".git").exists():
+        assert state is None
+    else:
+        assert state is not None
+        assert len(state.removesuffix("-dirty")) == 12

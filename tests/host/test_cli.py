@@ -1,0 +1,199 @@
+"""The command line's frame: help without imports, one line and a code for each kind of failure."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import types
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from host import cli, output
+from host.errors import EXIT_CODES, FlightFailed, GateMissed, LinkError, LogError, SolverError, UsageError
+from host.vehicle import ConfigurationError
+
+HEAVY = ("numpy", "casadi", "scipy", "matplotlib", "pydantic", "pymavlink", "google", "rich.progress")
+
+
+def run_python(code: str) -> str:
+    """What a fresh interpreter prints for `code`."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+@pytest.fixture
+def verb(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., object]], None]:
+    """A function that makes `trimtab probe` run the given command."""
+    monkeypatch.setattr(output, "_emitted", False)
+
+    def install(command: Callable[..., object]) -> None:
+        module = types.ModuleType("host.verbs.probe")
+        module.command = command  # pyright: ignore[reportAttributeAccessIssue]
+        monkeypatch.setitem(sys.modules, "host.verbs.probe", module)
+        probe = cli.Verb(name="probe", module="probe", help="A verb of this test.")
+        monkeypatch.setattr(cli, "present_verbs", lambda: (probe,))
+
+    return install
+
+
+def test_help_imports_no_verb_and_nothing_heavy() -> None:
+    printed = run_python(
+        "import sys\nfrom host.cli import main\nmain(['--help'])\n"
+        f"print('LOADED', [m for m in {HEAVY!r} if m in sys.modules],"
+        " [m for m in sys.modules if m.startswith('host.verbs.')])"
+    )
+    assert "Close the gap" in printed
+    assert printed.rstrip().endswith("LOADED [] []")
+
+
+def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == cli._version()
+
+
+def test_listed_verbs_have_modules_with_a_command() -> None:
+    code = (
+        "import importlib\nfrom host.cli import present_verbs\n"
+        "for v in present_verbs():\n"
+        "    assert hasattr(importlib.import_module('host.verbs.' + v.module), 'command'), v.name\n"
+    )
+    run_python(code)
+
+
+def test_every_listed_verb_answers_help(capsys: pytest.CaptureFixture[str]) -> None:
+    for listed in cli.present_verbs():
+        assert cli.main([listed.name, "--help"]) == 0, listed.name
+        assert "Usage" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (GateMissed("low"), 1),
+        (FlightFailed("failsafe"), 1),
+        (UsageError("bad"), 2),
+        (ConfigurationError(["v.toml: mass_kg: missing, add it"]), 2),
+        (LinkError("no vehicle"), 3),
+        (SolverError("gave up"), 4),
+        (LogError("cut"), 5),
+    ],
+)
+def test_known_error_is_one_line_and_its_code(
+    verb: Callable[[Callable[..., object]], None],
+    capsys: pytest.CaptureFixture[str],
+    error: Exception,
+    code: int,
+) -> None:
+    def command() -> None:
+        raise error
+
+    verb(command)
+    assert cli.main(["probe"]) == code
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err == f"trimtab: {error}\n"
+    assert code in EXIT_CODES
+
+
+def test_every_problem_of_a_file_is_its_own_line(
+    verb: Callable[[Callable[..., object]], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command() -> None:
+        raise ConfigurationError(["v.toml: a: missing, add it", "v.toml: b: unknown key, remove it"])
+
+    verb(command)
+    assert cli.main(["probe"]) == 2
+    assert capsys.readouterr().err.splitlines() == [
+        "trimtab: v.toml: a: missing, add it",
+        "trimtab: v.toml: b: unknown key, remove it",
+    ]
+
+
+def test_bug_is_one_line_that_names_a_file_with_the_traceback(
+    verb: Callable[[Callable[..., object]], None],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    def command() -> None:
+        raise KeyError("lost")
+
+    verb(command)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert cli.main(["probe"]) == 70
+    (line,) = capsys.readouterr().err.splitlines()
+    (saved,) = tmp_path.iterdir()
+    assert str(saved) in line
+    assert "a bug of ours: KeyError: 'lost'" in line
+    assert 'raise KeyError("lost")' in saved.read_text()
+
+
+def test_interrupt_ends_with_130(
+    verb: Callable[[Callable[..., object]], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command() -> None:
+        raise KeyboardInterrupt
+
+    verb(command)
+    assert cli.main(["probe"]) == 130
+    assert capsys.readouterr().err == "trimtab: interrupted\n"
+
+
+def test_missing_file_is_the_users_and_not_a_bug(
+    verb: Callable[[Callable[..., object]], None], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def command() -> None:
+        (tmp_path / "gone").read_text()
+
+    verb(command)
+    assert cli.main(["probe"]) == 2
+    assert "gone: No such file or directory" in capsys.readouterr().err
+
+
+def test_verbs_return_value_is_the_exit_code(verb: Callable[[Callable[..., object]], None]) -> None:
+    def command() -> int:
+        return 1
+
+    verb(command)
+    assert cli.main(["probe"]) == 1
+
+
+@pytest.mark.parametrize("words", [["nosuch"], ["probe", "--nosuch"], ["probe", "--count", "x"]])
+def test_wrong_usage_is_one_line_and_2(
+    verb: Callable[[Callable[..., object]], None], capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    def command(*, count: int = 0) -> None:
+        pass
+
+    verb(command)
+    assert cli.main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("trimtab: ")
+    assert "--help" in line
+
+
+def test_failure_with_json_ends_in_one_object(
+    verb: Callable[[Callable[..., object]], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command(*, json: bool = False) -> None:
+        raise LinkError("no vehicle at the port")
+
+    verb(command)
+    assert cli.main(["probe", "--json"]) == 3
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told == {"error": "no vehicle at the port", "exit_code": 3}
+
+
+def test_missed_gate_keeps_the_verbs_own_json_last(
+    verb: Callable[[Callable[..., object]], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command(*, json: bool = False) -> None:
+        output.emit({"rmse_m": 0.5}, json)
+        raise GateMissed("0.5 m is above 0.1 m")
+
+    verb(command)
+    assert cli.main(["probe", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out.splitlines()[-1]) == {"rmse_m": 0.5}

@@ -1,0 +1,77 @@
+"""The frame: skips and required parts, locks without addresses, documented exit codes."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from host.errors import EXIT_CODES
+
+ROOT = Path(__file__).parent.parent
+
+PROBE = """
+import pytest
+
+def test_part(require):
+    require("browser")
+
+def test_reason():
+    pytest.skip("because")
+
+def test_silent():
+    pytest.skip()
+"""
+
+
+def run_probe(tmp_path: Path, required: str) -> str:
+    """What pytest says about PROBE, on a machine without a browser, with TRIMTAB_REQUIRE set."""
+    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path / "conftest.py")
+    (tmp_path / "test_probe.py").write_text(PROBE)
+    command = [sys.executable, "-m", "pytest", "-ra", "-q", "-p", "no:cacheprovider"]
+    done = subprocess.run(
+        [*command, "--rootdir", str(tmp_path), "."],
+        cwd=tmp_path,
+        env={**os.environ, "TRIMTAB_REQUIRE": required, "PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.stdout + done.stderr
+
+
+def test_missing_part_is_skipped_with_its_reason(tmp_path: Path) -> None:
+    said = run_probe(tmp_path, "")
+    assert "1 failed, 2 skipped" in said
+    assert "browser: no chromium" in said
+    assert "FAILED test_probe.py::test_silent - a skip must say why" in said
+
+
+def test_missing_part_that_is_required_fails(tmp_path: Path) -> None:
+    said = run_probe(tmp_path, "browser")
+    assert "2 failed, 1 skipped" in said
+    assert "TRIMTAB_REQUIRE names this part: browser" in said
+
+
+def test_unknown_required_part_stops_the_run(tmp_path: Path) -> None:
+    assert "TRIMTAB_REQUIRE: unknown browsr; known: browser, compiler" in run_probe(tmp_path, "browsr")
+
+
+@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-all.lock"])
+def test_lock_pins_by_hash_and_names_no_registry(lock: str) -> None:
+    text = (ROOT / lock).read_text()
+    assert "://" not in text
+    assert not re.search(r"^--", text, flags=re.MULTILINE)
+    pinned = re.findall(r"^[A-Za-z0-9._-]+==.*\\\n    --hash=sha256:[0-9a-f]{64}", text, flags=re.MULTILINE)
+    assert len(pinned) == len(re.findall(r"^[A-Za-z0-9._-]+==", text, flags=re.MULTILINE)) > 30
+
+
+def test_exit_codes_are_documented() -> None:
+    page = (ROOT / "docs" / "exit-codes.md").read_text()
+    rows = dict(re.findall(r"^\| (\d+) \| (.+) \|$", page, flags=re.MULTILINE))
+    assert rows == {str(code): meaning for code, meaning in EXIT_CODES.items()}
