@@ -1,0 +1,45 @@
+"""Flight logs: written while flying, read as arrays, described, recovered."""
+
+from host.log.errors import LogError
+from host.log.flight import read_flight
+from host.log.imported import write_imported
+from host.log.info import describe, to_lines
+from host.log.recover import Recovery, recover
+from host.log.topics import FLIGHT_TOPICS, IMPORTED_TOPICS, Topic
+from host.log.tracks import (
+    Battery,
+    Control,
+    Estimate,
+    Flight,
+    LinkHealth,
+    Mocap,
+    RecordedImu,
+    RecordedInputs,
+    Status,
+)
+from host.log.writer import LogWriter, Provenance, partial_path
+
+__all__ = [
+    "FLIGHT_TOPICS",
+    "IMPORTED_TOPICS",
+    "Battery",
+    "Control",
+    "Estimate",
+    "Flight",
+    "LinkHealth",
+    "LogError",
+    "LogWriter",
+    "Mocap",
+    "Provenance",
+    "RecordedImu",
+    "RecordedInputs",
+    "Recovery",
+    "Status",
+    "Topic",
+    "describe",
+    "partial_path",
+    "read_flight",
+    "recover",
+    "to_lines",
+    "write_imported",
+]

@@ -1,0 +1,116 @@
+"""Makes a readable log of one whose writer was killed or whose file was cut."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mcap.writer import CompressionType, Writer
+
+from host.log.errors import LogError
+from host.log.scan import scan
+from host.log.writer import CHUNK_BYTES, PROVENANCE, partial_path
+
+SUFFIX = ".recovered.mcap"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recovery:
+    """What came out: `output` is None where the file was whole and nothing had to be written."""
+
+    source: Path
+    output: Path | None
+    messages: int
+    chunks: int
+    duration_s: float
+    damage: str
+
+    def to_json(self) -> dict[str, Any]:
+        """The answer of `trimtab log recover --json`."""
+        return {
+            "log": str(self.output or self.source),
+            "recovered": self.output is not None,
+            "messages": self.messages,
+            "chunks": self.chunks,
+            "duration_s": self.duration_s,
+            "damage": self.damage,
+        }
+
+
+def find_damaged(path: Path) -> Path:
+    """`path`, or the unfinished file beside it where a killed writer left only that."""
+    partial = partial_path(path)
+    return partial if not path.exists() and partial.exists() else path
+
+
+def default_output(path: Path) -> Path:
+    """Where the recovered log goes unless told otherwise: FLIGHT.recovered.mcap beside it."""
+    name = path.name.removesuffix(".partial").removesuffix(".mcap")
+    return path.with_name(name + SUFFIX)
+
+
+def recover(path: Path, output: Path | None = None) -> Recovery:
+    """Every whole chunk of the file at `path`, written anew with its provenance to `output`.
+
+    Raises LogError where the file holds no whole chunk, or not even its provenance.
+    """
+    source = find_damaged(path)
+    found = scan(source)
+    times = [message.log_time_us for message in found.messages]
+    duration_s = (max(times) - min(times)) * 1e-6 if times else 0.0
+    if found.whole:
+        return Recovery(
+            source=source,
+            output=None,
+            messages=len(times),
+            chunks=found.chunks,
+            duration_s=duration_s,
+            damage="",
+        )
+    if not times or PROVENANCE not in found.metadata:
+        raise LogError(f"{source}: cut before its first whole chunk, nothing is left to recover; fly again")
+    target = output or default_output(source)
+    growing = partial_path(target)
+    try:
+        with growing.open("wb") as stream:
+            writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+            writer.start(profile="", library="trimtab")
+            for name, entries in found.metadata.items():
+                writer.add_metadata(name, entries)
+            writer.add_metadata("recovery", {"damage": found.damage, "bytes": str(found.size)})
+            for name, (media_type, data) in found.attachments.items():
+                writer.add_attachment(0, 0, name, media_type, data)
+            schemas = {
+                number: writer.register_schema(name=schema.name, encoding=schema.encoding, data=schema.data)
+                for number, schema in found.schemas.items()
+            }
+            channels = {
+                number: writer.register_channel(
+                    topic=channel.topic,
+                    message_encoding=channel.message_encoding,
+                    schema_id=schemas.get(channel.schema_id, 0),
+                    metadata=channel.metadata,
+                )
+                for number, channel in found.channels.items()
+            }
+            for entry in found.messages:
+                writer.add_message(
+                    channels[entry.channel_id],
+                    entry.log_time_us,
+                    entry.data,
+                    entry.publish_time_us,
+                    entry.sequence,
+                )
+            writer.finish()
+        growing.replace(target)
+    except OSError as error:
+        raise LogError(f"{target}: cannot be written ({error.strerror}), give another -o") from error
+    return Recovery(
+        source=source,
+        output=target,
+        messages=len(times),
+        chunks=found.chunks,
+        duration_s=duration_s,
+        damage=found.damage,
+    )

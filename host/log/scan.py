@@ -1,0 +1,159 @@
+"""What a log file holds, record by record, as far as it is whole.
+
+The file is read from its start to its end once, which works alike for closed files and for those whose
+writer was killed. Chunks are taken apart here and not by the mcap package, whose general reader is slower.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import NamedTuple
+
+import zstandard
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Footer, Metadata, Schema
+from mcap.stream_reader import StreamReader
+
+from host.log.errors import LogError
+
+MAGIC = b"\x89MCAP0\r\n"
+CHUNK_LIMIT_BYTES = 64 * 2**20
+"""No chunk of ours comes near this; a length beyond it is damage, not data."""
+
+_DAMAGE = (
+    McapError,  # EndOfFile, InvalidMagic, RecordLengthLimitExceeded
+    struct.error,
+    OverflowError,
+    ValueError,  # a failed CRC, text that is no UTF-8
+    zstandard.ZstdError,
+    MemoryError,
+)
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+
+
+class Entry(NamedTuple):
+    """One message: channel, sequence number, both times in us from arm, protobuf bytes."""
+
+    channel_id: int
+    sequence: int
+    log_time_us: int
+    publish_time_us: int
+    data: bytes
+
+
+@dataclass(kw_only=True)
+class Scan:
+    """Everything whole in a file: schemas and channels by number, messages in file order, provenance.
+
+    `whole` says that the file was closed by its writer; otherwise `damage` says what ended the reading.
+    """
+
+    path: Path
+    id: str
+    size: int
+    whole: bool = False
+    damage: str = ""
+    chunks: int = 0
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    messages: list[Entry] = field(default_factory=list)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, tuple[str, bytes]] = field(default_factory=dict)
+
+    def by_topic(self) -> dict[str, list[Entry]]:
+        """The messages of every topic that has a channel, in file order."""
+        topics: dict[str, list[Entry]] = {channel.topic: [] for channel in self.channels.values()}
+        names = {number: channel.topic for number, channel in self.channels.items()}
+        for message in self.messages:
+            topics[names[message.channel_id]].append(message)
+        return topics
+
+
+def scan(path: Path) -> Scan:
+    """All that is whole in the file at `path`, closed or cut.
+
+    Raises LogError where there is no such file or it is no MCAP file at all.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read ({error.strerror or error})") from error
+    if not content.startswith(MAGIC):
+        what = "is empty" if not content else "is no MCAP file"
+        raise LogError(f"{path}: {what}; give a flight log written by trimtab fly or trimtab import")
+    result = Scan(path=path, id=hashlib.sha256(content).hexdigest()[:12], size=len(content))
+    reader = StreamReader(
+        BytesIO(content), emit_chunks=True, record_size_limit=min(len(content), CHUNK_LIMIT_BYTES)
+    )
+    try:
+        for record in reader.records:
+            if isinstance(record, Chunk):
+                _take_chunk(result, record)
+            elif isinstance(record, Metadata):
+                result.metadata[record.name] = record.metadata
+            elif isinstance(record, Attachment):
+                result.attachments[record.name] = (record.media_type, record.data)
+            elif isinstance(record, Schema):
+                result.schemas[record.id] = record
+            elif isinstance(record, Channel):
+                result.channels[record.id] = record
+            elif isinstance(record, Footer):
+                result.whole = True
+    except _DAMAGE as error:
+        result.whole = False
+        result.damage = f"{type(error).__name__} after {result.chunks} whole chunks"
+    return result
+
+
+def _take_chunk(result: Scan, chunk: Chunk) -> None:
+    """Adds one chunk whole, or raises one of _DAMAGE and adds nothing."""
+    if chunk.uncompressed_size > CHUNK_LIMIT_BYTES:
+        raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
+    if chunk.compression == "zstd":
+        # The frame states its size too, and the decompressor allocates what it states.
+        if zstandard.frame_content_size(chunk.data) != chunk.uncompressed_size:
+            raise ValueError("a chunk states two sizes")
+        data = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+    elif chunk.compression == "":
+        data = chunk.data
+    else:
+        raise ValueError(f"compression {chunk.compression!r}")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("a chunk fails its CRC")
+    messages: list[Entry] = []
+    for opcode, body in _records(data):
+        if opcode == Opcode.MESSAGE:
+            channel_id, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
+            if channel_id not in result.channels:
+                raise ValueError(f"a message of channel {channel_id}, which nothing declares")
+            messages.append(Entry(channel_id, sequence, log_time, publish_time, body[_MESSAGE.size :]))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            # StreamReader reads these two from bytes framed like a file without its magic.
+            framed = _RECORD.pack(opcode, len(body)) + body
+            record = next(iter(StreamReader(BytesIO(framed), skip_magic=True).records))
+            if isinstance(record, Schema):
+                result.schemas[record.id] = record
+            elif isinstance(record, Channel):
+                result.channels[record.id] = record
+    result.messages.extend(messages)
+    result.chunks += 1
+
+
+def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Opcode and body of every record inside a chunk."""
+    offset = 0
+    while offset < len(data):
+        opcode, length = _RECORD.unpack_from(data, offset)
+        offset += _RECORD.size
+        if offset + length > len(data):
+            raise ValueError("a record longer than its chunk")
+        yield opcode, data[offset : offset + length]
+        offset += length

@@ -1,0 +1,186 @@
+"""What a flight is in memory: one array type a topic, and the flight that holds them.
+
+Times are integer microseconds on the host's clock from arm (an import: from its first sample). World NED,
+body FRD.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from host.vehicle import Vehicle
+from protocol.blobs import FeedForward, Reference
+
+Floats = NDArray[np.float64]
+Times = NDArray[np.int64]
+LEVELS = ("motor", "thrust-torque", "reference")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Track:
+    """Arrays of one topic, all with the same first dimension; times never run back."""
+
+    def __post_init__(self) -> None:
+        lengths = set()
+        for spec in fields(self):
+            values = getattr(self, spec.name)
+            if isinstance(values, np.ndarray):
+                lengths.add(len(values))
+                if values.dtype.kind == "f" and not np.isfinite(values).all():
+                    raise ValueError(f"{type(self).__name__}.{spec.name} holds values that are not finite")
+        if len(lengths) != 1:
+            raise ValueError(f"{type(self).__name__}: arrays of lengths {sorted(lengths)}")
+        times = getattr(self, fields(self)[0].name)
+        if (np.diff(times) < 0).any():
+            raise ValueError(f"{type(self).__name__}: times that run back")
+
+    def __len__(self) -> int:
+        return len(getattr(self, fields(self)[0].name))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mocap(_Track):
+    """Camera poses: time of measurement and of arrival, p_ned (n, 3), q_ned_frd (n, 4)."""
+
+    t_us: Times
+    t_arrival_us: Times
+    p: Floats
+    q: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate(_Track):
+    """The on-board estimate: p_ned, v_ned, q_ned_frd, rate_frd, gyro bias, age of the pose last used."""
+
+    t_us: Times
+    p: Floats
+    v: Floats
+    q: Floats
+    rate: Floats
+    gyro_bias: Floats
+    mocap_age_s: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Control(_Track):
+    """Commands and memory at t1_us; means over (t0_us, t1_us] of motors, gyro, specific force (FRD).
+
+    Rows whose interval is invalid are left out.
+    """
+
+    t0_us: Times
+    t1_us: Times
+    collective: Floats
+    rate_cmd: Floats
+    torque: Floats
+    rate_integral: Floats
+    motor_mean: Floats
+    gyro_mean: Floats
+    force_mean: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Status(_Track):
+    """State and failsafe (numbers of the enumerations in flight.proto), battery voltage, loop timing."""
+
+    t_us: Times
+    state: Times
+    failsafe: Times
+    battery_v: Floats
+    loop_max_us: Times
+    loop_overruns: Times
+    receive_overruns: Times
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinkHealth(_Track):
+    """Counters of the link since connecting, round trip, clock offsets (vehicle or camera minus host)."""
+
+    t_us: Times
+    frames_sent: Times
+    frames_received: Times
+    frames_lost: Times
+    frames_repeated: Times
+    rtt_us: Floats
+    clock_offset_us: Floats
+    clock_offset_sd_us: Floats
+    camera_offset_us: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordedInputs(_Track):
+    """What drove a foreign vehicle; `level` says which arrays are there.
+
+    "motor": motor (n, 4) in 0..1. "thrust-torque": thrust_n (n,), torque_n_m (n, 3) FRD. "reference": p_ref
+    and, where the log has them, v_ref, a_ref (n, 3) NED and yaw_ref (n,). Lower levels may be there beside
+    a higher one.
+    """
+
+    t_us: Times
+    level: str
+    motor: Floats | None = None
+    thrust_n: Floats | None = None
+    torque_n_m: Floats | None = None
+    p_ref: Floats | None = None
+    v_ref: Floats | None = None
+    a_ref: Floats | None = None
+    yaw_ref: Floats | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.level not in LEVELS:
+            raise ValueError(f"level {self.level!r} is none of {', '.join(LEVELS)}")
+        needed = {"motor": (self.motor,), "thrust-torque": (self.thrust_n, self.torque_n_m)}
+        if any(values is None for values in needed.get(self.level, (self.p_ref,))):
+            raise ValueError(f"level {self.level!r} without its values")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordedImu(_Track):
+    """A foreign vehicle's gyro and specific force (n, 3), FRD; None where it recorded only the other."""
+
+    t_us: Times
+    gyro: Floats | None
+    specific_force: Floats | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Battery(_Track):
+    """Battery voltage."""
+
+    t_us: Times
+    battery_v: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Flight:
+    """One flight or import; absent is None. `tracking`: start and end of what learning and errors use."""
+
+    id: str
+    path: Path
+    kind: str
+    vehicle: Vehicle
+    reference: Reference | None
+    reference_id: str | None
+    feedforward: FeedForward | None
+    firmware_parameters: Mapping[str, float] | None
+    metadata: Mapping[str, str]
+    mocap: Mocap | None
+    estimate: Estimate | None
+    control: Control | None
+    status: Status | None
+    link: LinkHealth | None
+    recorded_inputs: RecordedInputs | None
+    recorded_imu: RecordedImu | None
+    battery: Battery | None
+    tracking: tuple[int, int] | None
+    tracking_whole: bool
+    """The reference was flown to its end (an import: as far as the log goes)."""
+    failsafe: str | None
+    """What ended the flight early: "mocap-lost", "link-lost", "tilt"."""
+    duration_s: float

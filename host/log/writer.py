@@ -1,0 +1,325 @@
+"""Writes flight logs: MCAP, protobuf, 64 KiB zstd chunks, provenance first.
+
+Times are integer microseconds on the host's clock from arm: a log starts when the vehicle acknowledges
+arming. What arrived or was measured before that instant is not logged (the format has no negative times).
+
+The file grows under `NAME.partial` and gets its name when it is closed. Every chunk reaches the system as
+soon as it is full, so that a killed writer loses the last chunk at most; `host.log.recover` reads the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from io import RawIOBase
+from math import sqrt
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self, cast
+
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from host.log import topics
+from host.log.errors import LogError
+from host.log.topics import Topic
+from host.vehicle import Vehicle
+from protocol.blobs import blob_id
+from protocol.generated import flight_pb2
+
+CHUNK_BYTES = 64 * 1024
+FORMAT = "1"
+PROVENANCE = "trimtab"
+PARAMETERS = "firmware_parameters"
+VEHICLE_FILE = "vehicle.toml"
+REFERENCE_FILE = "flown.ref"
+FEEDFORWARD_FILE = "flown.ff"
+DISPLAY_FRAME = "world_enu"
+_HALF = sqrt(0.5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """What a log says about itself before its first message.
+
+    `session` holds what else is known and may be told: session uid, host seed, flight index, version,
+    command.
+    """
+
+    vehicle: Vehicle
+    kind: str = "flight"
+    reference: bytes | None = None
+    feedforward: bytes | None = None
+    model_id: str | None = None
+    parameters: Mapping[str, float] | None = None
+    session: Mapping[str, str] = field(default_factory=dict)
+
+    def metadata(self) -> dict[str, str]:
+        """The entries of the `trimtab` record, sorted; absent things have no entry."""
+        told = {
+            "format": FORMAT,
+            "kind": self.kind,
+            "time_unit": "us from arm" if self.kind == "flight" else "us from start",
+            "vehicle_id": self.vehicle.id,
+            "vehicle_name": self.vehicle.name,
+        }
+        if self.reference is not None:
+            told["reference_id"] = blob_id(self.reference)
+        if self.feedforward is not None:
+            told["feedforward_id"] = blob_id(self.feedforward)
+        if self.model_id is not None:
+            told["model_id"] = self.model_id
+        taken = sorted(set(told) & set(self.session))
+        if taken:
+            raise ValueError(f"session entries {taken} have a meaning of their own")
+        return dict(sorted({**told, **self.session}.items()))
+
+
+def partial_path(path: Path) -> Path:
+    """Where the log that will be `path` grows."""
+    return path.with_name(path.name + ".partial")
+
+
+class _Unbuffered:
+    """A file whose every write has reached the system when it returns."""
+
+    def __init__(self, raw: RawIOBase) -> None:
+        self._raw = raw
+        self._size = 0
+
+    def write(self, data: bytes) -> int:
+        view = memoryview(data)
+        while view:
+            view = view[self._raw.write(view) or 0 :]
+        self._size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._size
+
+    def flush(self) -> None:
+        pass
+
+
+class LogWriter:
+    """Writes one log to `output`, a path or a binary stream; use it as a context manager or call `close`.
+
+    The methods named after topics take the arrival and the measurement, both in us from arm, then the topic's
+    values; they return False for what belongs before arm. Message objects are reused: none of it is kept.
+    """
+
+    def __init__(
+        self,
+        output: Path | IO[bytes],
+        provenance: Provenance,
+        channels: Sequence[Topic] = topics.FLIGHT_TOPICS,
+    ) -> None:
+        self.path = output if isinstance(output, Path) else None
+        self._file: RawIOBase | None = None
+        if isinstance(output, Path):
+            try:
+                self._file = cast(RawIOBase, open(partial_path(output), "wb", buffering=0))  # noqa: SIM115
+            except OSError as error:
+                raise LogError(f"{output}: cannot be written ({error.strerror}), give another -o") from error
+            stream = cast(IO[bytes], _Unbuffered(self._file))
+        else:
+            stream = output
+        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile="", library="trimtab")
+        self._add = self._writer.add_message
+        self._closed = False
+        self._write_provenance(provenance)
+        self._channels = {topic.name: self._register(topic) for topic in channels}
+        self._messages = _Messages()
+
+    def _write_provenance(self, provenance: Provenance) -> None:
+        self._writer.add_metadata(PROVENANCE, provenance.metadata())
+        if provenance.parameters is not None:
+            values = {name: repr(float(value)) for name, value in sorted(provenance.parameters.items())}
+            self._writer.add_metadata(PARAMETERS, values)
+        attach = self._writer.add_attachment
+        attach(0, 0, VEHICLE_FILE, "application/toml", provenance.vehicle.to_toml().encode())
+        if provenance.reference is not None:
+            attach(0, 0, REFERENCE_FILE, "application/octet-stream", provenance.reference)
+        if provenance.feedforward is not None:
+            attach(0, 0, FEEDFORWARD_FILE, "application/octet-stream", provenance.feedforward)
+
+    def _register(self, topic: Topic) -> int:
+        descriptor = topic.message.DESCRIPTOR
+        schema = self._writer.register_schema(
+            name=descriptor.full_name,
+            encoding=SchemaEncoding.Protobuf,
+            data=build_file_descriptor_set(cast(Any, topic.message)).SerializeToString(deterministic=True),
+        )
+        return self._writer.register_channel(
+            topic=topic.name,
+            message_encoding=MessageEncoding.Protobuf,
+            schema_id=schema,
+            metadata=topic.metadata(),
+        )
+
+    def write(self, topic: str, message: Any, log_us: int, publish_us: int) -> bool:
+        """Writes a message of any topic; False, and nothing written, where a time lies before arm."""
+        if log_us < 0 or publish_us < 0:
+            return False
+        self._add(self._channels[topic], log_us, message.SerializeToString(), publish_us)
+        return True
+
+    def pose(
+        self,
+        log_us: int,
+        publish_us: int,
+        source_us: int,
+        vehicle_us: int,
+        p_ned: Sequence[float],
+        q_ned_frd: Sequence[float],
+    ) -> bool:
+        """`/mocap/pose`; `vehicle_us` is the stamp it was forwarded with, 0 where it was not."""
+        message = self._messages.pose
+        message.source_us = source_us
+        message.vehicle_us = vehicle_us
+        message.p_ned_m[:] = p_ned
+        message.q_ned_frd[:] = q_ned_frd
+        return self.write(topics.MOCAP_POSE, message, log_us, publish_us)
+
+    def estimate(
+        self,
+        log_us: int,
+        publish_us: int,
+        source_us: int,
+        p_ned: Sequence[float],
+        v_ned: Sequence[float],
+        q_ned_frd: Sequence[float],
+        rate_frd: Sequence[float],
+        gyro_bias: Sequence[float],
+        mocap_age_us: int,
+    ) -> bool:
+        """`/fc/estimate`."""
+        message = self._messages.estimate
+        message.source_us = source_us
+        message.p_ned_m[:] = p_ned
+        message.v_ned_m_s[:] = v_ned
+        message.q_ned_frd[:] = q_ned_frd
+        message.rate_frd_rad_s[:] = rate_frd
+        message.gyro_bias_rad_s[:] = gyro_bias
+        message.mocap_age_us = mocap_age_us
+        return self.write(topics.FC_ESTIMATE, message, log_us, publish_us)
+
+    def reference(
+        self,
+        log_us: int,
+        publish_us: int,
+        source_us: int,
+        reference_id: str,
+        reference_us: int,
+        flat: Sequence[float],
+    ) -> bool:
+        """`/reference`; `flat` is p, v, a, j (3 each), yaw, yaw rate."""
+        message = self._messages.reference
+        message.source_us = source_us
+        message.reference_id = reference_id
+        message.reference_us = reference_us
+        message.p_ned_m[:] = flat[0:3]
+        message.v_ned_m_s[:] = flat[3:6]
+        message.a_ned_m_s2[:] = flat[6:9]
+        message.j_ned_m_s3[:] = flat[9:12]
+        message.yaw_rad = flat[12]
+        message.yaw_rate_rad_s = flat[13]
+        return self.write(topics.REFERENCE, message, log_us, publish_us)
+
+    def control(
+        self,
+        log_us: int,
+        publish_us: int,
+        source_us: int,
+        collective_n: float,
+        rate_cmd: Sequence[float],
+        torque_cmd: Sequence[float],
+        rate_integral: Sequence[float],
+        interval_us: int,
+        means: Sequence[float] | None,
+    ) -> bool:
+        """`/fc/control`; `means`: motor 4, gyro 3, specific force 3, or None for an invalid interval."""
+        message = self._messages.control
+        message.source_us = source_us
+        message.interval_us = 0 if means is None else interval_us
+        message.collective_n = collective_n
+        message.rate_cmd_rad_s[:] = rate_cmd
+        message.torque_cmd_n_m[:] = torque_cmd
+        message.rate_integral[:] = rate_integral
+        message.motor_mean[:] = () if means is None else means[0:4]
+        message.gyro_mean_rad_s[:] = () if means is None else means[4:7]
+        message.force_mean_m_s2[:] = () if means is None else means[7:10]
+        return self.write(topics.FC_CONTROL, message, log_us, publish_us)
+
+    def text(self, log_us: int, publish_us: int, severity: int, text: str, name: str) -> bool:
+        """`/log`; `severity` as in STATUSTEXT (0 emergency .. 7 debug), `name` says who speaks."""
+        message = self._messages.text
+        message.level = _foxglove_level(severity)
+        message.message = text
+        message.name = name
+        _stamp(message.timestamp, max(publish_us, 0))
+        return self.write(topics.LOG, message, log_us, publish_us)
+
+    def display(
+        self, topic: str, log_us: int, publish_us: int, p_ned: Sequence[float], q_ned_frd: Sequence[float]
+    ) -> bool:
+        """`/display/...`: the pose as viewers draw it: east, north, up; body forward, left, up."""
+        message = self._messages.display
+        position, orientation = message.pose.position, message.pose.orientation
+        position.x, position.y, position.z = p_ned[1], p_ned[0], -p_ned[2]
+        w, x, y, z = q_ned_frd
+        orientation.w, orientation.x = _HALF * (w + z), _HALF * (x + y)
+        orientation.y, orientation.z = _HALF * (x - y), _HALF * (w - z)
+        _stamp(message.timestamp, max(publish_us, 0))
+        return self.write(topic, message, log_us, publish_us)
+
+    def close(self) -> None:
+        """Writes index and footer and gives the file its name; again: nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        self._writer.finish()
+        if self._file is not None and self.path is not None:
+            self._file.close()
+            partial_path(self.path).replace(self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class _Messages:
+    """The message objects a writer fills again and again."""
+
+    def __init__(self) -> None:
+        self.pose = flight_pb2.MocapPose()
+        self.estimate = flight_pb2.Estimate()
+        self.reference = flight_pb2.Reference()
+        self.control = flight_pb2.Control()
+        self.text = Log()
+        self.display = PoseInFrame(frame_id=DISPLAY_FRAME)
+
+
+def _stamp(timestamp: Any, time_us: int) -> None:
+    """Sets a protobuf timestamp to a time from arm."""
+    timestamp.seconds, rest_us = divmod(time_us, 1_000_000)
+    timestamp.nanos = rest_us * 1000
+
+
+def _foxglove_level(severity: int) -> Any:
+    """Foxglove's level of a MAVLink severity."""
+    if severity <= 2:
+        return Log.FATAL
+    if severity == 3:
+        return Log.ERROR
+    if severity == 4:
+        return Log.WARNING
+    return Log.INFO if severity <= 6 else Log.DEBUG

@@ -1,0 +1,169 @@
+"""A log reads back as the flight that was written."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from host.log import FLIGHT_TOPICS, LogError, LogWriter, Provenance, describe, read_flight, to_lines
+from protocol.blobs import Reference
+
+
+def test_flight_written_reads_back(log_path: Path, reference: Reference) -> None:
+    flight = read_flight(log_path)
+    assert flight.id == hashlib.sha256(log_path.read_bytes()).hexdigest()[:12]
+    assert flight.vehicle.name == "research"
+    assert flight.reference == reference
+    assert flight.reference_id == reference.id
+    assert flight.firmware_parameters == {"MASS": 0.752, "POS_P_N": 6.0}
+    assert flight.failsafe is None
+    assert flight.mocap is not None
+    assert flight.estimate is not None
+    assert flight.control is not None
+    np.testing.assert_array_equal(flight.mocap.t_us, np.arange(0, 7_000_000, 10_000))
+    np.testing.assert_array_equal(flight.mocap.t_arrival_us - flight.mocap.t_us, 4000)
+    np.testing.assert_allclose(flight.mocap.p[:, 0], np.arange(700) * 0.01)
+    np.testing.assert_allclose(flight.estimate.mocap_age_s, 0.008)
+    assert flight.mocap.q.shape == (700, 4)
+
+
+def test_flight_vehicle_stamps_are_translated_to_the_host_clock(log_path: Path) -> None:
+    flight = read_flight(log_path)
+    assert flight.estimate is not None
+    assert flight.status is not None
+    np.testing.assert_array_equal(flight.estimate.t_us, np.arange(0, 7_000_000, 10_000))
+    np.testing.assert_array_equal(flight.status.t_us, np.arange(0, 7_000_000, 100_000))
+
+
+def test_flight_tracking_starts_where_the_vehicle_says_and_ends_with_the_reference(log_path: Path) -> None:
+    flight = read_flight(log_path)
+    assert flight.tracking == (3_000_000, 5_000_000)
+    assert flight.tracking_whole
+
+
+def test_control_invalid_interval_is_left_out(log_path: Path) -> None:
+    control = read_flight(log_path).control
+    assert control is not None
+    assert len(control) == 699
+    np.testing.assert_array_equal(control.t1_us - control.t0_us, 10_000)
+    np.testing.assert_allclose(control.motor_mean, 0.5)
+    np.testing.assert_allclose(control.force_mean[:, 2], -9.81)
+
+
+def test_log_same_flight_twice_gives_the_same_bytes(
+    fly: Callable[[IO[bytes]], None], log_bytes: bytes
+) -> None:
+    again = io.BytesIO()
+    fly(again)
+    assert again.getvalue() == log_bytes
+
+
+def test_log_on_disk_equals_log_in_memory(
+    tmp_path: Path, fly: Callable[[Path], None], log_bytes: bytes
+) -> None:
+    fly(tmp_path / "a.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == log_bytes
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_log_independent_reader_finds_topics_times_and_sampling(log_bytes: bytes) -> None:
+    reader = make_reader(io.BytesIO(log_bytes), decoder_factories=[DecoderFactory()])
+    summary = reader.get_summary()
+    assert summary is not None
+    assert {channel.topic for channel in summary.channels.values()} == {t.name for t in FLIGHT_TOPICS}
+    assert all(c.metadata["sampling"] in ("sampled", "averaged", "event") for c in summary.channels.values())
+    names = {schema.name for schema in summary.schemas.values()}
+    assert {"foxglove.Log", "foxglove.PoseInFrame", "trimtab.MocapPose", "trimtab.Control"} <= names
+    first = next(iter(reader.iter_decoded_messages(topics=["/mocap/pose"])))
+    assert (first.message.log_time, first.message.publish_time) == (4000, 0)
+    assert list(first.decoded_message.p_ned_m) == [0.0, 0.0, -1.0]
+
+
+def test_log_provenance_comes_before_the_first_message(log_bytes: bytes) -> None:
+    chunk = log_bytes.index(b"zstd")
+    for mark in (b"vehicle.toml", b"flown.ref", b"firmware_parameters", b"vehicle_id"):
+        assert log_bytes.index(mark) < chunk
+
+
+def test_writer_message_from_before_arm_is_not_logged(provenance: Provenance) -> None:
+    stream = io.BytesIO()
+    with LogWriter(stream, provenance) as log:
+        assert not log.pose(-1, -9000, 0, 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        assert not log.pose(3000, -1, 0, 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        assert log.pose(3000, 0, 0, 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    reader = make_reader(io.BytesIO(stream.getvalue()))
+    assert len(list(reader.iter_messages())) == 1
+
+
+def test_read_flight_row_that_is_not_finite_is_left_out(tmp_path: Path, provenance: Provenance) -> None:
+    path = tmp_path / "x.mcap"
+    with LogWriter(path, provenance) as log:
+        for k, x in enumerate((0.0, math.nan, 2.0)):
+            log.pose(k, k, k, 0, (x, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    mocap = read_flight(path).mocap
+    assert mocap is not None
+    np.testing.assert_array_equal(mocap.p[:, 0], [0.0, 2.0])
+
+
+def test_display_pose_heading_north_points_along_y(provenance: Provenance) -> None:
+    stream = io.BytesIO()
+    with LogWriter(stream, provenance) as log:
+        log.display("/display/pose", 0, 0, (1.0, 2.0, -3.0), (1.0, 0.0, 0.0, 0.0))
+    reader = make_reader(io.BytesIO(stream.getvalue()), decoder_factories=[DecoderFactory()])
+    pose = next(iter(reader.iter_decoded_messages())).decoded_message.pose
+    assert (pose.position.x, pose.position.y, pose.position.z) == (2.0, 1.0, 3.0)
+    # Forward (1, 0, 0) turned by the quaternion: east 0, north 1.
+    w, x, y, z = pose.orientation.w, pose.orientation.x, pose.orientation.y, pose.orientation.z
+    np.testing.assert_allclose([1 - 2 * (y * y + z * z), 2 * (x * y + w * z)], [0.0, 1.0], atol=1e-12)
+
+
+def test_provenance_session_entry_with_a_taken_name_is_refused(provenance: Provenance) -> None:
+    with pytest.raises(ValueError, match="vehicle_id"):
+        dataclasses.replace(provenance, session={"vehicle_id": "x"}).metadata()
+
+
+def test_read_flight_missing_file_names_it(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"nowhere\.mcap: cannot be read"):
+        read_flight(tmp_path / "nowhere.mcap")
+
+
+@pytest.mark.parametrize("content", [b"", b"not a log", b"\x89PNG\r\n\x1a\n" * 9])
+def test_read_flight_something_else_says_so(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    with pytest.raises(LogError) as caught:
+        read_flight(path)
+    assert caught.value.exit_code == 5
+    assert "\n" not in str(caught.value)
+
+
+def test_read_flight_swapped_reference_is_refused(
+    tmp_path: Path, log_bytes: bytes, reference: Reference
+) -> None:
+    blob = reference.to_bytes()
+    other = bytearray(blob)
+    other[60] ^= 1
+    path = tmp_path / "x.mcap"
+    path.write_bytes(log_bytes.replace(blob, bytes(other)))
+    with pytest.raises(LogError, match="reference_id"):
+        read_flight(path)
+
+
+def test_describe_says_what_is_in_it(log_path: Path) -> None:
+    told = describe(log_path)
+    assert told["tracking_s"] == [3.0, 5.0]
+    assert told["topics"]["/mocap/pose"] == {"messages": 700, "rate_hz": 100.0, "sampling": "sampled"}
+    assert told["topics"]["/fc/control"]["sampling"] == "averaged"
+    text = "\n".join(to_lines(told))
+    assert "research" in text
+    assert "tracking from 3.00 to 5.00 s" in text

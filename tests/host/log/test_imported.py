@@ -1,0 +1,100 @@
+"""Foreign flights come in as the same kind of log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from host.log import (
+    Battery,
+    Mocap,
+    RecordedImu,
+    RecordedInputs,
+    describe,
+    read_flight,
+    write_imported,
+)
+from host.vehicle import Vehicle
+
+T_US = np.arange(0, 1_000_000, 10_000, dtype=np.int64)
+
+
+def _mocap(t_us: np.ndarray = T_US) -> Mocap:
+    p = np.stack([np.sin(t_us * 1e-6), np.cos(t_us * 1e-6), -np.ones(len(t_us))], axis=1)
+    return Mocap(t_us=t_us, t_arrival_us=t_us, p=p, q=np.tile([1.0, 0.0, 0.0, 0.0], (len(t_us), 1)))
+
+
+def test_imported_flight_reads_back(tmp_path: Path, vehicle: Vehicle) -> None:
+    path = tmp_path / "foreign.mcap"
+    imu_us = np.arange(0, 1_000_000, 2_000, dtype=np.int64)
+    motor = np.linspace(0.2, 0.8, 4 * len(T_US)).reshape(-1, 4)
+    counts = write_imported(
+        path,
+        vehicle=vehicle,
+        mocap=_mocap(),
+        inputs=RecordedInputs(t_us=T_US + 3, level="motor", motor=motor),
+        imu=RecordedImu(t_us=imu_us, gyro=np.ones((len(imu_us), 3)), specific_force=None),
+        battery=Battery(t_us=T_US[::10], battery_v=np.full(10, 15.5)),
+        tracking_us=(100_000, 900_000),
+        session={"source": "bench"},
+    )
+    assert counts["/mocap/pose"] == 100
+    flight = read_flight(path)
+    assert flight.kind == "imported"
+    assert flight.tracking == (100_000, 900_000)
+    assert flight.metadata["source"] == "bench"
+    assert flight.reference is None
+    assert flight.estimate is None
+    assert flight.control is None
+    assert flight.mocap is not None
+    np.testing.assert_array_equal(flight.mocap.t_us, T_US)
+    np.testing.assert_array_equal(flight.mocap.p, _mocap().p)
+    inputs = flight.recorded_inputs
+    assert inputs is not None
+    assert inputs.level == "motor"
+    assert inputs.thrust_n is None
+    np.testing.assert_array_equal(inputs.t_us, T_US + 3)
+    np.testing.assert_array_equal(inputs.motor, motor)
+    assert flight.recorded_imu is not None
+    assert flight.recorded_imu.specific_force is None
+    np.testing.assert_array_equal(flight.recorded_imu.t_us, imu_us)
+    assert flight.battery is not None
+    np.testing.assert_array_equal(flight.battery.battery_v, 15.5)
+    assert describe(path)["topics"]["/recorded/imu"]["messages"] == 500
+
+
+@pytest.mark.parametrize("level", ["thrust-torque", "reference"])
+def test_imported_lower_levels_read_back(tmp_path: Path, vehicle: Vehicle, level: str) -> None:
+    three, one = np.ones((len(T_US), 3)), np.ones(len(T_US))
+    write_imported(
+        tmp_path / "x.mcap",
+        vehicle=vehicle,
+        mocap=_mocap(),
+        inputs=RecordedInputs(t_us=T_US, level=level, thrust_n=one, torque_n_m=three, p_ref=three),
+    )
+    inputs = read_flight(tmp_path / "x.mcap").recorded_inputs
+    assert inputs is not None
+    assert inputs.level == level
+    assert inputs.motor is None
+    np.testing.assert_array_equal(inputs.thrust_n, one)
+    np.testing.assert_array_equal(inputs.p_ref, three)
+
+
+def test_imported_level_without_its_values_is_refused() -> None:
+    with pytest.raises(ValueError, match="motor"):
+        RecordedInputs(t_us=T_US, level="motor", thrust_n=np.ones(len(T_US)))
+
+
+def test_imported_sample_before_the_start_is_refused_and_nothing_written(
+    tmp_path: Path, vehicle: Vehicle
+) -> None:
+    with pytest.raises(ValueError, match="before the start"):
+        write_imported(tmp_path / "x.mcap", vehicle=vehicle, mocap=_mocap(T_US - 5), tracking_us=(0, 5))
+    assert not list(tmp_path.iterdir())
+
+
+def test_tracks_times_that_run_back_are_refused() -> None:
+    with pytest.raises(ValueError, match="run back"):
+        _mocap(T_US[::-1])

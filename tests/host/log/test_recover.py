@@ -1,0 +1,137 @@
+"""A log cut or damaged anywhere is either read, recovered or refused in one line."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from host.log import LogError, partial_path, read_flight, recover
+
+KILLED_WRITER = """
+import os, signal, sys
+from pathlib import Path
+from host.log import LogWriter, Provenance
+from host.vehicle import load_vehicle
+log = LogWriter(Path(sys.argv[1]), Provenance(vehicle=load_vehicle("research")))
+for ms in range(0, 30000, 10):
+    noise = [((ms * 7919 + k * 104729) % 1000003) / 7.0 for k in range(3)]
+    log.pose(ms * 1000, ms * 1000, ms * 1000, 0, noise, (1.0, 0.0, 0.0, 0.0))
+    log.estimate(ms * 1000, ms * 1000, ms * 1000, noise, noise, (1.0, 0.0, 0.0, 0.0), noise, noise, 1)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def _one_line(error: LogError) -> None:
+    assert error.exit_code == 5
+    assert "\n" not in str(error)
+    assert len(str(error)) > 20
+
+
+def _read_or_recover(path: Path) -> str:
+    """What became of a damaged log: "read", "recovered", "recovered unreadable" or "refused"."""
+    try:
+        read_flight(path)
+        return "read"
+    except LogError as error:
+        _one_line(error)
+    try:
+        found = recover(path)
+    except LogError as error:
+        _one_line(error)
+        return "refused"
+    if found.output is None:
+        return "read"
+    flight = read_flight(found.output)
+    assert flight.mocap is not None
+    found.output.unlink()
+    return "recovered"
+
+
+def test_log_cut_anywhere_is_recovered_from_its_first_chunk_on(tmp_path: Path, log_bytes: bytes) -> None:
+    path = tmp_path / "cut.mcap"
+    points = {0, 1, 7, 8, 9, len(log_bytes) - 1, len(log_bytes) - 8, len(log_bytes) - 9}
+    points |= set(np.random.default_rng(1).integers(0, len(log_bytes), 150).tolist())
+    outcomes = []
+    for point in sorted(points):
+        path.write_bytes(log_bytes[:point])
+        outcomes.append(_read_or_recover(path))
+    # First nothing is left, then ever more is; a cut file is never taken for a whole one.
+    assert set(outcomes) == {"refused", "recovered"}
+    assert outcomes == sorted(outcomes, reverse=True)
+    first = log_bytes.index(b"zstd")
+    lost = sum(point < first for point in points)
+    assert outcomes[:lost] == ["refused"] * lost
+
+
+def test_recover_cut_log_keeps_provenance_and_every_whole_chunk(
+    tmp_path: Path, log_bytes: bytes, log_path: Path
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log_bytes[: len(log_bytes) * 3 // 4])
+    found = recover(cut)
+    assert found.output == tmp_path / "cut.recovered.mcap"
+    whole, part = read_flight(log_path), read_flight(found.output)
+    assert part.vehicle == whole.vehicle
+    assert part.reference == whole.reference
+    assert part.firmware_parameters == whole.firmware_parameters
+    assert part.mocap is not None
+    assert whole.mocap is not None
+    assert 100 < len(part.mocap) < len(whole.mocap)
+    np.testing.assert_array_equal(part.mocap.p, whole.mocap.p[: len(part.mocap)])
+
+
+def test_recover_whole_log_writes_nothing(tmp_path: Path, log_path: Path) -> None:
+    found = recover(log_path)
+    assert found.output is None
+    assert list(tmp_path.iterdir()) == [log_path]
+
+
+def test_recover_killed_writer_leaves_what_it_had_written(tmp_path: Path) -> None:
+    path = tmp_path / "killed.mcap"
+    done = subprocess.run([sys.executable, "-c", KILLED_WRITER, str(path)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert not path.exists()
+    assert partial_path(path).exists()
+    with pytest.raises(LogError, match=r"trimtab log recover .*killed\.mcap\.partial"):
+        read_flight(path)
+    found = recover(path)
+    assert found.output is not None
+    assert found.output.name == "killed.recovered.mcap"
+    mocap = read_flight(found.output).mocap
+    assert mocap is not None
+    # 64 KiB chunks hold about 190 pairs of messages: no more than one chunk is lost.
+    assert 2700 <= len(mocap) < 3000
+
+
+def test_recover_into_a_folder_that_is_not_there_is_refused(tmp_path: Path, log_bytes: bytes) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log_bytes[:-40])
+    with pytest.raises(LogError, match="cannot be written"):
+        recover(cut, tmp_path / "no" / "x.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["cut.mcap"]
+
+
+@given(data=st.data())
+def test_log_with_flipped_bytes_never_surprises(
+    tmp_path_factory: pytest.TempPathFactory, log_bytes: bytes, data: st.DataObject
+) -> None:
+    damaged = bytearray(log_bytes)
+    for _ in range(data.draw(st.integers(1, 3))):
+        damaged[data.draw(st.integers(8, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path_factory.mktemp("flip") / "x.mcap"
+    path.write_bytes(damaged)
+    assert _read_or_recover(path) in ("read", "recovered", "refused")
+
+
+@given(tail=st.binary(max_size=400))
+def test_log_of_random_bytes_is_refused(tmp_path_factory: pytest.TempPathFactory, tail: bytes) -> None:
+    path = tmp_path_factory.mktemp("noise") / "x.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + tail)
+    assert _read_or_recover(path) == "refused"
