@@ -1,0 +1,301 @@
+"""From flight logs to segments on a regular grid, with an audit of what was left out and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from firmware_model.law.allocation import allocation_matrix, invert4
+from host.log import Flight
+from host.trace.segments import Segments
+from host.vehicle import Vehicle
+
+DT_S = 0.01
+SEGMENT_S = 0.6
+LAGS = 5
+"""Run-up of the rotors before a segment, in nominal lags."""
+
+SIGMA_FLOOR = (1e-3, 3e-3, 5e-3, 0.02)
+"""Least sigma of position (m), attitude (rad), rate (rad/s) and specific force (m/s^2): smoothed logs look
+quieter than they are.
+"""
+
+_TILT_LIMIT = np.deg2rad(75.0)
+_MISSING = 0.4
+"""A segment that misses a greater share of its poses or commands is left out."""
+
+
+class TooLittleData(ValueError):
+    """The logs hold too few usable segments to judge anything."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signals:
+    """A flight's measurements and inputs on one clock, seconds since arm.
+
+    pose_s (n,), p (n, 3) NED, R (n, 3, 3) R_ned_frd; input_s (m, 2) begin and end of each command interval,
+    command (m, 4) as motor command or N; gyro and force (m', 3) FRD over imu_s (m', 2), empty where not
+    logged; voltage_s (k,), voltage_ratio (k,). span_s: the part of the flight used.
+    """
+
+    pose_s: np.ndarray
+    p: np.ndarray
+    R: np.ndarray
+    input_s: np.ndarray
+    command: np.ndarray
+    in_newton: bool
+    imu_s: np.ndarray
+    gyro: np.ndarray
+    force: np.ndarray
+    voltage_s: np.ndarray
+    voltage_ratio: np.ndarray
+    span_s: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Audit:
+    """What a flight gave: seconds used, segments kept and left out, its largest gap, and remarks in words."""
+
+    log: str
+    used_s: float
+    segments: int
+    left_out: int
+    largest_gap_s: float
+    remarks: tuple[str, ...]
+
+
+def signals(flight: Flight) -> Signals:
+    """The flight's measurements and inputs. Raises TooLittleData when it has no poses or no recorded
+    inputs.
+    """
+    if flight.mocap is None or len(flight.mocap) < 100:
+        raise TooLittleData(f"{flight.path}: fewer than 100 poses; log /mocap/pose in flight")
+    vehicle = flight.vehicle
+    pose_s = flight.mocap.t_us * 1e-6
+    R = Rotation.from_quat(flight.mocap.q[:, [1, 2, 3, 0]]).as_matrix()
+    if flight.control is not None:
+        c = flight.control
+        input_s = np.column_stack([c.t0_us, c.t1_us]) * 1e-6
+        command, in_newton = c.motor_mean, False
+        imu_s, gyro, force = input_s, c.gyro_mean, c.force_mean
+    elif flight.recorded_inputs is not None and flight.recorded_inputs.level != "reference":
+        r = flight.recorded_inputs
+        input_s = _intervals(r.t_us)
+        imu_s, gyro, force = _recorded_imu(flight)
+        if r.motor is not None:
+            command, in_newton = r.motor, False
+        else:
+            assert r.thrust_n is not None
+            assert r.torque_n_m is not None
+            command, in_newton = _rotor_thrusts(vehicle, r.thrust_n, r.torque_n_m), True
+    else:
+        raise TooLittleData(
+            f"{flight.path}: no motor command and no thrust recorded; trace logs that hold one"
+        )
+    if flight.battery is not None and len(flight.battery):
+        voltage_s, volts = flight.battery.t_us * 1e-6, flight.battery.battery_v
+    else:
+        voltage_s, volts = pose_s[:1], np.array([vehicle.battery.full_v])
+    if flight.tracking is None:
+        raise TooLittleData(f"{flight.path}: no tracking phase; the flight ended before its reference began")
+    return Signals(
+        pose_s=pose_s,
+        p=flight.mocap.p,
+        R=R,
+        input_s=input_s,
+        command=command,
+        in_newton=in_newton,
+        imu_s=imu_s,
+        gyro=gyro,
+        force=force,
+        voltage_s=voltage_s,
+        voltage_ratio=volts / vehicle.battery.full_v,
+        span_s=(flight.tracking[0] * 1e-6, flight.tracking[1] * 1e-6),
+    )
+
+
+def _recorded_imu(flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Intervals, gyro and specific force of an imported log; empty where not recorded."""
+    imu, none = flight.recorded_imu, np.zeros((0, 3))
+    if imu is None:
+        return np.zeros((0, 2)), none, none
+    gyro = none if imu.gyro is None else imu.gyro
+    return _intervals(imu.t_us), gyro, none if imu.specific_force is None else imu.specific_force
+
+
+def _intervals(t_us: np.ndarray) -> np.ndarray:
+    """Begin and end (n, 2) in s of the intervals that samples held until the next one cover."""
+    t = t_us * 1e-6
+    return np.column_stack([t, np.append(t[1:], t[-1] + np.median(np.diff(t)))])
+
+
+def _rotor_thrusts(vehicle: Vehicle, thrust_n: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """Rotor thrusts (n, 4) in N that the vehicle file's allocation gives to a collective and a torque."""
+    rotors = vehicle.rotors
+    matrix = allocation_matrix(
+        [r.position_m for r in rotors], [r.spin_sign for r in rotors], vehicle.torque_per_thrust_m
+    )
+    inverse = np.array(invert4(matrix)).reshape(4, 4)
+    return np.column_stack([thrust_n, torque]) @ inverse.T
+
+
+def noise(s: Signals) -> np.ndarray:
+    """Sigma (4,) of position (m), attitude (rad), rate (rad/s), force (m/s^2), from the signals' third
+    differences.
+    """
+    inside = (s.pose_s >= s.span_s[0]) & (s.pose_s <= s.span_s[1])
+    turn = Rotation.from_matrix(s.R[inside])
+    small = (turn[:-1].inv() * turn[1:]).as_rotvec()
+    flying = (s.imu_s[:, 0] >= s.span_s[0]) & (s.imu_s[:, 1] <= s.span_s[1])
+    spread = (
+        _robust(np.diff(s.p[inside], 3, axis=0)) / np.sqrt(20.0),
+        _robust(np.diff(small, 2, axis=0)) / np.sqrt(20.0),
+        *(
+            _robust(np.diff(x[flying], 3, axis=0)) / np.sqrt(20.0) if len(x) > 20 else 0.0
+            for x in (s.gyro, s.force)
+        ),
+    )
+    return np.maximum(spread, SIGMA_FLOOR)
+
+
+def _robust(x: np.ndarray) -> float:
+    """Standard deviation from the median absolute value."""
+    return float(1.4826 * np.median(np.abs(x)))
+
+
+def _averaged(
+    edges_s: np.ndarray, interval_s: np.ndarray, value: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means (n, k) of interval data between grid edges (n + 1,), and the share (n,) of each step that has
+    data.
+    """
+    length = np.maximum(interval_s[:, 1] - interval_s[:, 0], 1e-9)
+    knots = np.ravel(interval_s)
+    order = np.argsort(knots, kind="stable")
+    area = np.ravel(np.column_stack([np.zeros(len(length)), length]))
+    covered = np.interp(edges_s, knots[order], np.cumsum(area)[order])
+    share = np.clip(np.diff(covered) / np.diff(edges_s), 0.0, 1.0)
+    out = np.empty((len(edges_s) - 1, value.shape[1]))
+    for i in range(value.shape[1]):
+        steps = np.ravel(np.column_stack([np.zeros(len(length)), length * value[:, i]]))
+        total = np.interp(edges_s, knots[order], np.cumsum(steps)[order])
+        out[:, i] = np.diff(total) / np.maximum(np.diff(covered), 1e-9)
+    return out, share
+
+
+def segments_of(
+    flights: Sequence[Flight], *, segment_s: float = SEGMENT_S
+) -> tuple[Segments, tuple[Audit, ...]]:
+    """All usable segments of the flights, of one vehicle, and what was left out of each.
+
+    Raises TooLittleData when fewer than five segments are left.
+    """
+    rate_driven = "torque" in unknowns(flights)
+    parts, audits = [], []
+    for index, flight in enumerate(flights):
+        part, audit = _cut(flight, index, segment_s, rate_driven)
+        audits.append(audit)
+        parts += part
+    if len(parts) < 5:
+        raise TooLittleData(f"only {len(parts)} usable segments of {segment_s} s; fly longer or log more")
+    if len({bool(p["in_newton"]) for p in parts}) > 1:
+        raise TooLittleData(
+            "the logs record inputs of different kinds; trace those with motor commands apart"
+        )
+    shared = {"dt_s": DT_S, "in_newton": bool(parts[0]["in_newton"]), "rate_driven": rate_driven}
+    arrays = {key: np.stack([p[key] for p in parts]) for key in parts[0] if key != "in_newton"}
+    return Segments(**shared, **arrays), tuple(audits)
+
+
+def unknowns(flights: Sequence[Flight]) -> frozenset[str]:
+    """Everything that any of the logs declares unknown."""
+    return frozenset(word for flight in flights for word in flight.metadata.get("unknown", "").split())
+
+
+def _cut(flight: Flight, index: int, segment_s: float, rate_driven: bool) -> tuple[list[dict], Audit]:
+    s = signals(flight)
+    sigma = noise(s)
+    steps = round(segment_s / DT_S)
+    pre = max(1, int(np.ceil(LAGS * flight.vehicle.motor_lag_s / DT_S)))
+    begin = max(s.span_s[0], s.pose_s[0] + (pre + 2) * DT_S, s.input_s[0, 0] + (pre + 2) * DT_S)
+    count = int((s.span_s[1] - begin) / segment_s)
+    grid = begin + DT_S * np.arange(-pre, count * steps + 1)
+    command, covered = _averaged(grid, s.input_s, s.command)
+    nothing = np.zeros((len(grid) - 1, 3)), np.zeros(len(grid) - 1)
+    rate, rate_share = _averaged(grid, s.imu_s, s.gyro) if len(s.gyro) else nothing
+    force, force_share = _averaged(grid, s.imu_s, s.force) if len(s.force) else nothing
+    ratio = np.interp(grid, s.voltage_s, s.voltage_ratio)
+    nearest = np.round((s.pose_s - begin) / DT_S).astype(int) + pre
+    distance = np.abs(s.pose_s - (begin + DT_S * (nearest - pre)))
+    order = np.lexsort((distance, nearest))
+    keep = order[np.unique(nearest[order], return_index=True)[1]]
+    keep = keep[(nearest[keep] >= 0) & (nearest[keep] < len(grid))]
+    at = np.full(len(grid), -1)
+    at[nearest[keep]] = keep
+
+    found, out_gap, out_tilt = [], 0, 0
+    for k in range(count):
+        a = pre + k * steps
+        pick = at[a : a + steps]
+        here = pick >= 0
+        fed = covered[a - pre : a + steps] > 0.5
+        if here.mean() < 1 - _MISSING or fed.mean() < 1 - _MISSING or not here[: max(2, steps // 6)].any():
+            out_gap += 1
+            continue
+        R = s.R[np.where(here, pick, 0)]
+        if np.arccos(np.clip(R[here][:, 2, 2], -1, 1)).max() > _TILT_LIMIT:
+            out_tilt += 1
+            continue
+        found.append(
+            {
+                "in_newton": s.in_newton,
+                "flight": np.array(index),
+                "start_s": np.array(grid[a] - s.span_s[0]),
+                "x0": _initial(s, grid[a], rate[a] if rate_share[a] > 0.5 else np.zeros(3)),
+                "position": s.p[np.where(here, pick, 0)],
+                "attitude": R.reshape(steps, 9),
+                "shift_s": np.where(here, s.pose_s[np.where(here, pick, 0)] - grid[a : a + steps], 0.0),
+                "pose_weight": here.astype(float),
+                "rate": rate[a : a + steps],
+                "rate_weight": (rate_share[a : a + steps] > 0.5) * (0.0 if rate_driven else 1.0),
+                "force": force[a : a + steps],
+                "force_weight": (force_share[a : a + steps] > 0.5).astype(float),
+                "command": command[a - pre : a + steps],
+                "voltage_ratio": ratio[a : a + steps],
+                "sigma": sigma,
+            }
+        )
+    remarks = []
+    if out_gap:
+        remarks.append(f"{out_gap} segments with gaps in poses or commands")
+    if out_tilt:
+        remarks.append(f"{out_tilt} segments beyond {np.rad2deg(_TILT_LIMIT):.0f} deg of tilt")
+    if not len(s.gyro):
+        remarks.append("no gyro: delay and latency are hard to tell apart")
+    inside = s.pose_s[(s.pose_s >= s.span_s[0]) & (s.pose_s <= s.span_s[1])]
+    return found, Audit(
+        log=str(flight.path),
+        used_s=len(found) * segment_s,
+        segments=len(found),
+        left_out=out_gap + out_tilt,
+        largest_gap_s=float(np.diff(inside).max()),
+        remarks=tuple(remarks),
+    )
+
+
+def _initial(s: Signals, t: float, rate: np.ndarray) -> np.ndarray:
+    """Initial state (12,) at t: local quadratic through the positions, attitude of the nearest pose, body
+    rate.
+    """
+    near = np.flatnonzero(np.abs(s.pose_s - t) < 0.06)
+    if len(near) < 4:
+        near = np.argsort(np.abs(s.pose_s - t))[:4]
+    fit = np.polynomial.polynomial.polyfit(s.pose_s[near] - t, s.p[near], 2)
+    nearest = near[np.argmin(np.abs(s.pose_s[near] - t))]
+    yaw, pitch, roll = Rotation.from_matrix(s.R[nearest]).as_euler("ZYX")
+    return np.concatenate([fit[0], fit[1], [roll, pitch, yaw], rate])

@@ -1,0 +1,189 @@
+"""Evidence for sets of effects from whitened, linearised segments.
+
+A segment's residual is r = X dx0 + S dz + Z w + e with sensor noise e of unit variance, a free initial state
+dx0 (projected out before it gets here), the scaled parameters z of the library form and a process
+disturbance w, force and torque in bins of 0.1 s. Only the Gram matrix of [r, S, Z] of a segment is kept, so
+that any subset of effects costs one small solve. Spike and slab: a parameter whose effect is not selected
+still moves within its declared tolerance; a selected one is free within twice its typical size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+FORCE_LIMITS = (-14.0, 6.0)
+TORQUE_LIMITS = (-14.0, 12.0)
+CORRELATION = 0.75
+"""Correlation of the process disturbance between neighbouring bins."""
+
+SLAB = 2.0
+"""One sigma of a selected parameter, in typical sizes."""
+
+LOG_ODDS = float(np.log(1 / 40.0))
+"""Prior log odds that any one effect of the library is present."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Process:
+    """Log variances of the process disturbance in body axes: lateral and axial specific force (m/s^2)^2, and
+    angular acceleration (rad/s^2)^2 or, where the measured body rate drives the attitude, body rate
+    (rad/s)^2.
+
+    Axial stands apart because errors of the thrust act along the thrust."""
+
+    log_lateral: float
+    log_axial: float
+    log_torque: float
+
+    def covariance(self, bins: int) -> np.ndarray:
+        """Covariance (6 bins, 6 bins) of the disturbance, bin by bin: force x, y, z, torque x, y, z."""
+        lag = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
+        logs = [self.log_lateral] * 2 + [self.log_axial] + [self.log_torque] * 3
+        each = np.diag(np.exp(logs))
+        return np.kron(CORRELATION**lag, each)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Linearisation:
+    """Grams of [r | S | L | Z] by segment at one point, initial states already projected out.
+
+    gram: (segments, 1 + P + K + 6 bins, same). flight: (segments,) index of the flight. z: (P,) scaled
+    parameters. local: (flights, K) nuisances that are constant over a flight.
+    """
+
+    gram: np.ndarray
+    flight: np.ndarray
+    z: np.ndarray
+    local: np.ndarray
+
+    @property
+    def parameters(self) -> int:
+        """Number P of scaled parameters."""
+        return len(self.z)
+
+    @property
+    def bins(self) -> int:
+        """Number of disturbance bins in a segment."""
+        return (self.gram.shape[1] - 1 - self.parameters - self.local.shape[1]) // 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """Prior sigmas: spike (P,) of an effect left out, scaled; local (K,) of a flight's nuisances, physical.
+
+    `groups` names the columns of each effect or adjustment.
+    """
+
+    groups: dict[str, tuple[int, ...]]
+    spike: np.ndarray
+    local: np.ndarray
+
+    def precision(self, selected: Sequence[str]) -> np.ndarray:
+        """Prior precision (P,) when the effects `selected` are in the model."""
+        sigma = self.spike.copy()
+        for name in selected:
+            for column in self.groups[name]:
+                sigma[column] = max(SLAB, sigma[column])
+        return 1.0 / sigma**2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Whitened:
+    """Summed Gram (1 + P, 1 + P) of [r | S] with disturbance and flight nuisances integrated out.
+
+    `log_det` and `local_penalty` complete the evidence; `local_gram` (flights, 1 + P + K, same) keeps what
+    the nuisances' own posterior needs.
+    """
+
+    gram: np.ndarray
+    log_det: float
+    local_gram: np.ndarray
+
+
+def whitened(lin: Linearisation, process: Process, prior: Prior) -> Whitened:
+    """The Grams under the covariance I + Z Q Z' (Woodbury), then the nuisances of each flight integrated
+    out.
+    """
+    count, width = lin.local.shape
+    m = 1 + lin.parameters
+    n = m + width
+    root = np.linalg.cholesky(process.covariance(lin.bins) + 1e-12 * np.eye(6 * lin.bins))
+    inner = np.eye(6 * lin.bins) + root.T @ (lin.gram[:, n:, n:] @ root)
+    chol = np.linalg.cholesky(inner)
+    cross = np.linalg.solve(chol, root.T @ lin.gram[:, n:, :n])
+    each = lin.gram[:, :n, :n] - np.swapaxes(cross, 1, 2) @ cross
+    flights = np.zeros((count, n, n))
+    np.add.at(flights, lin.flight, each)
+    log_det = float(2.0 * np.log(np.einsum("sii->si", chol)).sum())
+    precision = 1.0 / prior.local**2
+    inner = flights[:, m:, m:] + np.diag(precision)
+    rhs = flights[:, m:, :m].copy()
+    rhs[:, :, 0] -= precision * lin.local
+    gram = (flights[:, :m, :m] - np.swapaxes(rhs, 1, 2) @ np.linalg.solve(inner, rhs)).sum(0)
+    gram[0, 0] += float((precision * lin.local**2).sum())
+    log_det += float(np.linalg.slogdet(inner)[1].sum() - count * np.log(precision).sum())
+    return Whitened(gram=gram, log_det=log_det, local_gram=flights)
+
+
+def local_step(lin: Linearisation, white: Whitened, prior: Prior, step: np.ndarray) -> np.ndarray:
+    """Step (flights, K) of the flights' nuisances when the parameters take `step` (P,)."""
+    m = 1 + lin.parameters
+    precision = 1.0 / prior.local**2
+    inner = white.local_gram[:, m:, m:] + np.diag(precision)
+    rhs = white.local_gram[:, m:, 0] - white.local_gram[:, m:, 1:m] @ step - precision * lin.local
+    return np.linalg.solve(inner, rhs[:, :, None])[:, :, 0]
+
+
+def log_evidence(white: Whitened, z: np.ndarray, precision: np.ndarray, count: int) -> float:
+    """Log evidence, up to a constant, of a set of `count` effects in the linearisation at z."""
+    gram = white.gram
+    rhs = gram[0, 1:] - precision * z
+    chol = np.linalg.cholesky(gram[1:, 1:] + np.diag(precision))
+    half = np.linalg.solve(chol, rhs)
+    quadratic = gram[0, 0] + precision @ (z * z) - half @ half
+    occam = 2.0 * np.log(np.diag(chol)).sum() - np.log(precision).sum()
+    return float(-0.5 * (quadratic + occam + white.log_det) + LOG_ODDS * count)
+
+
+def posterior(gram: np.ndarray, z: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Step (P,) to the posterior mean and the posterior covariance (P, P), scaled units."""
+    covariance = np.linalg.inv(gram[1:, 1:] + np.diag(precision))
+    return covariance @ (gram[0, 1:] - precision * z), covariance
+
+
+def fit_process(lin: Linearisation, prior: Prior, selected: Sequence[str], start: Process) -> Process:
+    """Process variances of greatest evidence near `start` (Nelder-Mead on three logs)."""
+
+    def clipped(point: np.ndarray) -> Process:
+        return Process(
+            log_lateral=float(np.clip(point[0], *FORCE_LIMITS)),
+            log_axial=float(np.clip(point[1], *FORCE_LIMITS)),
+            log_torque=float(np.clip(point[2], *TORQUE_LIMITS)),
+        )
+
+    precision = prior.precision(selected)
+
+    def objective(point: np.ndarray) -> float:
+        return -log_evidence(whitened(lin, clipped(point), prior), lin.z, precision, len(selected))
+
+    origin = np.array([start.log_lateral, start.log_axial, start.log_torque])
+    simplex = np.vstack([origin, origin + 0.8 * np.eye(3)])
+    options = {"xatol": 0.04, "fatol": 0.2, "maxiter": 60, "initial_simplex": simplex}
+    return clipped(minimize(objective, origin, method="Nelder-Mead", options=options).x)
+
+
+def disturbances(lin: Linearisation, process: Process, step: np.ndarray, local: np.ndarray) -> np.ndarray:
+    """Best linear prediction (segments, bins, 6) of the disturbance left by the model at z + step.
+
+    local: (flights, K) step of the flights' nuisances.
+    """
+    m = 1 + lin.parameters
+    n = m + lin.local.shape[1]
+    rest = lin.gram[:, n:, 0] - lin.gram[:, n:, 1:m] @ step
+    rest = rest - np.einsum("szk,sk->sz", lin.gram[:, n:, m:n], local[lin.flight])
+    inner = lin.gram[:, n:, n:] + np.linalg.inv(process.covariance(lin.bins))
+    return np.linalg.solve(inner, rest[:, :, None])[:, :, 0].reshape(len(lin.gram), lin.bins, 6)

@@ -1,0 +1,346 @@
+"""Command-driven segments: roll-outs of the library form from free initial states, linearised by lanes.
+
+A lane is one column of the Jacobian of one segment: the base roll-out, one initial-state direction, one
+scaled parameter, one local nuisance or one disturbance bin. All lanes advance together as numpy arrays
+(columns, segments) through the one source of the dynamics, `host.models.dynamics`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from firmware_model.law.constants import GRAVITY
+from firmware_model.law.rotations import euler_to_matrix, mat_t_vec
+from host.codegen.ops import NUMPY
+from host.models import dynamics
+from host.trace.evidence import Linearisation
+from host.trace.parameters import Space
+from host.vehicle import Vehicle
+
+STATES = 12
+LOCALS = 9
+"""Nuisances of one flight: mounting tilt of the markers (3, rad); a constant angular acceleration (3,
+rad/s^2) or, where the measured body rate drives the attitude, a constant gyro bias (3, rad/s); accelerometer
+bias (3, m/s^2)."""
+
+CHANNELS = 12
+"""Residuals a step: position, attitude, body rate, specific force, three each."""
+
+BIN_S = 0.1
+_LANES = 2500
+_X_STEP = np.array([1e-3] * 3 + [5e-3] * 3 + [1e-3] * 3 + [5e-3] * 3)
+_LOCAL_STEP = np.array([1e-3] * 3 + [0.1] * 3 + [0.1] * 3)
+_BIN_STEP = np.array([0.2] * 3 + [2.0] * 3)
+_RATE_DRIVEN = 0.02
+"""Factor on the local and bin steps that are rad/s instead of rad/s^2."""
+
+_Z_STEP = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segments:
+    """S segments of H steps with what was measured and commanded in them.
+
+    flight (S,); start_s (S,) since arm; x0 (S, 12) p, v, Theta, rate; position (S, H, 3) NED; attitude (S,
+    H, 9) R_ned_frd; shift_s (S, H) time of the pose after its grid point; pose_weight and rate_weight (S, H)
+    0 or 1; rate and force (S, H, 3) FRD means over the step, force_weight (S, H); command (S, pre + H, 4)
+    motor command, or rotor thrust in N where `in_newton`; voltage_ratio (S, H). sigma (S, 4): position m,
+    attitude rad, body rate rad/s, specific force m/s^2. `rate_driven`: the measured body rate is an input
+    instead of the commanded torque, for logs that declare the torque unknown.
+    """
+
+    dt_s: float
+    flight: np.ndarray
+    start_s: np.ndarray
+    x0: np.ndarray
+    position: np.ndarray
+    attitude: np.ndarray
+    shift_s: np.ndarray
+    pose_weight: np.ndarray
+    rate: np.ndarray
+    rate_weight: np.ndarray
+    force: np.ndarray
+    force_weight: np.ndarray
+    command: np.ndarray
+    voltage_ratio: np.ndarray
+    sigma: np.ndarray
+    in_newton: bool
+    rate_driven: bool
+
+    def __post_init__(self) -> None:
+        steps = self.position.shape[1]
+        per_bin = BIN_S / self.dt_s
+        if abs(per_bin - round(per_bin)) > 1e-9 or steps % round(per_bin):
+            raise ValueError(f"{steps} steps of {self.dt_s} s do not fill whole bins of {BIN_S} s")
+        if self.command.shape[1] <= steps:
+            raise ValueError("the command must begin before the segment: the rotors' lag needs a run-up")
+
+    @property
+    def steps(self) -> int:
+        """Steps H of a segment."""
+        return self.position.shape[1]
+
+    @property
+    def bins(self) -> int:
+        """Disturbance bins of a segment."""
+        return round(self.steps * self.dt_s / BIN_S)
+
+    def with_x0(self, x0: np.ndarray) -> Segments:
+        """The same segments starting from other initial states (S, 12)."""
+        return replace(self, x0=x0)
+
+    def take(self, index: Any) -> Segments:
+        """The segments at `index` (slice, mask or integers)."""
+        shared = ("dt_s", "in_newton", "rate_driven")
+        return replace(self, **{k: v[index] for k, v in vars(self).items() if k not in shared})
+
+
+class Airframe:
+    """A vehicle as the dynamics read it, with the adjustments of a lane in place of the file's constants."""
+
+    def __init__(self, vehicle: Vehicle, theta: dict[str, tuple[Any, ...]]) -> None:
+        logs = theta["inertia"]
+        self.inertia_kg_m2 = tuple(
+            j * np.exp(log) for j, log in zip(vehicle.inertia_kg_m2, logs, strict=True)
+        )
+        self.motor_lag_s = vehicle.motor_lag_s + theta.get("motor-lag-unknown", (0.0,))[0]
+        self.mass_kg = vehicle.mass_kg
+        self.rotors = vehicle.rotors
+        self.thrust_max_n = vehicle.thrust_max_n
+        self.thrust_curve = vehicle.thrust_curve
+        self.torque_per_thrust_m = vehicle.torque_per_thrust_m
+        log_gain, linear = theta.get("thrust-curve", (0.0, 0.0))
+        self._gain = vehicle.thrust_max_n * np.exp(log_gain)
+        self._linear = vehicle.thrust_curve[0] + linear
+        self._scale = np.exp(log_gain)
+
+    def commanded_thrust(self, command: np.ndarray, in_newton: bool) -> Any:
+        """Rotor thrust in N that a command asks for, before the lag."""
+        if in_newton:
+            return self._scale * command
+        return self._gain * command * (self._linear + (1.0 - self._linear) * command)
+
+
+def roll_out(
+    vehicle: Vehicle,
+    space: Space,
+    data: Segments,
+    x0: np.ndarray,
+    z: np.ndarray,
+    local: np.ndarray,
+    bins: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Predicted measurements of lanes: position (H, 3, C, S), R_ned_frd (H, 9, C, S), mean rate and specific
+    force (H, 3, C, S).
+
+    x0 (12, C, S); z (P, C); local (9, C, S); bins (bins, 6, C) disturbance, specific force m/s^2 then angular
+    acceleration rad/s^2, both FRD. Motors start at the lagged command of the run-up.
+    """
+    dt, steps, pre = data.dt_s, data.steps, data.command.shape[1] - data.steps
+    theta = space.theta(list(space.values(z)[:, :, None]))
+    effects = [(space.effects[name], theta[name]) for name in space.candidates]
+    airframe = Airframe(vehicle, theta)
+    lag = dynamics.motor_lag_s(NUMPY, airframe, effects)
+    full, half = np.exp(-dt / lag), np.exp(-0.5 * dt / lag)
+    latency = dynamics.mocap_latency_s(NUMPY, effects) + theta.get("pose-latency", (0.0,))[0]
+    tilt_x, tilt_y = theta["frame-tilt"]
+    gravity = (GRAVITY * tilt_y, -GRAVITY * tilt_x, 0.0 * tilt_x)
+
+    shape = x0.shape[1:]
+    x = [np.broadcast_to(x0[i], shape) for i in range(STATES)]
+    thrust = [
+        np.broadcast_to(airframe.commanded_thrust(data.command[:, 0, i], data.in_newton), shape)
+        for i in range(4)
+    ]
+    position, matrix, rate, force = (np.empty((steps, n, *shape)) for n in (3, 9, 3, 3))
+    per_bin = round(BIN_S / dt)
+    for k in range(-pre, steps):
+        target = [airframe.commanded_thrust(data.command[:, pre + k, i], data.in_newton) for i in range(4)]
+        after = [t + (now - t) * full for t, now in zip(target, thrust, strict=True)]
+        if k < 0:
+            thrust = after
+            continue
+        middle = [t + (now - t) * half for t, now in zip(target, thrust, strict=True)]
+        push = list(gravity)
+        turn = [local[3], local[4], local[5]]
+        if bins is not None:
+            b = bins[min(k // per_bin, len(bins) - 1)][:, :, None]
+            R = [data.attitude[:, k, i] for i in range(9)]
+            push = [
+                g + R[3 * i] * b[0] + R[3 * i + 1] * b[1] + R[3 * i + 2] * b[2] for i, g in enumerate(gravity)
+            ]
+            turn = [t + b[3 + i] for i, t in enumerate(turn)]
+        if data.rate_driven:
+            x = [*x[:9], *(data.rate[:, k, i] + turn[i] for i in range(3))]
+        voltage, t_s = data.voltage_ratio[:, k], data.start_s + k * dt
+
+        def rates(
+            x: list,
+            thrust: list,
+            push: list = push,
+            turn: list = turn,
+            voltage: Any = voltage,
+            t_s: Any = t_s,
+        ):
+            out = dynamics.rigid_body(NUMPY, airframe, effects, [*x, *thrust], voltage, t_s, push, turn)
+            return [*out[:9], 0.0, 0.0, 0.0] if data.rate_driven else out
+
+        k1 = rates(x, thrust)
+        s = data.shift_s[:, k] - latency
+        for i in range(3):
+            position[k, i] = x[i] + s * (x[3 + i] + 0.5 * s * k1[3 + i])
+        turned = [local[i] + s * x[9 + i] for i in range(3)]
+        matrix[k] = _turn(euler_to_matrix(NUMPY, x[6:9]), turned)
+        x_middle = [a + 0.5 * dt * b for a, b in zip(x, k1, strict=True)]
+        k2 = rates(x_middle, middle)
+        for i in range(3):
+            rate[k, i] = x[9 + i] + 0.5 * dt * k2[9 + i]
+        felt = (k2[3] - gravity[0], k2[4] - gravity[1], k2[5] - GRAVITY)
+        for i, f in enumerate(mat_t_vec(euler_to_matrix(NUMPY, x_middle[6:9]), felt)):
+            force[k, i] = f + local[6 + i]
+        x = [a + dt * b for a, b in zip(x, k2, strict=True)]
+        thrust = after
+    return position, matrix, rate, force
+
+
+def _turn(R: Any, phi: list) -> list:
+    """R exp(phi) to second order in the small rotation vector phi (rad), nine entries."""
+    a, b, c = phi
+    aa, bb, cc = a * a, b * b, c * c
+    E = (
+        1 - 0.5 * (bb + cc), 0.5 * a * b - c, 0.5 * a * c + b,
+        0.5 * a * b + c, 1 - 0.5 * (aa + cc), 0.5 * b * c - a,
+        0.5 * a * c - b, 0.5 * b * c + a, 1 - 0.5 * (aa + bb),
+    )  # fmt: skip
+    return [
+        R[3 * i] * E[j] + R[3 * i + 1] * E[3 + j] + R[3 * i + 2] * E[6 + j]
+        for i in range(3)
+        for j in range(3)
+    ]
+
+
+def residuals(
+    data: Segments, position: np.ndarray, matrix: np.ndarray, rate: np.ndarray, force: np.ndarray
+) -> np.ndarray:
+    """Measured minus predicted in units of their sigma, (C, S, 12 H): position, attitude vector, rate,
+    force.
+    """
+    steps, _, lanes, segments = position.shape
+    out = np.empty((lanes, segments, steps, CHANNELS))
+    pose, gyro = data.pose_weight[:, :, None], data.rate_weight[:, :, None]
+    for_pose = pose / data.sigma[:, None, 0:1]
+    out[..., 0:3] = (data.position - np.transpose(position, (2, 3, 0, 1))) * for_pose
+    m = np.transpose(matrix, (2, 3, 0, 1)).reshape(lanes, segments, steps, 3, 3)
+    y = data.attitude.reshape(segments, steps, 3, 3)
+    error = np.einsum("cshki,shkj->cshij", m, y, optimize=True)
+    for i, (row, column) in enumerate(((2, 1), (0, 2), (1, 0))):
+        out[..., 3 + i] = 0.5 * (error[..., row, column] - error[..., column, row])
+    out[..., 3:6] *= pose / data.sigma[:, None, 1:2]
+    out[..., 6:9] = (data.rate - np.transpose(rate, (2, 3, 0, 1))) * (gyro / data.sigma[:, None, 2:3])
+    felt = data.force_weight[:, :, None] / data.sigma[:, None, 3:4]
+    out[..., 9:12] = (data.force - np.transpose(force, (2, 3, 0, 1))) * felt
+    return out.reshape(lanes, segments, steps * CHANNELS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grams:
+    """Unprojected Grams (S, m, m) of [r | X 12 | S P | L 6 | Z 6 bins] and the initial states (S, 12) they
+    hold at.
+    """
+
+    gram: np.ndarray
+    x0: np.ndarray
+
+
+def linearise(
+    vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, local: np.ndarray, active: np.ndarray
+) -> Grams:
+    """Grams of all segments at scaled parameters z (P,) and flight nuisances `local` (flights, 9).
+
+    active (P,) masks the columns worth a lane; the others stay zero. Initial states take one Gauss-Newton
+    step towards their own segment first.
+    """
+    columns = 1 + STATES + int(active.sum()) + LOCALS + 6 * data.bins
+    chunk = max(1, _LANES // columns)
+    parts = [
+        _linearise(vehicle, space, data.take(slice(i, i + chunk)), z, local, active)
+        for i in range(0, len(data.flight), chunk)
+    ]
+    return Grams(gram=np.concatenate([p.gram for p in parts]), x0=np.concatenate([p.x0 for p in parts]))
+
+
+def _linearise(
+    vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, local: np.ndarray, active: np.ndarray
+) -> Grams:
+    mine = local[data.flight].T  # (9, S)
+    x0 = data.x0
+    for _ in range(2):
+        lanes = np.repeat(x0.T[:, None, :], 1 + STATES, axis=1)
+        for i in range(STATES):
+            lanes[i, 1 + i] += _X_STEP[i]
+        flat = np.repeat(mine[:, None, :], 1 + STATES, axis=1)
+        r = residuals(
+            data, *roll_out(vehicle, space, data, lanes, np.repeat(z[:, None], 1 + STATES, axis=1), flat)
+        )
+        X = np.swapaxes((r[0] - r[1:]) / _X_STEP[:, None, None], 0, 1)
+        normal = X @ np.swapaxes(X, 1, 2) + 1e-9 * np.eye(STATES)
+        x0 = x0 + np.linalg.solve(normal, (X @ r[0][:, :, None]))[:, :, 0]
+
+    on = np.flatnonzero(active)
+    count = 1 + STATES + len(on) + LOCALS + 6 * data.bins
+    lanes = np.repeat(x0.T[:, None, :], count, axis=1)
+    flat = np.repeat(mine[:, None, :], count, axis=1)
+    zs = np.repeat(z[:, None], count, axis=1)
+    bins = np.zeros((data.bins, 6, count))
+    factor = np.ones(LOCALS)
+    factor[3:6] = _RATE_DRIVEN if data.rate_driven else 1.0
+    steps = np.ones(count)
+    for i in range(STATES):
+        lanes[i, 1 + i] += _X_STEP[i]
+        steps[1 + i] = _X_STEP[i]
+    for i, column in enumerate(on):
+        zs[column, 1 + STATES + i] += _Z_STEP
+        steps[1 + STATES + i] = _Z_STEP
+    first = 1 + STATES + len(on)
+    for i in range(LOCALS):
+        steps[first + i] = _LOCAL_STEP[i] * factor[i]
+        flat[i, first + i] += steps[first + i]
+    first += LOCALS
+    for b in range(data.bins):
+        for i in range(6):
+            steps[first + 6 * b + i] = _BIN_STEP[i] * factor[i]
+            bins[b, i, first + 6 * b + i] = steps[first + 6 * b + i]
+    r = residuals(data, *roll_out(vehicle, space, data, lanes, zs, flat, bins))
+    A = (r[0] - r) / steps[:, None, None]
+    A[0] = r[0]
+    A = np.swapaxes(A, 0, 1)
+    small = A @ np.swapaxes(A, 1, 2)
+    width = 1 + STATES + space_size(space) + LOCALS + 6 * data.bins
+    keep = np.concatenate(
+        [np.arange(1 + STATES), 1 + STATES + on, np.arange(width - LOCALS - 6 * data.bins, width)]
+    )
+    gram = np.zeros((len(small), width, width))
+    gram[:, keep[:, None], keep[None, :]] = small
+    return Grams(gram=gram, x0=x0)
+
+
+def space_size(space: Space) -> int:
+    """Number P of scaled parameters."""
+    return len(space.columns)
+
+
+def project(grams: Grams, data: Segments, z: np.ndarray, local: np.ndarray) -> Linearisation:
+    """The linearisation left when every segment's initial state is free."""
+    gram = grams.gram
+    head, rest = np.arange(1, 1 + STATES), np.r_[0, 1 + STATES : gram.shape[1]]
+    A = gram[:, head[:, None], head]
+    scale = np.sqrt(np.einsum("sii->si", A)) + 1e-12
+    A = A / scale[:, :, None] / scale[:, None, :] + 1e-10 * np.eye(STATES)
+    C = gram[:, head[:, None], rest] / scale[:, :, None]
+    B = gram[:, rest[:, None], rest]
+    return Linearisation(
+        gram=B - np.swapaxes(C, 1, 2) @ np.linalg.solve(A, C), flight=data.flight, z=z, local=local
+    )
