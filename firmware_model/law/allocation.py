@@ -8,6 +8,7 @@ clockwise one.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 from firmware_model.law.ops import Ops, Scalar, Vector
 
@@ -53,29 +54,31 @@ def allocate(
 ) -> tuple[tuple[Scalar, ...], Scalar]:
     """Thrust of the four rotors (N, within t_min..t_max) and 1 where something was given up, else 0.
 
-    Given up first: yaw torque; then collective thrust, shifted up or down; last, roll and pitch torque,
-    scaled together. Roll and pitch are whole as long as any collective thrust leaves room for them.
+    A demand the rotors can meet is met exactly. Else, given up first: yaw torque, down to none; then
+    collective thrust, shifted up or down as little as needed; last, roll and pitch torque, scaled together.
+    Where rotors do not share thrust equally, roll and pitch are scaled somewhat before they must be.
 
     Args:
         inverse16: C^-1, row-major; its first column (how rotors share thrust) must be positive.
         collective_n, torque3: what is wanted; N and N m about x, y, z of FRD.
     """
     share = (inverse16[0], inverse16[4], inverse16[8], inverse16[12])
+    turn = (inverse16[3], inverse16[7], inverse16[11], inverse16[15])
     per = [1.0 / part for part in share]
     tilt = [inverse16[4 * i + 1] * torque3[0] + inverse16[4 * i + 2] * torque3[1] for i in range(4)]
-    yaw = [inverse16[4 * i + 3] * torque3[2] for i in range(4)]
+    yaw = [part * torque3[2] for part in turn]
 
-    # Roll and pitch, as the collective thrust each rotor would have to be at to make up for them.
+    # In units of collective thrust: rotor i stands at its bound for collective = bound_i - yaw_scale yaw_i.
     need = [t * k for t, k in zip(tilt, per, strict=True)]
-    low, high = _greatest(ops, [t_min * k for k in per]), _least(ops, [t_max * k for k in per])
+    low, high = [t_min * k for k in per], [t_max * k for k in per]
     spread = ops.maximum(_greatest(ops, need) - _least(ops, need), 1e-9)
-    tilt_scale = ops.minimum((high - low) / spread, 1.0)
-    tilt = [tilt_scale * t for t in tilt]
-
-    floor = _greatest(ops, [(t_min - t) * k for t, k in zip(tilt, per, strict=True)])
-    ceiling = _least(ops, [(t_max - t) * k for t, k in zip(tilt, per, strict=True)])
+    tilt_scale = ops.minimum((_least(ops, high) - _greatest(ops, low)) / spread, 1.0)
+    low = [bound - tilt_scale * t for bound, t in zip(low, need, strict=True)]
+    high = [bound - tilt_scale * t for bound, t in zip(high, need, strict=True)]
+    turned = [y * k for y, k in zip(yaw, per, strict=True)]
+    floor, ceiling = _collective_range(ops, low, high, turn, turned, per)
     collective = ops.minimum(ops.maximum(collective_n, floor), ceiling)
-    thrust = [part * collective + t for part, t in zip(share, tilt, strict=True)]
+    thrust = [part * collective + tilt_scale * t for part, t in zip(share, tilt, strict=True)]
 
     yaw_scale = 1.0
     for t, y in zip(thrust, yaw, strict=True):
@@ -87,6 +90,28 @@ def allocate(
     # Shifts of rounding's size are no saturation.
     lost = (1.0 - tilt_scale) + (1.0 - yaw_scale) + ops.fabs(collective - collective_n) / t_max
     return tuple(thrust), ops.where(lost > 1e-9, 1.0, 0.0)
+
+
+def _collective_range(
+    ops: Ops, low: Sequence[Scalar], high: Sequence[Scalar], turn: Vector, yaw: Sequence[Scalar], per: Vector
+) -> tuple[Scalar, Scalar]:
+    """Least and greatest collective thrust for which some part k of the yaw demand keeps all rotors in range.
+
+    low_i - k yaw_i <= collective <= high_i - k yaw_i are lines over k in 0..1. The lowest point above four lines
+    is the end of one of them or where a falling one meets a rising one: rotors that turn opposite ways.
+    """
+    ends_low = [ops.minimum(bound, bound - y) for bound, y in zip(low, yaw, strict=True)]
+    ends_high = [ops.maximum(bound, bound - y) for bound, y in zip(high, yaw, strict=True)]
+    floor, ceiling = _greatest(ops, ends_low), _least(ops, ends_high)
+    slope = [ops.fabs(part) * k for part, k in zip(turn, per, strict=True)]
+    for i, j in combinations(range(4), 2):
+        part = slope[j] / (slope[i] + slope[j])
+        opposite = turn[i] * turn[j] < 0.0
+        floor = ops.maximum(floor, ops.where(opposite, low[j] + part * (low[i] - low[j]), ends_low[i]))
+        ceiling = ops.minimum(
+            ceiling, ops.where(opposite, high[j] + part * (high[i] - high[j]), ends_high[i])
+        )
+    return floor, ceiling
 
 
 def thrust_to_command(ops: Ops, thrust_n: Scalar, t_max: Scalar, c1: Scalar, c2: Scalar) -> Scalar:

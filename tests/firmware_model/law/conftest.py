@@ -5,11 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from host.codegen.ops import CASADI, NUMPY
 
 from firmware_model.law import feedforward
 from firmware_model.law import step as law
 from firmware_model.law.ops import FLOAT
+from host.codegen.ops import CASADI, NUMPY
 from protocol.parameters import DEFAULTS
 
 
@@ -21,7 +21,7 @@ def _flatten(values):
 
 
 def _evaluate_three_ways(fn, columns):
-    """Results (outputs, lanes) of fn(ops, *blocks) on floats, CasADi and numpy; a block is an array (size, lanes)."""
+    """Results (outputs, lanes) of fn(ops, *blocks) on floats, CasADi, numpy; a block is (size, lanes)."""
     lanes = columns[0].shape[1]
     symbols = [ca.SX.sym(f"x{k}", column.shape[0]) for k, column in enumerate(columns)]
     expressions = _flatten(fn(CASADI, *([s[i] for i in range(s.shape[0])] for s in symbols)))
@@ -52,7 +52,7 @@ def _assert_alike(fn, columns, tolerance=1e-12):
 
 @pytest.fixture
 def assert_alike():
-    """assert_alike(fn, columns): floats, CasADi and numpy lanes give the same, vector by vector, lane by lane."""
+    """assert_alike(fn, columns): floats, CasADi and numpy give the same, vector by vector, lane by lane."""
     return _assert_alike
 
 
@@ -62,7 +62,7 @@ def _unit(rng, size, lanes):
 
 
 def _random_steps(seed, lanes):
-    """Inputs of the step by block name, arrays (size, lanes): half near a tracked reference, half anywhere."""
+    """Inputs of the step by block name, arrays (size, lanes): half near a reference, half anywhere."""
     rng = np.random.default_rng(seed)
     wild = np.where(np.arange(lanes) % 2, 1.0, 0.02)
 

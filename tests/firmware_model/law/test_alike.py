@@ -1,4 +1,4 @@
-"""One source, three number types: floats, CasADi symbols and numpy lanes agree to 1e-12 of the result's scale."""
+"""One source, three number types: floats, CasADi and numpy lanes agree to 1e-12 of the result's scale."""
 
 from __future__ import annotations
 
