@@ -1,0 +1,69 @@
+"""The pages under docs/ say what the code does."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from host.route import (
+    Box,
+    Cylinder,
+    FigureEight,
+    LimitsOverride,
+    RandomWaypoints,
+    Route,
+    Sphere,
+    YawProfile,
+    check_route,
+    parse_route,
+)
+from host.vehicle import Battery, Gains, Limits, Rotor, Vehicle, load_vehicle
+
+ROOT = Path(__file__).parent.parent
+PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
+
+
+@pytest.mark.parametrize(
+    ("page", "models"),
+    [
+        ("vehicle-file.md", (Vehicle, Rotor, Battery, Limits, Gains)),
+        ("route-file.md", (Route, YawProfile, LimitsOverride, Box, Sphere, Cylinder)),
+        ("route-file.md", (FigureEight, RandomWaypoints)),
+    ],
+)
+def test_page_names_every_key(page: str, models: tuple[type[BaseModel], ...]) -> None:
+    text = (ROOT / "docs" / page).read_text()
+    keys = {name for model in models for name in model.model_fields}
+    assert sorted(key for key in keys if not re.search(rf"[`\[]{key}[`\]]", text)) == []
+
+
+def test_route_pages_example_is_a_good_route() -> None:
+    page = (ROOT / "docs" / "route-file.md").read_text()
+    (example,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    limits = check_route(parse_route(example, "example"), load_vehicle("research"))
+    assert limits.speed_max_m_s == 3.0
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_links_of_page_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+        assert (page.parent / target).is_file(), target
+
+
+def test_drawing_places_rotors_as_the_research_vehicle_has_them() -> None:
+    # Up on the page is forward, right is right; the body's centre is drawn at (250, 250).
+    svg = "{http://www.w3.org/2000/svg}"
+    tree = ElementTree.parse(ROOT / "docs" / "conventions.svg")
+    drawn: dict[tuple[bool, bool], list[str]] = {}
+    for text in tree.iter(f"{svg}text"):
+        x, y = float(text.get("x", 0)) - 250, 250 - float(text.get("y", 0))
+        if text.text in ("1", "2", "3", "4", "cw", "ccw"):
+            drawn.setdefault((y > 0, x > 0), []).append(text.text)
+    expected = {}
+    for number, rotor in enumerate(load_vehicle("research").rotors, start=1):
+        expected[(rotor.position_m[0] > 0, rotor.position_m[1] > 0)] = [str(number), rotor.spin]
+    assert drawn == expected
