@@ -106,6 +106,16 @@ class Flight:
         self.configure()
         self._rest(0)
 
+    @property
+    def rotors_on(self) -> bool:
+        """Whether the law drives the rotors."""
+        return self._armed[0] > 0.5
+
+    @property
+    def gyro(self) -> tuple[float, float, float]:
+        """The gyro's sample of the last tick (rad/s, FRD)."""
+        return (self._gyro[0], self._gyro[1], self._gyro[2])
+
     # Commands and measurements.
 
     def command(self, event: Event, now_us: int) -> str | None:

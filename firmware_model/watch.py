@@ -62,7 +62,7 @@ class Watch:
         self.thrust_ratio += _RATIO_SHARE * (ratio - self.thrust_ratio)
 
     def carried(self, now_us: int, *, force: float, thrust: float) -> bool:
-        """Whether something carries the vehicle: more force than this thrust gave aloft (over mass, m/s^2, up)."""
+        """Whether something carries the vehicle: more force over mass than thrust gave aloft (m/s^2, up)."""
         return self._lasting(now_us, force - self.thrust_ratio * thrust > TOUCH_FORCE)
 
     def _lasting(self, now_us: int, sign: bool) -> bool:

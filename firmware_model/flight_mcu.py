@@ -1,0 +1,227 @@
+"""The flight processor: bytes in, sensors in, motor commands out; everything happens in its tick."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from firmware_model import telemetry, track
+from firmware_model.engine import Engine
+from firmware_model.flight import LOOK_TICKS, TICK_US, Flight
+from firmware_model.parameters import ParameterValues
+from firmware_model.services import Identity, Services
+from firmware_model.store import ReferenceStore
+from firmware_model.supervisor import State
+from firmware_model.uart import UartPort
+from firmware_model.verdict import check_blob
+from protocol.blobs import FeedForward, Kind, Reference, from_bytes
+from protocol.codec import Codec
+from protocol.messages import DIALECT_VERSION, VEHICLE, AttPosMocap, Message, mavlink
+from protocol.upload import ReceiverEvent, UploadEvent, UploadReceiver, Verdict
+
+BAUD = 921_600
+RX_BYTES = 2_048
+TX_BYTES = 4_096
+LOOK_US = LOOK_TICKS * TICK_US
+FOREIGN_US = 5_000_000
+"""How often it says that it does not understand."""
+FOREIGN_LEAST = 3
+"""Wrong checksums in that time that noise does not explain."""
+
+
+class FlightMcu:
+    """One power-up of the flight processor. A power cycle is a new one with the same store.
+
+    Args:
+        engine: `law.step` as an engine; it is this processor's alone.
+        parameters: values by the names of protocol's table, defaults where missing.
+        store: non-volatile memory.
+        uid: of this power-up, at most 18 bytes; AUTOPILOT_VERSION.uid2, little-endian.
+        vehicle_id: 6 bytes, id of the vehicle file that the parameters come from.
+        baud, rx_bytes, tx_bytes: the line to the radio processor.
+
+    `motor_command` is a view of four numbers in 0..1, fixed for life, new after each tick.
+    Raises ValueError for parameters that the table refuses.
+    """
+
+    def __init__(
+        self,
+        *,
+        engine: Engine,
+        parameters: Mapping[str, float],
+        store: ReferenceStore,
+        uid: int,
+        vehicle_id: bytes,
+        baud: int = BAUD,
+        rx_bytes: int = RX_BYTES,
+        tx_bytes: int = TX_BYTES,
+    ) -> None:
+        self.uart = UartPort(baud=baud, rx_bytes=rx_bytes, tx_bytes=tx_bytes)
+        self.parameters = ParameterValues(parameters)
+        self.flight = Flight(engine=engine, parameters=self.parameters)
+        self.motor_command = self.flight.outputs["motor_command"]
+        self.unsendable = 0  # messages whose numbers fit no field
+        self.unsent = 0  # messages for which the line had no room
+        self._store = store
+        self._identity = Identity(uid=uid, vehicle_id=vehicle_id)
+        self._codec = Codec(*VEHICLE)
+        self._upload = UploadReceiver(
+            store, check=self._check, may_commit=self._may_commit, capacity=store.bank_bytes
+        )
+        self._services = Services(
+            flight=self.flight,
+            parameters=self.parameters,
+            upload=self._upload,
+            identity=self._identity,
+            send=self._queue,
+            status=self._status,
+            on_upload=self._uploaded,
+        )
+        self._out: list[bytes] = []
+        self._battery_v = 0.0
+        self._last_us = -TICK_US
+        self._look_us = 0
+        self._status_us = 0
+        self._heartbeat_us = 0
+        self._tick_max_us = 0
+        self._late_ticks = 0
+        self._foreign_us = FOREIGN_US
+        self._foreign = 0
+        for kind in Kind:
+            self._load(kind)
+
+    @property
+    def state(self) -> State:
+        """What the vehicle is doing."""
+        return self.flight.state
+
+    def tick(
+        self, now_us: int, gyro: Sequence[float], specific_force: Sequence[float], battery_v: float
+    ) -> None:
+        """Nothing comes back; one tick has passed, `motor_command` is what the rotors get until the next.
+
+        Args:
+            now_us: time since power-up. gyro (rad/s), specific_force (m/s^2): FRD.
+        """
+        if now_us >= self.uart.due_us:
+            self._receive(now_us)
+        if now_us - self._last_us != TICK_US:
+            self._mistimed(now_us)
+        self._last_us = now_us
+        self.flight.tick(now_us, gyro, specific_force)
+        if now_us >= self._look_us:
+            self._battery_v = battery_v
+            self._look(now_us)
+
+    def _receive(self, now_us: int) -> None:
+        """Whatever has arrived is handled; answers leave at once."""
+        flight, services = self.flight, self._services
+        for message in self._codec.decode(self.uart.read(now_us)):
+            if isinstance(message, AttPosMocap):
+                flight.pose(message.time_usec, (message.x, message.y, message.z), message.q, now_us)
+            else:
+                services.receive(message, now_us)
+        if self._out:
+            self._flush(now_us)
+
+    def _look(self, now_us: int) -> None:
+        """Every ten ticks: what is watched, and what is reported."""
+        self._look_us = now_us - now_us % LOOK_US + LOOK_US
+        flight = self.flight
+        flight.look(now_us)
+        try:
+            self._queue(telemetry.control(flight, now_us))
+            self._queue(telemetry.estimate(flight, now_us))
+        except (ValueError, OverflowError):
+            self.unsendable += 1
+        if now_us >= self._status_us or flight.changed:
+            self._status_us = now_us - now_us % telemetry.STATUS_US + telemetry.STATUS_US
+            flight.changed = False
+            self._queue(self._status(now_us))
+            self._tick_max_us = TICK_US
+        if now_us >= self._heartbeat_us:
+            self._heartbeat_us = now_us - now_us % telemetry.HEARTBEAT_US + telemetry.HEARTBEAT_US
+            self._queue(telemetry.heartbeat(flight))
+        while flight.texts:
+            self._services.text(*flight.texts.popleft())
+        self._services.look(now_us)
+        if now_us >= self._foreign_us:
+            self._notice_foreign(now_us)
+        self._flush(now_us)
+
+    def _notice_foreign(self, now_us: int) -> None:
+        """Messages of another dialect's version look like known ones with wrong checksums: say so."""
+        self._foreign_us = now_us + FOREIGN_US
+        fresh, self._foreign = self._codec.bad_checksums - self._foreign, self._codec.bad_checksums
+        if fresh >= FOREIGN_LEAST:
+            text = f"{fresh} messages not understood; dialect {DIALECT_VERSION} here"
+            self._services.text(mavlink.MAV_SEVERITY_WARNING, text)
+
+    def _mistimed(self, now_us: int) -> None:
+        self._tick_max_us = max(self._tick_max_us, now_us - self._last_us)
+        self._late_ticks += 1
+
+    # Sending.
+
+    def _queue(self, message: Message) -> None:
+        try:
+            self._out.append(self._codec.encode(message))
+        except ValueError:
+            self.unsendable += 1
+
+    def _flush(self, now_us: int) -> None:
+        """What is queued goes on the line: as a whole where there is room, else as many messages as fit."""
+        out, self._out = self._out, []
+        data = b"".join(out)
+        if len(data) <= self.uart.tx_free(now_us):
+            self.uart.write(data, now_us)
+            return
+        for message in out:
+            if not self.uart.write(message, now_us):
+                self.unsent += 1
+
+    def _status(self, now_us: int) -> Message:
+        upload = self._upload
+        staged_kind, staged_id = upload.staged()
+        board = telemetry.OnBoard(
+            vehicle_id=self._identity.vehicle_id,
+            reference_id=upload.live_id(Kind.REFERENCE),
+            feedforward_id=upload.live_id(Kind.FEEDFORWARD),
+            staged_id=staged_id,
+            staged_kind=staged_kind,
+            battery_v=self._battery_v,
+            tick_max_us=self._tick_max_us,
+            late_ticks=self._late_ticks,
+            uart_overruns=self.uart.overruns,
+            bad_bytes=self._codec.bad_bytes,
+        )
+        return telemetry.status(self.flight, now_us, board)
+
+    # Blobs.
+
+    def _check(self, kind: int, blob: bytes) -> Verdict:
+        return check_blob(kind, blob, parameters=self.parameters, vehicle_id=self._identity.vehicle_id.hex())
+
+    def _may_commit(self, kind: int) -> bool:
+        return self.flight.state is State.STANDBY
+
+    def _uploaded(self, event: ReceiverEvent) -> None:
+        self.flight.changed = True
+        if event.event is UploadEvent.COMMITTED:
+            self._load(event.kind)
+
+    def _load(self, kind: int) -> None:
+        """What is live of this kind becomes what is flown, if it (still) passes the check."""
+        data = self._store.live(kind)
+        verdict = None if data is None else self._check(kind, data)
+        if verdict is not None and not verdict.ok:
+            text = f"live blob refused: {verdict.message}"
+            self.flight.texts.append((mavlink.MAV_SEVERITY_WARNING, text))
+        blob = from_bytes(data) if data is not None and verdict is not None and verdict.ok else None
+        if kind == Kind.REFERENCE:
+            self.flight.reference = None
+            if isinstance(blob, Reference):
+                self.flight.reference = track.track(blob.nodes_ned(), blob.yaw_nodes())
+        else:
+            self.flight.feedforward.clear()
+            if isinstance(blob, FeedForward):
+                self.flight.feedforward.load(blob)

@@ -1,0 +1,103 @@
+"""What the vehicle says unasked: FC_CONTROL and FC_ESTIMATE at 100 Hz, FC_STATUS at 10, HEARTBEAT at 1."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from firmware_model.flight import TICK_US, Flight
+from firmware_model.law import step as law
+from firmware_model.supervisor import State
+from protocol.messages import NO_TICK, FcStatus, Heartbeat, Message, vehicle_heartbeat
+from protocol.telemetry import control_message, estimate_message
+
+STATUS_US = 100_000
+HEARTBEAT_US = 1_000_000
+_MASK32 = 0xFFFF_FFFF
+_MASK16 = 0xFFFF
+
+
+class OnBoard(NamedTuple):
+    """What FC_STATUS says beside the flight: blobs on board, health of the processor and of its line."""
+
+    vehicle_id: bytes
+    reference_id: bytes
+    feedforward_id: bytes
+    staged_id: bytes
+    staged_kind: int
+    battery_v: float
+    tick_max_us: int
+    late_ticks: int
+    uart_overruns: int
+    bad_bytes: int
+
+
+def control(flight: Flight, now_us: int) -> Message:
+    """FC_CONTROL of this tick. What is commanded is 0 while the rotors are off; the sums run on.
+
+    Raises ValueError or OverflowError where the law's outputs are not finite.
+    """
+    outputs, memory = flight.outputs, flight.outputs["memory"]
+    on = flight.rotors_on
+    return control_message(
+        now_us // TICK_US,
+        collective_n=outputs["collective_n"][0] if on else 0.0,
+        rate_cmd=outputs["rate_cmd"].tolist() if on else _ZERO3,
+        torque=outputs["torque"].tolist() if on else _ZERO3,
+        motor_sum=memory[law.MOTOR_SUM],
+        gyro_sum=memory[law.GYRO_SUM],
+        force_sum=memory[law.FORCE_SUM],
+        rate_integral=memory[law.RATE_INTEGRAL].tolist(),
+    )
+
+
+def estimate(flight: Flight, now_us: int) -> Message:
+    """FC_ESTIMATE of this tick. Raises ValueError or OverflowError where the estimate is not finite."""
+    memory = flight.outputs["memory"].tolist()
+    bias = memory[law.EST_BIAS]
+    pose_us = flight.pose_us
+    return estimate_message(
+        now_us // TICK_US,
+        p_ned=memory[law.EST_P],
+        v_ned=memory[law.EST_V],
+        q_ned_frd=memory[law.EST_Q],
+        rate_frd=[g - b for g, b in zip(flight.gyro, bias, strict=True)],
+        mocap_age_us=None if pose_us is None else now_us - pose_us,
+        gyro_bias_frd=bias,
+    )
+
+
+def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
+    """FC_STATUS of this tick."""
+    tracking_us = flight.tracking_us
+    battery_mv = 1000.0 * board.battery_v
+    return FcStatus(
+        tick=now_us // TICK_US & _MASK32,
+        state_tick=flight.state_us // TICK_US & _MASK32,
+        reference_tick=NO_TICK if tracking_us is None else tracking_us // TICK_US,
+        saturated_ticks=flight.saturated_ticks & _MASK32,
+        flight_ticks=flight.flight_ticks & _MASK32,
+        poses_used=flight.poses_used & _MASK32,
+        battery_mv=min(_MASK16, max(0, round(battery_mv))) if math.isfinite(battery_mv) else 0,
+        loop_us=min(_MASK16, board.tick_max_us),
+        loop_overruns=board.late_ticks & _MASK16,
+        uart_overruns=board.uart_overruns & _MASK16,
+        bad_bytes=board.bad_bytes & _MASK16,
+        state=int(flight.state),
+        failsafe=int(flight.failsafe),
+        staged_kind=board.staged_kind,
+        staged_id=board.staged_id,
+        reference_id=board.reference_id,
+        feedforward_id=board.feedforward_id,
+        vehicle_id=board.vehicle_id,
+    )
+
+
+def heartbeat(flight: Flight) -> Heartbeat:
+    """HEARTBEAT as of now."""
+    state = flight.state
+    armed = state not in (State.BOOT, State.STANDBY)
+    return vehicle_heartbeat(int(state), armed=armed, failsafe=state is State.FAILSAFE)
+
+
+_ZERO3 = (0.0, 0.0, 0.0)

@@ -1,0 +1,92 @@
+"""The vehicle's own verdict on a blob: by its own parameters and limits, whoever sent it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+
+from firmware_model.law import checks
+from protocol.blobs import BlobError, FeedForward, Reference, from_bytes
+from protocol.upload import Verdict
+
+
+class Reason(IntEnum):
+    """Reasons beside those of `law.checks`, whose numbers are below 100; they travel on the wire."""
+
+    BAD_BLOB = 100
+    OTHER_VEHICLE = 101
+    OTHER_KIND = 102
+    FEEDFORWARD_RANGE = 103
+
+
+GAIN_RANGE = (0.3, 3.0)
+"""Real over nominal thrust that a feed-forward may claim."""
+BIAS_MAX = 5.0
+"""m/s^2."""
+DRAG_MAX = 5.0
+"""1/s and 1/m."""
+OFFSET_MAX = 0.2
+"""rad."""
+PREDICTION_MAX_S = 0.1
+
+
+def check_blob(kind: int, data: bytes, *, parameters: Mapping[str, float], vehicle_id: str) -> Verdict:
+    """Whether this vehicle may use the blob, and if not, why. Never raises."""
+    try:
+        blob = from_bytes(data)
+    except BlobError as error:
+        return _refused(Reason.BAD_BLOB, str(error))
+    found = int(blob.KIND)
+    if found != kind:
+        return _refused(Reason.OTHER_KIND, f"announced as kind {kind}, but it is kind {found}")
+    if blob.vehicle_id != vehicle_id:
+        return _refused(Reason.OTHER_VEHICLE, f"made for vehicle {blob.vehicle_id}, this is {vehicle_id}")
+    if isinstance(blob, Reference):
+        return _check_reference(blob, parameters)
+    return _check_feedforward(blob)
+
+
+def _check_reference(blob: Reference, parameters: Mapping[str, float]) -> Verdict:
+    airframe, limits = checks.from_parameters(parameters)
+    found = checks.check_reference(
+        blob.nodes,
+        blob.yaw_nodes(),
+        airframe,
+        limits,
+        origin=blob.origin_ned,
+        ends_at_rest=not blob.free_ends,
+    )
+    if found.ok:
+        return Verdict(ok=True)
+    return Verdict(
+        ok=False,
+        node=found.node if 0 <= found.node < 0xFFFF else None,
+        reason=int(found.reason_code),
+        value=found.value,
+        bound=found.bound,
+        message=found.message,
+    )
+
+
+def _check_feedforward(blob: FeedForward) -> Verdict:
+    if blob.block is None:
+        return Verdict(ok=True)
+    gain, *rest = blob.block
+    if not GAIN_RANGE[0] <= gain <= GAIN_RANGE[1]:
+        bound = GAIN_RANGE[0] if gain < GAIN_RANGE[0] else GAIN_RANGE[1]
+        return _refused(Reason.FEEDFORWARD_RANGE, f"gain {gain:.4g} beyond {bound:g}", gain, bound)
+    bias, drag, offset, prediction_s = rest[0:3], rest[3:9], rest[9:11], rest[11:12]
+    for name, values, bound in (
+        ("bias", bias, BIAS_MAX),
+        ("drag", drag, DRAG_MAX),
+        ("attitude offset", offset, OFFSET_MAX),
+        ("prediction time", prediction_s, PREDICTION_MAX_S),
+    ):
+        worst = max(values, key=abs)
+        if not abs(worst) <= bound:
+            return _refused(Reason.FEEDFORWARD_RANGE, f"{name} {worst:.4g} beyond {bound:g}", worst, bound)
+    return Verdict(ok=True)
+
+
+def _refused(reason: Reason, message: str, value: float = 0.0, bound: float = 0.0) -> Verdict:
+    return Verdict(ok=False, reason=int(reason), value=value, bound=bound, message=message)
