@@ -1,0 +1,112 @@
+"""The box a plan is solved in: the limits, a little inside, and tightened where the finished reference sticks out.
+
+Limits are judged on the final reference, inside every interval; the solver sees only its nodes. What the reference
+exceeds a limit by is therefore taken off the solver's box before the next round.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from firmware_model.law.checks import Limits as CheckedLimits
+from host.models.model import Region
+from host.plan.dynamics import Dynamics
+from host.vehicle import Limits
+
+_INSET = 0.01  # of every range, at the start
+_EXCESS = 1.3  # share of an excess that is taken off the box
+_REGION_MARGIN = 1.1  # how far beyond the trained region a network is trusted
+KEEP_OUT = "keep_out_m"
+"""Name of the margin to keep-out shapes, beside those of `firmware_model.law.checks`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverBox:
+    """Bounds at the nodes. thrust_share: of thrust_max_n, low and high; fence_m: how far inside the geofence;
+    keep_out_m: least distance from keep-out shapes.
+    """
+
+    thrust_share: tuple[float, float]
+    body_rate_rad_s: tuple[float, float, float]
+    tilt_deg: float
+    speed_m_s: float
+    jerk_m_s3: float
+    fence_m: float
+    keep_out_m: float
+
+    @classmethod
+    def inside(cls, limits: Limits) -> SolverBox:
+        """A box just inside the limits."""
+        low, high = limits.thrust_headroom
+        inset = _INSET * (high - low)
+        x, y, z = (bound * (1.0 - _INSET) for bound in limits.body_rate_max_rad_s)
+        return cls(
+            thrust_share=(low + inset, high - inset),
+            body_rate_rad_s=(x, y, z),
+            tilt_deg=limits.tilt_max_deg * (1.0 - _INSET),
+            speed_m_s=limits.speed_max_m_s * (1.0 - _INSET),
+            jerk_m_s3=limits.jerk_max_m_s3 * (1.0 - _INSET),
+            fence_m=0.01,
+            keep_out_m=0.03,
+        )
+
+    def tightened(self, margins: Mapping[str, float]) -> SolverBox:
+        """The box with every negative margin of the finished reference taken off its bound."""
+
+        def excess(name: str) -> float:
+            return _EXCESS * max(0.0, -margins.get(name, 0.0))
+
+        low, high = self.thrust_share
+        rate = excess("body_rate_rad_s")
+        x, y, z = (max(0.5 * bound, bound - rate) for bound in self.body_rate_rad_s)
+        return SolverBox(
+            thrust_share=(low + excess("thrust_low"), high - excess("thrust_high")),
+            body_rate_rad_s=(x, y, z),
+            tilt_deg=max(0.5 * self.tilt_deg, self.tilt_deg - excess("tilt_deg")),
+            speed_m_s=max(0.5 * self.speed_m_s, self.speed_m_s - excess("speed_m_s")),
+            jerk_m_s3=max(0.5 * self.jerk_m_s3, self.jerk_m_s3 - excess("jerk_m_s3")),
+            fence_m=self.fence_m + excess("geofence_m"),
+            keep_out_m=self.keep_out_m + excess(KEEP_OUT),
+        )
+
+
+def within_region(limits: Limits, region: Region, dynamics: Dynamics) -> Limits:
+    """The limits cut down to where a model was trained, with a tenth beyond; thrust by what each rotor may give."""
+    low, high = limits.thrust_headroom
+    most = _REGION_MARGIN * region.thrust_max_n / (4.0 * dynamics.vehicle.thrust_max_n)
+    least = region.thrust_min_n / (_REGION_MARGIN * 4.0 * dynamics.vehicle.thrust_max_n)
+    hover = dynamics.hover_n / dynamics.vehicle.thrust_max_n
+    return limits.model_copy(
+        update={
+            "speed_max_m_s": min(limits.speed_max_m_s, _REGION_MARGIN * region.speed_max_m_s),
+            "tilt_max_deg": min(limits.tilt_max_deg, max(5.0, _REGION_MARGIN * region.tilt_max_deg)),
+            "thrust_headroom": (max(low, min(least, 0.9 * hover)), min(high, max(most, 1.1 * hover))),
+        }
+    )
+
+
+def checked(limits: Limits, on_board: CheckedLimits) -> CheckedLimits:
+    """The limits as the reference is judged by, never looser than on board."""
+
+    def tighter(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
+        return max(a[0], b[0]), min(a[1], b[1])
+
+    rate = tuple(map(min, limits.body_rate_max_rad_s, on_board.body_rate_max_rad_s))
+    fence = tuple(map(tighter, limits.geofence_m, on_board.geofence_m))
+    return dataclasses.replace(
+        on_board,
+        speed_max_m_s=min(limits.speed_max_m_s, on_board.speed_max_m_s),
+        tilt_max_deg=min(limits.tilt_max_deg, on_board.tilt_max_deg),
+        body_rate_max_rad_s=(rate[0], rate[1], rate[2]),
+        jerk_max_m_s3=min(limits.jerk_max_m_s3, on_board.jerk_max_m_s3),
+        thrust_headroom=tighter(limits.thrust_headroom, on_board.thrust_headroom),
+        geofence_m=(fence[0], fence[1], fence[2]),
+    )
+
+
+def worst(margins: Mapping[str, float]) -> float:
+    """The least margin; infinity without any."""
+    return min(margins.values(), default=math.inf)

@@ -1,0 +1,189 @@
+"""The planner's state, and what an interval integrates, costs and bounds, for a vehicle and a model of its residual.
+
+The paper's 12 states (eq. 1) and the four rotor thrusts in units of hover thrust; the inputs are the thrusts' rates.
+With thrust as a state acceleration is continuous and the jerk finite, which a reference needs; the paper's effort
+u'u weighs the thrusts themselves, as there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_model.law.constants import GRAVITY
+from host.codegen import CASADI
+from host.models.dynamics import RATE, THETA, THRUST, Part, V, residual_acceleration_ned, rigid_body
+from host.models.model import Region
+from host.models.network import Network
+from host.plan.stage import Layers, StageModel
+from host.route.shapes import Box, Cylinder, Sphere
+from host.vehicle import Limits, Vehicle
+
+Array = NDArray[np.float64]
+Shape = Box | Cylinder | Sphere
+
+STATES, INPUTS, PARAMETERS = 16, 4, 1
+TILT_ROW, SPEED_ROW, JERK_ROW, FIRST_SHAPE_ROW = 0, 1, 2, 3
+"""Rows bounded at every node: cos tilt; squared speed and squared jerk as shares of their squared limits; distance
+from each keep-out shape in metres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualModel:
+    """What is known beyond the nominal vehicle: effects with values, a network on top, and where they hold."""
+
+    parts: tuple[Part, ...] = ()
+    network: Network | None = None
+    region: Region | None = None
+    id: str | None = None
+
+    @property
+    def has_residual(self) -> bool:
+        """Whether it predicts any residual acceleration at all."""
+        return self.network is not None or any(effect.specific_force_frd for effect, _ in self.parts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weights:
+    """What the cost is made of.
+
+    control: of the squared rotor thrusts in units of hover thrust, m^2/s^4 (the paper's lambda_r = 0.1 per N^2 on its
+    0.752 kg vehicle is 0.34). thrust_rate: of their squared rates in 1/s. yaw: of the squared deviation from the
+    heading asked for, large because the flat reference has no other heading.
+    """
+
+    control: float = 0.34
+    thrust_rate: float = 0.02
+    yaw: float = 1e4
+
+    def __post_init__(self) -> None:
+        for name in ("control", "thrust_rate", "yaw"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"weight {name} must be positive, not {value!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dynamics:
+    """A vehicle as the planner sees it. augmented: the model is part of the dynamics, not only of the cost."""
+
+    vehicle: Vehicle
+    model: ResidualModel = field(default_factory=ResidualModel)
+    augmented: bool = False
+
+    @property
+    def hover_n(self) -> float:
+        """Thrust of one rotor that carries a quarter of the nominal weight."""
+        return self.vehicle.mass_kg * GRAVITY / 4.0
+
+    def newtons(self, x: Sequence[Any]) -> list[Any]:
+        """The state in the units of `host.models`: rotor thrusts in N."""
+        return [*x[: THRUST.start], *(self.hover_n * thrust for thrust in x[THRUST])]
+
+    def _scalars(self, x: ca.SX) -> list[Any]:
+        return self.newtons([x[i] for i in range(STATES)])
+
+    def derivative(self, x: ca.SX, u: ca.SX) -> ca.SX:
+        """(16,) continuous dynamics, paper eq. 1, without the network."""
+        parts = self.model.parts if self.augmented else ()
+        return ca.vertcat(*rigid_body(CASADI, self.vehicle, parts, self._scalars(x)), u)
+
+    def residual(self, x: ca.SX) -> ca.SX:
+        """(3,) the residual acceleration d(x), NED, without the network."""
+        return ca.vertcat(
+            *residual_acceleration_ned(CASADI, self.vehicle, self.model.parts, self._scalars(x))
+        )
+
+    def jerk_squared(self, x: ca.SX, u: ca.SX) -> ca.SX:
+        """The nominal vehicle's squared jerk: thrust changes along z_frd, and z_frd turns."""
+        scale = self.hover_n / self.vehicle.mass_kg
+        force, change = scale * ca.sum1(x[THRUST]), scale * ca.sum1(u)
+        rate = x[RATE]
+        return change**2 + force**2 * (rate[0] ** 2 + rate[1] ** 2)
+
+    def hover(self, yaw: float) -> Array:
+        """(16,) the state at rest at the origin in which nothing accelerates, in the planner's units.
+
+        Newton's method on attitude and thrusts; differs from level only where the dynamics are augmented. Raises
+        ValueError where the model has no such state.
+        """
+        unknown = ca.SX.sym("unknown", 6)
+        x = ca.vertcat(ca.SX(6, 1), unknown[:2], yaw, ca.SX(3, 1), unknown[2:])
+        xdot = self.derivative(x, ca.SX(INPUTS, 1))
+        acceleration = xdot[V]
+        if self.augmented and self.model.network is not None:
+            inputs = [x[i] for i in range(V.start, THETA.stop)]
+            network = self.model.network
+            acceleration = acceleration + ca.vertcat(
+                *network.layout.scalars(CASADI, list(network.xi), inputs)
+            )
+        equations = ca.vertcat(acceleration, xdot[RATE])
+        step = ca.Function("step", [unknown], [equations, ca.jacobian(equations, unknown)])
+        value = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
+        for _ in range(20):
+            error, slope = (np.array(part) for part in step(value))
+            if np.abs(error).max() < 1e-10:
+                return np.concatenate([np.zeros(6), value[:2], [yaw], np.zeros(3), value[2:]])
+            value = value - np.linalg.solve(slope, error).ravel()
+        raise ValueError("the model has no state of rest near level flight: its values cannot be right")
+
+    def stage_model(
+        self,
+        *,
+        minimise_residual: bool,
+        weights: Weights,
+        limits: Limits,
+        keep_out: Sequence[Shape],
+        weigh_time: bool,
+    ) -> StageModel:
+        """The interval's model. Its one parameter is the yaw asked for; path rows as TILT_ROW and so on."""
+
+        def effort(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+            thrust = x[THRUST]
+            turn = x[THETA.stop - 1] - p[0]
+            return (
+                weights.control * ca.dot(thrust, thrust)
+                + weights.thrust_rate * ca.dot(u, u)
+                + weights.yaw * turn * turn
+            )
+
+        def path(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+            position = [x[i] for i in range(3)]
+            return ca.vertcat(
+                ca.cos(x[6]) * ca.cos(x[7]),
+                ca.dot(x[V], x[V]) / limits.speed_max_m_s**2,
+                self.jerk_squared(x, u) / limits.jerk_max_m_s3**2,
+                *(shape.signed_distance(CASADI, position) for shape in keep_out),
+            )
+
+        network = self.model.network
+        return StageModel(
+            nx=STATES,
+            nu=INPUTS,
+            np=PARAMETERS,
+            derivative=self.derivative,
+            residual=self.residual if minimise_residual else None,
+            effort=effort,
+            path=path,
+            network=None if network is None else layers(network),
+            augmented=self.augmented,
+            weigh_time=weigh_time,
+        )
+
+
+def layers(network: Network) -> Layers:
+    """The network's layers as matrices and biases; in its flat vector each row ends with its bias."""
+    out: list[tuple[Array, Array]] = []
+    start = 0
+    sizes = network.layout.sizes
+    for inputs, outputs in zip(sizes[:-1], sizes[1:], strict=True):
+        stop = start + outputs * (inputs + 1)
+        rows = network.xi[start:stop].reshape(outputs, inputs + 1)
+        out.append((rows[:, :-1].copy(), rows[:, -1].copy()))
+        start = stop
+    return tuple(out)

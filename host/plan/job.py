@@ -1,0 +1,92 @@
+"""One plan in the making: what is asked for, and the finished plan from a judged table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from host.plan.dynamics import Dynamics
+from host.plan.judge import Judged, judge, measure
+from host.plan.result import Kind, Plan, Settings
+from host.plan.snap import optimise_durations
+from host.plan.table import Table
+from host.route import Route
+from host.vehicle import Limits
+from protocol.blobs import YawNode
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """What a plan took. deviation_m: of the table from the solver's path; intervals: of the shooting problem."""
+
+    status: str
+    solve_s: float
+    rounds: int = 1
+    iterations: int = 0
+    intervals: int = 0
+    stretch: float = 1.0
+    deviation_m: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A route to plan, with what `plan` has made of its other arguments. limits: vehicle's, route's, headroom's."""
+
+    kind: Kind
+    route: Route
+    dynamics: Dynamics
+    limits: Limits
+    settings: Settings
+
+    @property
+    def label(self) -> str:
+        """The kind as the paper writes it, with a star for augmented dynamics."""
+        return f"{self.kind}{'*' if self.dynamics.augmented else ''}"
+
+    @property
+    def waypoints_ned(self) -> Array:
+        """(K, 3)."""
+        return np.array(self.route.waypoints_m)
+
+    def durations(self) -> Array:
+        """(legs,) the route's own, or those of least snap."""
+        if self.route.times_s is not None:
+            return np.diff(np.array(self.route.times_s))
+        return optimise_durations(self.waypoints_ned, self.route.duration_s)
+
+    def yaws(self, scale: float = 1.0) -> tuple[YawNode, ...]:
+        """The route's yaw nodes with their times scaled."""
+        return tuple(
+            YawNode(round(t_s * scale * 1e6), yaw, rate / scale) for t_s, yaw, rate in self.route.yaw.nodes()
+        )
+
+    def judge(self, table: Table, yaws: tuple[YawNode, ...]) -> Judged:
+        """The verdict on a table."""
+        return judge(table, yaws, self.dynamics.vehicle, self.limits, self.route.keep_out)
+
+    def finish(self, judged: Judged, waypoint_times_s: Array, effort: Effort) -> Plan:
+        """The plan."""
+        vehicle, model = self.dynamics.vehicle, self.dynamics.model
+        figures = measure(vehicle, model, judged.table, judged.reference.yaw_nodes())
+        return Plan(
+            reference=judged.reference,
+            kind=self.kind,
+            augmented=self.dynamics.augmented,
+            status=effort.status,
+            duration_s=judged.reference.duration_us * 1e-6,
+            waypoint_times_s=tuple(map(float, waypoint_times_s)),
+            margins=judged.margins,
+            residual_rms_m_s2=figures.residual_rms_m_s2,
+            path_length_m=figures.path_length_m,
+            mean_speed_m_s=figures.mean_speed_m_s,
+            deviation_m=effort.deviation_m,
+            stretch=effort.stretch,
+            intervals=effort.intervals,
+            rounds=effort.rounds,
+            iterations=effort.iterations,
+            solve_s=effort.solve_s,
+        )

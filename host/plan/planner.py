@@ -1,0 +1,118 @@
+"""`plan`: from a route to a checked reference.
+
+Three kinds. min-snap: the minimum-snap spline with optimised leg times; it knows no limits, so it is refused, or
+stretched in time where allowed, if it breaks one. min-control and min-residual: paper eqs. 10-11 by multiple
+shooting within the vehicle's limits. With nominal dynamics the reference is feasible for the nominal vehicle,
+which is what a flatness-based law assumes (paper section IV-C.4). With augmented dynamics (`*` in the paper) the
+path is feasible for the vehicle *with* its effects: the reference holds that path's position, velocity,
+acceleration and jerk; the law's flat attitude and thrust for it lack what the effects add, and only a law that
+feeds the effects forward, or an MPC with the same model, asks for the planned attitude and thrust. Either way the
+limits are judged on the flat reference, as on board.
+
+The shooting problem starts on the straight lines between the waypoints; where that fails, along the min-snap
+spline. A finished reference that leaves the limits between nodes is solved again in a box tightened by the excess.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from host.effects import Effect, load_effects
+from host.errors import UsageError
+from host.models.model import Model
+from host.plan.box import within_region
+from host.plan.dynamics import Dynamics, ResidualModel
+from host.plan.job import Job
+from host.plan.result import Kind, Plan, Settings, parse_kind
+from host.plan.rounds import plan_shooting
+from host.plan.shooting import NODES_MAX
+from host.plan.stretch import plan_snap
+from host.route import LimitsOverride, Route, check_route
+from host.vehicle import Limits, Vehicle
+
+
+def plan(
+    route: Route,
+    vehicle: Vehicle,
+    *,
+    kind: str = "min-snap",
+    model: Model | ResidualModel | None = None,
+    effects: Mapping[str, Effect] | None = None,
+    headroom: LimitsOverride | None = None,
+    total_time_s: float | None = None,
+    stretch: bool = False,
+    nodes: int | None = None,
+    settings: Settings | None = None,
+) -> Plan:
+    """A checked plan for the route. The same arguments give the same reference.
+
+    kind: one of KINDS; a `*` behind it plans with the model in the dynamics. model: needed by min-residual and `*`;
+    `effects` are those its names refer to, the shipped ones by default. headroom: limits tighter than the
+    route's. total_time_s: instead of the route's. stretch: a min-snap plan that breaks a limit takes more time.
+    nodes: about how many shooting intervals, None for one about every 70 ms.
+
+    Raises ConfigurationError or UsageError (exit code 2) for what contradicts itself before solving, PlanRefused
+    (1) with node and reason, PlanUnsolved (4).
+    """
+    name, augmented = parse_kind(kind)
+    if nodes is not None and not 20 <= nodes <= NODES_MAX:
+        raise UsageError(f"nodes must be within 20..{NODES_MAX}, not {nodes}")
+    route = _timed(route, total_time_s)
+    limits = _limits(route, vehicle, headroom)
+    dynamics = Dynamics(
+        vehicle=vehicle, model=_residual_model(model, effects, vehicle, name, augmented), augmented=augmented
+    )
+    if dynamics.model.network is not None and dynamics.model.region is not None and name == "min-residual":
+        limits = within_region(limits, dynamics.model.region, dynamics)
+    job = Job(kind=name, route=route, dynamics=dynamics, limits=limits, settings=settings or Settings())
+    return plan_snap(job, stretch=stretch) if name == "min-snap" else plan_shooting(job, nodes=nodes)
+
+
+def _residual_model(
+    model: Model | ResidualModel | None,
+    effects: Mapping[str, Effect] | None,
+    vehicle: Vehicle,
+    kind: Kind,
+    augmented: bool,
+) -> ResidualModel:
+    """The model in the planner's form. Raises UsageError where it is missing, empty or of another vehicle."""
+    if isinstance(model, Model):
+        if model.vehicle_id != vehicle.id:
+            raise UsageError(
+                f"the model is of vehicle {model.vehicle_name} ({model.vehicle_id}), not of {vehicle.name} "
+                f"({vehicle.id}); give this vehicle's model"
+            )
+        try:
+            parts = model.parts(load_effects() if effects is None else effects)
+        except ValueError as error:
+            raise UsageError(str(error)) from None
+        model = ResidualModel(parts=tuple(parts), network=model.network, region=model.region, id=model.id)
+    if model is None:
+        if kind == "min-residual" or augmented:
+            raise UsageError(f"{kind}{'*' if augmented else ''} needs a model, give --model")
+        return ResidualModel()
+    if kind == "min-residual" and not model.has_residual:
+        raise UsageError("the model has neither drag nor network: no residual acceleration to minimise")
+    return model
+
+
+def _timed(route: Route, total_time_s: float | None) -> Route:
+    """The route in this total time; waypoint times and yaw profile are scaled along."""
+    if total_time_s is None:
+        return route
+    if not (math.isfinite(total_time_s) and total_time_s > 0.0):
+        raise UsageError(f"the total time must be positive, not {total_time_s!r} s")
+    scale = total_time_s / route.duration_s
+    yaw = route.yaw.model_copy(update={"times_s": tuple(t * scale for t in route.yaw.times_s)})
+    if route.times_s is not None:
+        return route.model_copy(update={"times_s": tuple(t * scale for t in route.times_s), "yaw": yaw})
+    return route.model_copy(update={"total_time_s": total_time_s, "yaw": yaw})
+
+
+def _limits(route: Route, vehicle: Vehicle, headroom: LimitsOverride | None) -> Limits:
+    """The limits of vehicle, route and headroom together. Raises ConfigurationError."""
+    limits = check_route(route, vehicle)
+    if headroom is None:
+        return limits
+    return check_route(route.model_copy(update={"limits": headroom}), vehicle.replace(limits=limits))

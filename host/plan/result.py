@@ -1,0 +1,103 @@
+"""What a plan can be asked for, what it is, and how it can fail."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from firmware_model.law.checks import Verdict
+from host.errors import Refused, SolverError, UsageError
+from host.plan.dynamics import Weights
+from host.plan.transcription import SolveStatus
+from protocol.blobs import Reference
+
+Kind = Literal["min-snap", "min-control", "min-residual"]
+KINDS: tuple[Kind, ...] = ("min-snap", "min-control", "min-residual")
+
+
+def parse_kind(text: str) -> tuple[Kind, bool]:
+    """The kind, and whether its dynamics are augmented: `min-residual*`. Raises UsageError."""
+    star = text.endswith("*")
+    for kind in KINDS:
+        if text.removesuffix("*") == kind and not (star and kind == "min-snap"):
+            return kind, star
+    known = ", ".join([*KINDS, *(f"{kind}*" for kind in KINDS[1:])])
+    raise UsageError(f"{text}: no such kind of plan, known: {known}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How the shooting problem is set up; the defaults are the ones measured.
+
+    weigh_time: the cost is an integral; False is the paper's sum without steps (eq. 11), which rewards long
+    ones. shared_steps: one step size a leg, else one an interval. step_box: bounds of a step in units of its
+    nominal value. step_penalty: cost of (h/h0 - 1)^2 for each step size. total_time_box: bounds of the whole
+    time in units of the route's. rounds: how often the problem may be solved, each time in a box tightened by
+    what the finished reference exceeded.
+    """
+
+    weights: Weights = field(default_factory=Weights)
+    weigh_time: bool = True
+    shared_steps: bool = True
+    step_box: tuple[float, float] = (0.7, 1.4)
+    step_penalty: float = 0.0
+    total_time_box: tuple[float, float] = (1.0, 1.0)
+    tolerance: float = 1e-6
+    iterations_max: int = 400
+    rounds: int = 5
+
+    def __post_init__(self) -> None:
+        for name in ("step_box", "total_time_box"):
+            low, high = getattr(self, name)
+            if not (0.0 < low <= 1.0 <= high and math.isfinite(high)):
+                raise ValueError(f"{name} {(low, high)} must be positive and hold 1")
+        if self.iterations_max < 1 or self.rounds < 1:
+            raise ValueError("iterations_max and rounds must be at least 1")
+        if not 0.0 < self.tolerance < 1.0:
+            raise ValueError(f"tolerance must be within 0..1, not {self.tolerance!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """A checked reference and what is known about it.
+
+    margins: least distance to each limit over the whole reference. residual_rms_m_s2: predicted along it, None
+    without a model. deviation_m: largest distance from the solver's path, None for min-snap. stretch: of the
+    route's time. intervals: of the shooting problem; rounds: solves. solve_s: processor time, the only number
+    that varies from run to run.
+    """
+
+    reference: Reference
+    kind: Kind
+    augmented: bool
+    status: str
+    duration_s: float
+    waypoint_times_s: tuple[float, ...]
+    margins: Mapping[str, float]
+    residual_rms_m_s2: float | None
+    path_length_m: float
+    mean_speed_m_s: float
+    deviation_m: float | None
+    stretch: float
+    intervals: int
+    rounds: int
+    iterations: int
+    solve_s: float
+
+
+class PlanRefused(Refused):
+    """No reference within the limits; `verdict` says where the nearest one breaks them, None where none was found."""
+
+    def __init__(self, message: str, verdict: Verdict | None = None) -> None:
+        super().__init__(message)
+        self.verdict = verdict
+
+
+class PlanUnsolved(SolverError):
+    """The solver gave up; `status` says how."""
+
+    def __init__(self, message: str, status: SolveStatus) -> None:
+        super().__init__(message)
+        self.status = status

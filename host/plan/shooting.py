@@ -1,0 +1,177 @@
+"""From a route to a shooting problem and back: nodes on legs, bounds, starts, and the spline through the solution."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from host.models.dynamics import RATE, THETA, THRUST, P
+from host.plan.box import SolverBox
+from host.plan.dynamics import (
+    FIRST_SHAPE_ROW,
+    INPUTS,
+    JERK_ROW,
+    SPEED_ROW,
+    STATES,
+    TILT_ROW,
+    Dynamics,
+)
+from host.plan.smooth import fit
+from host.plan.stage import Stage
+from host.plan.table import Table, evaluate, flat_states, yaw_at
+from host.plan.transcription import Problem, Solution
+from host.vehicle import Limits
+from protocol.blobs import YawNode
+
+Array = NDArray[np.float64]
+
+NODES_MAX = 200
+_NODE_S = 0.07
+_LEG_NODES_MIN = 4
+_YAW_SLACK = 0.3  # rad, around the heading asked for; the cost keeps it two orders of magnitude closer
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """How the intervals lie on the legs.
+
+    counts: (legs,) intervals of each leg; h0_s: (legs,) nominal step of each; times_fixed: the waypoints' times are
+    given and the steps are no variables.
+    """
+
+    counts: NDArray[np.int64]
+    h0_s: Array
+    times_fixed: bool
+
+    @property
+    def waypoints(self) -> NDArray[np.int64]:
+        """(legs + 1,) node of each waypoint."""
+        return np.concatenate([[0], np.cumsum(self.counts)])
+
+    @property
+    def leg_of(self) -> NDArray[np.int64]:
+        """(N,) leg of each interval."""
+        return np.repeat(np.arange(len(self.counts)), self.counts)
+
+    @property
+    def times_s(self) -> Array:
+        """(N + 1,) nominal times of the nodes."""
+        return np.concatenate([[0.0], np.cumsum(self.h0_s[self.leg_of])])
+
+
+def make_grid(durations_s: Array, nodes: int | None, *, times_fixed: bool) -> Grid:
+    """Intervals shared out by the legs' nominal durations, at least four a leg; about `nodes` of them in all.
+
+    Without a number a step takes about 70 ms, within 60 to 200 intervals.
+    """
+    total_s = float(durations_s.sum())
+    wanted = nodes or int(np.clip(np.ceil(total_s / _NODE_S), 60, NODES_MAX))
+    counts = np.maximum(_LEG_NODES_MIN, np.rint(durations_s / total_s * wanted).astype(np.int64))
+    return Grid(counts=counts, h0_s=durations_s / counts, times_fixed=times_fixed)
+
+
+def linear_start(dynamics: Dynamics, waypoints_ned: Array, grid: Grid, yaw: Array) -> tuple[Array, Array]:
+    """States and inputs at rest on the straight lines between waypoints, as in the paper's section IV-C.3."""
+    count = int(grid.counts.sum())
+    x = np.repeat(dynamics.hover(float(yaw[0]))[:, None], count + 1, axis=1)
+    x[THETA.stop - 1] = yaw
+    for axis in range(3):
+        x[axis] = np.interp(np.arange(count + 1), grid.waypoints, waypoints_ned[:, axis])
+    return x, np.zeros((INPUTS, count))
+
+
+def table_start(dynamics: Dynamics, table: Table, grid: Grid, yaws: Sequence[YawNode]) -> tuple[Array, Array]:
+    """States and inputs along an existing table with the grid's nominal times: the fallback start."""
+    times_us = np.minimum(grid.times_s * 1e6, table.times_us[-1])
+    x = flat_states(dynamics.vehicle, table, yaws, times_us)
+    x[THRUST] /= dynamics.hover_n
+    u = np.diff(x[THRUST], axis=1) / np.diff(grid.times_s)
+    return x, u
+
+
+def make_problem(
+    dynamics: Dynamics,
+    waypoints_ned: Array,
+    grid: Grid,
+    limits: Limits,
+    box: SolverBox,
+    *,
+    yaw: Array,
+    start: tuple[Array, Array],
+    h_bounds: tuple[float, float],
+    total_bounds_s: tuple[float, float],
+    shared_steps: bool,
+    step_penalty: float,
+    shapes: int,
+) -> Problem:
+    """The problem in this box. yaw: (N + 1,) heading asked for at the nodes."""
+    count = int(grid.counts.sum())
+    low, high = np.full((STATES, count + 1), -np.inf), np.full((STATES, count + 1), np.inf)
+    for axis, (near, far) in enumerate(limits.geofence_m):
+        low[axis], high[axis] = near + box.fence_m, far - box.fence_m
+    tilt = np.radians(box.tilt_deg)
+    low[THETA.start : THETA.start + 2], high[THETA.start : THETA.start + 2] = -tilt, tilt
+    low[THETA.stop - 1], high[THETA.stop - 1] = yaw - _YAW_SLACK, yaw + _YAW_SLACK
+    rate = np.array(box.body_rate_rad_s)[:, None]
+    low[RATE], high[RATE] = -rate, rate
+    per_hover = dynamics.vehicle.thrust_max_n / dynamics.hover_n
+    low[THRUST], high[THRUST] = (share * per_hover for share in box.thrust_share)
+    for node, waypoint in zip(grid.waypoints, waypoints_ned, strict=True):
+        low[P, node] = high[P, node] = waypoint
+    for node in (0, count):
+        rest = dynamics.hover(float(yaw[node]))
+        low[P.stop :, node] = high[P.stop :, node] = rest[P.stop :]
+
+    rows = FIRST_SHAPE_ROW + shapes
+    path_low, path_high = np.full((rows, count), -np.inf), np.full((rows, count), np.inf)
+    path_low[TILT_ROW] = np.cos(tilt)
+    path_high[SPEED_ROW] = (box.speed_m_s / limits.speed_max_m_s) ** 2
+    path_high[JERK_ROW] = (box.jerk_m_s3 / limits.jerk_max_m_s3) ** 2
+    path_low[FIRST_SHAPE_ROW:] = box.keep_out_m
+
+    steps = len(grid.counts) if shared_steps else count
+    free = np.full((INPUTS, count), np.inf)
+    return Problem(
+        leg_of=grid.leg_of,
+        shared_steps=shared_steps,
+        h0_s=grid.h0_s[grid.leg_of],
+        parameters=yaw[None, :-1],
+        x_bounds=(low, high),
+        u_bounds=(-free, free),
+        path_bounds=(path_low, path_high),
+        h_bounds=(1.0, 1.0) if grid.times_fixed else h_bounds,
+        total_bounds_s=total_bounds_s,
+        x_start=start[0],
+        u_start=start[1],
+        h_start=np.ones(steps),
+        step_penalty=step_penalty,
+    )
+
+
+def yaw_profile(yaws: Sequence[YawNode], times_s: Array) -> Array:
+    """Heading asked for at these times."""
+    return yaw_at(yaws, times_s * 1e6)[0]
+
+
+def smooth(solution: Solution, grid: Grid, waypoints_ned: Array) -> Table:
+    """The node table through a solution."""
+    return fit(solution.t_s, solution.x[:3], solution.x[3:6], grid.waypoints, waypoints_ned)
+
+
+def deviation_m(stage: Stage, problem: Problem, solution: Solution, table: Table) -> float:
+    """Largest distance of the table from the solution, at its nodes and in the middle of its intervals."""
+    count = len(problem.leg_of)
+    half = 0.5 * solution.h[problem.step_of]
+    middle = stage.value.map(count)(
+        solution.x[:, :-1], solution.u, half[None, :], problem.h0_s[None, :], problem.parameters
+    )[0]
+    between = solution.t_s[:-1] + 0.5 * np.diff(solution.t_s)
+    end_us = float(table.times_us[-1])
+    worst = 0.0
+    for times_s, p in ((solution.t_s, solution.x[:3]), (between, np.asarray(middle)[:3])):
+        path = evaluate(table, np.minimum(times_s * 1e6, end_us))[0]
+        worst = max(worst, float(np.linalg.norm(path - p, axis=0).max()))
+    return worst

@@ -1,0 +1,216 @@
+"""Minimum-snap splines of degree 7 through any number of waypoints.
+
+Between two waypoints the path is the septic that meets position, velocity, acceleration and jerk at both ends; the
+derivatives at the inner waypoints are free and follow from one symmetric positive definite banded solve (Bry et
+al., IJRR 2015, "free end derivatives"). The natural conditions of the problem make the optimum C6 at every inner
+waypoint, so that nothing but the sampling of the reference limits its smoothness.
+
+With time in units of the mean leg and every unknown scaled to a unit diagonal the solve stays well conditioned for
+hundreds of legs whose durations differ by orders of magnitude; cost and memory are linear in their number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
+from scipy.optimize import minimize
+
+Array = NDArray[np.float64]
+
+_DERIVATIVES = 4  # p, v, a, j at each end
+_SHARE_FACTOR = 3.0  # how far optimise_durations may move a leg's share of the time, both ways
+
+
+def _septic_basis() -> list[list[Fraction]]:
+    """8 x 8 exact: column c holds the monomial coefficients of the septic on [0, 1] whose c-th end value is one.
+
+    End values in the order p0, v0, a0, j0, p1, v1, a1, j1, derivatives with respect to the unit interval.
+    """
+
+    def row(at: int, derivative: int) -> list[Fraction]:
+        out = []
+        for power in range(8):
+            factor = 1
+            for step in range(derivative):
+                factor *= power - step
+            out.append(Fraction(factor if at == 1 or power == derivative else 0))
+        return out
+
+    system = [row(at, derivative) for at in (0, 1) for derivative in range(_DERIVATIVES)]
+    size = len(system)
+    work = [line + [Fraction(int(i == j)) for j in range(size)] for i, line in enumerate(system)]
+    for column in range(size):
+        pivot = next(r for r in range(column, size) if work[r][column] != 0)
+        work[column], work[pivot] = work[pivot], work[column]
+        lead = work[column][column]
+        work[column] = [value / lead for value in work[column]]
+        for r in range(size):
+            if r != column and work[r][column] != 0:
+                factor = work[r][column]
+                work[r] = [a - factor * b for a, b in zip(work[r], work[column], strict=True)]
+    return [line[size:] for line in work]
+
+
+def _snap_gram() -> Array:
+    """8 x 8: y' G y is the integral of the squared fourth derivative over [0, 1] of the septic with end values y."""
+    basis = _septic_basis()
+
+    def moment(i: int, j: int) -> Fraction:
+        if i < 4 or j < 4:
+            return Fraction(0)
+        falling = 1
+        for step in range(4):
+            falling *= (i - step) * (j - step)
+        return Fraction(falling, i + j - 7)
+
+    gram = [
+        [
+            sum((basis[i][a] * moment(i, j) * basis[j][b] for i in range(8) for j in range(8)), Fraction(0))
+            for b in range(8)
+        ]
+        for a in range(8)
+    ]
+    return np.array([[float(value) for value in line] for line in gram])
+
+
+_GRAM = _snap_gram()
+_POWERS = np.array([0, 1, 2, 3, 0, 1, 2, 3])
+
+
+@dataclass(frozen=True, kw_only=True)
+class SnapSpline:
+    """Waypoint times, the end values of the septics between them, and the integral of the squared snap.
+
+    times_s: (K,); ends_ned: (K, 4, 3) position, velocity, acceleration, jerk; cost in m^2/s^7.
+    """
+
+    times_s: Array
+    ends_ned: Array
+    cost: float
+
+
+def _checked(waypoints_ned: Array, durations_s: Array) -> tuple[Array, Array]:
+    waypoints = np.asarray(waypoints_ned, dtype=float)
+    durations = np.asarray(durations_s, dtype=float)
+    if waypoints.ndim != 2 or waypoints.shape[1] != 3 or len(waypoints) < 2:
+        raise ValueError(f"waypoints must be (K >= 2, 3), got {waypoints.shape}")
+    if durations.shape != (len(waypoints) - 1,):
+        raise ValueError(
+            f"{len(waypoints)} waypoints need {len(waypoints) - 1} durations, got {durations.shape}"
+        )
+    if not (np.isfinite(waypoints).all() and np.isfinite(durations).all() and (durations > 0).all()):
+        raise ValueError("waypoints must be finite and durations finite and positive")
+    return waypoints, durations
+
+
+def solve_snap(waypoints_ned: Array, durations_s: Array) -> SnapSpline:
+    """The minimum-snap spline through the waypoints, at rest (v = a = j = 0) at both ends.
+
+    waypoints_ned: (K >= 2, 3) m; durations_s: (K - 1,). Source: Mellinger and Kumar, ICRA 2011; Bry et al., IJRR
+    2015. Raises ValueError for wrong shapes, non-finite values and durations that are not positive.
+    """
+    waypoints, durations = _checked(waypoints_ned, durations_s)
+    unit_s = float(durations.mean())
+    legs = durations / unit_s
+    scale = legs[:, None] ** _POWERS
+    blocks = scale[:, :, None] * _GRAM * scale[:, None, :] / legs[:, None, None] ** 7
+
+    ends = np.zeros((len(waypoints), 4, 3))
+    ends[:, 0] = waypoints
+    if len(waypoints) > 2:
+        ends[1:-1, 1:] = _inner_derivatives(blocks, waypoints)
+    values = np.concatenate([ends[:-1], ends[1:]], axis=1)
+    cost = float(np.einsum("mac,mab,mbc->", values, blocks, values)) / unit_s**7
+    ends[:, 1:] /= unit_s ** np.arange(1, 4)[:, None]
+    return SnapSpline(times_s=np.concatenate([[0.0], np.cumsum(durations)]), ends_ned=ends, cost=cost)
+
+
+def _inner_derivatives(blocks: Array, waypoints: Array) -> Array:
+    """(K - 2, 3, 3): velocity, acceleration and jerk at the inner waypoints that make the cost stationary."""
+    inner = len(waypoints) - 2
+    size = 3 * inner
+    diagonal = blocks[:-1, 5:8, 5:8] + blocks[1:, 1:4, 1:4]
+    coupling = blocks[1:-1, 1:4, 5:8]  # rows: this inner waypoint, columns: the next
+    banded = np.zeros((min(6, size), size))  # lower form: banded[i - j, j]
+    for row in range(3):
+        for column in range(row + 1):
+            banded[row - column, column::3] = diagonal[:, row, column]
+    for later in range(3 if inner > 1 else 0):
+        for earlier in range(3):
+            banded[3 + later - earlier, earlier : size - 3 : 3] = coupling[:, earlier, later]
+    right = -(
+        np.einsum("ma,mc->mac", blocks[:-1, 5:8, 0], waypoints[:-2])
+        + np.einsum("ma,mc->mac", blocks[:-1, 5:8, 4] + blocks[1:, 1:4, 0], waypoints[1:-1])
+        + np.einsum("ma,mc->mac", blocks[1:, 1:4, 4], waypoints[2:])
+    ).reshape(size, 3)
+    weight = 1.0 / np.sqrt(banded[0])
+    for offset in range(len(banded)):
+        banded[offset, : size - offset] *= weight[: size - offset] * weight[offset:]
+    solution = solveh_banded(banded, right * weight[:, None], lower=True)
+    return (solution * weight[:, None]).reshape(inner, 3, 3)
+
+
+def cost_gradient(spline: SnapSpline) -> Array:
+    """(K - 1,): derivative of the optimal cost with respect to each leg's duration, the others held.
+
+    By the envelope theorem the end values may be held as well: only the legs' own cost matrices change.
+    """
+    durations = np.diff(spline.times_s)
+    ends = np.concatenate([spline.ends_ned[:-1], spline.ends_ned[1:]], axis=1)
+    scale = durations[:, None] ** _POWERS
+    slope = _POWERS * durations[:, None] ** np.maximum(_POWERS - 1, 0)
+    values = scale[:, :, None] * ends
+    cost = np.einsum("mac,ab,mbc->m", values, _GRAM, values)
+    change = np.einsum("mac,ab,mbc->m", slope[:, :, None] * ends, _GRAM, values)
+    return -7.0 * cost / durations**8 + 2.0 * change / durations**7
+
+
+def heuristic_durations(waypoints_ned: Array, total_s: float) -> Array:
+    """(K - 1,): shares of the total time by length, the first and last leg with extra time to start and to stop.
+
+    A leg counts with its length plus a tenth of the mean leg, so that coinciding waypoints still get time.
+    """
+    waypoints = np.asarray(waypoints_ned, dtype=float)
+    length = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
+    weight = length + 0.1 * length.mean() if length.any() else np.ones(len(length))
+    if len(weight) > 2:
+        weight[0] *= 1.35
+        weight[-1] *= 1.35
+    return weight / weight.sum() * total_s
+
+
+def optimise_durations(waypoints_ned: Array, total_s: float, *, iterations: int = 100) -> Array:
+    """(K - 1,): the durations with the given sum that minimise the snap cost, from the heuristic ones.
+
+    L-BFGS-B on the logarithm of the cost over the logarithms of the shares with the exact gradient; a share moves by
+    at most a factor of three. Deterministic.
+    """
+    start = heuristic_durations(waypoints_ned, total_s)
+    if len(start) == 1:
+        return start
+
+    def objective(log_share: Array) -> tuple[float, Array]:
+        share = np.exp(log_share - log_share.max())
+        share /= share.sum()
+        spline = solve_snap(waypoints_ned, share * total_s)
+        slope = cost_gradient(spline) / spline.cost * total_s
+        return float(np.log(spline.cost)), share * (slope - share @ slope)
+
+    if solve_snap(waypoints_ned, start).cost == 0.0:
+        return start
+    log_start = np.log(start / total_s)
+    reach = np.log(_SHARE_FACTOR)
+    found = minimize(
+        objective,
+        log_start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(value - reach, value + reach) for value in log_start],
+        options={"maxiter": iterations, "ftol": 1e-9, "gtol": 1e-7},
+    )
+    share = np.exp(found.x - found.x.max())
+    return share / share.sum() * total_s

@@ -1,0 +1,306 @@
+"""One shooting interval: RK4 step, stage cost, and their exact derivatives by a stage-wise chain rule.
+
+An interval has z = (x, u, h). Differentiating the unrolled RK4 step symbolically repeats the residual network's
+derivatives through all four evaluations; here the network's Jacobian and Hessian are written once per evaluation by
+formula, the small rest of the dynamics is differentiated by CasADi, and the evaluations are joined by forward
+sensitivities and one adjoint sweep. The expressions are SX, to be evaluated over all intervals by `Function.map`.
+
+Source: paper eqs. 10-11. With Z_i = d(x_i, u)/dz of RK4 evaluation i and kappa_i the adjoint of its slope k_i, the
+Hessian of lam' F(z) is the sum of Z_i' (d2 kappa_i' f) Z_i and of the products of h with the sensitivities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+NETWORK_INPUTS = slice(3, 9)  # v_ned and Theta in the state
+NETWORK_ROWS = slice(3, 6)  # the acceleration in the state's derivative
+
+_ALONG = (0.0, 0.5, 0.5, 1.0)  # where RK4 evaluates, in steps
+_WEIGHT = (1 / 6, 2 / 6, 2 / 6, 1 / 6)
+
+
+Layers = tuple[tuple[Array, Array], ...]
+"""A tanh network from (v_ned, Theta) to an acceleration in NED, m/s^2: (outputs, inputs) weights and (outputs,) biases
+of every layer; the last is linear."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageModel:
+    """What an interval integrates, costs and bounds. p: the interval's parameters besides its nominal step.
+
+    derivative(x, u): (nx,) continuous dynamics without the network. residual(x): (3,) m/s^2, the part of the cost
+    |residual|^2 that is not the network's, or None for no such cost. effort(x, u, p): scalar, already weighted.
+    path(x, u, p): rows bounded at every node. network: added to the residual, and where `augmented` to rows 3:6 of
+    the dynamics. weigh_time: cost per second of the interval, else per interval.
+    """
+
+    nx: int
+    nu: int
+    np: int
+    derivative: Callable[[ca.SX, ca.SX], ca.SX]
+    residual: Callable[[ca.SX], ca.SX] | None
+    effort: Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
+    path: Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
+    network: Layers | None
+    augmented: bool
+    weigh_time: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """CasADi functions of one interval of h * h0_s seconds, z = (x, u, h).
+
+    value(x, u, h, h0_s, p) -> x_next, cost, path. slopes(same) -> d x_next/dz, d cost/dz, d path/d(x, u).
+    hessian(same, sigma, lam_x, lam_path) -> upper triangle of the Hessian in z of sigma cost + lam_x' x_next +
+    lam_path' path.
+    """
+
+    value: ca.Function
+    slopes: ca.Function
+    hessian: ca.Function
+
+
+@dataclass(frozen=True, kw_only=True)
+class _NetworkTerms:
+    """The network's output y, its Jacobian, mu -> gradient of mu' y, mu -> Hessian of mu' y."""
+
+    value: ca.SX
+    jacobian: ca.SX
+    pull: Callable[[ca.SX], ca.SX]
+    bend: Callable[[ca.SX], ca.SX]
+
+
+def _network(network: Layers, inputs: ca.SX) -> _NetworkTerms:
+    """Output (3), Jacobian (3, 6), gradient (6) and Hessian (6, 6) of the network, all by formula."""
+    layers = [(ca.DM(weight), ca.DM(bias)) for weight, bias in network]
+    value, slope = inputs, ca.SX.eye(6)
+    hidden: list[tuple[ca.SX, ca.SX]] = []  # (activation, Jacobian of what it is applied to)
+    for weight, bias in layers[:-1]:
+        before = weight @ slope
+        value = ca.tanh(weight @ value + bias)
+        slope = ca.repmat(1 - value * value, 1, 6) * before
+        hidden.append((value, before))
+    weight, bias = layers[-1]
+
+    def pull(mu: ca.SX) -> ca.SX:
+        back = weight.T @ mu
+        for (activation, _), (inner, _) in zip(reversed(hidden), reversed(layers[:-1]), strict=True):
+            back = inner.T @ ((1 - activation * activation) * back)
+        return back
+
+    def bend(mu: ca.SX) -> ca.SX:
+        total = ca.SX(6, 6)
+        back = weight.T @ mu
+        for (activation, before), (inner, _) in zip(reversed(hidden), reversed(layers[:-1]), strict=True):
+            gain = 1 - activation * activation
+            total += before.T @ (ca.repmat(-2 * activation * gain * back, 1, 6) * before)
+            back = inner.T @ (gain * back)
+        return total
+
+    return _NetworkTerms(value=weight @ value + bias, jacobian=weight @ slope, pull=pull, bend=bend)
+
+
+def _embed(block: ca.SX, rows: slice, columns: slice, shape: tuple[int, int]) -> ca.SX:
+    """A sparse matrix of the given shape that is `block` in those rows and columns."""
+    out = ca.SX(*shape)
+    out[rows, columns] = block
+    return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Evaluation:
+    """One evaluation of the dynamics in a step: where, the slope, and what its derivatives need."""
+
+    x: ca.SX
+    sensitivity: ca.SX  # dx/dz
+    slope: ca.SX
+    slope_sensitivity: ca.SX  # d slope/dz
+    jacobian: ca.SX  # d slope/dx
+    network: _NetworkTerms | None
+
+
+class _Builder:
+    """Symbols of one interval and the expressions built from them."""
+
+    def __init__(self, model: StageModel) -> None:
+        self.model = model
+        nx, nu = model.nx, model.nu
+        self.x, self.u = ca.SX.sym("x", nx), ca.SX.sym("u", nu)
+        self.h, self.h0 = ca.SX.sym("h"), ca.SX.sym("h0_s")
+        self.p = ca.SX.sym("p", model.np)
+        self.nz = nx + nu + 1
+        self.step = self.h * self.h0
+        self.xu = ca.vertcat(self.x, self.u)
+        self.du = _embed(ca.SX.eye(nu), slice(0, nu), slice(nx, nx + nu), (nu, self.nz))
+        self.dh = _embed(ca.SX(self.h0), slice(0, 1), slice(self.nz - 1, self.nz), (1, self.nz))  # d step/dz
+
+        f = model.derivative(self.x, self.u)
+        kappa = ca.SX.sym("kappa", nx)
+        self._f = ca.Function("f", [self.x, self.u], [f, ca.jacobian(f, self.x), ca.jacobian(f, self.u)])
+        self._f_bend = ca.Function(
+            "f_bend", [self.x, self.u, kappa], [ca.hessian(ca.dot(kappa, f), self.xu)[0]]
+        )
+        self.evaluations = self._integrate()
+        self.x_next = self.x + self.step * self._mean_slope()
+        self._residual()
+
+    def _integrate(self) -> list[_Evaluation]:
+        nx, nz = self.model.nx, self.nz
+        start = _embed(ca.SX.eye(nx), slice(0, nx), slice(0, nx), (nx, nz))
+        out: list[_Evaluation] = []
+        for along in _ALONG:
+            x, dx = self.x, start
+            if out:
+                last = out[-1]
+                x = self.x + along * self.step * last.slope
+                dx = start + along * (self.step * last.slope_sensitivity + last.slope @ self.dh)
+            slope, jacobian, by_input = self._f(x, self.u)
+            network = None
+            if self.model.network is not None and self.model.augmented:
+                network = _network(self.model.network, x[NETWORK_INPUTS])
+                slope = slope + _embed(network.value, NETWORK_ROWS, slice(0, 1), (nx, 1))
+                jacobian = jacobian + _embed(network.jacobian, NETWORK_ROWS, NETWORK_INPUTS, (nx, nx))
+            out.append(
+                _Evaluation(
+                    x=x,
+                    sensitivity=dx,
+                    slope=slope,
+                    slope_sensitivity=jacobian @ dx + by_input @ self.du,
+                    jacobian=jacobian,
+                    network=network,
+                )
+            )
+        return out
+
+    def _mean_slope(self) -> ca.SX:
+        total = ca.SX(self.model.nx, 1)
+        for weight, evaluation in zip(_WEIGHT, self.evaluations, strict=True):
+            total += weight * evaluation.slope
+        return total
+
+    def _mean_sensitivity(self) -> ca.SX:
+        total = ca.SX(self.model.nx, self.nz)
+        for weight, evaluation in zip(_WEIGHT, self.evaluations, strict=True):
+            total += weight * evaluation.slope_sensitivity
+        return total
+
+    def _residual(self) -> None:
+        """Residual d, its Jacobian, mu -> Hessian of mu' d in x; the running cost and its gradient in (x, u)."""
+        model, nx = self.model, self.model.nx
+        self.residual_jacobian: ca.SX | None = None
+        running = model.effort(self.x, self.u, self.p)
+        self._effort = running
+        gradient = ca.gradient(running, self.xu)
+        if model.residual is not None:
+            d = model.residual(self.x)
+            jacobian = ca.jacobian(d, self.x)
+            mu = ca.SX.sym("mu", 3)
+            self._d_bend = ca.Function("d_bend", [self.x, mu], [ca.hessian(ca.dot(mu, d), self.x)[0]])
+            pulled = jacobian.T @ d
+            if model.network is not None:
+                terms = self.evaluations[0].network or _network(model.network, self.x[NETWORK_INPUTS])
+                d = d + terms.value
+                back = terms.jacobian.T @ d if model.augmented else terms.pull(d)
+                pulled = jacobian.T @ d + _embed(back, NETWORK_INPUTS, slice(0, 1), (nx, 1))
+                jacobian = jacobian + _embed(terms.jacobian, slice(0, 3), NETWORK_INPUTS, (3, nx))
+                self._d_network_bend = terms.bend
+            self.residual, self.residual_jacobian = d, jacobian
+            running = running + ca.dot(d, d)
+            gradient = gradient + ca.vertcat(2 * pulled, ca.SX(model.nu, 1))
+        self.running, self.running_gradient = running, gradient
+
+    def functions(self) -> Stage:
+        """The three functions."""
+        model = self.model
+        arguments = [self.x, self.u, self.h, self.h0, self.p]
+        names = ["x", "u", "h", "h0_s", "p"]
+        weight = self.step if model.weigh_time else ca.SX(1)
+        cost = self.running * weight
+        path = model.path(self.x, self.u, self.p)
+
+        x_slope = _embed(ca.SX.eye(model.nx), slice(0, model.nx), slice(0, model.nx), (model.nx, self.nz))
+        x_slope = x_slope + self.step * self._mean_sensitivity() + self._mean_slope() @ self.dh
+        cost_slope = ca.vertcat(self.running_gradient * weight, ca.SX(1, 1))
+        if model.weigh_time:
+            cost_slope = cost_slope + self.dh.T * self.running
+        path_slope = ca.jacobian(path, self.xu)
+
+        sigma = ca.SX.sym("sigma")
+        lam_x = ca.SX.sym("lam_x", model.nx)
+        lam_path = ca.SX.sym("lam_path", path.shape[0])
+        bend = self._step_hessian(lam_x) + self._cost_hessian(sigma, weight)
+        path_bend = ca.hessian(ca.dot(lam_path, path), self.xu)[0]
+        bend = bend + _embed(path_bend, slice(0, self.nz - 1), slice(0, self.nz - 1), (self.nz, self.nz))
+        return Stage(
+            value=ca.Function(
+                "value", arguments, [self.x_next, cost, path], names, ["x_next", "cost", "path"]
+            ),
+            slopes=ca.Function(
+                "slopes",
+                arguments,
+                [ca.sparsify(x_slope), ca.densify(cost_slope), path_slope],
+                names,
+                ["x_slope", "cost_slope", "path_slope"],
+            ),
+            hessian=ca.Function(
+                "hessian",
+                [*arguments, sigma, lam_x, lam_path],
+                [ca.triu(ca.sparsify(bend))],
+                [*names, "sigma", "lam_x", "lam_path"],
+                ["hessian"],
+            ),
+        )
+
+    def _step_hessian(self, lam: ca.SX) -> ca.SX:
+        """Hessian in z of lam' x_next."""
+        model, nz, nx = self.model, self.nz, self.model.nx
+        adjoint: list[ca.SX] = [ca.SX(nx, 1)] * 4  # of each evaluation's slope
+        pulled: list[ca.SX] = [ca.SX(nx, 1)] * 4  # of the state it was evaluated at
+        for i in reversed(range(4)):
+            adjoint[i] = _WEIGHT[i] * self.step * lam
+            if i < 3:
+                adjoint[i] = adjoint[i] + _ALONG[i + 1] * self.step * pulled[i + 1]
+            pulled[i] = self.evaluations[i].jacobian.T @ adjoint[i]
+        total = ca.SX(nz, nz)
+        for evaluation, kappa in zip(self.evaluations, adjoint, strict=True):
+            bend = self._f_bend(evaluation.x, self.u, kappa)
+            if evaluation.network is not None:
+                block = evaluation.network.bend(kappa[NETWORK_ROWS])
+                bend = bend + _embed(block, NETWORK_INPUTS, NETWORK_INPUTS, (nx + model.nu, nx + model.nu))
+            spread = ca.vertcat(evaluation.sensitivity, self.du)
+            total = total + spread.T @ (bend @ spread)
+        cross = self._mean_sensitivity().T @ lam
+        for i in range(1, 4):
+            cross = cross + _ALONG[i] * (self.evaluations[i - 1].slope_sensitivity.T @ pulled[i])
+        mixed = cross @ self.dh
+        return total + mixed + mixed.T
+
+    def _cost_hessian(self, sigma: ca.SX, weight: ca.SX) -> ca.SX:
+        """Hessian in z of sigma cost."""
+        model, nz = self.model, self.nz
+        states, both = slice(0, model.nx), slice(0, nz - 1)
+        block = ca.hessian(self._effort, self.xu)[0] * (sigma * weight)
+        total = _embed(block, both, both, (nz, nz))
+        if self.residual_jacobian is not None:
+            jacobian, mu = self.residual_jacobian, 2 * sigma * weight * self.residual
+            bend = self._d_bend(self.x, mu) + 2 * sigma * weight * (jacobian.T @ jacobian)
+            total = total + _embed(bend, states, states, (nz, nz))
+            if model.network is not None:
+                total = total + _embed(self._d_network_bend(mu), NETWORK_INPUTS, NETWORK_INPUTS, (nz, nz))
+        if model.weigh_time:
+            mixed = sigma * (ca.vertcat(self.running_gradient, ca.SX(1, 1)) @ self.dh)
+            total = total + mixed + mixed.T
+        return total
+
+
+def build_stage(model: StageModel) -> Stage:
+    """The interval's functions for a model. Deterministic: the same model gives the same instructions."""
+    return _Builder(model).functions()

@@ -1,0 +1,57 @@
+"""The minimum-snap plan: judged as it is, or given the least more time that keeps the limits."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from host.plan.job import Effort, Job
+from host.plan.judge import Judged
+from host.plan.result import Plan, PlanRefused
+from host.plan.table import snap_table
+
+Array = NDArray[np.float64]
+
+_STRETCH_MAX = 8.0
+_HALVINGS = 10
+
+
+def plan_snap(job: Job, *, stretch: bool) -> Plan:
+    """The plan. Raises PlanRefused with node and reason where it breaks a limit and may not or cannot be stretched."""
+    started = time.process_time()
+    durations = job.durations()
+    factor, judged = 1.0, _attempt(job, durations, 1.0)
+    if not judged.ok:
+        if not stretch:
+            raise PlanRefused(
+                f"the min-snap plan is refused: {judged.message}; give it more time", judged.verdict
+            )
+        factor, judged = _stretched(job, durations, judged)
+    effort = Effort(status="solved", solve_s=time.process_time() - started, stretch=factor)
+    return job.finish(judged, np.concatenate([[0.0], np.cumsum(durations * factor)]), effort)
+
+
+def _attempt(job: Job, durations: Array, factor: float) -> Judged:
+    return job.judge(snap_table(job.waypoints_ned, durations * factor), job.yaws(factor))
+
+
+def _stretched(job: Job, durations: Array, refused: Judged) -> tuple[float, Judged]:
+    """About the least factor on all times that keeps the limits, by bisection of its logarithm."""
+    low, high = 1.0, _STRETCH_MAX
+    best = _attempt(job, durations, high)
+    if not best.ok:
+        raise PlanRefused(
+            f"the min-snap plan is refused: {refused.message}; {high:g} times the time does not help: {best.message}",
+            best.verdict,
+        )
+    for _ in range(_HALVINGS):
+        middle = math.sqrt(low * high)
+        judged = _attempt(job, durations, middle)
+        if judged.ok:
+            high, best = middle, judged
+        else:
+            low = middle
+    return high, best

@@ -1,0 +1,150 @@
+"""Node tables: position, velocity, acceleration and jerk at whole microseconds, and what lies between them.
+
+A table becomes the reference: the vehicle flies the septic pieces between its nodes. Everything a plan says about
+itself (margins, residual, length, deviation) is therefore computed from the rounded table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_model.law.allocation import allocation_matrix, invert4
+from firmware_model.law.flatness import Body, flat_full
+from firmware_model.law.reference import hermite_yaw, septic
+from firmware_model.law.rotations import matrix_to_euler
+from host.codegen import NUMPY
+from host.plan.snap import SnapSpline, solve_snap
+from host.vehicle import Vehicle
+from protocol.blobs import Node, Reference, YawNode
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+SPACING_S = 0.1
+"""Wanted distance of nodes; closer than half of it float32 ruins the jerk."""
+_ORIGIN_STEP_M = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Nodes of a reference. times_us: (n,); states_ned: (n, 12) p, v, a, j."""
+
+    times_us: Times
+    states_ned: Array
+
+    def __post_init__(self) -> None:
+        if self.states_ned.shape != (len(self.times_us), 12):
+            raise ValueError(
+                f"{len(self.times_us)} times need as many rows of 12, got {self.states_ned.shape}"
+            )
+
+
+def knot_times(waypoint_times_us: Times, spacing_s: float = SPACING_S, most: Times | None = None) -> Times:
+    """Times from the first to the last waypoint, every waypoint among them, about `spacing_s` apart, in us.
+
+    A leg is divided evenly into at least one piece, and at most `most` of each leg; no piece is shorter than half the
+    spacing unless its leg is.
+    """
+    pieces: list[NDArray[np.float64]] = []
+    caps = np.full(len(waypoint_times_us) - 1, np.iinfo(np.int64).max) if most is None else most
+    for start, end, cap in zip(waypoint_times_us[:-1], waypoint_times_us[1:], caps, strict=True):
+        count = min(max(1, round((end - start) / (spacing_s * 1e6))), int(cap))
+        pieces.append(start + (end - start) * np.arange(count) / count)
+    return np.rint(np.concatenate([*pieces, waypoint_times_us[-1:]])).astype(np.int64)
+
+
+def round_times(times_s: Array) -> Times:
+    """Whole microseconds. Raises ValueError where two of them fall together."""
+    times = np.rint(np.asarray(times_s) * 1e6).astype(np.int64)
+    if not (np.diff(times) > 0).all():
+        raise ValueError("times must increase by at least a microsecond")
+    return times
+
+
+def snap_table(waypoints_ned: Array, durations_s: Array) -> Table:
+    """The minimum-snap spline with waypoint times rounded to microseconds, divided into nodes: exact in between."""
+    waypoint_times = round_times(np.concatenate([[0.0], np.cumsum(durations_s)]))
+    spline = solve_snap(waypoints_ned, np.diff(waypoint_times) * 1e-6)
+    ends = Table(times_us=waypoint_times, states_ned=_rows(spline))
+    knots = knot_times(waypoint_times)
+    states = np.concatenate(evaluate(ends, knots)[:4]).T
+    on_waypoint = np.isin(knots, waypoint_times)
+    states[on_waypoint] = ends.states_ned
+    return Table(times_us=knots, states_ned=states)
+
+
+def _rows(spline: SnapSpline) -> Array:
+    return spline.ends_ned.reshape(len(spline.times_s), 12)
+
+
+def evaluate(table: Table, times_us: Array | Times) -> tuple[Array, Array, Array, Array, Array]:
+    """Position, velocity, acceleration, jerk and snap, (3, m) each, at times within the table."""
+    at = np.asarray(times_us, dtype=float)
+    piece = np.clip(np.searchsorted(table.times_us, at, side="right") - 1, 0, len(table.times_us) - 2)
+    start = table.times_us[piece]
+    length_s = (table.times_us[piece + 1] - start) * 1e-6
+    before, after = table.states_ned[piece].T, table.states_ned[piece + 1].T
+    rows = septic(length_s, (at - start) * 1e-6, list(before), list(after))
+    p, v, a, j, snap = (np.array(row) for row in rows)
+    return p, v, a, j, snap
+
+
+def yaw_at(yaws: Sequence[YawNode], times_us: Array | Times) -> tuple[Array, Array]:
+    """Yaw and yaw rate, (m,) each; held before the first and after the last yaw node."""
+    at = np.asarray(times_us, dtype=float)
+    if len(yaws) == 1:
+        return np.full(at.shape, yaws[0].yaw), np.zeros(at.shape)
+    times, yaw, rate = (np.array(column, dtype=float) for column in zip(*yaws, strict=True))
+    inside = np.clip(at, times[0], times[-1])
+    piece = np.clip(np.searchsorted(times, inside, side="right") - 1, 0, len(times) - 2)
+    length_s = (times[piece + 1] - times[piece]) * 1e-6
+    value, slope = hermite_yaw(
+        length_s, (inside - times[piece]) * 1e-6, yaw[piece], rate[piece], yaw[piece + 1], rate[piece + 1]
+    )
+    return value, np.where((at < times[0]) | (at > times[-1]), 0.0, slope)
+
+
+def flat_states(vehicle: Vehicle, table: Table, yaws: Sequence[YawNode], times_us: Array | Times) -> Array:
+    """(16, m): p_ned, v_ned, Theta, rate_frd and rotor thrusts (N) that the flat outputs ask of the nominal vehicle."""
+    p, v, a, j, snap = evaluate(table, times_us)
+    yaw, yaw_rate = yaw_at(yaws, times_us)
+    body = Body(vehicle.mass_kg, vehicle.inertia_kg_m2)
+    R, rate, _, collective, torque = flat_full(NUMPY, list(a), list(j), list(snap), yaw, yaw_rate, body)
+    euler: Any = matrix_to_euler(NUMPY, R)
+    positions = [rotor.position_m for rotor in vehicle.rotors]
+    spins = [rotor.spin_sign for rotor in vehicle.rotors]
+    inverse = invert4(allocation_matrix(positions, spins, vehicle.torque_per_thrust_m))
+    thrust = np.array(inverse).reshape(4, 4) @ np.array([collective, *torque])
+    return np.concatenate([p, v, np.array(euler), np.array(rate), thrust])
+
+
+def to_reference(table: Table, yaws: Sequence[YawNode], vehicle_id: str) -> Reference:
+    """The reference blob; its origin is near the middle of the nodes, so that float32 loses least."""
+    low, high = table.states_ned[:, :3].min(axis=0), table.states_ned[:, :3].max(axis=0)
+    steps = np.rint(0.5 * (low + high) / _ORIGIN_STEP_M)
+    origin = tuple(round(float(step) * _ORIGIN_STEP_M, 6) for step in steps)
+    states = table.states_ned.copy()
+    states[:, :3] -= origin
+    return Reference(
+        vehicle_id=vehicle_id,
+        origin_ned=(origin[0], origin[1], origin[2]),
+        nodes=tuple(
+            Node(int(t_us), tuple(map(float, state)))
+            for t_us, state in zip(table.times_us, states, strict=True)
+        ),
+        yaws=tuple(yaws),
+    )
+
+
+def from_reference(reference: Reference) -> Table:
+    """The table as it is flown: positions in NED, rounded as the blob rounds."""
+    nodes = reference.nodes_ned()
+    return Table(
+        times_us=np.array([node.t_us for node in nodes], dtype=np.int64),
+        states_ned=np.array([node.state for node in nodes]),
+    )
