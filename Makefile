@@ -10,7 +10,7 @@ TESTS ?=
 PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
 export TRIMTAB_PYTHON
 
-.PHONY: venv demo test test-all lint generate
+.PHONY: venv demo test test-all lint style types generate
 
 venv: $(READY)
 
@@ -29,8 +29,12 @@ test: $(READY)
 test-all: $(READY_ALL)
 	$(PYTEST) $(TESTS)
 
-lint: $(READY_ALL)
+lint: style types
+
+style: $(READY_ALL)
 	$(PYTHON) -m ruff check .
+
+types: $(READY_ALL)
 	$(PYTHON) -m pyright
 
 generate: $(READY_ALL)

@@ -1,7 +1,7 @@
 """Shared test settings: derandomised property tests, and skips that say why.
 
-`require("compiler")` skips a test where this machine lacks a part; TRIMTAB_REQUIRE=compiler,generator turns such
-skips into failures. A skip without a reason always fails.
+`require("compiler")` skips a test where this machine lacks a part; TRIMTAB_REQUIRE=compiler,generator makes
+such skips failures. A skip without a reason always fails.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ PARTS: dict[str, Callable[[], str | None]] = {
 
 def required_parts() -> frozenset[str]:
     """The parts that TRIMTAB_REQUIRE names. Raises pytest.UsageError on an unknown one."""
-    named = frozenset(part.strip() for part in os.environ.get("TRIMTAB_REQUIRE", "").split(",") if part.strip())
+    words = os.environ.get("TRIMTAB_REQUIRE", "").split(",")
+    named = frozenset(part.strip() for part in words if part.strip())
     unknown = sorted(named - PARTS.keys())
     if unknown:
         raise pytest.UsageError(f"TRIMTAB_REQUIRE: unknown {', '.join(unknown)}; known: {', '.join(PARTS)}")

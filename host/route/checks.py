@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from firmware_model.law.ops import FLOAT
-
 from host.route.model import Route
 from host.vehicle import ConfigurationError, Limits, Vehicle
 

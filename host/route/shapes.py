@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self
 
-from firmware_model.law.ops import Ops
 from pydantic import Field, model_validator
 
+from firmware_model.law.ops import Ops
 from host.vehicle.model import Interval, Positive, Vector3
 from host.vehicle.strict_toml import Strict
 
