@@ -1,0 +1,26 @@
+"""Transfer of blobs: content-addressed, in chunks with selective repeat, checked on board, committed in one
+step.
+
+A blob is known by its SHA-256. UPLOAD_BEGIN announces it and asks how far it is; the vehicle answers every
+BEGIN, COMMIT and ABORT with UPLOAD_STATUS, and says now and then which chunks it holds. What it has in full
+it checks, digest first, and answers with UPLOAD_VERDICT; UPLOAD_COMMIT then makes it live. Every message
+may be lost, late or repeated: all of them mean the same the second time, and whoever waits asks again.
+
+Both ends are state machines without I/O. `receive(message, now_us)` and `advance(now_us)` return events,
+`send(now_us)` returns the messages that are due, `next_deadline_us()` says when to call again at the latest.
+"""
+
+from protocol.upload.receiver import BlobStore, UploadReceiver
+from protocol.upload.sender import SenderState, UploadSender
+from protocol.upload.transfer import CHUNK_BYTES, ReceiverEvent, UploadEvent, Verdict
+
+__all__ = [
+    "CHUNK_BYTES",
+    "BlobStore",
+    "ReceiverEvent",
+    "SenderState",
+    "UploadEvent",
+    "UploadReceiver",
+    "UploadSender",
+    "Verdict",
+]

@@ -1,0 +1,358 @@
+"""The vehicle's end of an upload: gathers chunks apart from what is live, checks them, commits."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+from protocol import messages as m
+from protocol.blobs import Kind
+from protocol.messages import Message, UploadResult, UploadState
+from protocol.upload.receiver_table import TABLE, Action, Event, Refusal
+from protocol.upload.transfer import (
+    CHUNK_BYTES,
+    SIZE_MAX,
+    ReceiverEvent,
+    UploadEvent,
+    Verdict,
+    chunk_count,
+    encode_bitmap,
+    encode_text,
+    tag_of,
+)
+
+REPORT_CHUNKS = 8
+"""Chunks after which a status goes out."""
+REPORT_US = 20_000
+"""Time after a chunk by which a status goes out."""
+
+
+class BlobStore(Protocol):
+    """Where blobs are kept: one live and one staged of each kind."""
+
+    def live(self, kind: int) -> bytes | None: ...
+    def stage(self, kind: int, blob: bytes) -> object: ...
+    def commit(self, kind: int) -> object: ...
+    def discard(self, kind: int) -> None: ...
+
+
+class _Blob(NamedTuple):
+    """The blob in hand, or one that a message is about."""
+
+    digest: bytes = b""
+    kind: int = 0
+    size: int = 0
+
+    @property
+    def id(self) -> str:
+        return self.digest[:6].hex()
+
+
+_NONE = _Blob()
+
+
+class UploadReceiver:
+    """Receives one blob at a time. Nothing live changes before a commit.
+
+    Args:
+        store: where accepted blobs are staged and committed; what it still has staged is discarded.
+        check: says whether a blob of this kind may be used; it sees only bytes whose digest is right.
+        may_commit: whether a blob of this kind may become live now.
+        capacity: bytes of the largest blob that is taken.
+        silence_us: after this time without a message about it, what was gathered or staged is discarded.
+
+    Attributes:
+        state: what is held of the blob in hand.
+        chunks, held: of the blob in hand.
+        repeated: chunks that came again, since construction.
+        verdict: what the check said of the blob in hand, None before.
+    """
+
+    def __init__(
+        self,
+        store: BlobStore,
+        *,
+        check: Callable[[int, bytes], Verdict],
+        may_commit: Callable[[int], bool],
+        capacity: int,
+        silence_us: int = 30_000_000,
+    ) -> None:
+        if not 0 < capacity <= SIZE_MAX:
+            raise ValueError(f"capacity must be 1..{SIZE_MAX} bytes, not {capacity}")
+        self.state = UploadState.IDLE
+        self.chunks = 0
+        self.held = 0
+        self.repeated = 0
+        self.verdict: Verdict | None = None
+        self._store = store
+        self._check = check
+        self._may_commit = may_commit
+        self._capacity = capacity
+        self._silence_us = silence_us
+        self._live: dict[int, bytes] = {}
+        for kind in Kind:
+            store.discard(kind)
+            self._note_live(kind)
+        self._blob = _NONE
+        self._data = bytearray()
+        self._map = bytearray()
+        self._base = 0
+        self._heard_us = 0
+        self._unreported = 0
+        self._report_us: int | None = None
+        self._stray_tag: int | None = None
+        self._out: list[Message] = []
+        self._events: list[ReceiverEvent] = []
+        self._actions: dict[Action, Callable[[_Blob, int], None]] = {
+            Action.BEGIN: self._begin,
+            Action.KEEP: self._report_soon,
+            Action.REPORT: self._report,
+            Action.REPORT_SOON: self._report_soon,
+            Action.ASK_FOR_BEGIN: self._report_soon,
+            Action.STAGE: self._stage,
+            Action.REFUSE: self._refuse,
+            Action.DROP: self._drop,
+            Action.COMMIT: self._commit,
+            Action.SAY_LIVE: self._say_live,
+            Action.DISCARD: self._discard,
+            Action.EXPIRE: self._expire,
+        }
+
+    def staged(self) -> tuple[int, bytes]:
+        """Kind and first 6 bytes of the digest of what is staged; 0 and zeros for nothing."""
+        if self.state is not UploadState.STAGED:
+            return 0, bytes(6)
+        return self._blob.kind, self._blob.digest[:6]
+
+    def live_id(self, kind: int) -> bytes:
+        """First 6 bytes of the digest of what is live of this kind, zeros for nothing."""
+        return self._live.get(kind, bytes(6))[:6]
+
+    def receive(self, message: Message, now_us: int) -> list[ReceiverEvent]:
+        """What the message brought about; a message that is not about uploads brings about nothing."""
+        if isinstance(message, m.UploadChunk):
+            self._on_chunk(message, now_us)
+        elif isinstance(message, m.UploadBegin):
+            blob = _Blob(bytes(message.digest), message.kind, message.size)
+            self._do(self._begin_event(blob, message.chunk), blob, now_us)
+        elif isinstance(message, m.UploadCommit):
+            self._on_commit(bytes(message.digest), now_us)
+        elif isinstance(message, m.UploadAbort):
+            digest = bytes(message.digest)
+            event = Event.ABORT_SAME if self._in_hand(digest) else Event.ABORT_OTHER
+            self._do(event, _Blob(digest), now_us)
+        return self._take_events()
+
+    def commit(self, id_bytes: bytes, now_us: int) -> tuple[UploadResult, list[ReceiverEvent]]:
+        """Result and events of a commit asked for in another way, of the blob whose id has these 6 bytes.
+
+        OK also where that blob is live already; UNKNOWN where it is not staged; BUSY where it is not the
+        time.
+        """
+        if any(digest[:6] == id_bytes for digest in self._live.values()):
+            return UploadResult.OK, []
+        if self.state is not UploadState.STAGED or self._blob.digest[:6] != id_bytes:
+            return UploadResult.UNKNOWN, []
+        self._on_commit(self._blob.digest, now_us)
+        done = self.state is UploadState.IDLE
+        return (UploadResult.OK if done else UploadResult.BUSY), self._take_events()
+
+    def advance(self, now_us: int) -> list[ReceiverEvent]:
+        """What the passing of time brought about: a long silence discards what was gathered or staged."""
+        if self.state is not UploadState.IDLE and now_us - self._heard_us >= self._silence_us:
+            self._do(Event.EXPIRED, self._blob, now_us)
+        return self._take_events()
+
+    def send(self, now_us: int) -> list[Message]:
+        """The messages that are due."""
+        if self._report_us is not None and now_us >= self._report_us:
+            self._report(self._blob, now_us)
+        out, self._out = self._out, []
+        return out
+
+    def next_deadline_us(self) -> int | None:
+        """Time by which to call `advance` and `send`; None while nothing is under way."""
+        if self._out:
+            return 0
+        deadlines = [] if self._report_us is None else [self._report_us]
+        if self.state is not UploadState.IDLE:
+            deadlines.append(self._heard_us + self._silence_us)
+        return min(deadlines, default=None)
+
+    # Which event a message is.
+
+    def _begin_event(self, blob: _Blob, chunk_bytes: int) -> Event:
+        if blob.kind not in tuple(Kind):
+            return Event.BEGIN_BAD_KIND
+        if chunk_bytes != CHUNK_BYTES or blob.size == 0:
+            return Event.BEGIN_BAD_REQUEST
+        if blob.size > self._capacity:
+            return Event.BEGIN_TOO_LARGE
+        if self._live.get(blob.kind) == blob.digest:
+            return Event.BEGIN_LIVE
+        return Event.BEGIN_SAME if blob == self._blob else Event.BEGIN_OTHER
+
+    def _on_chunk(self, message: m.UploadChunk, now_us: int) -> None:
+        index = message.index
+        if self._blob is _NONE or message.tag != tag_of(self._blob.digest) or index >= self.chunks:
+            self._stray_tag = message.tag
+            self._do(Event.CHUNK_FOREIGN, _NONE, now_us)
+        elif self._map[index]:
+            self.repeated += 1
+            self._do(Event.CHUNK_HELD, self._blob, now_us)
+        else:
+            start = index * CHUNK_BYTES
+            stop = min(start + CHUNK_BYTES, self._blob.size)
+            self._data[start:stop] = bytes(message.data)[: stop - start]
+            self._map[index] = 1
+            self.held += 1
+            self._do(Event.CHUNK_NEW, self._blob, now_us)
+            if self.held == self.chunks:
+                self._on_complete(now_us)
+
+    def _on_complete(self, now_us: int) -> None:
+        data = bytes(self._data)
+        if hashlib.sha256(data).digest() != self._blob.digest:
+            self._do(Event.CORRUPT, self._blob, now_us)
+            return
+        self.verdict = self._check(self._blob.kind, data)
+        event = Event.CHECK_PASSED if self.verdict.ok else Event.CHECK_REFUSED
+        self._do(event, self._blob, now_us)
+
+    def _on_commit(self, digest: bytes, now_us: int) -> None:
+        if digest in self._live.values():
+            event = Event.COMMIT_LIVE
+        elif not self._in_hand(digest):
+            event = Event.COMMIT_OTHER
+        else:
+            event = Event.COMMIT_SAME if self._may_commit(self._blob.kind) else Event.COMMIT_BUSY
+        self._do(event, _Blob(digest), now_us)
+
+    def _do(self, event: Event, blob: _Blob, now_us: int) -> None:
+        entry = TABLE(self.state, event)
+        same = self._in_hand(blob.digest)
+        if same:
+            self._heard_us = now_us
+        if isinstance(entry, Refusal):
+            if entry.result is not None:
+                self._answer(blob.digest, self.state if same else UploadState.IDLE, entry.result)
+            return
+        self.state = entry.state
+        self._actions[entry.action](blob, now_us)
+
+    # What is done; the state is the one afterwards.
+
+    def _begin(self, blob: _Blob, now_us: int) -> None:
+        if self._blob is not _NONE:
+            self._clear(UploadEvent.DISCARDED, "another upload began")
+        self._blob = blob
+        self.chunks = chunk_count(blob.size)
+        self._data = bytearray(blob.size)
+        self._map = bytearray(self.chunks)
+        self._heard_us = now_us
+        self._tell(UploadEvent.BEGAN, f"receiving {blob.size} bytes")
+        self._report(blob, now_us)
+
+    def _report(self, blob: _Blob, now_us: int) -> None:
+        self._report_us = None
+        self._unreported = 0
+        if self._blob is _NONE:
+            if self._stray_tag is not None:
+                self._answer_tag(self._stray_tag, UploadState.IDLE, UploadResult.UNKNOWN)
+                self._stray_tag = None
+            return
+        refused = self.state is UploadState.REFUSED
+        result = UploadResult.REFUSED if refused else UploadResult.OK
+        self._answer(self._blob.digest, self.state, result)
+        if self.verdict is not None:
+            self._out.append(self._verdict_message(self.verdict))
+
+    def _report_soon(self, blob: _Blob, now_us: int) -> None:
+        self._unreported += 1
+        if self._unreported >= REPORT_CHUNKS:
+            self._unreported = 0
+            self._report_us = now_us
+        elif self._report_us is None:
+            self._report_us = now_us + REPORT_US
+
+    def _stage(self, blob: _Blob, now_us: int) -> None:
+        self._store.stage(self._blob.kind, bytes(self._data))
+        self._tell(UploadEvent.ACCEPTED, "staged")
+        self._report(blob, now_us)
+
+    def _refuse(self, blob: _Blob, now_us: int) -> None:
+        self._tell(UploadEvent.REFUSED, self.verdict.message if self.verdict else "")
+        self._report(blob, now_us)
+
+    def _drop(self, blob: _Blob, now_us: int) -> None:
+        self._answer(self._blob.digest, UploadState.IDLE, UploadResult.CORRUPT)
+        self._clear(UploadEvent.CORRUPT, "its bytes do not make its digest")
+
+    def _commit(self, blob: _Blob, now_us: int) -> None:
+        kind = self._blob.kind
+        self._store.commit(kind)
+        self._note_live(kind)
+        self._say_live(self._blob, now_us)
+        self._clear(UploadEvent.COMMITTED, "live")
+
+    def _say_live(self, blob: _Blob, now_us: int) -> None:
+        self._answer(blob.digest, UploadState.LIVE, UploadResult.OK)
+
+    def _discard(self, blob: _Blob, now_us: int) -> None:
+        self._answer(self._blob.digest, UploadState.IDLE, UploadResult.OK)
+        self._clear(UploadEvent.DISCARDED, "aborted")
+
+    def _expire(self, blob: _Blob, now_us: int) -> None:
+        self._clear(UploadEvent.DISCARDED, "nothing heard of it for too long")
+
+    # Helpers.
+
+    def _clear(self, event: UploadEvent, text: str) -> None:
+        self._tell(event, text)
+        if event is not UploadEvent.COMMITTED and self._blob.kind:
+            self._store.discard(self._blob.kind)
+        self._blob = _NONE
+        self._data, self._map = bytearray(), bytearray()
+        self.chunks = self.held = self._base = self._unreported = 0
+        self.verdict = None
+        self._report_us = None
+
+    def _in_hand(self, digest: bytes) -> bool:
+        return self._blob is not _NONE and digest == self._blob.digest
+
+    def _note_live(self, kind: int) -> None:
+        live = self._store.live(kind)
+        if live is not None:
+            self._live[kind] = hashlib.sha256(live).digest()
+
+    def _tell(self, event: UploadEvent, text: str) -> None:
+        self._events.append(ReceiverEvent(event=event, kind=self._blob.kind, id=self._blob.id, text=text))
+
+    def _take_events(self) -> list[ReceiverEvent]:
+        events, self._events = self._events, []
+        return events
+
+    def _answer(self, digest: bytes, state: UploadState, result: UploadResult) -> None:
+        self._answer_tag(tag_of(digest), state, result)
+
+    def _answer_tag(self, tag: int, state: UploadState, result: UploadResult) -> None:
+        base, held, bitmap = 0, 0, bytes(64)
+        if state in (UploadState.RECEIVING, UploadState.STAGED, UploadState.REFUSED):
+            while self._base < self.chunks and self._map[self._base]:
+                self._base += 1
+            base, held = self._base, self.held
+            bitmap = encode_bitmap(self._map, base)
+        kind = self._blob.kind
+        self._out.append(m.UploadStatus(tag, base, held, state, result, kind, bitmap))
+
+    def _verdict_message(self, verdict: Verdict) -> Message:
+        return m.UploadVerdict(
+            verdict.value,
+            verdict.bound,
+            tag_of(self._blob.digest),
+            m.NO_NODE if verdict.node is None else verdict.node,
+            int(verdict.ok),
+            verdict.reason,
+            encode_text(verdict.message),
+        )

@@ -1,0 +1,154 @@
+"""What the receiver of an upload does on which event in which state."""
+
+from __future__ import annotations
+
+from enum import Enum, auto
+from typing import NamedTuple
+
+from protocol.messages import UploadResult, UploadState
+from protocol.upload.transfer import Table
+
+
+class Event(Enum):
+    """What can happen. SAME: to the blob in hand, LIVE: to one in use, OTHER: to neither."""
+
+    BEGIN_SAME = auto()
+    BEGIN_LIVE = auto()
+    BEGIN_OTHER = auto()
+    BEGIN_BAD_KIND = auto()
+    BEGIN_BAD_REQUEST = auto()
+    BEGIN_TOO_LARGE = auto()
+    CHUNK_NEW = auto()
+    CHUNK_HELD = auto()
+    CHUNK_FOREIGN = auto()
+    CHECK_PASSED = auto()
+    CHECK_REFUSED = auto()
+    CORRUPT = auto()
+    COMMIT_SAME = auto()
+    COMMIT_BUSY = auto()
+    COMMIT_LIVE = auto()
+    COMMIT_OTHER = auto()
+    ABORT_SAME = auto()
+    ABORT_OTHER = auto()
+    EXPIRED = auto()
+
+
+class Action(Enum):
+    """What is done on the way."""
+
+    BEGIN = auto()
+    KEEP = auto()
+    REPORT = auto()
+    REPORT_SOON = auto()
+    ASK_FOR_BEGIN = auto()
+    STAGE = auto()
+    REFUSE = auto()
+    DROP = auto()
+    COMMIT = auto()
+    SAY_LIVE = auto()
+    DISCARD = auto()
+    EXPIRE = auto()
+
+
+class Move(NamedTuple):
+    """A transition: the state afterwards and what is done."""
+
+    state: UploadState
+    action: Action
+
+
+class Refusal(NamedTuple):
+    """Nothing changes; `result` is answered, None stands for silence."""
+
+    result: UploadResult | None
+    why: str
+
+
+Entry = Move | Refusal
+STATES = (UploadState.IDLE, UploadState.RECEIVING, UploadState.STAGED, UploadState.REFUSED)
+"""LIVE is never the receiver's state: it is what is answered about a blob in use."""
+
+_S, _E, _A, _R = UploadState, Event, Action, UploadResult
+_NOTHING_HERE = Refusal(_R.UNKNOWN, "nothing of that blob is here")
+_NO_BLOB = Refusal(None, "no blob in hand")
+_COMPLETE = Refusal(None, "all chunks are here already")
+_INCOMPLETE = Refusal(_R.BAD_REQUEST, "not all chunks are here")
+_FOREIGN = Refusal(None, "a chunk of another blob")
+
+
+def _everywhere(state: UploadState) -> dict[Event, Entry]:
+    """The entries that are alike in every state."""
+    return {
+        _E.BEGIN_LIVE: Move(state, _A.SAY_LIVE),
+        _E.BEGIN_OTHER: Move(_S.RECEIVING, _A.BEGIN),
+        _E.BEGIN_BAD_KIND: Refusal(_R.BAD_KIND, "no such kind of blob"),
+        _E.BEGIN_BAD_REQUEST: Refusal(_R.BAD_REQUEST, "empty, or cut into chunks of another size"),
+        _E.BEGIN_TOO_LARGE: Refusal(_R.TOO_LARGE, "larger than the room for it"),
+        _E.COMMIT_LIVE: Move(state, _A.SAY_LIVE),
+        _E.COMMIT_OTHER: _NOTHING_HERE,
+        _E.ABORT_OTHER: _NOTHING_HERE,
+    }
+
+
+TABLE: Table[UploadState, Event, Entry] = Table(
+    STATES,
+    Event,
+    {
+        _S.IDLE: {
+            **_everywhere(_S.IDLE),
+            _E.BEGIN_SAME: _NO_BLOB,
+            _E.CHUNK_NEW: _NO_BLOB,
+            _E.CHUNK_HELD: _NO_BLOB,
+            _E.CHUNK_FOREIGN: Move(_S.IDLE, _A.ASK_FOR_BEGIN),
+            _E.CHECK_PASSED: _NO_BLOB,
+            _E.CHECK_REFUSED: _NO_BLOB,
+            _E.CORRUPT: _NO_BLOB,
+            _E.COMMIT_SAME: _NO_BLOB,
+            _E.COMMIT_BUSY: _NO_BLOB,
+            _E.ABORT_SAME: _NO_BLOB,
+            _E.EXPIRED: _NO_BLOB,
+        },
+        _S.RECEIVING: {
+            **_everywhere(_S.RECEIVING),
+            _E.BEGIN_SAME: Move(_S.RECEIVING, _A.REPORT),
+            _E.CHUNK_NEW: Move(_S.RECEIVING, _A.KEEP),
+            _E.CHUNK_HELD: Move(_S.RECEIVING, _A.REPORT_SOON),
+            _E.CHUNK_FOREIGN: _FOREIGN,
+            _E.CHECK_PASSED: Move(_S.STAGED, _A.STAGE),
+            _E.CHECK_REFUSED: Move(_S.REFUSED, _A.REFUSE),
+            _E.CORRUPT: Move(_S.IDLE, _A.DROP),
+            _E.COMMIT_SAME: _INCOMPLETE,
+            _E.COMMIT_BUSY: _INCOMPLETE,
+            _E.ABORT_SAME: Move(_S.IDLE, _A.DISCARD),
+            _E.EXPIRED: Move(_S.IDLE, _A.EXPIRE),
+        },
+        _S.STAGED: {
+            **_everywhere(_S.STAGED),
+            _E.BEGIN_SAME: Move(_S.STAGED, _A.REPORT),
+            _E.CHUNK_NEW: _COMPLETE,
+            _E.CHUNK_HELD: Move(_S.STAGED, _A.REPORT_SOON),
+            _E.CHUNK_FOREIGN: _FOREIGN,
+            _E.CHECK_PASSED: _COMPLETE,
+            _E.CHECK_REFUSED: _COMPLETE,
+            _E.CORRUPT: _COMPLETE,
+            _E.COMMIT_SAME: Move(_S.IDLE, _A.COMMIT),
+            _E.COMMIT_BUSY: Refusal(_R.BUSY, "not while the vehicle flies"),
+            _E.ABORT_SAME: Move(_S.IDLE, _A.DISCARD),
+            _E.EXPIRED: Move(_S.IDLE, _A.EXPIRE),
+        },
+        _S.REFUSED: {
+            **_everywhere(_S.REFUSED),
+            _E.BEGIN_SAME: Move(_S.REFUSED, _A.REPORT),
+            _E.CHUNK_NEW: _COMPLETE,
+            _E.CHUNK_HELD: Move(_S.REFUSED, _A.REPORT_SOON),
+            _E.CHUNK_FOREIGN: _FOREIGN,
+            _E.CHECK_PASSED: _COMPLETE,
+            _E.CHECK_REFUSED: _COMPLETE,
+            _E.CORRUPT: _COMPLETE,
+            _E.COMMIT_SAME: Move(_S.REFUSED, _A.REPORT),
+            _E.COMMIT_BUSY: Move(_S.REFUSED, _A.REPORT),
+            _E.ABORT_SAME: Move(_S.IDLE, _A.DISCARD),
+            _E.EXPIRED: Move(_S.IDLE, _A.EXPIRE),
+        },
+    },
+)

@@ -1,0 +1,336 @@
+"""The host's end of an upload: announces a blob, sends chunks until they are all there, commits.
+
+Selective repeat: every status says which chunks are held. A chunk counts as lost once one that was sent at
+least `_REORDER` later is held. Where answers stay out, the announcement goes out again; the answer to it is
+the receiver's full word on what it holds, also after it was started anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import heapq
+from collections.abc import Callable
+from typing import NamedTuple
+
+from protocol import messages as m
+from protocol.messages import Message, UploadResult, UploadState
+from protocol.upload.sender_table import TABLE, Action, Event, Refusal, SenderState
+from protocol.upload.transfer import (
+    BITMAP_BYTES,
+    CHUNK_BYTES,
+    SIZE_MAX,
+    Verdict,
+    chunk_count,
+    decode_bitmap,
+    tag_of,
+)
+
+WINDOW = 32
+"""Chunks under way at a time: 3.7 kB, which fits the radio's queue for uploads."""
+_REORDER = 3
+_RESTARTS_MAX = 8
+_RTT_FIRST_US = 130_000
+_OVERDUE_MIN_US = 80_000
+_OVERDUE_MAX_US = 1_000_000
+
+
+class _Flight(NamedTuple):
+    """One chunk under way: its place in the order of sending, when it left, whether it was a repetition."""
+
+    number: int
+    sent_us: int
+    again: bool
+
+
+class UploadSender:
+    """Sends one blob. Call `send` for what is due, `receive` with what arrives, `advance` at the deadline.
+
+    Args:
+        blob: the bytes, 1 to SIZE_MAX.
+        kind: `blobs.Kind`.
+        commit: make it live once accepted; otherwise an accepted blob stays staged.
+        window: chunks under way at a time.
+        patience_us: time without progress after which the upload fails.
+
+    Attributes:
+        state: how far it is; `over` once DONE or FAILED.
+        reason: why it failed, for people; empty before.
+        verdict: what the vehicle's check said, None before.
+        chunks: number of chunks; `held`: how many the vehicle has.
+        messages_sent, chunks_repeated: counts.
+        restarts: how often the vehicle had to be told everything again.
+    """
+
+    def __init__(
+        self,
+        blob: bytes,
+        kind: int,
+        *,
+        commit: bool = True,
+        target_system: int = m.VEHICLE[0],
+        window: int = WINDOW,
+        patience_us: int = 15_000_000,
+    ) -> None:
+        if not 0 < len(blob) <= SIZE_MAX:
+            raise ValueError(f"a blob has 1 to {SIZE_MAX} bytes, not {len(blob)}")
+        if not 0 < window <= 8 * BITMAP_BYTES:
+            raise ValueError(f"window must be 1 to {8 * BITMAP_BYTES}, not {window}")
+        self.state = SenderState.OPENING
+        self.reason = ""
+        self.silent = False
+        self.verdict: Verdict | None = None
+        self.digest = hashlib.sha256(blob).digest()
+        self.chunks = chunk_count(len(blob))
+        self.messages_sent = 0
+        self.chunks_repeated = 0
+        self.restarts = 0
+        self._blob = bytes(blob)
+        self._kind = int(kind)
+        self._commit_wanted = commit
+        self._target = target_system
+        self._window = window
+        self._patience_us = patience_us
+        self._tag = tag_of(self.digest)
+        self._held = bytearray(self.chunks)
+        self._base = 0
+        self._next = 0
+        self._sent_once = bytearray(self.chunks)
+        self._flight: dict[int, _Flight] = {}
+        self._lost: list[int] = []
+        self._number = 0
+        self._asked: int | None = None
+        self._rtt_us = _RTT_FIRST_US
+        self._overdue = 0
+        self._active_us: int | None = None
+        self._progress_us = 0
+        self._out: list[Message] = []
+        self._actions: dict[Action, Callable[[Message | None, int], None]] = {
+            Action.NOTHING: lambda message, now_us: None,
+            Action.NOTE_HELD: self._note_held,
+            Action.RESTART: self._restart,
+            Action.ASK: self._ask,
+            Action.COMMIT: self._commit,
+            Action.FAIL_REFUSED: self._fail_refused,
+            Action.FAIL_HOPELESS: lambda message, now_us: self._fail("the vehicle lost it again and again"),
+            Action.FAIL_REJECTED: self._fail_rejected,
+            Action.FAIL_BUSY: lambda message, now_us: self._fail(
+                "the vehicle does not swap it while it flies"
+            ),
+            Action.FAIL_SILENCE: self._fail_silence,
+            Action.ABORT: self._abort,
+        }
+
+    @property
+    def id(self) -> str:
+        """First 12 hex digits of the SHA-256."""
+        return self.digest[:6].hex()
+
+    @property
+    def held(self) -> int:
+        """Chunks that the vehicle is known to hold."""
+        return sum(self._held)
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more will happen."""
+        return self.state in (SenderState.DONE, SenderState.FAILED)
+
+    def receive(self, message: Message, now_us: int) -> bool:
+        """Whether the message was about this upload."""
+        if isinstance(message, m.UploadVerdict) and message.tag == self._tag:
+            self.verdict = _read_verdict(message)
+            event = self._staged() if self.verdict.ok else Event.REFUSED_WHY
+        elif isinstance(message, m.UploadStatus) and message.tag == self._tag:
+            event = self._status_event(message)
+        else:
+            return False
+        if self._active_us is None:
+            self._progress_us = now_us
+        self._active_us = now_us
+        self._overdue = 0
+        self._do(event, message, now_us)
+        return True
+
+    def advance(self, now_us: int) -> None:
+        """Nothing comes back; asks again where an answer is overdue, gives up where patience ends."""
+        if self.over or self._active_us is None:
+            return
+        if now_us - self._progress_us >= self._patience_us:
+            self._do(Event.SILENCE, None, now_us)
+        elif now_us >= self._active_us + self._overdue_us():
+            self._overdue += 1
+            self._active_us = now_us
+            self._do(Event.OVERDUE, None, now_us)
+
+    def send(self, now_us: int) -> list[Message]:
+        """The messages that are due; the first call announces the blob."""
+        if self._active_us is None:
+            self._active_us = self._progress_us = now_us
+            self._ask(None, now_us)
+        out, self._out = self._out, []
+        if self.state is SenderState.SENDING:
+            out.extend(self._chunks(now_us))
+        if out:
+            self._active_us = now_us
+            self.messages_sent += len(out)
+        return out
+
+    def next_deadline_us(self) -> int | None:
+        """Time by which to call `advance` and `send`; None when it is over."""
+        if self.over and not self._out:
+            return None
+        if self._active_us is None or self._out:
+            return 0
+        return min(self._active_us + self._overdue_us(), self._progress_us + self._patience_us)
+
+    def cancel(self, now_us: int) -> None:
+        """Nothing comes back; the upload ends as failed and the vehicle is told to discard what it has."""
+        self._do(Event.CANCEL, None, now_us)
+
+    # Which event an answer is.
+
+    def _staged(self) -> Event:
+        return Event.STAGED if self._commit_wanted else Event.STAGED_ENOUGH
+
+    def _status_event(self, status: m.UploadStatus) -> Event:
+        state, result = status.state, status.result
+        if state == UploadState.LIVE:
+            return Event.LIVE
+        if state == UploadState.STAGED:
+            return Event.BUSY if result == UploadResult.BUSY else self._staged()
+        if state == UploadState.REFUSED:
+            return Event.REFUSED
+        if state == UploadState.RECEIVING and result == UploadResult.OK:
+            return Event.RECEIVING
+        if result in (UploadResult.TOO_LARGE, UploadResult.BAD_KIND) or (
+            state == UploadState.IDLE and result == UploadResult.BAD_REQUEST
+        ):
+            return Event.REJECTED
+        if self.restarts >= _RESTARTS_MAX:
+            return Event.HOPELESS
+        return Event.CORRUPT if result == UploadResult.CORRUPT else Event.FORGOTTEN
+
+    def _do(self, event: Event, message: Message | None, now_us: int) -> None:
+        entry = TABLE(self.state, event)
+        if isinstance(entry, Refusal):
+            return
+        if entry.state is not self.state and entry.action is not Action.RESTART:
+            self._progress_us = now_us
+        self.state = entry.state
+        self._actions[entry.action](message, now_us)
+
+    # What is done.
+
+    def _ask(self, message: Message | None, now_us: int) -> None:
+        self._number += _REORDER
+        self._asked = self._number
+        size, digest = len(self._blob), self.digest
+        self._out.append(m.UploadBegin(size, self._target, self._kind, CHUNK_BYTES, digest))
+
+    def _restart(self, message: Message | None, now_us: int) -> None:
+        self.restarts += 1
+        self.verdict = None
+        self._held = bytearray(self.chunks)
+        self._flight.clear()
+        self._lost.clear()
+        self._base = self._next = 0
+        self._ask(message, now_us)
+
+    def _commit(self, message: Message | None, now_us: int) -> None:
+        self._out.append(m.UploadCommit(self._target, self._kind, self.digest))
+
+    def _note_held(self, message: Message | None, now_us: int) -> None:
+        if not isinstance(message, m.UploadStatus) or message.base > self.chunks:
+            return
+        before, newest = self._held, 0
+        if self._asked is not None:  # this is the whole truth, what it does not name is not there
+            newest, self._asked = self._asked, None
+            self._held, self._base = bytearray(self.chunks), 0
+        bitmap = decode_bitmap(bytes(message.bitmap), message.base)
+        for index in (*range(self._base, message.base), *bitmap):
+            if index >= self.chunks or self._held[index]:
+                continue
+            self._held[index] = 1
+            if not before[index]:
+                self._progress_us = now_us
+            flight = self._flight.pop(index, None)
+            if flight is not None:
+                newest = max(newest, flight.number)
+                if not flight.again:
+                    self._rtt_us += (now_us - flight.sent_us - self._rtt_us) // 8
+        self._base = max(self._base, message.base)
+        if before is not self._held:
+            for index in range(self._base, self._next):
+                if before[index] and not self._held[index]:
+                    heapq.heappush(self._lost, index)
+        for index in [i for i, flight in self._flight.items() if flight.number <= newest - _REORDER]:
+            del self._flight[index]
+            heapq.heappush(self._lost, index)
+
+    def _chunks(self, now_us: int) -> list[Message]:
+        out: list[Message] = []
+        while len(self._flight) < self._window:
+            index = self._pick()
+            if index is None:
+                break
+            data = self._blob[index * CHUNK_BYTES : (index + 1) * CHUNK_BYTES].ljust(CHUNK_BYTES, b"\0")
+            out.append(m.UploadChunk(self._tag, index, self._target, data))
+            self._number += 1
+            again = bool(self._sent_once[index])
+            self._flight[index] = _Flight(self._number, now_us, again)
+            self.chunks_repeated += again
+            self._sent_once[index] = 1
+        return out
+
+    def _pick(self) -> int | None:
+        """The next chunk to send: lost ones first, then new ones as far as a status can report them."""
+        while self._lost:
+            index = heapq.heappop(self._lost)
+            if not self._held[index] and index not in self._flight:
+                return index
+        while self._next < min(self.chunks, self._base + 8 * BITMAP_BYTES):
+            index = self._next
+            self._next += 1
+            if not self._held[index] and index not in self._flight:
+                return index
+        return None
+
+    def _overdue_us(self) -> int:
+        once = min(max(2 * self._rtt_us + 40_000, _OVERDUE_MIN_US), _OVERDUE_MAX_US)
+        return min(once << min(self._overdue, 8), _OVERDUE_MAX_US)
+
+    def _abort(self, message: Message | None, now_us: int) -> None:
+        self._fail("cancelled")
+        self._out.append(m.UploadAbort(self._target, self.digest))
+
+    def _fail(self, reason: str) -> None:
+        self.reason = reason
+
+    def _fail_silence(self, message: Message | None, now_us: int) -> None:
+        self.silent = True
+        self._fail(f"no progress for {self._patience_us / 1e6:g} s at {self.held} of {self.chunks} chunks")
+
+    def _fail_refused(self, message: Message | None, now_us: int) -> None:
+        verdict = self.verdict
+        node = "" if verdict is None or verdict.node is None else f" at node {verdict.node}"
+        self._fail(f"refused on board{node}: {verdict.message if verdict else ''}")
+
+    def _fail_rejected(self, message: Message | None, now_us: int) -> None:
+        result = message.result if isinstance(message, m.UploadStatus) else 0
+        if result == UploadResult.TOO_LARGE:
+            self._fail(f"the vehicle has no room for {len(self._blob)} bytes")
+        elif result == UploadResult.BAD_KIND:
+            self._fail(f"the vehicle takes no blobs of kind {self._kind}")
+        else:
+            self._fail("the vehicle takes no chunks of this size")
+
+
+def _read_verdict(message: m.UploadVerdict) -> Verdict:
+    return Verdict(
+        ok=bool(message.ok),
+        node=None if message.node == m.NO_NODE else message.node,
+        reason=message.reason,
+        value=message.value,
+        bound=message.bound,
+        message=message.message,
+    )
