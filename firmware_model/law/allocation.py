@@ -95,10 +95,10 @@ def allocate(
 def _collective_range(
     ops: Ops, low: Sequence[Scalar], high: Sequence[Scalar], turn: Vector, yaw: Sequence[Scalar], per: Vector
 ) -> tuple[Scalar, Scalar]:
-    """Least and greatest collective thrust for which some part k of the yaw demand keeps all rotors in range.
+    """Least and greatest collective thrust at which some part k of the yaw demand keeps rotors in range.
 
-    low_i - k yaw_i <= collective <= high_i - k yaw_i are lines over k in 0..1. The lowest point above four lines
-    is the end of one of them or where a falling one meets a rising one: rotors that turn opposite ways.
+    low_i - k yaw_i <= collective <= high_i - k yaw_i are lines over k in 0..1. The lowest point above four
+    lines is the end of one of them or where a falling one meets a rising one: rotors that turn opposite ways.
     """
     ends_low = [ops.minimum(bound, bound - y) for bound, y in zip(low, yaw, strict=True)]
     ends_high = [ops.maximum(bound, bound - y) for bound, y in zip(high, yaw, strict=True)]

@@ -1,0 +1,134 @@
+"""The estimator: exact where its assumptions hold, convergent from a wrong start, bounded after gaps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_model.law.constants import GRAVITY
+from firmware_model.law.estimator import Estimate, EstimatorGains, correct, predict
+from firmware_model.law.ops import FLOAT
+from firmware_model.law.rotations import mat_t_vec, quat_exp, quat_from_euler, quat_multiply, quat_to_matrix
+from firmware_model.law.step import TICK_S
+
+GAINS = EstimatorGains(20.0, 150.0, 6.0, 0.5)
+number = st.floats(-3.0, 3.0)
+vector = st.tuples(number, number, number)
+
+
+def _late_pose(p, v, a, q, rate, age):
+    """The pose `age` ago under constant acceleration and body rate."""
+    p_late = [x - age * y + 0.5 * age * age * z for x, y, z in zip(p, v, a, strict=True)]
+    return p_late, quat_multiply(q, quat_exp(FLOAT, [-age * w for w in rate]))
+
+
+def _flat(est):
+    return np.concatenate(est)
+
+
+@given(vector, vector, vector, vector, vector, st.floats(0.0, 0.1))
+def test_correct_by_a_late_pose_of_a_true_estimate_changes_nothing(p, v, a, turn, rate, age):
+    est = Estimate(p, v, quat_exp(FLOAT, turn), (0.01, 0.02, 0.03))
+    pose = _late_pose(p, v, a, est.q, rate, age)
+    after = correct(FLOAT, est, rate, a, *pose, age, 0.01, GAINS)
+    assert np.allclose(_flat(after), _flat(est), atol=1e-13)
+
+
+@given(vector, vector, vector, vector, vector)
+def test_correct_with_interval_zero_changes_nothing(p, v, a, turn, rate):
+    est = Estimate(p, v, quat_exp(FLOAT, turn), (0.01, 0.02, 0.03))
+    after = correct(FLOAT, est, rate, a, (1.0, 2.0, 3.0), (0.5, 0.5, 0.5, 0.5), 0.02, 0.0, GAINS)
+    assert np.allclose(_flat(after), _flat(est), atol=1e-15)
+
+
+def test_correct_by_either_sign_of_the_quaternion_is_the_same():
+    est = Estimate((0.0,) * 3, (0.0,) * 3, quat_exp(FLOAT, (0.1, 0.2, 0.3)), (0.0,) * 3)
+    q = quat_exp(FLOAT, (0.2, 0.1, 0.5))
+    rest = ((0.0,) * 3, (0.0,) * 3, (1.0, 2.0, 3.0))
+    one = correct(FLOAT, est, *rest, q, 0.0, 0.01, GAINS)
+    other = correct(FLOAT, est, *rest, [-x for x in q], 0.0, 0.01, GAINS)
+    assert np.allclose(_flat(one), _flat(other), atol=1e-15)
+
+
+def test_correct_moves_by_gain_times_interval_towards_the_pose():
+    est = Estimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
+    q = quat_from_euler(FLOAT, 0.0, 0.0, 0.02)
+    after = correct(FLOAT, est, (0.0,) * 3, (0.0,) * 3, (0.1, 0.0, 0.0), q, 0.0, 0.01, GAINS)
+    assert after.p[0] == pytest.approx(0.1 * 20.0 * 0.01)
+    assert after.v[0] == pytest.approx(0.1 * 150.0 * 0.01)
+    assert 2 * math.asin(after.q[3]) == pytest.approx(0.02 * 6.0 * 0.01, rel=1e-3)
+    assert after.bias[2] == pytest.approx(-0.02 * 0.5 * 0.01, rel=1e-3)
+
+
+def test_predict_of_a_fall_is_a_parabola():
+    est = Estimate((0.0, 0.0, -10.0), (3.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
+    for _ in range(500):
+        est, _, a, _ = predict(FLOAT, est, (0.0,) * 3, (0.0,) * 3, TICK_S)
+        assert a == (0.0, 0.0, GRAVITY)
+    assert est.p == pytest.approx((1.5, 0.0, -10.0 + 0.5 * GRAVITY * 0.25))
+    assert est.v == pytest.approx((3.0, 0.0, GRAVITY * 0.5))
+
+
+def test_predict_of_a_constant_rate_turns_exactly():
+    est = Estimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.1, 0.2, 0.3))
+    rate = np.array([2.0, -1.0, 0.5])
+    for _ in range(1000):
+        est, seen, *_ = predict(FLOAT, est, rate + est.bias, (0.0,) * 3, TICK_S)
+    assert seen == pytest.approx(rate)
+    assert est.q == pytest.approx(quat_exp(FLOAT, rate), abs=1e-12)
+
+
+def _truth(t):
+    """p, v, a, q, rate of a circle of 2 m at 3 m/s, level, turning at half that pace."""
+    w = 1.5
+    c, s = math.cos(w * t), math.sin(w * t)
+    p, v, a = (2 * c, 2 * s, -2.0), (-2 * w * s, 2 * w * c, 0.0), (-2 * w * w * c, -2 * w * w * s, 0.0)
+    return p, v, a, quat_from_euler(FLOAT, 0.0, 0.0, 0.5 * w * t), (0.0, 0.0, 0.5 * w)
+
+
+def _fly(latency_s, stated_age_s, seconds=8.0):
+    """The errors of p, v, attitude (rad) and bias at the end, from a wrong start, with poses at 100 Hz."""
+    gains = GAINS._replace(bias=4.0)  # a bias found within the test's time
+    bias = np.array([0.05, -0.03, 0.02])
+    p, v, *_ = _truth(0.0)
+    est = Estimate(np.add(p, 0.3), np.add(v, -0.5), quat_exp(FLOAT, (0.1, -0.1, 0.2)), (0.0,) * 3)
+    for tick in range(1, round(seconds / TICK_S) + 1):
+        t = tick * TICK_S
+        _, _, a, q, rate = _truth(t)
+        force = mat_t_vec(quat_to_matrix(FLOAT, q), (a[0], a[1], a[2] - GRAVITY))
+        est, rate_seen, accel, _ = predict(FLOAT, est, np.add(rate, bias), force, TICK_S)
+        if tick % 10 == 0:
+            p_late, *_, q_late, _ = _truth(t - latency_s)
+            est = correct(FLOAT, est, rate_seen, accel, p_late, q_late, stated_age_s, 0.01, gains)
+    p, v, _, q, _ = _truth(t)
+    turn = quat_multiply([est.q[0], *(-x for x in est.q[1:])], q)
+    return (
+        math.dist(p, est.p),
+        math.dist(v, est.v),
+        2 * math.hypot(*turn[1:]),
+        float(np.linalg.norm(bias - est.bias)),
+    )
+
+
+def test_estimator_from_a_wrong_start_finds_the_state_and_the_bias():
+    p, v, attitude, bias = _fly(0.015, 0.015)
+    assert p < 1e-3
+    assert v < 1e-2
+    assert attitude < 2e-3
+    assert bias < 1e-2
+
+
+def test_estimator_told_no_age_lags_by_the_latency():
+    """At 3 m/s a pose 15 ms old is 45 mm behind; the age takes that away."""
+    assert _fly(0.015, 0.0)[0] > 0.03
+    assert _fly(0.015, 0.015)[0] < 0.001
+
+
+def test_estimator_after_a_long_gap_does_not_overshoot():
+    est = Estimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
+    after = correct(FLOAT, est, (0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0), est.q, 0.0, 3.0, GAINS)
+    assert 0.0 < after.p[0] < 1.0

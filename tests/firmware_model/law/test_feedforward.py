@@ -1,0 +1,91 @@
+"""Feed-forward: signs, the neutral block, derivatives by finite differences, the network against numpy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from firmware_model.law import feedforward as ff
+from firmware_model.law.ops import FLOAT
+from firmware_model.law.rotations import euler_to_matrix, quat_exp, quat_multiply, quat_to_matrix
+from protocol import blobs
+
+LEVEL = euler_to_matrix(FLOAT, (0.0, 0.0, 0.0))
+
+
+def _block(**parts):
+    block = list(ff.NEUTRAL)
+    for name, value in parts.items():
+        block[getattr(ff, name)] = value
+    return tuple(block)
+
+
+def test_block_layout_is_the_blobs():
+    assert ff.FF_SIZE == len(ff.NEUTRAL) == blobs.BLOCK_SIZE
+    assert ff.NEUTRAL == blobs.NEUTRAL_BLOCK
+
+
+def test_specific_force_of_the_neutral_block_is_nothing():
+    assert ff.specific_force_ned(FLOAT, ff.NEUTRAL, (5.0, -3.0, 1.0), LEVEL) == pytest.approx((0.0,) * 3)
+
+
+def test_specific_force_of_drag_is_against_the_motion_along_body_axes():
+    block = _block(LINEAR=(0.5, 0.3, 0.1), QUADRATIC=(0.02, 0.0, 0.0))
+    heading_east = euler_to_matrix(FLOAT, (0.0, 0.0, math.pi / 2))
+    force = ff.specific_force_ned(FLOAT, block, (0.0, 4.0, 0.0), heading_east)
+    assert force == pytest.approx((0.0, -4.0 * (0.5 + 0.02 * 4.0), 0.0), abs=1e-12)
+    force = ff.specific_force_ned(FLOAT, block, (4.0, 0.0, 0.0), heading_east)
+    assert force == pytest.approx((-4.0 * 0.3, 0.0, 0.0), abs=1e-12)
+
+
+def test_specific_force_of_a_bias_is_the_bias_whatever_the_attitude():
+    R = euler_to_matrix(FLOAT, (0.4, -0.5, 2.0))
+    force = ff.specific_force_ned(FLOAT, _block(BIAS=(0.1, 0.2, 0.3)), (5.0, 1.0, 0.0), R)
+    assert force == pytest.approx((0.1, 0.2, 0.3))
+
+
+def test_specific_force_rate_matches_finite_differences():
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        block = rng.uniform(-0.5, 0.5, ff.FF_SIZE)
+        v, a, rate = rng.normal(size=3) * 5, rng.normal(size=3) * 8, rng.normal(size=3) * 4
+        q = quat_exp(FLOAT, rng.normal(size=3))
+
+        def force(dt, v=v, a=a, rate=rate, q=q, block=block):
+            R = quat_to_matrix(FLOAT, quat_multiply(q, quat_exp(FLOAT, dt * rate)))
+            return np.array(ff.specific_force_ned(FLOAT, block, v + dt * a, R))
+
+        h = 1e-5
+        found = ff.specific_force_rate_ned(FLOAT, block, v, a, rate, quat_to_matrix(FLOAT, q))
+        assert np.allclose((force(h) - force(-h)) / (2 * h), found, atol=1e-6, rtol=1e-7)
+
+
+@pytest.mark.parametrize("layers", [(5,), (32, 32), (7, 3, 4)])
+def test_network_agrees_with_matrix_products(layers):
+    rng = np.random.default_rng(5)
+    weights, x = rng.normal(size=ff.weight_count(layers)), rng.normal(size=6)
+    at, values = 0, x
+    sizes = (*layers, 3)
+    for k, width in enumerate(sizes):
+        table = weights[at : at + width * (len(values) + 1)].reshape(width, -1)
+        at += table.size
+        values = table[:, :-1] @ values + table[:, -1]
+        values = np.tanh(values) if k < len(sizes) - 1 else values
+    assert np.allclose(ff.network(FLOAT, weights.tolist(), layers, x[:3], x[3:]), values, atol=1e-12)
+
+
+def test_weight_count_of_the_largest_network_is_the_blobs_bound():
+    assert ff.weight_count((32, 32, 32)) == 2435
+
+
+@pytest.mark.parametrize("layers", [(), (33,), (8, 8, 8, 8), (0,)])
+def test_weight_count_beyond_the_bound_raises_value_error(layers):
+    with pytest.raises(ValueError, match="hidden layers"):
+        ff.weight_count(layers)
+
+
+def test_network_with_a_wrong_number_of_weights_raises_value_error():
+    with pytest.raises(ValueError, match="weights"):
+        ff.network(FLOAT, [0.0] * 10, (4,), (0.0,) * 3, (0.0,) * 3)
