@@ -82,7 +82,7 @@ class Control(_message.Message):
     def __init__(self, source_us: _Optional[int] = ..., interval_us: _Optional[int] = ..., collective_n: _Optional[float] = ..., rate_cmd_rad_s: _Optional[_Iterable[float]] = ..., torque_cmd_n_m: _Optional[_Iterable[float]] = ..., rate_integral: _Optional[_Iterable[float]] = ..., motor_mean: _Optional[_Iterable[float]] = ..., gyro_mean_rad_s: _Optional[_Iterable[float]] = ..., force_mean_m_s2: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = ("source_us", "state", "failsafe", "battery_v", "reference_id", "feedforward_id", "tracking_start_us", "loop_max_us", "loop_overruns", "receive_overruns")
+    __slots__ = ("source_us", "state", "failsafe", "battery_v", "reference_id", "feedforward_id", "tracking_start_us", "loop_max_us", "loop_overruns", "receive_overruns", "saturated_ticks", "flight_ticks", "poses_used")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         BOOT: _ClassVar[Status.State]
@@ -121,6 +121,9 @@ class Status(_message.Message):
     LOOP_MAX_US_FIELD_NUMBER: _ClassVar[int]
     LOOP_OVERRUNS_FIELD_NUMBER: _ClassVar[int]
     RECEIVE_OVERRUNS_FIELD_NUMBER: _ClassVar[int]
+    SATURATED_TICKS_FIELD_NUMBER: _ClassVar[int]
+    FLIGHT_TICKS_FIELD_NUMBER: _ClassVar[int]
+    POSES_USED_FIELD_NUMBER: _ClassVar[int]
     source_us: int
     state: Status.State
     failsafe: Status.Failsafe
@@ -131,10 +134,13 @@ class Status(_message.Message):
     loop_max_us: int
     loop_overruns: int
     receive_overruns: int
-    def __init__(self, source_us: _Optional[int] = ..., state: _Optional[_Union[Status.State, str]] = ..., failsafe: _Optional[_Union[Status.Failsafe, str]] = ..., battery_v: _Optional[float] = ..., reference_id: _Optional[str] = ..., feedforward_id: _Optional[str] = ..., tracking_start_us: _Optional[int] = ..., loop_max_us: _Optional[int] = ..., loop_overruns: _Optional[int] = ..., receive_overruns: _Optional[int] = ...) -> None: ...
+    saturated_ticks: int
+    flight_ticks: int
+    poses_used: int
+    def __init__(self, source_us: _Optional[int] = ..., state: _Optional[_Union[Status.State, str]] = ..., failsafe: _Optional[_Union[Status.Failsafe, str]] = ..., battery_v: _Optional[float] = ..., reference_id: _Optional[str] = ..., feedforward_id: _Optional[str] = ..., tracking_start_us: _Optional[int] = ..., loop_max_us: _Optional[int] = ..., loop_overruns: _Optional[int] = ..., receive_overruns: _Optional[int] = ..., saturated_ticks: _Optional[int] = ..., flight_ticks: _Optional[int] = ..., poses_used: _Optional[int] = ...) -> None: ...
 
 class Link(_message.Message):
-    __slots__ = ("frames_sent", "frames_received", "frames_lost", "frames_repeated", "bad_bytes", "rtt_us", "clock_offset_us", "clock_offset_sd_us", "camera_offset_us")
+    __slots__ = ("frames_sent", "frames_received", "frames_lost", "frames_repeated", "bad_bytes", "rtt_us", "clock_offset_us", "clock_offset_sd_us", "camera_offset_us", "messages_sent", "messages_received", "messages_lost")
     FRAMES_SENT_FIELD_NUMBER: _ClassVar[int]
     FRAMES_RECEIVED_FIELD_NUMBER: _ClassVar[int]
     FRAMES_LOST_FIELD_NUMBER: _ClassVar[int]
@@ -144,6 +150,9 @@ class Link(_message.Message):
     CLOCK_OFFSET_US_FIELD_NUMBER: _ClassVar[int]
     CLOCK_OFFSET_SD_US_FIELD_NUMBER: _ClassVar[int]
     CAMERA_OFFSET_US_FIELD_NUMBER: _ClassVar[int]
+    MESSAGES_SENT_FIELD_NUMBER: _ClassVar[int]
+    MESSAGES_RECEIVED_FIELD_NUMBER: _ClassVar[int]
+    MESSAGES_LOST_FIELD_NUMBER: _ClassVar[int]
     frames_sent: int
     frames_received: int
     frames_lost: int
@@ -153,7 +162,10 @@ class Link(_message.Message):
     clock_offset_us: float
     clock_offset_sd_us: float
     camera_offset_us: float
-    def __init__(self, frames_sent: _Optional[int] = ..., frames_received: _Optional[int] = ..., frames_lost: _Optional[int] = ..., frames_repeated: _Optional[int] = ..., bad_bytes: _Optional[int] = ..., rtt_us: _Optional[float] = ..., clock_offset_us: _Optional[float] = ..., clock_offset_sd_us: _Optional[float] = ..., camera_offset_us: _Optional[float] = ...) -> None: ...
+    messages_sent: int
+    messages_received: int
+    messages_lost: int
+    def __init__(self, frames_sent: _Optional[int] = ..., frames_received: _Optional[int] = ..., frames_lost: _Optional[int] = ..., frames_repeated: _Optional[int] = ..., bad_bytes: _Optional[int] = ..., rtt_us: _Optional[float] = ..., clock_offset_us: _Optional[float] = ..., clock_offset_sd_us: _Optional[float] = ..., camera_offset_us: _Optional[float] = ..., messages_sent: _Optional[int] = ..., messages_received: _Optional[int] = ..., messages_lost: _Optional[int] = ...) -> None: ...
 
 class RecordedInputs(_message.Message):
     __slots__ = ("source_us", "motor_command", "thrust_n", "torque_n_m", "p_ref_ned_m", "v_ref_ned_m_s", "a_ref_ned_m_s2", "yaw_ref_rad")
