@@ -22,7 +22,7 @@ _CELL_RESISTANCE_OHM_AH = 0.02  # of one cell, times its capacity
 _HOVER_POWER_W_PER_N = 15.0
 _SAG_START_DEPTH = 0.5  # flights in a world with battery-sag start charged, half empty or in between
 _BATTERY_SHARE = 0.3  # of the mass: the part that slid when the centre of mass is off
-_LAG_UNEVEN = 0.12  # a motor slower than its file brakes even more slowly than it speeds up
+_LAG_UNEVEN = 0.05  # a motor slower than its file brakes even more slowly than it speeds up
 _NOISE_BLOCK = 1024
 
 
@@ -34,25 +34,28 @@ class PlantPort(Protocol):
     """
 
     @property
-    def pose(self) -> memoryview: ...
+    def pose(self) -> Any: ...
     @property
-    def sensed(self) -> memoryview: ...
+    def sensed(self) -> Any: ...
 
     def reset(self, p_ned: Sequence[float], q_ned_frd: Sequence[float]) -> None: ...
     def step(self, motor_command: Sequence[float]) -> None: ...
 
 
 class Plant:
-    """A vehicle in a world, stepped a millisecond at a time. Satisfies PlantPort."""
+    """A vehicle in a world, stepped a millisecond at a time. Satisfies PlantPort.
+
+    `state` is the memory of `plant_model.STATE` after the last step; `reset` comes first.
+    """
 
     def __init__(self, vehicle: Vehicle, world: World, flight: int) -> None:
         self._engine = plant_engine()
         inputs: Any = self._engine.inputs
         outputs: Any = self._engine.outputs
         self._state, self._command, self._noise = inputs["state"], inputs["command"], inputs["noise"]
-        self._next_state = outputs["state"]
-        self.pose: memoryview = outputs["pose"]
-        self.sensed: memoryview = outputs["sensed"]
+        self.state = outputs["state"]
+        self.pose = outputs["pose"]
+        self.sensed = outputs["sensed"]
         values = plant_parameters(vehicle, world)
         inputs["parameters"][:] = pack(PARAMETERS, values)
         self._full_v = values["battery"][1]
@@ -86,8 +89,10 @@ class Plant:
             "rotor_speed": [0.0] * 4,
             "charge_used_c": [self._charge_used_c],
             "gust": gust,
+            "acceleration_ned": [0.0] * 3,
+            "turning_frd": [0.0] * 3,
         }
-        self._next_state[:] = pack(STATE, state)
+        self.state[:] = pack(STATE, state)
         self._at = self._end = 0
         self.pose[:] = memoryview(array("d", [*p_ned, 0.0, 0.0, 0.0, *q_ned_frd]))
         self.sensed[:] = memoryview(array("d", [0.0, 0.0, 0.0, 0.0, 0.0, -GRAVITY_M_S2, self._full_v]))
@@ -103,7 +108,7 @@ class Plant:
         if not self._calm:
             self._at = after = at + 6
             self._noise[:] = self._block[at:after]
-        self._state[:] = self._next_state
+        self._state[:] = self.state
         self._engine()
 
     def _draw_noise(self) -> None:

@@ -36,8 +36,11 @@ STATE = (
     Block("rotor_speed", 4),
     Block("charge_used_c", 1),
     Block("gust", 6),
+    Block("acceleration_ned", 3),
+    Block("turning_frd", 3),
 )
-"""Memory of a tick, in order: `gust` is three accelerations in NED (m/s^2) and three about FRD (rad/s^2)."""
+"""Memory of a tick, in order. `gust`: three accelerations in NED (m/s^2) and three about FRD (rad/s^2);
+`acceleration_ned` and `turning_frd`: the accelerations of the centre of mass in the last tick."""
 
 PARAMETERS = (
     Block("mass_kg", 1),
@@ -83,7 +86,7 @@ _WIND_SHEAR = 0.08
 _GAIN_REYNOLDS = 0.3  # a propeller's thrust error shrinks as it turns faster
 _SAG_LOAD = -0.1  # a loaded motor gives way less than in proportion to voltage
 _FRICTION = 0.8
-_SLIP_M_S = 0.02
+_SLIP_M_S = 0.05
 _WIND_FLOOR_M = 0.05
 
 
@@ -91,36 +94,33 @@ def tick(ops: Any, inputs: Mapping[str, Vector]) -> dict[str, list[Scalar]]:
     """State, pose and sensed quantities after one millisecond with the motor command held.
 
     `ops` is the arithmetic (`where`, `exp`, ...) of floats, CasADi scalars or numpy lanes; `noise` six
-    standard normal numbers. Midpoint rule on the rigid body, exact exponentials for rotors and gusts, the
-    battery stepped once.
+    standard normal numbers. Midpoint rule on the rigid body, with the way to the middle taken from the last
+    tick's accelerations: second order for one evaluation of the forces. Rotors and gusts follow exact
+    exponentials, the battery is stepped once.
     """
     P = _cut(PARAMETERS, inputs["parameters"])
     x = _cut(STATE, inputs["state"])
     p, v, q, w = x["p_ned"], x["v_ned"], x["q_ned_frd"], x["rate_frd"]
     voltage, charge = _battery(ops, P, x["rotor_speed"], x["charge_used_c"][0])
-    speeds = _rotor_speeds(ops, P, x["rotor_speed"], inputs["command"], voltage)
+    speeds, speeds_end = _rotor_speeds(ops, P, x["rotor_speed"], inputs["command"], voltage)
     gust = _gust(P, x["gust"], inputs["noise"])
-    wind = _wind(ops, P, p)
 
-    def slope(p: Vector, v: Vector, q: Vector, w: Vector, n: Vector) -> tuple[Vector, ...]:
-        R = rotation(q)
-        a, w_dot = _accelerations(ops, P, p, v, R, w, n, wind, gust)
-        return v, a, _quaternion_rate(q, w), w_dot
-
-    h = TICK_S
-    start = (p, v, q, w)
-    middle = p, v, q, w = _along(start, slope(p, v, q, w, speeds[0]), h / 2)
-    p, v, q, w = _along(start, slope(p, v, q, w, speeds[1]), h)
-    q = _unit(ops, q)
+    half, h = 0.5 * TICK_S, TICK_S
+    w_half = _ahead(w, x["turning_frd"], half)
+    v_half = _ahead(v, x["acceleration_ned"], half)
+    q_half = _unit(ops, _ahead(q, _quaternion_rate(q, w), half))
+    R_half = rotation(q_half)
+    a, turning = _accelerations(ops, P, _ahead(p, v, half), v_half, R_half, w_half, speeds, gust)
+    p, v, w = _ahead(p, v_half, h), _ahead(v, a, h), _ahead(w, turning, h)
+    q = _unit(ops, _ahead(q, _quaternion_rate(q_half, w_half), h))
 
     com = P["com_frd"]
-    before = _origin(start[0], start[1], rotation(start[2]), start[3], com)
-    after = _origin(p, v, rotation(q), w, com)
-    mean = [(b - a) / h for a, b in zip(before[1], after[1], strict=True)]
-    mean[2] = mean[2] - GRAVITY_M_S2
-    force = _into_body(rotation(_unit(ops, middle[2])), mean)
-    state = [*p, *v, *q, *w, *speeds[2], charge, *gust]
-    return {"state": state, "pose": [*after[0], *after[1], *q], "sensed": [*w, *force, voltage]}
+    carried = _add(_cross(turning, com), _cross(w_half, _cross(w_half, com)))
+    force = _into_body(R_half, [a[0], a[1], a[2] - GRAVITY_M_S2])
+    force = [f - c for f, c in zip(force, carried, strict=True)]
+    state = [*p, *v, *q, *w, *speeds_end, charge, *gust, *a, *turning]
+    pose = [*_origin(p, v, rotation(q), w, com), *q]
+    return {"state": state, "pose": pose, "sensed": [*w, *force, voltage]}
 
 
 def _accelerations(
@@ -131,12 +131,12 @@ def _accelerations(
     R: Vector,
     w: Vector,
     speeds: Vector,
-    wind: Vector,
     gust: Vector,
 ) -> tuple[list[Scalar], list[Scalar]]:
     """Acceleration of the centre of mass in NED and angular acceleration in FRD."""
     mass, com = P["mass_kg"][0], P["com_frd"]
     arms = [[P["rotors_frd"][3 * i + k] - com[k] for k in range(3)] for i in range(4)]
+    wind = _wind(ops, P, p)
     air = _into_body(R, [v[0] - wind[0], v[1] - wind[1], v[2]])
     force: list[Scalar] = [0.0, 0.0, 0.0]
     torque: list[Scalar] = [0.0, 0.0, 0.0]
@@ -211,8 +211,8 @@ def _wind(ops: Any, P: Mapping[str, Any], p: Vector) -> list[Scalar]:
 
 def _rotor_speeds(
     ops: Any, P: Mapping[str, Any], speeds: Vector, command: Vector, voltage: Scalar
-) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
-    """Rotor speeds at the start, middle and end of the tick: each follows its command, first order."""
+) -> tuple[list[Scalar], list[Scalar]]:
+    """Rotor speeds in the middle and at the end of the tick: each follows its command, first order."""
     c1, c2 = P["thrust_curve"]
     sag = 0.5 * P["sag_exponent"][0] * ops.log(voltage / P["battery"][1])
     middle: list[Scalar] = []
@@ -223,7 +223,7 @@ def _rotor_speeds(
         keep = ops.where(target > n, P["rise_half_tick"][0], P["fall_half_tick"][0])
         middle.append(target + (n - target) * keep)
         end.append(target + (n - target) * keep * keep)
-    return list(speeds), middle, end
+    return middle, end
 
 
 def _battery(ops: Any, P: Mapping[str, Any], speeds: Vector, charge: Scalar) -> tuple[Scalar, Scalar]:
@@ -254,11 +254,11 @@ def _gust(P: Mapping[str, Any], gust: Vector, noise: Vector) -> list[Scalar]:
     return [keep * g + s * n for g, s, n in zip(gust, added, noise, strict=True)]
 
 
-def _origin(p: Vector, v: Vector, R: Vector, w: Vector, com: Vector) -> tuple[list[Scalar], list[Scalar]]:
+def _origin(p: Vector, v: Vector, R: Vector, w: Vector, com: Vector) -> list[Scalar]:
     """Position and velocity in NED of the body's origin, from those of the centre of mass."""
-    offset = _into_world(R, com)
-    spin = _into_world(R, _cross(w, com))
-    return [a - b for a, b in zip(p, offset, strict=True)], [a - b for a, b in zip(v, spin, strict=True)]
+    place = _into_world(R, com)
+    speed = _into_world(R, _cross(w, com))
+    return [a - b for a, b in zip([*p, *v], [*place, *speed], strict=True)]
 
 
 def rotation(q: Vector) -> list[Scalar]:
@@ -286,8 +286,8 @@ def _unit(ops: Any, q: Vector) -> list[Scalar]:
     return [scale * c for c in q]
 
 
-def _along(y: tuple[Vector, ...], slope: tuple[Vector, ...], h: float) -> tuple[list[Scalar], ...]:
-    return tuple([a + h * b for a, b in zip(*parts, strict=True)] for parts in zip(y, slope, strict=True))
+def _ahead(y: Vector, slope: Vector, h: float) -> list[Scalar]:
+    return [a + h * b for a, b in zip(y, slope, strict=True)]
 
 
 def _into_world(R: Vector, u: Vector) -> list[Scalar]:

@@ -52,7 +52,8 @@ class Mocap:
     """A camera system: poses at a fixed rate, noisy, arriving later than taken, some of them never.
 
     Stamps are honest up to `latency_s`: a pose shows the vehicle as it was that much before its stamp,
-    varying a little from pose to pose. `due_us` is when the camera next has work.
+    varying a little from pose to pose. `due_us` is when the camera next has work; `ready` holds the poses
+    nobody has read.
 
     Args:
         settings: rate, noise, delay, gaps. latency_s: undeclared age of a pose at its stamp.
@@ -71,7 +72,7 @@ class Mocap:
         self._seen_us = 0.0
         self._stamp_us = 0
         self._way: deque[Pose] = deque()
-        self._ready: list[Pose] = []
+        self.ready: list[Pose] = []
         self._next_exposure()
         self.due_us = self._exposure_due_us
 
@@ -84,18 +85,13 @@ class Mocap:
             self._expose((self._seen_us - now_us) * 1e-6, pose, rate_frd)
             self._next_exposure()
         while self._way and self._way[0].arrival_us <= now_us:
-            self._ready.append(self._way.popleft())
+            self.ready.append(self._way.popleft())
         arrival = self._way[0].arrival_us if self._way else NEVER_US
         self.due_us = min(self._exposure_due_us, arrival)
 
-    @property
-    def waiting(self) -> bool:
-        """Whether poses have arrived that nobody has read."""
-        return bool(self._ready)
-
     def read(self) -> list[Pose]:
         """The poses that have arrived since the last call, oldest first."""
-        ready, self._ready = self._ready, []
+        ready, self.ready = self.ready, []
         return ready
 
     def _next_exposure(self) -> None:

@@ -1,0 +1,296 @@
+"""A whole simulated vehicle: body, sensors, flight and radio processors, ground radio and air, on one clock.
+
+Every device has its own tick of a whole number of milliseconds; those that wait for bytes, slots or
+exposures are only called when there are some. Nothing here reads a clock: the same seeds give the same
+bytes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from math import cos, sin
+from time import thread_time_ns
+from typing import Any, Self
+
+from firmware_model.flight_mcu import FlightMcu
+from firmware_model.law import step as law
+from firmware_model.radio_mcu import RadioMcu
+from firmware_model.store import ReferenceStore
+from firmware_model.uart import UartPort, connect
+from host.codegen import function_engine, sx_function
+from host.vehicle import ConfigurationError, Vehicle, to_parameters
+from host.vehicle.strict_toml import validate
+from protocol.codec import Codec
+from protocol.messages import CAMERAS, HOST_RADIO, VEHICLE_RADIO, AttPosMocap
+from sitl.draw import World, draw_world
+from sitl.foreign import ForeignPlant, load_foreign_plant, read_plant_options
+from sitl.plant import Plant
+from sitl.radio import RadioChannel
+from sitl.seeds import Purpose, flight_generator, session_uid
+from sitl.sensors import Imu, Mocap
+from sitl.serve import ServeStatistics, serve
+from sitl.truth import truth_record
+from sitl.world import TICK_US, RadioSettings, load_world
+
+HOST_BAUD = 921_600
+HOST_RX_BYTES = 65_536
+HOST_TX_BYTES = 65_536
+DEFAULT_WORLD = "empty"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Setting:
+    """What a simulated vehicle is made from; `radio` overrides the world's radio settings by key."""
+
+    vehicle: Vehicle
+    world: World
+    plant: str | None
+    plant_options: Mapping[str, Any]
+    start_ned: tuple[float, float, float]
+    start_yaw: float
+
+
+class SimulatedVehicle:
+    """A vehicle flown over a serial port and a camera system, in lock-step. Satisfies host.link.Vehicle.
+
+    Made by `create`. `now_us` is the time since power-up.
+    """
+
+    def __init__(self, setting: Setting, flight: int) -> None:
+        self._setting = setting
+        self._store = ReferenceStore()
+        self._parameters: Mapping[str, float] = to_parameters(setting.vehicle)
+        self._timers: dict[str, int] | None = None
+        self._power_up(flight)
+
+    @classmethod
+    def create(
+        cls,
+        vehicle: Vehicle,
+        *,
+        world: str | None = None,
+        world_seed: int = 0,
+        flight: int = 0,
+        plant: str | None = None,
+        plant_options: str | None = None,
+        start_ned: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        start_yaw: float = 0.0,
+        radio: Mapping[str, Any] | None = None,
+    ) -> Self:
+        """A vehicle in a world, powered up for a flight.
+
+        Args:
+            vehicle: the vehicle file. world: name or path of a world; `empty` without.
+            world_seed, flight: seeds: the world comes from the first alone.
+            vehicle: the vehicle file. world: name or path of a world, `empty` where not given.
+            start_ned, start_yaw: where it stands; z 0 is the floor.
+            radio: settings that override the world's, by the keys of its `[radio]` table.
+
+        Raises ConfigurationError or ForeignPlantError (exit code 2).
+        """
+        if plant is not None and world is not None:
+            raise ConfigurationError(["a foreign plant brings its own physics, leave out world or plant"])
+        if plant is None and plant_options is not None:
+            raise ConfigurationError(["plant options without a plant, name the plant as path.py:Class"])
+        name, file = load_world(world if world is not None else DEFAULT_WORLD)
+        drawn = draw_world(name, file, world_seed, vehicle)
+        if radio:
+            settings = validate({**drawn.radio.model_dump(), **radio}, "radio", RadioSettings)
+            drawn = dataclasses.replace(drawn, radio=settings)
+        setting = Setting(
+            vehicle=vehicle,
+            world=drawn,
+            plant=plant,
+            plant_options=read_plant_options(plant_options),
+            start_ned=start_ned,
+            start_yaw=start_yaw,
+        )
+        return cls(setting, flight)
+
+    # What the host sees.
+
+    def run_until(self, t_us: int) -> int:
+        """The time now: `t_us` or, where bytes or poses wait for the host, earlier; at least a tick later.
+
+        Raises ForeignPlantError where a foreign plant fails.
+        """
+        step, devices, command = self._step, self._devices, self._command
+        port, camera = self._host_port, self._camera
+        now_us = self.now_us
+        try:
+            while now_us < t_us:
+                step(command)
+                now_us += TICK_US
+                devices(now_us)
+                if now_us >= port.due_us or camera.ready:
+                    break
+        finally:
+            self.now_us = now_us
+        return now_us
+
+    def serial_read(self) -> bytes:
+        """Bytes that have arrived at the host's serial port since the last call."""
+        return self._host_port.read(self.now_us) if self.now_us >= self._host_port.due_us else b""
+
+    def serial_write(self, data: bytes) -> None:
+        """Nothing comes back; bytes go out on the host's serial port, as far as its buffer holds them."""
+        for start in range(0, len(data), HOST_TX_BYTES):
+            self._host_port.write(data[start : start + HOST_TX_BYTES], self.now_us)
+
+    def mocap_read(self) -> list[bytes]:
+        """Datagrams of the camera system that have arrived since the last call, one a pose."""
+        encode = self._camera_codec.encode
+        return [
+            encode(AttPosMocap(pose.stamp_us, list(pose.q_ned_frd), *pose.p_ned))
+            for pose in self._camera.read()
+        ]
+
+    def power_cycle(self, flight: int) -> None:
+        """Nothing comes back; the vehicle stands at its start at time 0, for another flight.
+
+        Queues are empty and generators fresh; blobs and parameters on board are kept.
+        """
+        self._parameters = dict(self._flight_mcu.parameters)
+        self._power_up(flight)
+
+    def close(self) -> None:
+        """Nothing comes back; there is nothing to release."""
+
+    def serve(
+        self,
+        *,
+        port: str,
+        stop: Callable[[], bool],
+        mocap: str | None = None,
+        realtime: bool = True,
+        ready: Callable[[str], None] | None = None,
+    ) -> ServeStatistics:
+        """Statistics once `stop` turned true; see `sitl.serve.serve`."""
+        return serve(self, port=port, stop=stop, mocap=mocap, realtime=realtime, ready=ready)
+
+    def truth(self) -> dict[str, Any]:
+        """What the session hides: world, seed, drawn values, uid. For checks only."""
+        plant = self._step_owner.name if isinstance(self._step_owner, ForeignPlant) else None
+        return truth_record(self._setting.world, self._flight, plant=plant)
+
+    def radio_counts(self) -> dict[str, dict[str, int]]:
+        """What happened to the frames in the air, by direction."""
+        return {
+            "up": dataclasses.asdict(self._channel.up),
+            "down": dataclasses.asdict(self._channel.down),
+        }
+
+    # Inside.
+
+    def _power_up(self, flight: int) -> None:
+        setting, world = self._setting, self._setting.world
+        seed = world.seed
+        self._flight = flight
+        self.now_us = 0
+        self._step_owner: Plant | ForeignPlant = self._build_plant(flight)
+        half = 0.5 * setting.start_yaw
+        self._step_owner.reset(setting.start_ned, (cos(half), 0.0, 0.0, sin(half)))
+        self._step = self._step_owner.step
+        self._pose: Any = self._step_owner.pose
+        self._sensed: Any = self._step_owner.sensed
+
+        self._imu = Imu(world.imu, flight_generator(seed, flight, Purpose.IMU))
+        self._imu_rows: list[list[float]] = []
+        latency_s = world.value("mocap-latency", "latency_s") if setting.plant is None else 0.0
+        self._camera = Mocap(world.mocap, latency_s, flight_generator(seed, flight, Purpose.MOCAP))
+        self._camera_codec = Codec(*CAMERAS)
+
+        self._flight_mcu = FlightMcu(
+            engine=function_engine(_traced_law(), law.INPUTS, law.OUTPUTS),
+            parameters=self._parameters,
+            store=self._store,
+            uid=session_uid(seed, flight),
+            vehicle_id=setting.vehicle.id_bytes,
+        )
+        self._command: Any = self._flight_mcu.motor_command
+        self._flight_tick = self._flight_mcu.tick
+        self._air_radio = RadioMcu(address=VEHICLE_RADIO)
+        self._ground_radio = RadioMcu(address=HOST_RADIO)
+        self._host_port = UartPort(baud=HOST_BAUD, rx_bytes=HOST_RX_BYTES, tx_bytes=HOST_TX_BYTES)
+        connect(self._flight_mcu.uart, self._air_radio.uart)
+        connect(self._host_port, self._ground_radio.uart)
+        self._channel = RadioChannel(
+            ground=self._ground_radio,
+            vehicle=self._air_radio,
+            settings=world.radio,
+            up_rng=flight_generator(seed, flight, Purpose.RADIO_UP),
+            down_rng=flight_generator(seed, flight, Purpose.RADIO_DOWN),
+        )
+        if self._timers is not None:
+            self.start_profile()
+        self._devices(0)
+
+    def _build_plant(self, flight: int) -> Plant | ForeignPlant:
+        setting = self._setting
+        if setting.plant is None:
+            return Plant(setting.vehicle, setting.world, flight)
+        seed = int(flight_generator(setting.world.seed, flight, Purpose.FOREIGN_PLANT).integers(2**62))
+        return load_foreign_plant(setting.plant, setting.vehicle, setting.plant_options, seed)
+
+    def _devices(self, now_us: int) -> None:
+        """Everything but the body, at one instant: camera, radios, then the flight processor."""
+        camera, channel = self._camera, self._channel
+        if now_us >= camera.due_us:
+            camera.tick(now_us, self._pose, self._sensed[0:3])
+        ground, air = self._ground_radio, self._air_radio
+        if now_us >= channel.due_us:
+            channel.tick(now_us)
+        if now_us >= ground.due_us and ground.tick(now_us):
+            channel.wake(now_us, ground=True)
+        if now_us >= air.due_us and air.tick(now_us):
+            channel.wake(now_us, ground=False)
+        rows = self._imu_rows
+        if not rows:
+            rows = self._imu_rows = self._imu.rows()
+        e, s = rows.pop(), self._sensed
+        self._flight_tick(
+            now_us,
+            (s[0] + e[0], s[1] + e[1], s[2] + e[2]),
+            (s[3] + e[3], s[4] + e[4], s[5] + e[5]),
+            s[6] + e[6],
+        )
+
+    # Measuring where the time goes.
+
+    def start_profile(self) -> None:
+        """Nothing comes back; from now on, and over power cycles, `profile` knows the time of each part."""
+        timers = self._timers = self._timers or {}
+        self._step = _timed(self._step_owner.step, "plant", timers)
+        self._flight_tick = _timed(self._flight_mcu.tick, "flight processor", timers)
+        for device, part in (
+            (self._camera, "camera"),
+            (self._channel, "channel"),
+            (self._ground_radio, "ground radio"),
+            (self._air_radio, "vehicle radio"),
+        ):
+            device.tick = _timed(type(device).tick.__get__(device), part, timers)
+
+    def profile(self) -> dict[str, float]:
+        """Seconds spent in each part since `start_profile`; empty without it."""
+        return {part: 1e-9 * spent for part, spent in (self._timers or {}).items()}
+
+
+@lru_cache(maxsize=1)
+def _traced_law() -> Any:
+    return sx_function(law.step, law.INPUTS, law.OUTPUTS, "flight")
+
+
+def _timed(function: Callable[..., Any], part: str, timers: dict[str, int]) -> Callable[..., Any]:
+    """The function, with the time of each call added to `timers[part]`."""
+    timers.setdefault(part, 0)
+
+    def timed(*arguments: Any) -> Any:
+        begin = thread_time_ns()
+        try:
+            return function(*arguments)
+        finally:
+            timers[part] += thread_time_ns() - begin
+
+    return timed

@@ -1,0 +1,208 @@
+"""The simulated body: invariants of its physics, agreement with the nominal vehicle, repeatability."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from host.vehicle import Vehicle, load_vehicle
+from sitl.draw import World, draw_world
+from sitl.plant import Plant, plant_parameters
+from sitl.plant_model import GRAVITY_M_S2, rotation
+from sitl.world import WorldFile, load_world
+
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+STATE_P, STATE_V, STATE_Q, STATE_RATE, STATE_SPEED = (
+    slice(0, 3),
+    slice(3, 6),
+    slice(6, 10),
+    slice(10, 13),
+    slice(13, 17),
+)
+
+
+@pytest.fixture(params=["research", "nano"])
+def vehicle(request: pytest.FixtureRequest) -> Vehicle:
+    return load_vehicle(request.param)
+
+
+def shipped(name: str, vehicle: Vehicle, seed: int = 1) -> World:
+    return draw_world(name, load_world(name)[1], seed, vehicle)
+
+
+def stated(vehicle: Vehicle, effects: dict[str, dict[str, float]]) -> World:
+    calm = {"force_m_s2": 0.0, "torque_rad_s2": 0.0}
+    file = WorldFile.model_validate(
+        {"description": "test", "tolerances": False, "effects": effects, "turbulence": calm}
+    )
+    return draw_world("test", file, 0, vehicle)
+
+
+def airborne(plant: Plant, **parts: object) -> None:
+    """Puts parts of the state where they are wanted, ten metres up."""
+    plant.reset((0.0, 0.0, -10.0), LEVEL)
+    slices = {"v": STATE_V, "q": STATE_Q, "rate": STATE_RATE, "speed": STATE_SPEED}
+    for name, values in parts.items():
+        for index, value in zip(range(24)[slices[name]], values, strict=True):  # type: ignore[call-overload]
+            plant.state[index] = value
+
+
+def hover_command(vehicle: Vehicle) -> float:
+    share = vehicle.mass_kg * GRAVITY_M_S2 / (4.0 * vehicle.thrust_max_n)
+    c1, c2 = vehicle.thrust_curve
+    return 2.0 * share / (c1 + math.sqrt(c1 * c1 + 4.0 * c2 * share))
+
+
+def test_body_tumbling_without_rotors_keeps_momentum_and_energy(vehicle: Vehicle) -> None:
+    plant = Plant(vehicle, stated(vehicle, {"com-offset": {"x": 0.006, "y": -0.003}}), 0)
+    airborne(plant, rate=(3.0, -2.0, 5.0), v=(1.0, 2.0, -3.0))
+    J = plant_parameters(vehicle, stated(vehicle, {"com-offset": {"x": 0.006, "y": -0.003}}))["inertia"]
+    tensor = np.array([[J[0], J[3], J[4]], [J[3], J[1], J[5]], [J[4], J[5], J[2]]])
+
+    def momentum_and_energy() -> tuple[np.ndarray, float, float]:
+        state = np.array(plant.state)
+        R = np.reshape(rotation(state[STATE_Q].tolist()), (3, 3))
+        rate, v = state[STATE_RATE], state[STATE_V]
+        fall = 0.5 * float(v @ v) - GRAVITY_M_S2 * float(state[2])
+        return R @ tensor @ rate, 0.5 * float(rate @ tensor @ rate), fall
+
+    plant.state[26] = GRAVITY_M_S2  # it has been falling
+    before = momentum_and_energy()
+    for _ in range(1000):
+        plant.step((0.0, 0.0, 0.0, 0.0))
+    after = momentum_and_energy()
+    assert after[0] == pytest.approx(before[0], rel=1e-4, abs=1e-6 * np.linalg.norm(before[0]))
+    assert after[1] == pytest.approx(before[1], rel=1e-4)
+    assert after[2] == pytest.approx(before[2], rel=1e-9)
+
+
+def test_quaternion_stays_of_unit_length(vehicle: Vehicle) -> None:
+    plant = Plant(vehicle, stated(vehicle, {}), 0)
+    airborne(plant, rate=(8.0, -6.0, 4.0))
+    for _ in range(500):
+        plant.step((0.4, 0.2, 0.3, 0.5))
+        assert math.fsum(c * c for c in plant.pose[6:10]) == pytest.approx(1.0, abs=1e-14)
+
+
+def test_turned_start_flies_the_turned_path(vehicle: Vehicle) -> None:
+    """Nothing in still air knows north: a start turned about the vertical turns everything after it."""
+    turn = 0.7
+    effects = {"linear-drag": {"dx": 0.5, "dy": 0.3, "dz": 0.1}, "quadratic-drag": {"c": 0.03}}
+    ends = []
+    for angle in (0.0, turn):
+        plant = Plant(vehicle, stated(vehicle, effects), 0)
+        v = (2.0 * math.cos(angle), 2.0 * math.sin(angle), -0.5)
+        airborne(plant, v=v, q=(math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)), rate=(0.5, 0.2, -0.3))
+        u = hover_command(vehicle)
+        for _ in range(400):
+            plant.step((u * 1.02, u, u, u * 0.99))
+        ends.append(np.array(plant.pose[0:3]))
+    c, s = math.cos(turn), math.sin(turn)
+    expected = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ ends[0]
+    assert ends[1] == pytest.approx(expected, abs=1e-9)
+
+
+def test_vehicle_on_floor_rests_and_measures_gravity(vehicle: Vehicle) -> None:
+    plant = Plant(vehicle, shipped("empty", vehicle), 0)
+    plant.reset((1.0, -2.0, 0.0), LEVEL)
+    for _ in range(2000):
+        plant.step((0.0, 0.0, 0.0, 0.0))
+    assert plant.pose[0:3].tolist() == pytest.approx([1.0, -2.0, 0.0], abs=2e-3)
+    assert plant.sensed[3:6].tolist() == pytest.approx([0.0, 0.0, -GRAVITY_M_S2], abs=0.05)
+    assert max(map(abs, plant.sensed[0:3])) < 0.02
+
+
+def test_vehicle_dropped_on_floor_comes_to_rest(vehicle: Vehicle) -> None:
+    plant = Plant(vehicle, stated(vehicle, {}), 0)
+    plant.reset((0.0, 0.0, -0.2), LEVEL)
+    airborne_tilt = (math.cos(0.05), math.sin(0.05), 0.0, 0.0)
+    for index, value in zip(range(6, 10), airborne_tilt, strict=True):
+        plant.state[index] = value
+    plant.state[3] = 0.3
+    for _ in range(3000):
+        plant.step((0.0, 0.0, 0.0, 0.0))
+    assert max(map(abs, plant.pose[3:6])) < 1e-2
+    assert abs(plant.pose[2]) < 2e-3
+
+
+def test_quiet_world_hovers_on_the_vehicle_files_hover_command(vehicle: Vehicle) -> None:
+    plant = Plant(vehicle, shipped("quiet", vehicle), 0)
+    share = math.sqrt(vehicle.mass_kg * GRAVITY_M_S2 / (4.0 * vehicle.thrust_max_n))
+    airborne(plant, speed=(share,) * 4)
+    u = hover_command(vehicle)
+    for _ in range(1000):
+        plant.step((u, u, u, u))
+    assert plant.pose[0:3].tolist() == pytest.approx([0.0, 0.0, -10.0], abs=1e-6)
+    assert plant.sensed[6] == vehicle.battery.full_v
+
+
+@pytest.mark.parametrize("step", [0.02, -0.02, 0.15, -0.15])
+def test_thrust_after_a_step_lags_as_the_vehicle_file_says(vehicle: Vehicle, step: float) -> None:
+    """First-order rotor speed is not first-order thrust, but near enough the same time constant."""
+    plant = Plant(vehicle, shipped("quiet", vehicle), 0)
+    share = math.sqrt(vehicle.mass_kg * GRAVITY_M_S2 / (4.0 * vehicle.thrust_max_n))
+    airborne(plant, speed=(share,) * 4)
+    u = hover_command(vehicle) * (1.0 + step)
+    thrust = []
+    for _ in range(400):
+        plant.step((u, u, u, u))
+        thrust.append(plant.state[13] ** 2)
+    first, last = share**2, thrust[-1]
+    rise = [0.5, *((last - t) / (last - first) for t in thrust)]
+    missing = sum(rise) * 1e-3  # the area above a first-order rise is its lag
+    tolerance = vehicle.tolerance("motor-lag", "extra_s", 0.001)
+    size = abs(step) / 0.15
+    assert missing == pytest.approx(vehicle.motor_lag_s, abs=max(0.1 * tolerance, 2.0 * size * tolerance))
+
+
+def test_plant_with_the_same_seed_repeats_its_states_to_the_bit(vehicle: Vehicle) -> None:
+    ends = []
+    for flight in (3, 3, 4):
+        plant = Plant(vehicle, shipped("draughty", vehicle, seed=9), flight)
+        plant.reset((0.0, 0.0, -2.0), LEVEL)
+        for k in range(1500):
+            plant.step((0.4, 0.41, 0.42, 0.4 + 0.01 * (k % 3)))
+        ends.append(bytes(plant.state))
+    assert ends[0] == ends[1]
+    assert ends[0] != ends[2]
+
+
+def test_plant_compiled_or_not_gives_the_same_bits(vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = []
+    for engine in ("vm", "auto"):
+        monkeypatch.setenv("TRIMTAB_ENGINE", engine)
+        plant = Plant(vehicle, shipped("worn", vehicle, seed=2), 0)
+        plant.reset((0.0, 0.0, 0.0), LEVEL)
+        for k in range(2000):
+            plant.step((0.5, 0.5, 0.52, 0.48 + 0.02 * (k % 2)))
+        ends.append(bytes(plant.state))
+    assert ends[0] == ends[1]
+
+
+def test_battery_in_a_sagging_world_starts_elsewhere_every_flight_and_falls(vehicle: Vehicle) -> None:
+    starts = set()
+    for flight in range(3):
+        plant = Plant(vehicle, shipped("worn", vehicle), flight)
+        plant.reset((0.0, 0.0, -2.0), LEVEL)
+        volts = []
+        for _ in range(2000):
+            plant.step((0.5, 0.5, 0.5, 0.5))
+            volts.append(plant.sensed[6])
+        assert volts[-1] < volts[0] <= vehicle.battery.full_v
+        assert volts[-1] > vehicle.battery.empty_v
+        starts.add(volts[0])
+    assert len(starts) == 3
+
+
+def test_turbulence_has_the_worlds_strength(vehicle: Vehicle) -> None:
+    plant = Plant(vehicle, shipped("empty", vehicle), 0)
+    plant.reset((0.0, 0.0, 0.0), LEVEL)
+    gusts = []
+    for _ in range(40_000):
+        plant.step((0.0, 0.0, 0.0, 0.0))
+        gusts.append(plant.state[18:24].tolist())
+    deviation = np.std(gusts, axis=0)
+    assert deviation[:3] == pytest.approx(0.04, rel=0.35)  # 40 s hold about 130 correlation times
+    assert deviation[3:] == pytest.approx(0.5, rel=0.35)

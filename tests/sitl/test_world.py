@@ -1,0 +1,158 @@
+"""World files and what seeds make of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from host.effects import load_effects
+from host.vehicle import ConfigurationError, Vehicle, load_vehicle
+from sitl.draw import draw_world
+from sitl.kinds import DRAG, KINDS
+from sitl.seeds import Purpose, flight_generator, session_uid, world_generator
+from sitl.world import WorldFile, list_worlds, load_world
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle("research")
+
+
+@pytest.mark.parametrize("name", list_worlds())
+def test_shipped_world_loads_and_draws(name: str, vehicle: Vehicle) -> None:
+    stem, file = load_world(name)
+    assert stem == name
+    world = draw_world(name, file, 5, vehicle)
+    assert all(kind in KINDS for kind in world.effects)
+
+
+def test_world_with_many_mistakes_is_told_all_of_them(tmp_path: Path) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(
+        "description = 3\nfoo = 1\n[effects.wind]\nwx = 1.0\nwz = 30.0\n[effects.linear-drags]\n"
+        '[radio]\nloss = 2.0\n[draw]\ncount = [1]\nkinds = ["lineardrag"]\n'
+    )
+    with pytest.raises(ConfigurationError) as caught:
+        load_world(path)
+    assert caught.value.exit_code == 2
+    told = "\n".join(caught.value.problems)
+    for part in (
+        "description: 3", "tolerances: missing", "effects.wind.wy: missing", "effects.wind.wz: unknown",
+        "effects.linear-drags: unknown key, did you mean linear-drag?", "radio.loss: 2.0", "foo: unknown",
+        "draw.kinds: unknown lineardrag",
+    ):  # fmt: skip
+        assert part in told
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("[effects.wind]\nwx = 1.0\nwy = 0.0", "acts only through drag"),
+        ('[draw]\ncount = [1, 1]\nkinds = ["wind"]', "wind without a drag"),
+        ('[draw]\ncount = [2, 3]\nkinds = ["motor-lag"]', "count"),
+        ("[effects.motor-lag]\nextra_s = 0.01\n[draw]\ncount = [1, 1]", "both in effects and in draw.kinds"),
+        ("[mocap]\nrate_hz = 300", "does not divide"),
+        ("[radio]\nslot_us = 2500", "whole number"),
+        ("[effects.linear-drag]\ndx = -1.0\ndy = 0.1\ndz = 0.1", "effects.linear-drag.dx"),
+    ],
+)
+def test_world_that_contradicts_itself_is_refused(tmp_path: Path, text: str, part: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(f'description = "x"\ntolerances = false\n{text}\n')
+    with pytest.raises(ConfigurationError, match=part):
+        load_world(path)
+
+
+def test_unknown_world_names_the_known_ones() -> None:
+    with pytest.raises(ConfigurationError, match="known: draughty, drawn"):
+        load_world("nowhere")
+    with pytest.raises(ConfigurationError, match="no such world file"):
+        load_world("nowhere/at-all.toml")
+
+
+def test_drawn_world_depends_on_file_and_seed_alone(vehicle: Vehicle) -> None:
+    file = load_world("drawn")[1]
+    first, again, other = (draw_world("drawn", file, seed, vehicle) for seed in (7, 7, 8))
+    assert dataclasses.asdict(first) == dataclasses.asdict(again)
+    assert first.effects != other.effects
+    assert first.deviations != other.deviations
+
+
+def test_drawn_worlds_hold_as_many_kinds_as_asked_and_wind_never_alone(vehicle: Vehicle) -> None:
+    file = load_world("drawn-several")[1]
+    seen: Counter[str] = Counter()
+    for seed in range(300):
+        effects = draw_world("x", file, seed, vehicle).effects
+        assert 2 <= len(effects) <= 3
+        assert "wind" not in effects or set(effects) & set(DRAG)
+        seen.update(effects.keys())
+    inside = {kind.name for kind in KINDS.values() if not kind.outside}
+    assert set(seen) == inside
+    assert min(seen.values()) > 25
+
+
+def test_drawn_sizes_lie_between_half_and_twice_typical(vehicle: Vehicle) -> None:
+    file = load_world("drawn")[1]
+    for seed in range(200):
+        for name, values in draw_world("x", file, seed, vehicle).effects.items():
+            kind = KINDS[name]
+            sizes = [(values[q.key] - q.neutral) / q.typical for q in kind.quantities]
+            if kind.spread == "turned":
+                sizes = [math.hypot(*sizes)]
+            assert all(0.4999 <= abs(size) <= 2.0001 for size in sizes)
+
+
+def test_deviations_follow_the_vehicle_files_tolerances(vehicle: Vehicle) -> None:
+    file = load_world("empty")[1]
+    worlds = [draw_world("empty", file, seed, vehicle) for seed in range(400)]
+    for kind, key in (("com-offset", "x"), ("mass", "factor"), ("motor-lag", "extra_s"), ("inertia", "z")):
+        values = [world.deviations[kind, key] for world in worlds]
+        assert np.std(values) == pytest.approx(vehicle.tolerances[f"{kind}.{key}"], rel=0.12)
+    drag = [world.value("linear-drag", "dx") for world in worlds]
+    assert min(drag) >= 0.0
+    assert np.sqrt(np.mean(np.square(drag))) == pytest.approx(vehicle.tolerances["linear-drag.dx"], rel=0.12)
+
+
+def test_world_without_tolerances_is_neutral(vehicle: Vehicle) -> None:
+    world = draw_world("quiet", load_world("quiet")[1], 3, vehicle)
+    assert world.value("thrust-gain", "gain") == 1.0
+    assert world.value("linear-drag", "dx") == 0.0
+    assert world.build_factor("mass", "factor") == 1.0
+
+
+def test_kinds_have_the_names_keys_and_sizes_of_the_hosts_library() -> None:
+    """Two tables written apart; the documentation fixes names and keys, and "typical" must mean the same."""
+    library = load_effects()
+    for kind in KINDS.values():
+        if kind.outside:
+            assert kind.name not in library
+            continue
+        rows = [(p.key, p.typical, p.neutral) for p in library[kind.name].parameters]
+        assert [(q.key, q.typical, q.neutral) for q in kind.quantities] == rows
+
+
+def test_generators_of_different_purposes_do_not_repeat_each_other() -> None:
+    draws = [world_generator(1, purpose).integers(2**62) for purpose in Purpose]
+    draws += [
+        flight_generator(1, flight, purpose).integers(2**62) for purpose in Purpose for flight in (0, 1)
+    ]
+    assert len(set(draws)) == len(draws)
+    with pytest.raises(ValueError, match="not negative"):
+        world_generator(-1, Purpose.KINDS)
+
+
+def test_session_uid_names_seed_and_flight_and_fits_64_bits() -> None:
+    uids = {session_uid(seed, flight) for seed in range(20) for flight in range(20)}
+    assert len(uids) == 400
+    assert all(0 < uid < 2**64 for uid in uids)
+
+
+def test_world_file_read_from_text_is_frozen() -> None:
+    file = WorldFile(description="x", tolerances=False)
+    with pytest.raises(ValueError, match="frozen"):
+        file.description = "y"  # type: ignore[misc]
