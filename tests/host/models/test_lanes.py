@@ -6,7 +6,7 @@ import casadi
 import numpy as np
 import pytest
 
-from host.models.lanes import lane_program
+from host.models.lanes import FEW, lane_program
 
 
 def every_operation() -> casadi.Function:
@@ -26,9 +26,9 @@ def every_operation() -> casadi.Function:
     return casadi.Function("every", [x, u], [first, second], ["x", "u"], ["first", "second"])
 
 
-def test_lane_program_every_operation_equals_casadi():
+@pytest.mark.parametrize("lanes", [1, 5, FEW, FEW + 1])
+def test_lane_program_every_operation_equals_casadi(lanes):
     function = every_operation()
-    lanes = 17
     bound = lane_program(function).bind(lanes)
     rng = np.random.default_rng(1)
     for name, array in bound.inputs.items():
@@ -41,13 +41,14 @@ def test_lane_program_every_operation_equals_casadi():
             np.testing.assert_allclose(got[:, lane], np.array(want).ravel(), rtol=1e-13, atol=1e-14)
 
 
-def test_lane_program_two_bindings_do_not_share_arrays():
+@pytest.mark.parametrize("lanes", [3, FEW + 3])
+def test_lane_program_two_bindings_do_not_share_arrays(lanes):
     program = lane_program(every_operation())
-    one, two = program.bind(2), program.bind(3)
+    one, two = program.bind(lanes), program.bind(lanes)
     one.inputs["u"][:] = 5.0
     two()
     assert not two.inputs["u"].any()
-    assert two.outputs["second"][1].tolist() == [7.0] * 3
+    assert two.outputs["second"][1].tolist() == [7.0] * lanes
 
 
 def test_lane_program_common_subexpressions_are_computed_once():

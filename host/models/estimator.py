@@ -1,0 +1,92 @@
+"""The on-board estimator inside the closed loop: its errors, in the limit of many small corrections.
+
+The estimate is truth plus error: p + e_p, v + e_v, R exp(e_q), gyro bias + e_b. Gyro and accelerometer are
+taken as exact. A pose measured at t - age shows the vehicle of t - age - latency; the law compares it with
+its estimate predicted back by age + prediction (`firmware_model.law.estimator`), its gains being rates
+already.
+
+A tick's prediction holds the samples of its end over the whole tick, so velocity and attitude run ahead of
+the truth by half a tick's worth of acceleration and body rate. The states are the errors less that lead.
+Corrections come as jumps; an innovation is taken before its own jump, so it exceeds that of the mean over a
+jump by 1 / (1 - half the jump it causes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from firmware_model.law.constants import GRAVITY
+from firmware_model.law.estimator import EstimatorGains
+from firmware_model.law.ops import Ops
+from firmware_model.law.rotations import cross, mat_t_vec, mat_vec, quat_exp, quat_to_matrix
+from firmware_model.law.step import TICK_S
+
+Scalar = Any
+SIZE = 12
+"""States: e_p (NED), e_v (NED), e_q (FRD, rad), e_b (FRD, rad/s); e_v and e_q less their lead."""
+_LEAD_S = 0.5 * TICK_S
+
+
+def errors_of(x: Sequence[Scalar], a: Sequence[Scalar], rate: Sequence[Scalar]) -> list[Scalar]:
+    """The 12 errors, lead included, of the 12 states at acceleration a (NED) and body rate (FRD)."""
+    v = [x[3 + i] + _LEAD_S * a[i] for i in range(3)]
+    q = [x[6 + i] + _LEAD_S * rate[i] for i in range(3)]
+    return [*x[0:3], *v, *q, *x[9:12]]
+
+
+def turn(ops: Ops, R: Sequence[Scalar], e_q: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    """R exp(e_q): the estimated attitude, 9 scalars."""
+    E = quat_to_matrix(ops, quat_exp(ops, e_q))
+    return tuple(
+        R[3 * i] * E[k] + R[3 * i + 1] * E[3 + k] + R[3 * i + 2] * E[6 + k]
+        for i in range(3)
+        for k in range(3)
+    )
+
+
+def error_rates(
+    gains: EstimatorGains,
+    errors: Sequence[Scalar],
+    R: Sequence[Scalar],
+    R_estimated: Sequence[Scalar],
+    v: Sequence[Scalar],
+    a: Sequence[Scalar],
+    rate: Sequence[Scalar],
+    rate_dot: Sequence[Scalar],
+    age_s: Scalar,
+    prediction_s: Scalar,
+    latency_s: Scalar,
+    interval_s: Scalar,
+) -> list[Scalar]:
+    """Derivative of the 12 states at these errors (`errors_of`).
+
+    v, a: true velocity and acceleration (NED); rate, rate_dot: true body rate and its derivative (FRD).
+    `age_s` is a pose's declared age at its use, `prediction_s` the feed-forward block's addition to it,
+    `latency_s` what nobody declared; poses come every `interval_s`.
+    """
+    e_p, e_v, e_q, e_b = errors[0:3], errors[3:6], errors[6:9], errors[9:12]
+    back = age_s + prediction_s  # what the estimate is predicted back by
+    late = age_s + latency_s  # what the pose is really late by
+    force = mat_t_vec(R, (a[0], a[1], a[2] - GRAVITY))
+    predicted = mat_vec(R_estimated, force)
+    e_a = (predicted[0] - a[0], predicted[1] - a[1], predicted[2] + GRAVITY - a[2])
+
+    lead = back - late
+    bend = 0.5 * (late * late - back * back)
+    half_back = 0.5 * back * back
+    jump = 1.0 / (1.0 - 0.5 * interval_s * (gains.position - back * gains.velocity))
+    innovation = [
+        jump * (lead * v[i] + bend * a[i] - e_p[i] + back * e_v[i] - half_back * e_a[i]) for i in range(3)
+    ]
+    # Turning the late attitude forward by exp(rate back) leaves rate_dot late^2/2 that it does not know of.
+    jump = 1.0 / (1.0 - 0.5 * interval_s * (gains.attitude - back * gains.bias))
+    swing = 0.5 * late * late
+    attitude = [jump * (lead * rate[i] + swing * rate_dot[i] - back * e_b[i] - e_q[i]) for i in range(3)]
+    carried = cross(rate, e_q)
+    return [
+        *(e_v[i] + gains.position * innovation[i] for i in range(3)),
+        *(e_a[i] + gains.velocity * innovation[i] for i in range(3)),
+        *(gains.attitude * attitude[i] - e_b[i] - carried[i] for i in range(3)),
+        *(-gains.bias * attitude[i] for i in range(3)),
+    ]

@@ -1,0 +1,323 @@
+"""phi, the closed loop as a model: rigid body, rotor lag and effects under the on-board law (paper IV-A).
+
+xdot = f(x, pi(z, x, x_bar)) + d, with the law and its memory z in continuous form: body-rate integral and
+rate filter are states (paper, remark on embedded integration), the estimator's errors too where asked for.
+Drives:
+
+    reference  pi sees the model's own state; the whole flight follows from the reference
+    estimate   pi is fed the logged on-board estimate
+    inputs     the recorded rotor thrusts drive the body; no law
+
+What the 1 kHz tick adds to continuous time is small and kept: a command held for a tick is late by half of
+it (`hold_s`, added to the rotor lag), and the sampled rate filter's slope is larger by half a tick times its
+corner.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import casadi
+import numpy as np
+
+from firmware_model.law import step as law_step
+from firmware_model.law.dfbc import Reference, control
+from firmware_model.law.ops import Ops
+from firmware_model.law.rotations import euler_to_matrix
+from host.codegen.ops import CASADI
+from host.effects import Effect
+from host.models import estimator
+from host.models.dynamics import (
+    RATE,
+    STATE_SIZE,
+    THETA,
+    THRUST,
+    Part,
+    V,
+    mocap_latency_s,
+    motor_lag_s,
+    rigid_body,
+    rotor_torque,
+    thrust_rates,
+)
+from host.models.lanes import LaneProgram, lane_program
+from host.vehicle import Vehicle, to_parameters
+
+Scalar = Any
+Drive = Literal["reference", "estimate", "inputs"]
+
+INTEGRAL = slice(16, 19)
+"""The rate integral in the state. Behind it, where asked for: filtered body rate 3, estimator's errors 12."""
+
+DRIVE_ROWS: Mapping[Drive, int] = {"reference": 22, "estimate": 34, "inputs": 6}
+"""reference: flat outputs 14, fed-forward acceleration 3 and its derivative 3, voltage ratio, time. estimate:
+these and p, v, Theta, body rate as estimated on board. inputs: rotor thrusts commanded 4 (N), voltage ratio,
+time."""
+
+FLIGHT = (
+    "gain",
+    "attitude_offset_roll",
+    "attitude_offset_pitch",
+    "prediction_time_s",
+    "mocap_age_s",
+    "mocap_interval_s",
+    "feedback_delay_s",
+    "position_weight",
+    "velocity_weight",
+)
+"""Constants of one flight: form (a) of the feed-forward, age of a pose at its use, time between poses,
+further delay of the position and velocity fed back, weights of their feedback."""
+
+
+def flight_constants(
+    block: Sequence[float] | None = None,
+    *,
+    mocap_age_s: float = 0.0,
+    mocap_interval_s: float = 0.0,
+    feedback_delay_s: float = 0.0,
+    weights: Sequence[float] = (1.0, 1.0),
+) -> np.ndarray:
+    """The (9,) constants of a flight, for `Phi`; `block` is form (a) of what was fed forward."""
+    gain, roll, pitch, prediction = (1.0, 0.0, 0.0, 0.0)
+    if block is not None:
+        gain, roll, pitch, prediction = block[0], block[10], block[11], block[12]
+    mocap = (mocap_age_s, mocap_interval_s)
+    return np.array([gain, roll, pitch, prediction, *mocap, feedback_delay_s, *weights], dtype=float)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Phi:
+    """The closed loop of a vehicle with these effects, whose values are inputs (`theta`).
+
+    `parameters` are the firmware's, by name (default: the vehicle file's). `estimator` adds its 12 error
+    states to the drive `reference`: needed with a mocap latency, a prediction time, or poses so late that
+    turning them forward shows. `rate_filter` keeps the filter behind the rate derivative as three states;
+    without them its lag is kept to first order, and steps may be five times longer.
+    """
+
+    vehicle: Vehicle
+    effects: tuple[Effect, ...] = ()
+    drive: Drive = "reference"
+    estimator: bool = True
+    rate_filter: bool = False
+    parameters: Mapping[str, float] | None = None
+    hold_s: float = 0.5 * law_step.TICK_S
+
+    def __post_init__(self) -> None:
+        if self.drive not in DRIVE_ROWS:
+            raise ValueError(f"drive must be one of {', '.join(DRIVE_ROWS)}, not {self.drive!r}")
+        if not 0.0 <= self.hold_s < 0.1:
+            raise ValueError(f"hold_s must be within 0..0.1 s, got {self.hold_s}")
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        if self.drive == "inputs":
+            return STATE_SIZE
+        return self._errors.start + (estimator.SIZE if self._has_estimator else 0)
+
+    @property
+    def _errors(self) -> slice:
+        start = INTEGRAL.stop + (3 if self.rate_filter else 0)
+        return slice(start, start + estimator.SIZE)
+
+    @property
+    def _has_estimator(self) -> bool:
+        return self.estimator and self.drive == "reference"
+
+    @property
+    def theta_names(self) -> tuple[str, ...]:
+        """ "effect.key" of every entry of theta."""
+        return tuple(f"{effect.name}.{key}" for effect in self.effects for key in effect.keys)
+
+    @property
+    def theta_neutral(self) -> np.ndarray:
+        """The theta of the nominal vehicle."""
+        return np.array([value for effect in self.effects for value in effect.neutral], dtype=float)
+
+    def theta(self, parts: Sequence[Part]) -> np.ndarray:
+        """theta for these values, neutral elsewhere. Raises ValueError for an effect this phi lacks."""
+        values = {effect.name: effect.neutral for effect in self.effects}
+        for effect, numbers in parts:
+            if effect.name not in values:
+                raise ValueError(
+                    f"this model has no {effect.name}; it has {', '.join(values) or 'no effects'}"
+                )
+            values[effect.name] = tuple(float(number) for number in numbers)
+        return np.array([value for effect in self.effects for value in values[effect.name]], dtype=float)
+
+    def parts(self, theta: Any) -> list[Part]:
+        """Every effect with its entries of theta."""
+        parts, start = [], 0
+        for effect in self.effects:
+            stop = start + len(effect.parameters)
+            parts.append((effect, [theta[i] for i in range(start, stop)]))
+            start = stop
+        return parts
+
+    def derivative(
+        self,
+        ops: Ops,
+        x: Sequence[Scalar],
+        drive: Sequence[Scalar],
+        flight: Sequence[Scalar],
+        theta: Sequence[Scalar],
+        acceleration_ned: Sequence[Scalar] | None = None,
+    ) -> list[Scalar]:
+        """xdot, `size` scalars; `acceleration_ned` is the residual d of paper equation 2."""
+        parts = self.parts(theta)
+        rows = DRIVE_ROWS[self.drive]
+        voltage, t = (drive[4], drive[5]) if rows == 6 else (drive[20], drive[21])
+        body = rigid_body(ops, self.vehicle, parts, x, voltage, t, acceleration_ned)
+        lag = motor_lag_s(ops, self.vehicle, parts) + self.hold_s
+        if self.drive == "inputs":
+            return [*body, *thrust_rates(x[THRUST], drive[0:4], lag)]
+        return self._with_law(ops, parts, x, drive, flight, body, lag)
+
+    def _with_law(
+        self,
+        ops: Ops,
+        parts: Sequence[Part],
+        x: Sequence[Scalar],
+        drive: Sequence[Scalar],
+        flight: Sequence[Scalar],
+        body: Sequence[Scalar],
+        lag: Scalar,
+    ) -> list[Scalar]:
+        """xdot with the law in the loop, from the rigid body's part of it."""
+        gain, roll, pitch, prediction, age, interval, delay, *weights = (flight[i] for i in range(9))
+        a, rate_dot = body[V], body[RATE]
+        error_dot: list[Scalar] = []
+        if self.drive == "estimate":
+            p, v, rate = drive[22:25], drive[25:28], drive[31:34]
+            R = euler_to_matrix(ops, drive[28:31])
+        else:
+            p, v, rate = x[0:3], x[V], x[RATE]
+            R = euler_to_matrix(ops, x[THETA])
+            if self._has_estimator:
+                e = estimator.errors_of(x[self._errors], a, rate)
+                R_true, R = R, estimator.turn(ops, R, e[6:9])
+                error_dot = estimator.error_rates(
+                    law_step.estimator_gains(self._firmware), e, R_true, R, v, a, rate, rate_dot,
+                    age, prediction, mocap_latency_s(ops, parts), interval,
+                )  # fmt: skip
+                p = [p[i] + e[i] for i in range(3)]
+                v = [v[i] + e[3 + i] for i in range(3)]
+                rate = [rate[i] - e[9 + i] for i in range(3)]
+            p = [p[i] - delay * (v[i] - 0.5 * delay * a[i]) for i in range(3)]
+            v = [v[i] - delay * a[i] for i in range(3)]
+
+        k = law_step.gains(self._firmware)
+        corner, slope_share = _sampled_filter(k.filter_rate)
+        if self.rate_filter:
+            away = [rate[i] - x[INTEGRAL.stop + i] for i in range(3)]
+        else:  # the filter's lag behind a ramp
+            away = [alpha / corner for alpha in rate_dot]
+        limit = law_step.integral_limit(self._firmware)
+        integral = [ops.clip(x[INTEGRAL.start + i], -limit[i], limit[i]) for i in range(3)]
+        reference = Reference(drive[0:3], drive[3:6], drive[6:9], drive[9:12], drive[12], drive[13])
+        collective, torque, _, integral_dot = control(
+            ops, k, law_step.body(self._firmware), p, v, R, rate,
+            [rate[i] - slope_share * away[i] for i in range(3)], integral, reference,
+            drive[14:17], weights, drive[17:20], (roll, pitch),
+        )  # fmt: skip
+        if not self.rate_filter:
+            share = slope_share * k.filter_rate / (corner * corner)
+            torque = _behind(torque, rotor_torque(self.vehicle, x[THRUST]), k.rate_derivative, share, lag)
+        _, command, _ = law_step.motors(ops, self._firmware, collective, torque, gain)
+        return [
+            *body,
+            *thrust_rates(x[THRUST], command, lag),
+            *(_held(ops, integral[i], integral_dot[i], limit[i]) for i in range(3)),
+            *((corner * a for a in away) if self.rate_filter else ()),
+            *error_dot,
+        ]
+
+    @cached_property
+    def _firmware(self) -> tuple[float, ...]:
+        """The law's block `parameters`."""
+        table = to_parameters(self.vehicle) if self.parameters is None else self.parameters
+        return law_step.parameter_vector(table)
+
+    @cached_property
+    def function(self) -> casadi.Function:
+        """The derivative as an SX function: (x, drive, flight, theta, acceleration) -> xdot."""
+        sizes = (self.size, DRIVE_ROWS[self.drive], len(FLIGHT), len(self.theta_names), 3)
+        names = ["x", "drive", "flight", "theta", "acceleration"]
+        inputs = [casadi.SX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
+        scalars = [[column[i] for i in range(column.shape[0])] for column in inputs]
+        xdot = self.derivative(CASADI, *scalars)
+        (xdot,) = casadi.cse([casadi.densify(casadi.vertcat(*xdot))])
+        return casadi.Function("phi", inputs, [xdot], names, ["xdot"])
+
+    @cached_property
+    def program(self) -> LaneProgram:
+        """The derivative over numpy lanes."""
+        return lane_program(self.function)
+
+    @cached_property
+    def stiffness(self) -> float:
+        """Largest eigenvalue of the linearised model at hover, 1/s: what the step size must resolve."""
+        x, drive = casadi.SX.sym("x", self.size), casadi.SX.sym("drive", DRIVE_ROWS[self.drive])
+        flight, theta = flight_constants(), self.theta_neutral
+        xdot = self.function(x, drive, flight, theta, np.zeros(3))
+        jacobian = casadi.Function("jacobian", [x, drive], [casadi.jacobian(xdot, x)])
+        hover = self.hover((0.0, 0.0, -1.0), 0.0)
+        still = np.zeros(DRIVE_ROWS[self.drive])
+        still[2 if self.drive != "inputs" else 5] = -1.0 if self.drive != "inputs" else 0.0
+        still[4 if self.drive == "inputs" else 20] = 1.0
+        matrix = np.array(jacobian(hover, still), dtype=float)
+        return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+    def substeps(self, step_s: float) -> int:
+        """RK4 steps that one step of `step_s` must be split into: |eigenvalue| times step at most 1.5."""
+        return max(1, math.ceil(self.stiffness * step_s / 1.5))
+
+    def hover(self, p_ned: Sequence[float], yaw: float) -> np.ndarray:
+        """The state (size,) of the nominal vehicle at rest at p_ned."""
+        x = np.zeros(self.size)
+        x[0:3], x[8] = p_ned, yaw
+        x[THRUST] = self.vehicle.mass_kg * 9.81 / 4.0
+        return x
+
+
+def _sampled_filter(corner: float) -> tuple[float, float]:
+    """Corner (rad/s) of the sampled rate filter in continuous time, and what the law's slope is too large by.
+
+    The law's filter advances by c = w dt / (1 + w dt/2) a tick. Continuous, it decays at -ln(1 - c)/dt; its
+    lag behind a ramp is dt/c, of which the law takes w times as slope.
+    """
+    dt = law_step.TICK_S
+    advance = corner * dt / (1.0 + 0.5 * corner * dt)
+    continuous = -math.log1p(-advance) / dt
+    return continuous, continuous * dt / advance
+
+
+def _behind(
+    torque: Sequence[Scalar],
+    now: Sequence[Scalar],
+    rate_derivative: Sequence[Scalar],
+    share: float,
+    lag: Scalar,
+) -> list[Scalar]:
+    """The torque commanded where the slope lags: `torque` has the slope of this moment in it.
+
+    The filter's slope is late by its time constant, so short of K_d times the change of torque since; that
+    change is itself (commanded - now) / lag: one equation an axis, solved.
+    """
+    commanded = []
+    for wanted, present, gain in zip(torque, now, rate_derivative, strict=True):
+        c = gain * share / lag
+        commanded.append((wanted - c * present) / (1.0 - c))
+    return commanded
+
+
+def _held(ops: Ops, value: Scalar, rate: Scalar, limit: float) -> Scalar:
+    """The integral's rate, 0 where it stands at its limit and would go on."""
+    up = ops.where(value >= limit, ops.maximum(rate, 0.0), 0.0)
+    down = ops.where(value <= -limit, ops.minimum(rate, 0.0), 0.0)
+    return rate - up - down

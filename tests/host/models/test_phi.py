@@ -1,0 +1,250 @@
+"""phi against an independent simulation of the sampled loop: accuracy, order, drives, lanes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from firmware_model.law import feedforward as law_feedforward
+from firmware_model.law.ops import FLOAT
+from host.effects import load_effects
+from host.models.network import Layout, Network
+from host.models.phi import DRIVE_ROWS, Phi, flight_constants
+from host.models.reference import flat_outputs
+from host.models.rollout import half_steps, reference_drive, roll_out
+from protocol.blobs import FeedForward
+
+EFFECTS = load_effects()
+DRAG = (EFFECTS["linear-drag"], (0.4, 0.35, 0.2))
+
+
+def predict(phi, reference, parts=(), *, step_s=0.01, every=1, feedforward=None, network=None, **constants):
+    """The 12 states (n, 12) of a whole flight from hover at the reference's start."""
+    steps = round(reference.duration_us * 1e-6 / step_s)
+    drive = reference_drive(reference, half_steps(0.0, steps, step_s), feedforward=feedforward)
+    start = flat_outputs(reference, np.zeros(1))[:, 0]
+    block = None if feedforward is None else feedforward.block
+    states = roll_out(
+        phi,
+        x0=phi.hover(start[0:3], start[12])[:, None],
+        drive=drive,
+        flight=flight_constants(block, **constants),
+        theta=phi.theta(parts),
+        step_s=step_s,
+        every=every,
+        network=network,
+    )
+    return states[:, :, 0]
+
+
+def rmse(a, b):
+    return float(np.sqrt(((a[:, :3] - b[:, :3]) ** 2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        (),
+        (DRAG,),
+        ((EFFECTS["thrust-gain"], (0.9,)), (EFFECTS["com-offset"], (0.004, -0.003))),
+        ((EFFECTS["motor-lag"], (0.02,)), (EFFECTS["quadratic-drag"], (0.05,))),
+    ],
+    ids=lambda parts: "+".join(effect.name for effect, _ in parts) or "nominal",
+)
+def test_phi_whole_flight_equals_the_sampled_loop(vehicle, make_reference, fly_sampled, parts):
+    """Within 3 mm is asked for, with noise; without it the continuous form is far closer."""
+    reference = make_reference(turning=True)
+    phi = Phi(vehicle=vehicle, effects=tuple(effect for effect, _ in parts))
+    flown = fly_sampled(reference, parts)
+    predicted = predict(phi, reference, parts, mocap_age_s=0.012, mocap_interval_s=0.01)
+    assert rmse(predicted, flown) < 0.1e-3
+    reached = flat_outputs(reference, 0.01 * np.arange(len(flown)))[:3].T
+    assert rmse(predicted, flown) < 0.05 * rmse(flown, reached)
+
+
+def test_phi_mocap_latency_equals_the_sampled_loop_with_late_poses(vehicle, make_reference, fly_sampled):
+    reference = make_reference()
+    late = (EFFECTS["mocap-latency"], (0.02,))
+    flown = fly_sampled(reference, latency_s=0.02)
+    phi = Phi(vehicle=vehicle, effects=(late[0],))
+    predicted = predict(phi, reference, (late,), mocap_age_s=0.012, mocap_interval_s=0.01)
+    ignored = predict(phi, reference, (), mocap_age_s=0.012, mocap_interval_s=0.01)
+    assert rmse(ignored, flown) > 5e-3
+    assert rmse(predicted, flown) < 0.3e-3
+
+
+def test_phi_prediction_time_undoes_a_latency(vehicle, make_reference):
+    reference = make_reference()
+    late = (EFFECTS["mocap-latency"], (0.02,))
+    phi = Phi(vehicle=vehicle, effects=(late[0],))
+    block = list(law_feedforward.NEUTRAL)
+    block[law_feedforward.PREDICTION_TIME] = 0.02
+    corrected = FeedForward(vehicle_id=vehicle.id, model_id="0" * 12, block=tuple(block))
+    nominal = predict(phi, reference)
+    assert rmse(predict(phi, reference, (late,)), nominal) > 5e-3
+    assert rmse(predict(phi, reference, (late,), feedforward=corrected), nominal) < 1.5e-3
+
+
+def test_phi_feedforward_of_the_true_drag_brings_the_flight_back(vehicle, make_reference, fly_sampled):
+    reference = make_reference()
+    block = list(law_feedforward.NEUTRAL)
+    block[law_feedforward.LINEAR] = DRAG[1]
+    fed = FeedForward(vehicle_id=vehicle.id, model_id="0" * 12, block=tuple(block))
+    phi = Phi(vehicle=vehicle, effects=(DRAG[0],))
+    flown = fly_sampled(reference, (DRAG,), feedforward=fed.block)
+    predicted = predict(phi, reference, (DRAG,), feedforward=fed, mocap_age_s=0.012, mocap_interval_s=0.01)
+    assert rmse(predicted, flown) < 0.1e-3
+    nominal = predict(phi, reference)
+    assert rmse(predicted, nominal) < 0.2 * rmse(predict(phi, reference, (DRAG,)), nominal)
+
+
+def test_phi_smooth_reference_converges_with_order_four(vehicle, make_reference):
+    reference = make_reference(duration_s=4.0)
+    phi = Phi(vehicle=vehicle, effects=(DRAG[0],), estimator=False)
+    truth = predict(phi, reference, (DRAG,), step_s=0.002, every=10)
+    errors = [
+        np.abs(predict(phi, reference, (DRAG,), step_s=h, every=round(0.02 / h)) - truth)[:, :6].max()
+        for h in (0.02, 0.01, 0.005)
+    ]
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert (orders > 3.6).all(), (errors, orders)
+    assert errors[0] < 1e-4
+
+
+def test_phi_filter_as_states_differs_by_micrometres(vehicle, make_reference):
+    reference = make_reference(duration_s=4.0)
+    with_states = Phi(vehicle=vehicle, effects=(DRAG[0],), estimator=False, rate_filter=True)
+    without = Phi(vehicle=vehicle, effects=(DRAG[0],), estimator=False)
+    fine = predict(with_states, reference, (DRAG,), step_s=0.005, every=4)
+    coarse = predict(without, reference, (DRAG,), step_s=0.02)
+    assert rmse(coarse, fine) < 1e-5
+    assert with_states.substeps(0.02) == 4
+    assert without.substeps(0.02) == 1
+
+
+def test_phi_feedback_delay_of_nothing_is_the_plain_loop_and_acts_to_first_order(vehicle, make_reference):
+    reference = make_reference(duration_s=4.0)
+    phi = Phi(vehicle=vehicle, estimator=False)
+    plain = predict(phi, reference)
+    small = predict(phi, reference, feedback_delay_s=0.001) - plain
+    double = predict(phi, reference, feedback_delay_s=0.002) - plain
+    assert 1e-4 < np.abs(small[:, :3]).max() < 0.01
+    np.testing.assert_allclose(double[:, :3], 2.0 * small[:, :3], atol=0.05 * np.abs(double).max())
+
+
+def test_phi_lanes_equal_casadi_and_floats(vehicle, make_reference):
+    phi = Phi(vehicle=vehicle, effects=tuple(EFFECTS.values()), rate_filter=True)
+    rng = np.random.default_rng(5)
+    bound = phi.program.bind(3)
+    start = flat_outputs(make_reference(), np.full(3, 1.7))
+    bound.inputs["x"][:] = 0.05 * rng.standard_normal((phi.size, 3))
+    bound.inputs["x"][12:16] += 1.9
+    bound.inputs["drive"][:14] = start
+    bound.inputs["drive"][20] = 0.95
+    bound.inputs["flight"][:] = flight_constants(mocap_age_s=0.01)[:, None]
+    bound.inputs["theta"][:] = phi.theta_neutral[:, None] * 1.01 + 0.001
+    bound()
+    for lane in range(3):
+        columns = [array[:, lane].tolist() for array in bound.inputs.values()]
+        symbolic = np.array(phi.function(*columns)).ravel()
+        np.testing.assert_allclose(bound.outputs["xdot"][:, lane], symbolic, rtol=1e-10, atol=1e-11)
+        np.testing.assert_allclose(phi.derivative(FLOAT, *columns), symbolic, rtol=1e-10, atol=1e-11)
+
+
+def test_phi_inputs_and_estimate_drives_retrace_a_reference_driven_flight(vehicle, make_reference):
+    """Recorded inputs or estimates of a flight give the flight back: thrusts and states of the same model."""
+    reference = make_reference(duration_s=3.0)
+    h, steps = 0.005, 600
+    whole = Phi(vehicle=vehicle, effects=(DRAG[0],), estimator=False)
+    times = half_steps(0.0, steps, h)
+    start = flat_outputs(reference, np.zeros(1))[:, 0]
+    common = {"flight": flight_constants(), "theta": np.array(DRAG[1])}
+    drive = reference_drive(reference, half_steps(0.0, 2 * steps, 0.5 * h))
+    fine = roll_out(
+        whole, x0=whole.hover(start[:3], 0.0)[:, None], drive=drive, step_s=0.5 * h, rows=whole.size, **common
+    )[:, :, 0]
+    assert fine.shape[0] == times.size
+
+    estimate = Phi(vehicle=vehicle, effects=(DRAG[0],), drive="estimate")
+    fed = np.concatenate([reference_drive(reference, times), fine[:, :12]], axis=1)
+    again = roll_out(estimate, x0=fine[0][:19, None], drive=fed, step_s=h, **common)[:, :, 0]
+    np.testing.assert_allclose(again[:, :3], fine[::2, :3], atol=1e-5)
+
+    inputs = Phi(vehicle=vehicle, effects=(DRAG[0],), drive="inputs")
+    lag = vehicle.motor_lag_s + inputs.hold_s
+    thrust = fine[:, 12:16]
+    commanded = thrust + lag * np.gradient(thrust, 0.5 * h, axis=0, edge_order=2)
+    recorded = np.concatenate([commanded, np.ones((times.size, 1)), times[:, None]], axis=1)
+    again = roll_out(inputs, x0=fine[0][:16, None], drive=recorded, step_s=h, **common)[:, :, 0]
+    np.testing.assert_allclose(again[:200, :3], fine[:400:2, :3], atol=1e-3)
+
+
+def test_phi_network_adds_its_acceleration(vehicle, make_reference):
+    """A network with only an output bias is a constant acceleration; in NED like a wind on drag."""
+    reference = make_reference(duration_s=3.0)
+    layout = Layout(hidden=(3,))
+    xi = np.zeros(layout.size)
+    xi[layout.size - 3 * 4 + 3 :: 4] = (0.3, -0.2, 0.1)
+    phi = Phi(vehicle=vehicle, estimator=False)
+    pushed = predict(phi, reference, network=Network(layout=layout, xi=xi))
+    offset = (pushed - predict(phi, reference))[-1, :3]
+    stiffness = np.array(vehicle.gains.position_p)
+    np.testing.assert_allclose(offset, np.array([0.3, -0.2, 0.1]) / stiffness, rtol=0.15)
+
+
+def test_roll_out_lanes_are_independent_even_beside_one_that_diverges(vehicle, make_reference):
+    reference = make_reference(duration_s=2.0)
+    phi = Phi(vehicle=vehicle, effects=(DRAG[0],), estimator=False)
+    drive = reference_drive(reference, half_steps(0.0, 100, 0.02))
+    start = flat_outputs(reference, np.zeros(1))[:, 0]
+    x0 = np.repeat(phi.hover(start[:3], 0.0)[:, None], 3, axis=1)
+    theta = np.array([[0.4, -1e6, 0.1]] * 3)
+    together = roll_out(phi, x0=x0, drive=drive, flight=flight_constants(), theta=theta, step_s=0.02)
+    alone = roll_out(
+        phi, x0=x0[:, 2:], drive=drive, flight=flight_constants(), theta=theta[:, 2], step_s=0.02
+    )
+    np.testing.assert_array_equal(together[:, :, 2], alone[:, :, 0])
+    assert not np.isfinite(together[-1, :, 1]).all()
+
+
+def test_roll_out_several_flights_gather_their_own_drive(vehicle, make_reference):
+    references = [make_reference(duration_s=2.0, size=size) for size in (1.0, 0.5)]
+    phi = Phi(vehicle=vehicle, effects=(DRAG[0],), estimator=False)
+    drives = [reference_drive(r, half_steps(0.0, 100, 0.02)) for r in references]
+    x0 = np.repeat(phi.hover(references[0].nodes_ned()[0].state[:3], 0.0)[:, None], 4, axis=1)
+    theta = np.array([[0.0, 0.4, 0.0, 0.4]] * 3)
+    lanes = roll_out(
+        phi,
+        x0=x0,
+        drive=np.stack(drives, axis=2),
+        flight=np.stack([flight_constants()] * 2, axis=1),
+        theta=theta,
+        step_s=0.02,
+        lane_flight=np.array([0, 0, 1, 1]),
+    )
+    for lane, flight in enumerate((0, 0, 1, 1)):
+        alone = roll_out(
+            phi,
+            x0=x0[:, :1],
+            drive=drives[flight],
+            flight=flight_constants(),
+            theta=theta[:, lane],
+            step_s=0.02,
+        )
+        np.testing.assert_array_equal(lanes[:, :, lane], alone[:, :, 0])
+
+
+def test_phi_wrong_arguments_are_refused(vehicle):
+    phi = Phi(vehicle=vehicle, estimator=False)
+    with pytest.raises(ValueError, match="drive must be one of"):
+        Phi(vehicle=vehicle, drive="thrust")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="hold_s"):
+        Phi(vehicle=vehicle, hold_s=-1.0)
+    with pytest.raises(ValueError, match="has no linear-drag"):
+        phi.theta([DRAG])
+    drive = np.zeros((4, DRIVE_ROWS["reference"]))
+    flight, theta = flight_constants(), phi.theta_neutral
+    with pytest.raises(ValueError, match="odd number of rows"):
+        roll_out(phi, x0=np.zeros((19, 1)), drive=drive, flight=flight, theta=theta, step_s=0.01)
+    with pytest.raises(ValueError, match="x0 must have 19 rows"):
+        roll_out(phi, x0=np.zeros((16, 1)), drive=drive[:3], flight=flight, theta=theta, step_s=0.01)
