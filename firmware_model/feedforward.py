@@ -36,7 +36,7 @@ class FeedForwardInput:
         self.clear()
         if blob.block is not None:
             self._fill(self._block, blob.block)
-        self._hidden, self._weights = blob.layers[1:-1], blob.weights
+        self._hidden, self._weights = blob.layers, blob.weights
 
     def hold(self, accel_ned: Sequence[float]) -> None:
         """Nothing comes back; this residual acceleration (m/s^2) takes the network's place until `resume`."""

@@ -202,7 +202,7 @@ class FlightMcu:
         return check_blob(kind, blob, parameters=self.parameters, vehicle_id=self._identity.vehicle_id.hex())
 
     def _may_commit(self, kind: int) -> bool:
-        return self.flight.state is State.STANDBY
+        return self.flight.state in (State.BOOT, State.STANDBY)
 
     def _uploaded(self, event: ReceiverEvent) -> None:
         self.flight.changed = True

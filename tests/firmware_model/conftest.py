@@ -8,12 +8,22 @@ from collections import deque
 import pytest
 
 from firmware_model.flight import Flight
+from firmware_model.flight_mcu import FlightMcu
 from firmware_model.law import step as law
+from firmware_model.law.reference import septic
 from firmware_model.parameters import ParameterValues
+from firmware_model.radio_mcu import RadioMcu
+from firmware_model.store import ReferenceStore
 from firmware_model.supervisor import Event, State
 from firmware_model.track import track
+from firmware_model.uart import UartPort, connect
 from host.codegen import compile_blocks
+from protocol import messages as m
+from protocol.blobs import Node, Reference, YawNode
+from protocol.codec import Codec
+from protocol.messages import HOST, HOST_RADIO
 from protocol.parameters import DEFAULTS
+from protocol.upload import UploadSender
 
 GRAVITY = 9.81
 TICK_US = 1_000
@@ -30,6 +40,7 @@ class Body:
         self.thrust = [0.0] * 4
         self.gain = gain
         self.force = (0.0, 0.0, -GRAVITY)
+        self.thrust_max, self.kappa = DEFAULTS["THRUST_MAX"], DEFAULTS["TORQUE_PER_N"]
         self.mass = DEFAULTS["MASS"]
         self.J = [DEFAULTS[f"INERTIA_{axis}"] for axis in "XYZ"]
         self.rotors = [
@@ -37,15 +48,11 @@ class Body:
         ]
 
     def step(self, command, dt=1e-3):
-        thrust_max, lag = DEFAULTS["THRUST_MAX"], 0.033
-        for k in range(4):
-            self.thrust[k] += dt / lag * (self.gain * thrust_max * command[k] ** 2 - self.thrust[k])
-        total = sum(self.thrust)
-        tx = sum(-y * t for (_, y, _), t in zip(self.rotors, self.thrust, strict=True))
-        ty = sum(x * t for (x, _, _), t in zip(self.rotors, self.thrust, strict=True))
-        tz = sum(
-            DEFAULTS["TORQUE_PER_N"] * s * t for (_, _, s), t in zip(self.rotors, self.thrust, strict=True)
-        )
+        per_lag, most = dt / 0.033, self.gain * self.thrust_max
+        self.thrust = [t + per_lag * (most * u * u - t) for t, u in zip(self.thrust, command, strict=True)]
+        total = tx = ty = tz = 0.0
+        for (x, y, spin), t in zip(self.rotors, self.thrust, strict=True):
+            total, tx, ty, tz = total + t, tx - y * t, ty + x * t, tz + self.kappa * spin * t
         R, w, J = self.R, self.w, self.J
         a = [-R[i][2] * total / self.mass + (GRAVITY if i == 2 else 0.0) for i in range(3)]
         on_floor = self.p[2] >= 0.0 and a[2] >= 0.0
@@ -71,8 +78,9 @@ class Body:
                 ]
                 length = math.hypot(*row)
                 R[i] = [value / length for value in row]
-        b = [a[0], a[1], a[2] - GRAVITY]
-        self.force = tuple(sum(R[i][k] * b[i] for i in range(3)) for k in range(3))
+        x, y, z = a[0], a[1], a[2] - GRAVITY
+        (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = R
+        self.force = (a0 * x + b0 * y + c0 * z, a1 * x + b1 * y + c1 * z, a2 * x + b2 * y + c2 * z)
 
     def quaternion(self):
         R = self.R
@@ -161,9 +169,153 @@ def engine():
 
 @pytest.fixture
 def make_rig(engine):
-    return lambda **keywords: Rig(engine, **keywords)
+    return lambda **keywords: Rig(**{"engine": engine, **keywords})
 
 
 @pytest.fixture
 def make_body():
     return Body
+
+
+VEHICLE_ID = "0123456789ab"
+
+
+def reference_blob(height=1.0, reach=1.5, seconds=2.0, vehicle_id=VEHICLE_ID, pieces=4):
+    """A checked there-and-back reference as a blob: nodes on septics from rest to rest."""
+    nodes = []
+    us = round(1e6 * seconds)
+    for leg, (start, end) in enumerate(((0.0, reach), (reach, 0.0))):
+        for k in range(pieces + (leg == 1)):
+            p, v, a, j, _ = septic(
+                seconds, seconds * k / pieces, (start, 0.0, -height, *REST9), (end, 0.0, -height, *REST9)
+            )
+            nodes.append((leg * us + us * k // pieces, (*p, *v, *a, *j)))
+    return Reference(
+        vehicle_id=vehicle_id,
+        origin_ned=(0.0, 0.0, 0.0),
+        nodes=tuple(Node(t, state) for t, state in nodes),
+        yaws=(YawNode(0, 0.2, 0.0),),
+    )
+
+
+class Session:
+    """Host, two radios, air and vehicle, joined by bytes; the host's codec is all it knows of the vehicle.
+
+    The air: a slot of 2 ms for each side in turn, 4 ms on the way, lost where `lost(now_us)` says so.
+    """
+
+    def __init__(self, engine, *, store=None, body=None, parameters=None, uid=7):
+        self.engine, self.body = engine, body or Body()
+        self.store = store or ReferenceStore()
+        self.flight = FlightMcu(
+            engine=engine,
+            parameters={**DEFAULTS, **(parameters or {})},
+            store=self.store,
+            uid=uid,
+            vehicle_id=bytes.fromhex(VEHICLE_ID),
+        )
+        self.radio, self.ground = RadioMcu(), RadioMcu(address=HOST_RADIO)
+        self.port = UartPort(baud=921_600, rx_bytes=1 << 16, tx_bytes=1 << 16)
+        connect(self.flight.uart, self.radio.uart)
+        connect(self.port, self.ground.uart)
+        self.host = Codec(*HOST)
+        self.now_us = 0
+        self.mocap = self.talk = self.radio_ticks = True
+        self.lost = lambda now_us: False
+        self.upload = self.sender = None
+        self.inbox = []
+        self.commands = []
+        self._air = deque()
+        self.seen = []
+
+    def send(self, *messages):
+        for message in messages:
+            assert self.port.write(self.host.encode(message), self.now_us)
+
+    def command(self, number, *parameters):
+        self.send(m.CommandLong(1, 1, number, 0, *(*parameters, *(0.0,) * 7)[:7]))
+
+    def tick(self):
+        now, body = self.now_us, self.body
+        if self.mocap and now % 10_000 == 0:
+            self.send(m.AttPosMocap(now, list(body.quaternion()), *body.p))
+        if self.talk and now % 200_000 == 0:
+            self.send(m.Timesync(0, 1000 * now))
+        if self.upload is not None:
+            self.send(*self.upload.send(now))
+        self.ground.tick(now)
+        if now % 2_000 == 0:
+            source, target = (self.ground, self.radio) if now % 4_000 == 0 else (self.radio, self.ground)
+            frame = source.air_send(now)
+            if frame is not None and not self.lost(now):
+                self._air.append((now + 4_000, target, frame))
+        while self._air and self._air[0][0] <= now:
+            _, target, frame = self._air.popleft()
+            target.air_receive(frame, now)
+        if self.radio_ticks:
+            self.radio.tick(now)
+        self.flight.tick(now, body.w, body.force, 16.8)
+        self.commands.append(tuple(self.flight.motor_command))
+        if not self.seen or self.seen[-1] is not self.flight.state:
+            self.seen.append(self.flight.state)
+        body.step(self.flight.motor_command)
+        if now >= self.port.due_us:
+            messages = self.host.decode(self.port.read(now))
+            self.inbox += messages
+            if self.upload is not None:
+                for message in messages:
+                    self.upload.receive(message, now)
+                self.upload.advance(now)
+        self.now_us += TICK_US
+
+    def run(self, seconds, until=None):
+        end = self.now_us + round(1e6 * seconds)
+        while self.now_us < end:
+            self.tick()
+            if until is not None and until():
+                return
+        assert until is None, f"never came; {self.seen}; {self.texts()}"
+
+    def run_to(self, state, seconds=20.0):
+        self.run(seconds, until=lambda: self.flight.state is state)
+
+    def put(self, blob, seconds=20.0):
+        self.upload = UploadSender(blob.to_bytes(), blob.KIND)
+        self.run(seconds, until=lambda: self.upload.state.name in ("DONE", "FAILED"))
+        upload, self.upload = self.upload, None
+        return upload
+
+    def received(self, kind):
+        return [message for message in self.inbox if isinstance(message, kind)]
+
+    def texts(self):
+        return [message.text for message in self.received(m.StatusText)]
+
+    def take_off(self):
+        self.run(1.0)
+        self.command(400, 1.0)
+        self.run_to(State.ARMED, 1.0)
+        self.command(300)
+        self.run_to(State.TAKEOFF, 1.0)
+
+
+@pytest.fixture
+def make_session(engine):
+    return lambda **keywords: Session(engine, **keywords)
+
+
+@pytest.fixture
+def make_blob():
+    return reference_blob
+
+
+@pytest.fixture(scope="session")
+def flown(engine):
+    """One whole session for several tests: upload, arm, start, fly, land. `sender` is its upload."""
+    session = Session(engine)
+    session.run(0.5)
+    session.sender = session.put(reference_blob())
+    session.take_off()
+    session.run_to(State.STANDBY)
+    session.run(0.3)
+    return session
