@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -207,9 +208,10 @@ def segments_of(
         raise TooLittleData(
             "the logs record inputs of different kinds; trace those with motor commands apart"
         )
-    shared = {"dt_s": DT_S, "in_newton": bool(parts[0]["in_newton"]), "rate_driven": rate_driven}
     arrays = {key: np.stack([p[key] for p in parts]) for key in parts[0] if key != "in_newton"}
-    return Segments(**shared, **arrays), tuple(audits)
+    in_newton = bool(parts[0]["in_newton"])
+    found = Segments(dt_s=DT_S, in_newton=in_newton, rate_driven=rate_driven, **arrays)
+    return found, tuple(audits)
 
 
 def unknowns(flights: Sequence[Flight]) -> frozenset[str]:
@@ -217,7 +219,9 @@ def unknowns(flights: Sequence[Flight]) -> frozenset[str]:
     return frozenset(word for flight in flights for word in flight.metadata.get("unknown", "").split())
 
 
-def _cut(flight: Flight, index: int, segment_s: float, rate_driven: bool) -> tuple[list[dict], Audit]:
+def _cut(
+    flight: Flight, index: int, segment_s: float, rate_driven: bool
+) -> tuple[list[dict[str, Any]], Audit]:
     s = signals(flight)
     sigma = noise(s)
     steps = round(segment_s / DT_S)
@@ -238,7 +242,8 @@ def _cut(flight: Flight, index: int, segment_s: float, rate_driven: bool) -> tup
     at = np.full(len(grid), -1)
     at[nearest[keep]] = keep
 
-    found, out_gap, out_tilt = [], 0, 0
+    found: list[dict[str, Any]] = []
+    out_gap = out_tilt = 0
     for k in range(count):
         a = pre + k * steps
         pick = at[a : a + steps]

@@ -50,13 +50,20 @@ class Diagnosis:
     """What the search ends with.
 
     `best` is the kept set, `nothing` the fit without any effect, `inclusion` each candidate's posterior
-    probability, `sets` the evidence of every refitted set.
+    probability, `weights` the relative posterior weight of every set considered, `sets` the evidence of every
+    refitted one.
     """
 
     best: Fit
     nothing: Fit
     inclusion: dict[str, float]
+    weights: dict[tuple[str, ...], float]
     sets: dict[tuple[str, ...], float]
+
+
+def starting_process(data: Segments) -> Process:
+    """Where the search for the process noise of these segments begins."""
+    return START_RATE_DRIVEN if data.rate_driven else START
 
 
 def refit(
@@ -74,9 +81,11 @@ def refit(
     prior, groups = space.prior, space.groups
     flights = int(data.flight.max()) + 1
     if start is None:
-        z, local, process = np.zeros(len(space.columns)), np.zeros((flights, segments.LOCALS)), START
-        if data.rate_driven:
-            process = START_RATE_DRIVEN
+        z, local, process = (
+            np.zeros(len(space.columns)),
+            np.zeros((flights, segments.LOCALS)),
+            starting_process(data),
+        )
     else:
         z, local, process = start.z.copy(), start.local, start.process
         for name in set(start.effects) - set(effects):
@@ -161,10 +170,15 @@ def diagnose(vehicle: Vehicle, space: Space, data: Segments, report: Report = la
             break
         current = best
     kept = _smallest(fits)
+    weights = _weights(space, kept, fits)
+    total = sum(weights.values())
     return Diagnosis(
         best=kept,
         nothing=nothing,
-        inclusion=_inclusion(space, kept, fits),
+        inclusion={
+            name: sum(w for names, w in weights.items() if name in names) / total for name in space.candidates
+        },
+        weights=weights,
         sets={names: fit.log_evidence for names, fit in fits.items()},
     )
 
@@ -190,11 +204,9 @@ def _smallest(fits: dict[tuple[str, ...], Fit]) -> Fit:
     return min(close, key=lambda fit: (len(fit.effects), -fit.log_evidence, fit.effects))
 
 
-def _inclusion(space: Space, kept: Fit, fits: dict[tuple[str, ...], Fit]) -> dict[str, float]:
-    """Posterior inclusion probabilities over the refitted sets and the kept fit's linearised neighbours."""
+def _weights(space: Space, kept: Fit, fits: dict[tuple[str, ...], Fit]) -> dict[tuple[str, ...], float]:
+    """Posterior weights, greatest 1, of the refitted sets and of the kept fit's linearised neighbours."""
     scores = screen(space, kept, kept.process, min(MAX_EFFECTS, len(kept.effects) + 1))
     scores.update({names: fit.log_evidence for names, fit in fits.items()})
     top = max(scores.values())
-    weight = {names: float(np.exp(value - top)) for names, value in scores.items()}
-    total = sum(weight.values())
-    return {name: sum(w for names, w in weight.items() if name in names) / total for name in space.candidates}
+    return {names: float(np.exp(value - top)) for names, value in scores.items()}

@@ -272,23 +272,31 @@ def linearise(
     return Grams(gram=np.concatenate([p.gram for p in parts]), x0=np.concatenate([p.x0 for p in parts]))
 
 
-def _linearise(
-    vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, local: np.ndarray, active: np.ndarray
-) -> Grams:
-    mine = local[data.flight].T  # (9, S)
-    x0 = data.x0
-    for _ in range(2):
-        lanes = np.repeat(x0.T[:, None, :], 1 + STATES, axis=1)
+def fitted_x0(
+    vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, local: np.ndarray, iterations: int = 2
+) -> np.ndarray:
+    """Initial states (S, 12) that fit each segment's own measurements best, parameters and nuisances
+    given.
+    """
+    mine, x0, count = local[data.flight].T, data.x0, 1 + STATES
+    for _ in range(iterations):
+        lanes = np.repeat(x0.T[:, None, :], count, axis=1)
         for i in range(STATES):
             lanes[i, 1 + i] += _X_STEP[i]
-        flat = np.repeat(mine[:, None, :], 1 + STATES, axis=1)
-        r = residuals(
-            data, *roll_out(vehicle, space, data, lanes, np.repeat(z[:, None], 1 + STATES, axis=1), flat)
-        )
+        flat = np.repeat(mine[:, None, :], count, axis=1)
+        zs = np.repeat(z[:, None], count, axis=1)
+        r = residuals(data, *roll_out(vehicle, space, data, lanes, zs, flat))
         X = np.swapaxes((r[0] - r[1:]) / _X_STEP[:, None, None], 0, 1)
         normal = X @ np.swapaxes(X, 1, 2) + 1e-9 * np.eye(STATES)
         x0 = x0 + np.linalg.solve(normal, (X @ r[0][:, :, None]))[:, :, 0]
+    return x0
 
+
+def _linearise(
+    vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, local: np.ndarray, active: np.ndarray
+) -> Grams:
+    x0 = fitted_x0(vehicle, space, data, z, local)
+    mine = local[data.flight].T
     on = np.flatnonzero(active)
     count = 1 + STATES + len(on) + LOCALS + 6 * data.bins
     lanes = np.repeat(x0.T[:, None, :], count, axis=1)

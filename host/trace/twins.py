@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import gamma
 
-from host.trace.segments import BIN_S
+from host.trace.segments import BIN_S, Segments
 
 REPEAT_Z = 3.0
 FORCE_FLOOR = 0.06
@@ -23,6 +24,12 @@ TORQUE_FLOOR = 0.8
 """The same for angular acceleration, rad/s^2."""
 
 LINE_RATIO = 3.5
+LINE_CHANCE = 1e-3
+"""A line counts when noise alone would show one as strong less often than this."""
+
+MOVED_SHARE = 0.02
+"""Share of the motion's strongest frequency from which on the vehicle was made to move at a frequency."""
+
 _LINE_BAND_HZ = (0.3, 4.0)
 _FFT = 256
 
@@ -37,10 +44,12 @@ class Leftover:
     force_z: float
     force_line: float
     force_line_hz: float
+    force_line_chance: float
     torque_repeat: float
     torque_z: float
     torque_line: float
     torque_line_hz: float
+    torque_line_chance: float
     pairs: int
 
     @property
@@ -57,22 +66,25 @@ class Leftover:
                 f"an angular acceleration of {self.torque_repeat:.2f} rad/s^2 repeats between twin flights "
                 f"(z {self.torque_z:.1f})"
             )
-        for name, line, hz in (
-            ("force", self.force_line, self.force_line_hz),
-            ("torque", self.torque_line, self.torque_line_hz),
+        for name, line, hz, chance in (
+            ("force", self.force_line, self.force_line_hz, self.force_line_chance),
+            ("torque", self.torque_line, self.torque_line_hz, self.torque_line_chance),
         ):
-            if line > LINE_RATIO:
+            if line > LINE_RATIO and chance < LINE_CHANCE:
                 out.append(f"the residual {name} rings at {hz:.2f} Hz, {line:.1f} times its surroundings")
         return tuple(out)
 
 
-def leftover(
-    w: np.ndarray, flight: np.ndarray, start_s: np.ndarray, twins: Sequence[tuple[int, int]]
-) -> Leftover:
-    """Repeatability and spectrum of disturbances w (segments, bins, 6) of flights; twins pair flight indices.
+def leftover(w: np.ndarray, data: Segments, twins: Sequence[tuple[int, int]]) -> Leftover:
+    """Repeatability and spectrum of disturbances w (segments, bins, 6); twins pair flight indices.
 
-    start_s (segments,) is each segment's start since its flight's tracking began: twin segments match by it.
+    Twin segments match by their start since tracking began. Where the measured body rate drives the attitude,
+    the last three channels are gyro errors: they say nothing of torque.
     """
+    flight, start_s = data.flight, data.start_s
+    per_bin = data.steps // w.shape[1]
+    speed = np.gradient(data.position, data.dt_s, axis=1)
+    velocity = speed.reshape(len(w), w.shape[1], per_bin, 3).mean(2)
     found: dict[str, float] = {}
     for name, channel in (("force", slice(0, 3)), ("torque", slice(3, 6))):
         products, count = [], 0
@@ -84,7 +96,9 @@ def leftover(
         spread = float(np.sqrt(np.square(products).sum())) if products else 0.0
         found[f"{name}_repeat"] = float(np.sign(power) * np.sqrt(abs(power)))
         found[f"{name}_z"] = sum(products) / spread if spread > 0 else 0.0
-        found[f"{name}_line"], found[f"{name}_line_hz"] = _line(w[:, :, channel], flight)
+        silent = name == "torque" and data.rate_driven
+        line = (1.0, 0.0, 1.0) if silent else _line(w[:, :, channel], velocity, flight)
+        found[f"{name}_line"], found[f"{name}_line_hz"], found[f"{name}_line_chance"] = line
     return Leftover(pairs=len(twins), **found)
 
 
@@ -95,16 +109,33 @@ def _matches(flight: np.ndarray, start_s: np.ndarray, a: int, b: int) -> list[tu
     return [(i, k) for i, k in pairs if k is not None]
 
 
-def _line(w: np.ndarray, flight: np.ndarray) -> tuple[float, float]:
-    """Greatest ratio of the summed periodogram over the median around it, and its frequency in Hz."""
-    power = np.zeros(_FFT // 2 + 1)
-    for f in np.unique(flight):
-        series = w[flight == f].reshape(-1, w.shape[2])[:_FFT]
-        tapered = (series - series.mean(0)) * np.hanning(len(series))[:, None]
-        power += (np.abs(np.fft.rfft(tapered, _FFT, axis=0)) ** 2).sum(1)
+def _line(w: np.ndarray, velocity: np.ndarray, flight: np.ndarray) -> tuple[float, float, float]:
+    """The strongest line of w (segments, bins, 3): ratio over the median around it, frequency in Hz, chance.
+
+    Channels count by their own median power. Frequencies at which the vehicle itself was made to move, seen
+    in `velocity` (segments, bins, 3), are left out: there any force that depends on the motion has a line.
+    The chance is that of so great a ratio anywhere in the band without a line.
+    """
     hz = np.fft.rfftfreq(_FFT, BIN_S)
+    power, moved, series = np.zeros(len(hz)), np.zeros(len(hz)), 0
+    for f in np.unique(flight):
+        for each in _periodogram(w[flight == f]).T:
+            power += each / max(float(np.median(each)), 1e-300)
+            series += 1
+        moved += _periodogram(velocity[flight == f]).sum(1)
     around = np.array([np.median(power[max(0, k - 14) : k + 15]) for k in range(len(power))])
-    band = np.flatnonzero((hz > _LINE_BAND_HZ[0]) & (hz < _LINE_BAND_HZ[1]))
+    inside = (hz > _LINE_BAND_HZ[0]) & (hz < _LINE_BAND_HZ[1]) & (moved < MOVED_SHARE * moved.max())
+    band = np.flatnonzero(inside)
+    if not len(band):
+        return 1.0, 0.0, 1.0
     ratio = power[band] / np.maximum(around[band], 1e-300)
     best = int(ratio.argmax())
-    return float(ratio[best]), float(hz[band][best])
+    chance = len(band) * float(gamma.sf(ratio[best] * gamma.median(series), series))
+    return float(ratio[best]), float(hz[band][best]), min(1.0, chance)
+
+
+def _periodogram(x: np.ndarray) -> np.ndarray:
+    """Power (frequencies, 3) of the bins of segments (segments, bins, 3) in a row, tapered."""
+    series = x.reshape(-1, x.shape[2])[:_FFT]
+    tapered = (series - series.mean(0)) * np.hanning(len(series))[:, None]
+    return np.abs(np.fft.rfft(tapered, _FFT, axis=0)) ** 2

@@ -1,0 +1,98 @@
+"""What a trace ends with, as typed results; the machine's JSON is made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from host.models.model import Model
+from host.trace.data import Audit
+from host.trace.diagnose import Diagnosis
+from host.trace.parameters import Space
+from host.trace.score import Errors
+from host.trace.separate import NextFlight
+from host.trace.twins import Leftover
+
+Verdict = Literal["traced", "nothing-missing", "undecided", "outside-library"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Value:
+    """One parameter with its standard deviation and unit."""
+
+    value: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Named:
+    """An effect that was found: parameters by key, posterior probability, and what else it could be."""
+
+    name: str
+    title: str
+    parameters: Mapping[str, Value]
+    probability: float
+    aliases: Mapping[str, float]
+    exact_alias: str | None
+    """A sentence on the ratio that is observable, where another effect fits exactly as well."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trace:
+    """The whole result. `before` and `after` hold one entry a held-out flight, empty where none was held
+    out.
+    """
+
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    effects: tuple[Named, ...]
+    drive: str
+    horizon_s: float | None
+    before: Sequence[Errors]
+    after: Sequence[Errors]
+    adjustments_only: Sequence[Errors]
+    before_score: Mapping[str, float] | None
+    after_score: Mapping[str, float] | None
+    noise_floor: Mapping[str, float | None]
+    next_flight: NextFlight | None
+    model: Model
+    space: Space
+    diagnosis: Diagnosis
+    leftover: Leftover
+    audits: tuple[Audit, ...]
+
+    def to_json(self, *, model_path: str | None, report_path: str | None) -> dict[str, Any]:
+        """The JSON object of `trimtab trace`."""
+        null = {"position_rmse_m": None, "velocity_rmse_m_s": None}
+        return {
+            "verdict": self.verdict,
+            "effects": [
+                {
+                    "name": e.name,
+                    "parameters": {
+                        key: {"value": v.value, "sd": v.sd, "unit": v.unit} for key, v in e.parameters.items()
+                    },
+                    "probability": e.probability,
+                    "aliases": [{"name": n, "probability": p} for n, p in e.aliases.items()],
+                }
+                for e in self.effects
+            ],
+            "drive": self.drive,
+            "horizon_s": self.horizon_s,
+            "before": dict(self.before_score or null),
+            "after": dict(self.after_score or null),
+            "noise_floor": dict(self.noise_floor),
+            "held_out_flights": len(self.before),
+            "next_flight": None
+            if self.next_flight is None
+            else {
+                "route": self.next_flight.route,
+                "separates": list(self.next_flight.separates),
+                "expected_sigma": self.next_flight.expected_sigma,
+            },
+            "model": model_path,
+            "report": report_path,
+            "reasons": list(self.reasons),
+        }

@@ -1,0 +1,270 @@
+"""From logs to a verdict: audit, search, abstention, alias set, and the error before and after on held-out
+flights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from host.effects import Effect
+from host.errors import UsageError
+from host.log import Flight
+from host.models.model import Covariance, Model, Region
+from host.trace import evidence
+from host.trace.data import SEGMENT_S, segments_of, unknowns
+from host.trace.diagnose import ALIAS_PROBABILITY, Diagnosis, Fit, diagnose
+from host.trace.parameters import Space, space, tolerance_of
+from host.trace.result import Named, Trace, Value, Verdict
+from host.trace.score import (
+    Errors,
+    drive_of,
+    noise_floor,
+    predict_flights,
+    predict_segments,
+    rmse,
+    twins_of,
+)
+from host.trace.separate import NextFlight, propose
+from host.trace.twins import Leftover, leftover
+from host.vehicle import Vehicle
+
+WEIGHED = 0.005
+"""A declared mass tolerance below this share means the vehicle was weighed: mass is then no alias of
+thrust.
+"""
+
+Report = Callable[[str], None]
+Manoeuvres = Callable[[], Mapping[str, np.ndarray]]
+
+
+def check_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Vehicle | None) -> Vehicle:
+    """The one vehicle of all logs. Raises UsageError for a mixture, or for a held-out reference that was
+    used.
+    """
+    first = vehicle or flights[0].vehicle
+    for flight in (*flights, *held_out):
+        if flight.vehicle.id != first.id:
+            raise UsageError(
+                f"{flight.path}: a log of vehicle {flight.vehicle.name} ({flight.vehicle.id}), "
+                f"not of {first.name} ({first.id}); trace each vehicle's logs apart"
+            )
+    used = {flight.reference_id for flight in flights if flight.reference_id is not None}
+    for flight in held_out:
+        if flight.reference_id in used:
+            raise UsageError(
+                f"{flight.path}: flies reference {flight.reference_id}, which is among the flights used; "
+                "hold out flights of other references"
+            )
+        if flight.id in {other.id for other in flights}:
+            raise UsageError(f"{flight.path}: is both used and held out; give it once")
+    return first
+
+
+def run(
+    flights: Sequence[Flight],
+    held_out: Sequence[Flight],
+    effects: Mapping[str, Effect],
+    *,
+    vehicle: Vehicle | None = None,
+    manoeuvres: Manoeuvres | None = None,
+    provenance: Mapping[str, object] | None = None,
+    report: Report = lambda _: None,
+) -> Trace:
+    """The trace of `flights`, scored on `held_out`.
+
+    `manoeuvres` gives flat outputs (14, n) by route, from which the next flight is chosen where the data
+    cannot decide. Raises UsageError (logs that do not belong together) and TooLittleData.
+    """
+    airframe = check_logs(flights, held_out, vehicle)
+    report("reading segments")
+    chosen = space(airframe, effects, unknowns([*flights, *held_out]))
+    data, audits = segments_of(flights)
+    diagnosis = diagnose(airframe, chosen, data, report)
+    fit = diagnosis.best
+    rest = _leftover(fit, twins_of(flights))
+    aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
+    verdict = _verdict(fit, rest, aliases)
+    named = () if verdict == "outside-library" else _named(airframe, chosen, diagnosis, aliases)
+    model = _model(airframe, chosen, fit, flights, named, provenance)
+
+    report("predicting the held-out flights")
+    drive = drive_of([*flights, *held_out])
+    before, after, middle = _errors(drive, airframe, chosen, diagnosis, model, held_out, effects)
+    following: NextFlight | None = None
+    if verdict == "undecided" and manoeuvres is not None:
+        report("looking for the flight that decides")
+        effect, alias = _closest(aliases)
+        following = propose(airframe, chosen, fit, effect, alias, manoeuvres())
+    return Trace(
+        verdict=verdict,
+        reasons=rest.reasons,
+        effects=named,
+        drive=drive,
+        horizon_s=None if drive == "reference" else SEGMENT_S,
+        before=before,
+        after=after,
+        adjustments_only=middle,
+        before_score=rmse(before) if before else None,
+        after_score=rmse(after) if after else None,
+        noise_floor=noise_floor([*flights, *held_out]),
+        next_flight=following,
+        model=model,
+        space=chosen,
+        diagnosis=diagnosis,
+        leftover=rest,
+        audits=audits,
+    )
+
+
+def _leftover(fit: Fit, twins: Sequence[tuple[int, int]]) -> Leftover:
+    none = np.zeros(len(fit.z))
+    w = evidence.disturbances(fit.lin, fit.process, none, np.zeros_like(fit.local))
+    return leftover(w, fit.data, twins)
+
+
+def _substitutes(diagnosis: Diagnosis, chosen: Space, name: str) -> dict[str, float]:
+    """Probability of each effect in place of `name`: sets without `name` that have it."""
+    weights = diagnosis.weights
+    total = sum(weights.values())
+    kept = set(diagnosis.best.effects)
+    out = {}
+    for other in chosen.candidates:
+        if other in kept:
+            continue
+        share = sum(w for names, w in weights.items() if name not in names and other in names) / total
+        if share > ALIAS_PROBABILITY:
+            out[other] = share
+    return dict(sorted(out.items(), key=lambda item: -item[1]))
+
+
+def _verdict(fit: Fit, rest: Leftover, aliases: Mapping[str, Mapping[str, float]]) -> Verdict:
+    if rest.reasons:
+        return "outside-library"
+    if not fit.effects:
+        return "nothing-missing"
+    return "undecided" if any(aliases.values()) else "traced"
+
+
+def _closest(aliases: Mapping[str, Mapping[str, float]]) -> tuple[str, str]:
+    """The effect and the alias that the data separates least."""
+    pairs = [(p, name, other) for name, others in aliases.items() for other, p in others.items()]
+    _, name, other = max(pairs)
+    return name, other
+
+
+def _named(
+    vehicle: Vehicle, chosen: Space, diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]
+) -> tuple[Named, ...]:
+    fit = diagnosis.best
+    values, sd = chosen.values(fit.z), np.sqrt(np.diag(fit.covariance)) * chosen.scale
+    out = []
+    for name in fit.effects:
+        effect = chosen.effects[name]
+        parameters = {
+            chosen.columns[i].key: Value(value=float(values[i]), sd=float(sd[i]), unit=chosen.columns[i].unit)
+            for i in chosen.groups[name]
+        }
+        others = dict(aliases[name])
+        sentence = None
+        if name == "thrust-gain" and tolerance_of(vehicle, "mass", "factor", 0.01) >= WEIGHED:
+            others["mass"] = diagnosis.inclusion[name]
+            gain = parameters["gain"]
+            sentence = (
+                f"only thrust over mass shows: {gain.value:.3f} +- {gain.sd:.3f} times the nominal ratio; "
+                "weigh the vehicle to tell mass from thrust"
+            )
+        out.append(
+            Named(
+                name=name,
+                title=effect.title,
+                parameters=parameters,
+                probability=diagnosis.inclusion[name],
+                aliases=others,
+                exact_alias=sentence,
+            )
+        )
+    return tuple(out)
+
+
+def _model(
+    vehicle: Vehicle,
+    chosen: Space,
+    fit: Fit,
+    flights: Sequence[Flight],
+    named: Sequence[Named],
+    provenance: Mapping[str, object] | None,
+) -> Model:
+    """The model file's content: named effects, everything else within tolerance as adjustments."""
+    values = chosen.values(fit.z)
+    scaled = fit.covariance * np.outer(chosen.scale, chosen.scale)
+    found = {effect.name for effect in named}
+    tables: dict[bool, dict[str, dict[str, float]]] = {True: {}, False: {}}
+    for owner, indices in chosen.groups.items():
+        tables[owner in found][owner] = {chosen.columns[i].key: float(values[i]) for i in indices}
+    symmetric = 0.5 * (scaled + scaled.T)
+    data = fit.data
+    tilt = np.arccos(np.clip(data.attitude[:, :, 8], -1.0, 1.0))
+    speed = np.linalg.norm(np.diff(data.position, axis=1), axis=2) / data.dt_s
+    seen = data.pose_weight[:, 1:] * data.pose_weight[:, :-1] > 0
+    thrust = _collective(vehicle, data.command, data.in_newton)
+    return Model(
+        vehicle_id=vehicle.id,
+        vehicle_name=vehicle.name,
+        effects=tables[True],
+        adjustments=tables[False],
+        covariance=Covariance(
+            names=tuple(f"{c.owner}.{c.key}" for c in chosen.columns),
+            matrix=tuple(tuple(float(x) for x in row) for row in symmetric),
+        ),
+        sources={name: chosen.effects[name].source_id for name in chosen.candidates},
+        region=Region(
+            speed_max_m_s=float(np.quantile(speed[seen], 0.99)),
+            tilt_max_deg=float(np.rad2deg(np.quantile(tilt[data.pose_weight > 0], 0.999))),
+            thrust_min_n=float(np.quantile(thrust, 0.001)),
+            thrust_max_n=float(np.quantile(thrust, 0.999)),
+        ),
+        data=tuple(flight.id for flight in flights),
+        provenance=dict(provenance or {}),
+    )
+
+
+def _collective(vehicle: Vehicle, command: np.ndarray, in_newton: bool) -> np.ndarray:
+    c1, c2 = vehicle.thrust_curve
+    each = command if in_newton else vehicle.thrust_max_n * command * (c1 + c2 * command)
+    return np.maximum(each.sum(-1), 0.0)
+
+
+def _errors(
+    drive: str,
+    vehicle: Vehicle,
+    chosen: Space,
+    diagnosis: Diagnosis,
+    model: Model,
+    held_out: Sequence[Flight],
+    effects: Mapping[str, Effect],
+) -> tuple[tuple[Errors, ...], tuple[Errors, ...], tuple[Errors, ...]]:
+    """Held-out errors with nothing, with everything, and with the adjustments only."""
+    if not held_out:
+        return (), (), ()
+    named = [i for name in diagnosis.best.effects for i in chosen.groups[name]]
+    if drive == "reference":
+        bare = Model(
+            vehicle_id=model.vehicle_id, vehicle_name=model.vehicle_name, adjustments=model.adjustments
+        )
+        return (
+            predict_flights(held_out, None, effects),
+            predict_flights(held_out, model, effects),
+            predict_flights(held_out, bare, effects),
+        )
+    unknown = [i for i, c in enumerate(chosen.columns) if c.owner not in chosen.candidates]
+    before = np.zeros(len(chosen.columns))
+    before[unknown] = diagnosis.nothing.z[unknown]
+    middle = diagnosis.best.z.copy()
+    middle[named] = 0.0
+    return (
+        predict_segments(held_out, vehicle, chosen, before),
+        predict_segments(held_out, vehicle, chosen, diagnosis.best.z),
+        predict_segments(held_out, vehicle, chosen, middle),
+    )

@@ -1,0 +1,276 @@
+"""Prediction error before and after, on flights that were not used.
+
+Where a log has its reference and the law is known, the whole flight is predicted from the reference alone
+(`reference`); otherwise 0.6 s from the recorded inputs, with the initial state fitted to the time before
+(`inputs`). Before and after are treated identically.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from host.codegen.ops import NUMPY
+from host.effects import Effect
+from host.log import Flight
+from host.models.dynamics import Part
+from host.models.dynamics import mocap_latency_s as latency_of
+from host.models.model import Model
+from host.models.phi import Phi, flight_constants
+from host.models.reference import block
+from host.models.rollout import half_steps, reference_drive, roll_out
+from host.trace import evidence, segments
+from host.trace.data import DT_S, SEGMENT_S, noise, segments_of, signals
+from host.trace.diagnose import starting_process
+from host.trace.parameters import Space
+from host.trace.segments import Segments
+from host.vehicle import Vehicle
+
+_LEAD_S = 0.3
+_STEP_S = 0.005
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """Prediction errors of one flight: times (n,) s, position (n, 3) m and velocity (n, 3) m/s, NED."""
+
+    flight: str
+    reference_id: str | None
+    t_s: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    predicted: np.ndarray
+    measured: np.ndarray
+
+
+def rmse(errors: Sequence[Errors]) -> dict[str, float]:
+    """Root mean square of the norm of the errors of all flights."""
+    p = np.concatenate([e.position for e in errors])
+    v = np.concatenate([e.velocity for e in errors])
+    return {
+        "position_rmse_m": float(np.sqrt((p**2).sum(1).mean())),
+        "velocity_rmse_m_s": float(np.sqrt((v**2).sum(1).mean())),
+    }
+
+
+def drive_of(flights: Sequence[Flight]) -> str:
+    """How these flights can be predicted: "reference" where all have one and the law on board, else
+    "inputs".
+    """
+    known = all(f.reference is not None and f.firmware_parameters is not None for f in flights)
+    return "reference" if known else "inputs"
+
+
+def motion(flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Measured times (n,) s, positions and velocities (n, 3) in the used span, by local quadratics over 0.1
+    s.
+    """
+    s = signals(flight)
+    t = np.arange(s.span_s[0] + 0.06, s.span_s[1] - 0.06, DT_S)
+    p, v = np.empty((len(t), 3)), np.empty((len(t), 3))
+    low, high = np.searchsorted(s.pose_s, t - 0.055), np.searchsorted(s.pose_s, t + 0.055)
+    good = high - low >= 6
+    for k in np.flatnonzero(good):
+        near = slice(low[k], high[k])
+        fit = np.polynomial.polynomial.polyfit(s.pose_s[near] - t[k], s.p[near], 2)
+        p[k], v[k] = fit[0], fit[1]
+    return t[good], p[good], v[good]
+
+
+def adjusted(vehicle: Vehicle, model: Model | None) -> Vehicle:
+    """The vehicle with the inertia that the model's adjustments say."""
+    if model is None or "inertia" not in model.adjustments:
+        return vehicle
+    factor = model.adjustments["inertia"]
+    inertia = tuple(
+        j * float(np.exp(factor[axis])) for j, axis in zip(vehicle.inertia_kg_m2, "xyz", strict=True)
+    )
+    return vehicle.model_copy(update={"inertia_kg_m2": inertia})
+
+
+def effect_parts(model: Model | None, effects: Mapping[str, Effect]) -> list[Part]:
+    """The model's effects and those of its adjustments that are effects, with their values."""
+    if model is None:
+        return []
+    named = {name: v for name, v in model.adjustments.items() if name in effects}
+    return replace(model, adjustments=named).parts(effects)
+
+
+def predict_flights(
+    flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect]
+) -> tuple[Errors, ...]:
+    """Errors of whole flights predicted from their references by phi with the model's effects."""
+    return tuple(_predict(flight, model, effects) for flight in flights)
+
+
+def _predict(flight: Flight, model: Model | None, effects: Mapping[str, Effect]) -> Errors:
+    assert flight.reference is not None
+    assert flight.tracking is not None
+    parts = effect_parts(model, effects)
+    phi = Phi(
+        vehicle=adjusted(flight.vehicle, model),
+        effects=tuple(effect for effect, _ in parts),
+        parameters=flight.firmware_parameters,
+    )
+    start = flight.tracking[0] * 1e-6
+    duration = flight.reference.nodes[-1].t_us * 1e-6
+    steps = round(duration / _STEP_S)
+    fine = phi.substeps(_STEP_S)
+    stages = half_steps(0.0, steps * fine, _STEP_S / fine)
+    voltage = np.ones(1)
+    if flight.battery is not None and len(flight.battery):
+        ratio = flight.battery.battery_v / flight.vehicle.battery.full_v
+        voltage = np.interp(stages + start, flight.battery.t_us * 1e-6, ratio)
+    age = 0.0 if flight.estimate is None else float(np.median(flight.estimate.mocap_age_s))
+    states = roll_out(
+        phi,
+        x0=initial_state(flight, phi)[:, None],
+        drive=reference_drive(
+            flight.reference, stages, feedforward=flight.feedforward, voltage_ratio=voltage
+        ),
+        flight=flight_constants(block(flight.feedforward), mocap_age_s=age),
+        theta=phi.theta(parts),
+        step_s=_STEP_S / fine,
+        every=fine,
+    )[:, :, 0]
+    latency = float(latency_of(NUMPY, parts))
+    t, p, v = motion(flight)
+    t = t - start
+    inside = (t > 0.1) & (t < duration)
+    t, p, v = t[inside], p[inside], v[inside]
+    grid = _STEP_S * np.arange(steps + 1)
+    at = np.column_stack([np.interp(t - latency, grid, states[:, i]) for i in range(6)])
+    return Errors(
+        flight=flight.id,
+        reference_id=flight.reference_id,
+        t_s=t,
+        position=p - at[:, :3],
+        velocity=v - at[:, 3:6],
+        predicted=at[:, :3],
+        measured=p,
+    )
+
+
+def initial_state(flight: Flight, phi: Phi) -> np.ndarray:
+    """phi's state (size,) when tracking begins: measured pose and velocity, rotor thrust and controller
+    memory.
+    """
+    assert flight.tracking is not None
+    start = flight.tracking[0] * 1e-6
+    s = signals(flight)
+    near = np.abs(s.pose_s - start) < 0.25
+    fit = np.polynomial.polynomial.polyfit(s.pose_s[near] - start, s.p[near], 2)
+    x = phi.hover(fit[0], 0.0)
+    x[3:6] = fit[1]
+    R = s.R[near].mean(0)
+    x[6] = np.arctan2(R[2, 1], R[2, 2])
+    x[7] = -np.arcsin(np.clip(R[2, 0], -1.0, 1.0))
+    x[8] = np.arctan2(R[1, 0], R[0, 0])
+    if flight.control is not None:
+        c = flight.control
+        lately = (c.t1_us * 1e-6 > start - 0.3) & (c.t1_us * 1e-6 <= start + 0.02)
+        u = c.motor_mean[lately].mean(0)
+        c1, c2 = flight.vehicle.thrust_curve
+        x[12:16] = flight.vehicle.thrust_max_n * u * (c1 + c2 * u)
+        x[16:19] = c.rate_integral[lately].mean(0)
+    return x
+
+
+def predict_segments(
+    flights: Sequence[Flight], vehicle: Vehicle, space: Space, z: np.ndarray
+) -> tuple[Errors, ...]:
+    """Errors over 0.6 s ahead from recorded inputs, each start fitted to the 0.3 s before it."""
+    whole, _ = segments_of(flights, segment_s=SEGMENT_S)
+    local = _fitted_local(vehicle, space, whole, z)
+    data, _ = segments_of(flights, segment_s=_LEAD_S + SEGMENT_S)
+    lead = round(_LEAD_S / DT_S)
+    early = (np.arange(data.steps) < lead).astype(float)
+    fit = replace(
+        data,
+        pose_weight=data.pose_weight * early,
+        rate_weight=data.rate_weight * early,
+        force_weight=data.force_weight * early,
+    )
+    x0 = segments.fitted_x0(vehicle, space, fit, z, local, iterations=3)
+    position = segments.roll_out(
+        vehicle, space, data, x0.T[:, None, :], z[:, None], local[data.flight].T[:, None, :]
+    )[0]
+    predicted = np.transpose(position[:, :, 0, :], (2, 0, 1))
+    out = []
+    for index, flight in enumerate(flights):
+        t, p, v = motion(flight)
+        mine = np.flatnonzero(data.flight == index)
+        times = data.start_s[mine][:, None] + signals(flight).span_s[0] + DT_S * np.arange(data.steps)
+        speed = np.gradient(predicted[mine], DT_S, axis=1)
+        ahead = times[:, lead:].ravel()
+        measured = np.column_stack([np.interp(ahead, t, p[:, i]) for i in range(3)])
+        velocity = np.column_stack([np.interp(ahead, t, v[:, i]) for i in range(3)])
+        at = predicted[mine][:, lead:].reshape(-1, 3)
+        out.append(
+            Errors(
+                flight=flight.id,
+                reference_id=flight.reference_id,
+                t_s=ahead,
+                position=measured - at,
+                velocity=velocity - speed[:, lead:].reshape(-1, 3),
+                predicted=at,
+                measured=measured,
+            )
+        )
+    return tuple(out)
+
+
+def _fitted_local(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray) -> np.ndarray:
+    """Nuisances (flights, 9) of flights that were not used, under given parameters."""
+    local = np.zeros((int(data.flight.max()) + 1, segments.LOCALS))
+    process = starting_process(data)
+    none = np.zeros(len(z), dtype=bool)
+    for _ in range(3):
+        grams = segments.linearise(vehicle, space, data, z, local, none)
+        data = data.with_x0(grams.x0)
+        lin = segments.project(grams, data, z, local)
+        process = evidence.fit_process(lin, space.prior, (), process)
+        white = evidence.whitened(lin, process, space.prior)
+        local = local + evidence.local_step(lin, white, space.prior, np.zeros(len(z)))
+    return local
+
+
+def noise_floor(flights: Sequence[Flight]) -> dict[str, float | None]:
+    """The error a perfect model would leave: what twin flights differ by, over the square root of two.
+
+    Without twins only the scatter of the poses is known, and nothing of the velocity.
+    """
+    position, velocity = [], []
+    for a, b in twins_of(flights):
+        first, second = (_from_start(flights[i]) for i in (a, b))
+        t = first[0][(first[0] >= second[0][0]) & (first[0] <= second[0][-1])]
+        for column, found in ((1, position), (2, velocity)):
+            for i in range(3):
+                x, y = (np.interp(t, m[0], m[column][:, i]) for m in (first, second))
+                found.append((x - y) ** 2)
+    if position:
+        return {
+            "position_rmse_m": float(np.sqrt(1.5 * np.mean(np.concatenate(position)))),
+            "velocity_rmse_m_s": float(np.sqrt(1.5 * np.mean(np.concatenate(velocity)))),
+        }
+    sigma = np.mean([noise(signals(flight))[0] for flight in flights])
+    return {"position_rmse_m": float(np.sqrt(3.0) * sigma), "velocity_rmse_m_s": None}
+
+
+def _from_start(flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    t, p, v = motion(flight)
+    assert flight.tracking is not None
+    return t - flight.tracking[0] * 1e-6, p, v
+
+
+def twins_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
+    """Pairs of indices of flights of the same reference under the same feed-forward."""
+
+    def key(flight: Flight) -> tuple[str | None, str | None]:
+        return flight.reference_id, flight.metadata.get("feedforward_id")
+
+    pairs = combinations(range(len(flights)), 2)
+    return [(a, b) for a, b in pairs if key(flights[a])[0] is not None and key(flights[a]) == key(flights[b])]

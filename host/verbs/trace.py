@@ -1,0 +1,108 @@
+"""`trimtab trace`: names the missing effects behind flight logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from host.verbs.options import Force, Json, WorkspaceFolder
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from host.vehicle import Vehicle
+    from host.workspace import Workspace
+
+MODEL_NAME = "trace.model.toml"
+REPORT_NAME = "trace.html"
+JSON_NAME = "trace.json"
+
+
+def command(
+    *logs: Path,
+    hold_out: Annotated[list[Path] | None, Parameter(name="--hold-out", consume_multiple=True)] = None,
+    vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None,
+    output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None,
+    workspace: WorkspaceFolder = None,
+    json: Json = False,
+    force: Force = False,
+) -> None:
+    """Name the missing effects behind flight logs.
+
+    Parameters
+    ----------
+    logs
+        Flight logs to trace.
+    hold_out
+        Flight logs of other references, used for the error before and after only.
+    vehicle
+        Vehicle the logs must be of; without it, the one they name.
+    output
+        Folder for model, report and JSON; made if missing. Nothing is written without it.
+    """
+    from host import artefacts
+    from host.effects import load_effects
+    from host.errors import UsageError
+    from host.log import read_flight
+    from host.output import emit, say
+    from host.progress import Progress
+    from host.trace.run import run
+    from host.workspace import open_workspace
+
+    if not logs:
+        raise UsageError("no log given, name one or more flight logs")
+    space = open_workspace(workspace)
+    wanted = None if vehicle is None else space.vehicle(vehicle)
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        for name in (MODEL_NAME, REPORT_NAME, JSON_NAME):
+            artefacts.check_output(output / name, force)
+    flights = [read_flight(path) for path in logs]
+    held_out = [read_flight(path) for path in hold_out or ()]
+    airframe = wanted or flights[0].vehicle
+    with Progress("tracing") as progress:
+        result = run(
+            flights,
+            held_out,
+            load_effects(space.root),
+            vehicle=wanted,
+            manoeuvres=lambda: manoeuvres(space, airframe),
+            provenance=artefacts.provenance(parents={f"log {i}": f.id for i, f in enumerate(flights)}),
+            report=lambda step: progress.advance(0.0, step),
+        )
+    model_path = report_path = None
+    if output is not None:
+        from host.models.file import write_model
+        from host.report.trace import page
+
+        model_path = str(write_model(result.model, output / MODEL_NAME, force=force))
+        report_path = str(output / REPORT_NAME)
+        answer = result.to_json(model_path=model_path, report_path=report_path)
+        artefacts.write_atomic(output / REPORT_NAME, page(result, flights, held_out, answer), force)
+        artefacts.write_atomic(output / JSON_NAME, artefacts.to_json(answer), force)
+    say(*result.lines())
+    emit(result.to_json(model_path=model_path, report_path=report_path), json)
+
+
+def manoeuvres(space: Workspace, vehicle: Vehicle) -> dict[str, np.ndarray]:
+    """Flat outputs (14, n) each 10 ms along the shipped routes that this vehicle can fly, by route name."""
+    import numpy as np
+
+    from host.errors import TrimtabError
+    from host.models.reference import flat_outputs
+    from host.plan import plan
+    from host.route import list_routes
+    from host.trace.data import DT_S
+    from host.vehicle import ConfigurationError
+
+    found = {}
+    for name in list_routes(space.root):
+        try:
+            reference = plan(space.route(name), vehicle, kind="min-snap").reference
+        except (TrimtabError, ConfigurationError):
+            continue
+        duration = reference.nodes[-1].t_us * 1e-6
+        found[name] = flat_outputs(reference, np.arange(0.0, duration, DT_S))
+    return found
