@@ -26,6 +26,8 @@ REPORT_CHUNKS = 8
 """Chunks after which a status goes out."""
 REPORT_US = 20_000
 """Time after a chunk by which a status goes out."""
+REMIND_US = (60_000, 1_000_000)
+"""Time of quiet after which the last status goes out again: at first, and at most, doubling in between."""
 
 
 class BlobStore(Protocol):
@@ -101,6 +103,8 @@ class UploadReceiver:
         self._heard_us = 0
         self._unreported = 0
         self._report_us: int | None = None
+        self._remind_us = 0
+        self._reminders = 0
         self._stray_tag: int | None = None
         self._out: list[Message] = []
         self._events: list[ReceiverEvent] = []
@@ -168,6 +172,9 @@ class UploadReceiver:
         """The messages that are due."""
         if self._report_us is not None and now_us >= self._report_us:
             self._report(self._blob, now_us)
+        elif self._blob is not _NONE and now_us >= self._remind_us:
+            self._reminders += 1
+            self._report(self._blob, now_us)
         out, self._out = self._out, []
         return out
 
@@ -177,7 +184,7 @@ class UploadReceiver:
             return 0
         deadlines = [] if self._report_us is None else [self._report_us]
         if self.state is not UploadState.IDLE:
-            deadlines.append(self._heard_us + self._silence_us)
+            deadlines += [self._heard_us + self._silence_us, self._remind_us]
         return min(deadlines, default=None)
 
     # Which event a message is.
@@ -233,7 +240,7 @@ class UploadReceiver:
         entry = TABLE(self.state, event)
         same = self._in_hand(blob.digest)
         if same:
-            self._heard_us = now_us
+            self._hear(now_us)
         if isinstance(entry, Refusal):
             if entry.result is not None:
                 self._answer(blob.digest, self.state if same else UploadState.IDLE, entry.result)
@@ -250,7 +257,7 @@ class UploadReceiver:
         self.chunks = chunk_count(blob.size)
         self._data = bytearray(blob.size)
         self._map = bytearray(self.chunks)
-        self._heard_us = now_us
+        self._hear(now_us)
         self._tell(UploadEvent.BEGAN, f"receiving {blob.size} bytes")
         self._report(blob, now_us)
 
@@ -262,6 +269,7 @@ class UploadReceiver:
                 self._answer_tag(self._stray_tag, UploadState.IDLE, UploadResult.UNKNOWN)
                 self._stray_tag = None
             return
+        self._remind_us = now_us + min(REMIND_US[0] << min(self._reminders, 8), REMIND_US[1])
         refused = self.state is UploadState.REFUSED
         result = UploadResult.REFUSED if refused else UploadResult.OK
         self._answer(self._blob.digest, self.state, result)
@@ -317,6 +325,11 @@ class UploadReceiver:
         self.chunks = self.held = self._base = self._unreported = 0
         self.verdict = None
         self._report_us = None
+
+    def _hear(self, now_us: int) -> None:
+        self._heard_us = now_us
+        self._reminders = 0
+        self._remind_us = now_us + REMIND_US[0]
 
     def _in_hand(self, digest: bytes) -> bool:
         return self._blob is not _NONE and digest == self._blob.digest

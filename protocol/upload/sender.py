@@ -29,9 +29,9 @@ WINDOW = 32
 """Chunks under way at a time: 3.7 kB, which fits the radio's queue for uploads."""
 _REORDER = 3
 _RESTARTS_MAX = 8
-_RTT_FIRST_US = 130_000
-_OVERDUE_MIN_US = 80_000
-_OVERDUE_MAX_US = 1_000_000
+_RTT_FIRST_US = 100_000
+_OVERDUE_MIN_US = 50_000
+_OVERDUE_MAX_US = 500_000
 
 
 class _Flight(NamedTuple):
@@ -263,7 +263,10 @@ class UploadSender:
             for index in range(self._base, self._next):
                 if before[index] and not self._held[index]:
                     heapq.heappush(self._lost, index)
-        for index in [i for i, flight in self._flight.items() if flight.number <= newest - _REORDER]:
+        newest -= _REORDER
+        oldest_us = now_us - self._rtt_us - self._rtt_us // 2
+        overtaken = [i for i, f in self._flight.items() if f.number <= newest or f.sent_us < oldest_us]
+        for index in overtaken:
             del self._flight[index]
             heapq.heappush(self._lost, index)
 
@@ -296,8 +299,10 @@ class UploadSender:
         return None
 
     def _overdue_us(self) -> int:
-        once = min(max(2 * self._rtt_us + 40_000, _OVERDUE_MIN_US), _OVERDUE_MAX_US)
-        return min(once << min(self._overdue, 8), _OVERDUE_MAX_US)
+        once = _OVERDUE_MIN_US
+        if self.state is SenderState.SENDING:
+            once = max(once, self._rtt_us + self._rtt_us // 4 + 10_000)
+        return min(once << max(0, min(self._overdue - 4, 8)), max(once, _OVERDUE_MAX_US))
 
     def _abort(self, message: Message | None, now_us: int) -> None:
         self._fail("cancelled")

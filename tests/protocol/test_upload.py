@@ -247,9 +247,10 @@ def test_receiver_whose_sender_is_gone_discards_what_it_gathered() -> None:
     link = make_link(make_blob(5_000), store, cut_us=(100_000, 10**12), patience_us=1_000_000)
     link.run()
     assert link.receiver.state is UploadState.RECEIVING
-    deadline = link.receiver.next_deadline_us()
-    assert deadline is not None
-    events = link.receiver.advance(deadline)
+    events = []
+    while (deadline := link.receiver.next_deadline_us()) is not None:
+        events += link.receiver.advance(deadline)
+        link.receiver.send(deadline)
     assert [event.event for event in events] == [UploadEvent.DISCARDED]
     assert link.receiver.state is UploadState.IDLE
     assert link.receiver.next_deadline_us() is None
