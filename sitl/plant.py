@@ -18,9 +18,9 @@ from sitl.seeds import Purpose, flight_generator
 
 _SINK_M = 5e-4  # how far the resting vehicle presses its feet into the floor
 _FLOOR_DAMPING = 0.7
-_CELL_RESISTANCE_OHM_AH = 0.02  # of one cell, times its capacity
+_CELL_RESISTANCE_OHM_AH = 0.012  # of one cell, times its capacity
 _HOVER_POWER_W_PER_N = 15.0
-_SAG_START_DEPTH = 0.5  # flights in a world with battery-sag start charged, half empty or in between
+_SAG_START_DEPTH = 0.4  # flights in a world with battery-sag start full, down to this, or in between
 _BATTERY_SHARE = 0.3  # of the mass: the part that slid when the centre of mass is off
 _LAG_UNEVEN = 0.05  # a motor slower than its file brakes even more slowly than it speeds up
 _NOISE_BLOCK = 1024

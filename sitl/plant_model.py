@@ -239,7 +239,7 @@ def _battery(ops: Any, P: Mapping[str, Any], speeds: Vector, charge: Scalar) -> 
         power = power + 0.25 * hover_power * relative * relative * relative
     depth = charge / capacity
     knee = depth * depth * depth * depth
-    used = 0.3 * (1 - ops.exp(-18 * depth)) + 0.45 * depth + 0.25 * knee * knee
+    used = 0.15 * (1 - ops.exp(-18 * depth)) + 0.55 * depth + 0.3 * knee * knee
     open_circuit = full - (full - empty) * used
     room = ops.maximum(open_circuit * open_circuit - 4 * resistance * power, 0.0)
     loaded = 0.5 * (open_circuit + ops.sqrt(room))

@@ -55,12 +55,12 @@ class Setting:
 class SimulatedVehicle:
     """A vehicle flown over a serial port and a camera system, in lock-step. Satisfies host.link.Vehicle.
 
-    Made by `create`. `now_us` is the time since power-up.
+    Made by `create`. `now_us` is the time since power-up; `store` the memory on board that outlives it.
     """
 
     def __init__(self, setting: Setting, flight: int) -> None:
         self._setting = setting
-        self._store = ReferenceStore()
+        self.store = ReferenceStore()
         self._parameters: Mapping[str, float] = to_parameters(setting.vehicle)
         self._timers: dict[str, int] | None = None
         self._power_up(flight)
@@ -175,6 +175,11 @@ class SimulatedVehicle:
         plant = self._step_owner.name if isinstance(self._step_owner, ForeignPlant) else None
         return truth_record(self._setting.world, self._flight, plant=plant)
 
+    def true_position(self) -> tuple[float, float, float]:
+        """Where the vehicle really is, NED. For checks only."""
+        x, y, z = self._pose[0:3]
+        return x, y, z
+
     def radio_counts(self) -> dict[str, dict[str, int]]:
         """What happened to the frames in the air, by direction."""
         return {
@@ -205,7 +210,7 @@ class SimulatedVehicle:
         self._flight_mcu = FlightMcu(
             engine=function_engine(_traced_law(), law.INPUTS, law.OUTPUTS),
             parameters=self._parameters,
-            store=self._store,
+            store=self.store,
             uid=session_uid(seed, flight),
             vehicle_id=setting.vehicle.id_bytes,
         )

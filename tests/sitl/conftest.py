@@ -1,0 +1,109 @@
+"""A small host for the simulator's own tests: it forwards poses, keeps the link alive, arms, starts and listens."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+
+from host.link.client import Client
+from host.vehicle import Vehicle
+from protocol.blobs import Kind, Node, Reference
+from protocol.codec import Codec
+from protocol.messages import CAMERAS, AttPosMocap, CommandLong, FcStatus, Message, mavlink
+from sitl.vehicle import SimulatedVehicle
+
+STANDBY, TRACKING, FAILSAFE = 1, 4, 7
+RETRY_US = 300_000
+
+
+@dataclass
+class Session:
+    """What a flight left behind: bytes in both directions, messages, true positions while tracking."""
+
+    received: bytearray = field(default_factory=bytearray)
+    messages: list[Message] = field(default_factory=list)
+    states: list[int] = field(default_factory=list)
+    tracked_us: list[int] = field(default_factory=list)
+    tracked_ned: list[tuple[float, float, float]] = field(default_factory=list)
+    armed: bool = False
+    end_us: int = 0
+
+
+def figure_eight(
+    vehicle: Vehicle, *, size_m: float = 2.4, omega: float = 1.35, height_m: float = 1.2, laps: int = 1
+) -> Reference:
+    """A lemniscate that swings in and out gently, as nodes every 0.1 s."""
+    ramp = 2.0
+    duration = round((laps * 2 * math.pi / omega + ramp) * 10) / 10
+    t = np.linspace(0.0, duration, 201)
+    fine = np.linspace(0.0, duration, 20_001)
+    x = np.clip(np.minimum(fine, duration - fine) / ramp, 0.0, 1.0)
+    rate = x**5 * (126 - 420 * x + 540 * x**2 - 315 * x**3 + 70 * x**4)
+    phase = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))])[::100]
+    phase *= laps * 2 * math.pi / phase[-1]
+    path = np.stack(
+        [
+            size_m * np.sin(phase),
+            0.5 * size_m * np.sin(2 * phase),
+            -height_m - 0.08 * size_m * (1 - np.cos(phase)),
+        ],
+        axis=1,
+    )
+    spline = make_interp_spline(t, path, k=9)
+    times = np.arange(0.0, duration + 1e-9, 0.1)
+    rows = np.hstack([spline(times, k) for k in range(4)])
+    rows[0, 3:] = rows[-1, 3:] = 0.0
+    nodes = [Node(round(s * 1e6), tuple(map(float, row))) for s, row in zip(times, rows, strict=True)]
+    return Reference(vehicle_id=vehicle.id, origin_ned=(0.0, 0.0, 0.0), nodes=tuple(nodes))
+
+
+def put_on_board(vehicle: SimulatedVehicle, reference: Reference, flight: int = 0) -> None:
+    """Puts a reference into the vehicle's memory and powers it up anew."""
+    vehicle.store.stage(Kind.REFERENCE, reference.to_bytes())
+    vehicle.store.commit(Kind.REFERENCE)
+    vehicle.power_cycle(flight)
+
+
+def fly(vehicle: SimulatedVehicle, *, until_s: float = 60.0) -> Session:
+    """A whole flight: arm, start, until the vehicle is in standby again, or `until_s`."""
+    session, client, cameras = Session(), Client(), Codec(*CAMERAS)
+    state, asked_us, asked = 0, 0, False
+    while vehicle.now_us < until_s * 1e6:
+        now_us = vehicle.run_until(min(client.next_deadline_us, vehicle.now_us + 100_000))
+        data = vehicle.serial_read()
+        session.received += data
+        for message in client.receive(data, now_us):
+            session.messages.append(message)
+            if isinstance(message, FcStatus):
+                state = message.state
+                if not session.states or session.states[-1] != state:
+                    session.states.append(state)
+        for datagram in vehicle.mocap_read():
+            for pose in cameras.decode(datagram):
+                assert isinstance(pose, AttPosMocap)
+                client.send(AttPosMocap(pose.time_usec, list(pose.q), pose.x, pose.y, pose.z))
+        if now_us > 1_500_000 and now_us >= asked_us and state in (1, 2) and not asked:
+            asked_us = now_us + RETRY_US
+            command = mavlink.MAV_CMD_COMPONENT_ARM_DISARM if state == 1 else mavlink.MAV_CMD_MISSION_START
+            client.send(CommandLong(1, 1, command, 0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        asked = asked or state > 2
+        if state == TRACKING:
+            session.tracked_us.append(now_us)
+            session.tracked_ned.append(tuple(vehicle.true_position()))
+        if asked and state in (STANDBY, FAILSAFE):
+            break
+        client.advance(now_us)
+        vehicle.serial_write(client.take())
+    session.armed = asked
+    session.end_us = vehicle.now_us
+    return session
+
+
+@pytest.fixture
+def session_tools():
+    """figure_eight, put_on_board and fly, for tests in this folder."""
+    return figure_eight, put_on_board, fly
