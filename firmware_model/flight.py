@@ -17,6 +17,7 @@ from firmware_model.law import step as law
 from firmware_model.law.constants import GRAVITY
 from firmware_model.parameters import ParameterValues
 from firmware_model.player import Player
+from firmware_model.poses import PoseInput
 from firmware_model.readiness import GyroCalibration, refusal
 from firmware_model.supervisor import FLYING, Event, State, update
 from firmware_model.uart import NEVER_US
@@ -33,10 +34,6 @@ BLIND_END_US = 8_000_000
 """When a level descent is over at the latest."""
 FALL_US = 2_000_000
 """Time that rotors rest before a failsafe that stopped them ends."""
-POSE_AGE_MAX_US = 200_000
-POSE_AHEAD_US = 5_000
-"""How far in the future a stamp may lie: clocks are compared over a radio."""
-_POSES_WAITING = 4
 _CRITICAL, _WARNING, _INFO = 2, 4, 6  # MAV_SEVERITY
 
 _END = {
@@ -69,8 +66,6 @@ class Flight:
         self.tracking_us: int | None = None
         self.texts: deque[tuple[int, str]] = deque()
         self.changed = True
-        self.poses_used = 0
-        self.pose_us: int | None = None  # when the newest pose in the estimate was measured
         self.saturated_ticks = 0
         self.flight_ticks = 0
         self.watch = Watch(parameters)
@@ -81,19 +76,14 @@ class Flight:
         self._memory = inputs["memory"]
         self._memory_out = self.outputs["memory"]
         self._gyro, self._force = inputs["gyro"], inputs["specific_force"]
-        self._mocap_new, self._mocap_p, self._mocap_q = (
-            inputs["mocap_new"], inputs["mocap_p"], inputs["mocap_q"],
-        )  # fmt: skip
-        self._mocap_age, self._mocap_interval = inputs["mocap_age_s"], inputs["mocap_interval_s"]
         self._armed, self._weights = inputs["armed"], inputs["feedback_weights"]
         self._law_parameters = inputs["parameters"]
         self._saturated, self._cos_tilt = self.outputs["saturated"], self.outputs["cos_tilt"]
         self._player = Player(inputs["piece"], inputs["yaw_piece"])
         self.feedforward = FeedForwardInput(inputs["feedforward"], inputs["ff_accel_ned"])
 
-        self._poses: deque[tuple[int, tuple[float, ...], tuple[float, ...]]] = deque(maxlen=_POSES_WAITING)
-        self._newest_pose_us = -1
-        self._estimating = False
+        self.poses = PoseInput(inputs)
+        self._poses_waiting = self.poses.waiting
         self._floor = 0.0
         self._blind_until_us = NEVER_US
         self._flying = False
@@ -131,19 +121,7 @@ class Flight:
 
     def pose(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
         """Whether the pose (NED; q_ned_frd, w first) measured at `time_us` will be used at the next tick."""
-        length = math.hypot(*q)
-        age_us = now_us - time_us
-        if (
-            self.state is State.BOOT
-            or time_us <= self._newest_pose_us
-            or not -POSE_AHEAD_US <= age_us <= POSE_AGE_MAX_US
-            or not 0.9 < length < 1.1
-            or not math.isfinite(p[0] + p[1] + p[2])
-        ):
-            return False
-        self._newest_pose_us = time_us
-        self._poses.append((time_us, tuple(p), tuple(x / length for x in q)))
-        return True
+        return self.state is not State.BOOT and self.poses.offer(time_us, p, q, now_us)
 
     def host_heard(self, now_us: int) -> None:
         """Nothing comes back; the host has said something."""
@@ -162,7 +140,7 @@ class Flight:
         if now_us >= player.switch_us and player.switch(now_us):
             self._track_ended(now_us)
         fresh = False
-        if self._poses:
+        if self._poses_waiting:
             fresh = self._take_pose(now_us)
         view = self._gyro
         view[0], view[1], view[2] = gyro
@@ -173,7 +151,7 @@ class Flight:
         self._engine()
         self._memory[:] = self._memory_out
         if fresh:
-            self._mocap_new[0] = 0.0
+            self.poses.hide()
         if self._flying:
             self.flight_ticks += 1
             if self._saturated[0]:
@@ -345,20 +323,13 @@ class Flight:
 
     def _take_pose(self, now_us: int) -> bool:
         """Whether the oldest waiting pose is in the engine's inputs; in standby it may set the estimate."""
-        time_us, p, q = self._poses.popleft()
-        last_us = self.pose_us
-        self.pose_us = time_us
+        pose, before_us = self.poses.take()
         self.watch.pose_us = now_us
-        self.poses_used += 1
-        stale = last_us is None or time_us - last_us > self.watch.pose_lost_us
-        if not self._estimating or (stale and self.state is State.STANDBY):
-            self._initialise(p, q)
+        resting = self.state is State.STANDBY
+        if before_us is None or (resting and pose[0] - before_us > self.watch.pose_lost_us):
+            self._initialise(pose[1], pose[2])
             return False
-        self._mocap_p[0], self._mocap_p[1], self._mocap_p[2] = p
-        self._mocap_q[0], self._mocap_q[1], self._mocap_q[2], self._mocap_q[3] = q
-        self._mocap_age[0] = max(0, now_us - time_us) * 1e-6
-        self._mocap_interval[0] = 0.0 if last_us is None else (time_us - last_us) * 1e-6
-        self._mocap_new[0] = 1.0
+        self.poses.show(pose, before_us, now_us)
         return True
 
     def _initialise(self, p: Sequence[float], q: Sequence[float]) -> None:
@@ -366,7 +337,6 @@ class Flight:
         values = (*p, 0.0, 0.0, 0.0, *q)
         for k, value in enumerate(values):
             self._memory[k] = value
-        self._estimating = True
 
     def _calibrate(self, now_us: int) -> None:
         memory = self._memory
@@ -383,7 +353,7 @@ class Flight:
         return refusal(
             has_reference=self.reference is not None,
             calibrated=self.calibration.bias is not None,
-            has_pose=self._estimating and now_us - self.watch.pose_us <= self.watch.pose_lost_us,
+            has_pose=self.poses.used > 0 and now_us - self.watch.pose_us <= self.watch.pose_lost_us,
             cos_tilt=self._cos_tilt[0],
         )
 

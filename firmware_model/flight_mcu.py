@@ -82,7 +82,7 @@ class FlightMcu:
         self._look_us = 0
         self._status_us = 0
         self._heartbeat_us = 0
-        self._tick_max_us = 0
+        self._tick_max_us = TICK_US
         self._late_ticks = 0
         self._foreign_us = FOREIGN_US
         self._foreign = 0

@@ -55,7 +55,7 @@ def estimate(flight: Flight, now_us: int) -> Message:
     """FC_ESTIMATE of this tick. Raises ValueError or OverflowError where the estimate is not finite."""
     memory = flight.outputs["memory"].tolist()
     bias = memory[law.EST_BIAS]
-    pose_us = flight.pose_us
+    pose_us = flight.poses.measured_us
     return estimate_message(
         now_us // TICK_US,
         p_ned=memory[law.EST_P],
@@ -77,7 +77,7 @@ def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
         reference_tick=NO_TICK if tracking_us is None else tracking_us // TICK_US,
         saturated_ticks=flight.saturated_ticks & _MASK32,
         flight_ticks=flight.flight_ticks & _MASK32,
-        poses_used=flight.poses_used & _MASK32,
+        poses_used=flight.poses.used & _MASK32,
         battery_mv=min(_MASK16, max(0, round(battery_mv))) if math.isfinite(battery_mv) else 0,
         loop_us=min(_MASK16, board.tick_max_us),
         loop_overruns=board.late_ticks & _MASK16,

@@ -271,6 +271,7 @@ def test_second_flight_after_the_first_works_the_same(make_rig):
     [
         ((900_000, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)), "no quaternion"),
         ((900_000, (math.nan, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), "not finite"),
+        ((900_000, (1e30, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), "out of this world"),
         ((1_100_000, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), "from the future"),
         ((700_000, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), "too old"),
     ],
@@ -280,7 +281,7 @@ def test_pose_that_makes_no_sense_is_not_used(make_rig, pose, why):
     rig.mocap = False
     rig.standby()
     assert not rig.flight.pose(*pose, rig.now_us), why
-    assert rig.flight.poses_used == 0
+    assert rig.flight.poses.used == 0
 
 
 def test_pose_repeated_or_out_of_order_is_used_once(make_rig):
@@ -293,7 +294,7 @@ def test_pose_repeated_or_out_of_order_is_used_once(make_rig):
     assert not rig.flight.pose(980_000, p, q, rig.now_us)
     assert rig.flight.pose(995_000, p, q, rig.now_us)
     rig.run(0.002)
-    assert rig.flight.poses_used == 2
+    assert rig.flight.poses.used == 2
 
 
 def test_parameters_of_the_law_are_the_tables(make_rig):

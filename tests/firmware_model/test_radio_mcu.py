@@ -33,11 +33,11 @@ def test_session_without_radio_ticks_passes_no_frame(make_session):
     session.run(2.0)
     assert session.inbox == [] or {type(x) for x in session.inbox} == {m.RadioStats}
     assert session.radio.frames_sent == 0
-    assert session.flight.flight.poses_used == 0
+    assert session.flight.flight.poses.used == 0
     session.radio_ticks = True
     session.run(0.5)
     assert session.received(m.FcControl)
-    assert session.flight.flight.poses_used > 0
+    assert session.flight.flight.poses.used > 0
 
 
 def test_ground_radio_reports_to_the_host_over_its_own_line(make_session):
