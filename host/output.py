@@ -11,15 +11,19 @@ from typing import Any
 _emitted = False
 
 
-def emit(result: Mapping[str, Any], as_json: bool) -> None:
-    """Print `result` as one line of JSON where `as_json`, else nothing. Call it last, once.
+def json_text(result: Mapping[str, Any]) -> str:
+    """`result` as one line of JSON. Numpy scalars and arrays become numbers and lists, paths texts.
 
-    Numpy scalars and arrays become numbers and lists, paths texts. Absent is None: raises ValueError on NaN
-    or infinity.
+    Absent is None: raises ValueError on NaN or infinity.
     """
+    return json.dumps(result, allow_nan=False, default=_plain)
+
+
+def emit(result: Mapping[str, Any], as_json: bool) -> None:
+    """Print `result` as one line of JSON where `as_json`, else nothing. Call it last, once."""
     global _emitted
     if as_json:
-        text = json.dumps(result, allow_nan=False, default=_plain)
+        text = json_text(result)
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
         _emitted = True

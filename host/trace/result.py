@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 from host.models.model import Model
 from host.trace.data import Audit
 from host.trace.diagnose import Diagnosis
@@ -62,6 +64,50 @@ class Trace:
     diagnosis: Diagnosis
     leftover: Leftover
     audits: tuple[Audit, ...]
+
+    @property
+    def evidence(self) -> dict[str, float]:
+        """Nats that each candidate is worth: lost without a kept effect, gained with one that was not kept.
+
+        Taken from the sets considered; a candidate that no set near the kept one holds is left out.
+        """
+        weights, kept = self.diagnosis.weights, set(self.diagnosis.best.effects)
+        here = float(np.log(max(weights[tuple(sorted(kept))], 1e-300)))
+        out = {}
+        for name in self.space.candidates:
+            other = tuple(sorted(kept ^ {name}))
+            if other in weights:
+                gain = float(np.log(max(weights[other], 1e-300))) - here
+                out[name] = -gain if name in kept else gain
+        return out
+
+    def lines(self) -> list[str]:
+        """The result for people, a few lines."""
+        out = [f"verdict: {self.verdict}"]
+        for effect in self.effects:
+            values = ", ".join(
+                f"{key} {v.value:.4g} +- {2 * v.sd:.2g}{'' if v.unit == '1' else ' ' + v.unit}"
+                for key, v in effect.parameters.items()
+            )
+            others = "".join(f"; or {name} ({p:.2f})" for name, p in effect.aliases.items())
+            out.append(f"  {effect.name}: {values} (probability {effect.probability:.3f}{others})")
+            if effect.exact_alias:
+                out.append(f"    {effect.exact_alias}")
+        out += [f"  {reason}" for reason in self.reasons]
+        if self.before_score is not None and self.after_score is not None:
+            how = "whole flights" if self.horizon_s is None else f"{self.horizon_s} s ahead"
+            out.append(
+                f"prediction error on {len(self.before)} held-out flights ({how}): "
+                f"{1e3 * self.before_score['position_rmse_m']:.1f} mm before, "
+                f"{1e3 * self.after_score['position_rmse_m']:.1f} mm after"
+            )
+        else:
+            out.append("no flight held out: no error before and after; add --hold-out LOG")
+        if self.next_flight is not None:
+            a, b = self.next_flight.separates
+            sigma = self.next_flight.expected_sigma
+            out.append(f"fly {self.next_flight.route} next: it separates {a} from {b} by {sigma:.1f} sigma")
+        return out
 
     def to_json(self, *, model_path: str | None, report_path: str | None) -> dict[str, Any]:
         """The JSON object of `trimtab trace`."""

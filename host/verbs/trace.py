@@ -46,7 +46,7 @@ def command(
     from host.effects import load_effects
     from host.errors import UsageError
     from host.log import read_flight
-    from host.output import emit, say
+    from host.output import emit, json_text, say
     from host.progress import Progress
     from host.trace.run import run
     from host.workspace import open_workspace
@@ -81,7 +81,7 @@ def command(
         report_path = str(output / REPORT_NAME)
         answer = result.to_json(model_path=model_path, report_path=report_path)
         artefacts.write_atomic(output / REPORT_NAME, page(result, flights, held_out, answer), force)
-        artefacts.write_atomic(output / JSON_NAME, artefacts.to_json(answer), force)
+        artefacts.write_atomic(output / JSON_NAME, json_text(answer), force)
     say(*result.lines())
     emit(result.to_json(model_path=model_path, report_path=report_path), json)
 

@@ -1,0 +1,137 @@
+"""Figures of the reports as SVG text: the same data gives the same bytes."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("svg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure as Canvas
+
+from host.trace.score import Errors
+
+BEFORE, AFTER, FLOOR, NEUTRAL = "#b5482f", "#1f6f8b", "#8a8a8a", "#444444"
+_STYLE: Any = {
+    "svg.hashsalt": "trimtab",
+    "svg.fonttype": "path",
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "figure.constrained_layout.use": True,
+}
+_POINTS = 400
+"""Most points a line is drawn with."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """A picture with its caption, its alternative text and its size in CSS pixels."""
+
+    svg: str
+    caption: str
+    alt: str
+    width: int
+    height: int
+
+    @property
+    def source(self) -> str:
+        """The picture as a data address for an img element."""
+        return "data:image/svg+xml;base64," + base64.b64encode(self.svg.encode()).decode()
+
+
+def _finish(canvas: Canvas, caption: str, alt: str) -> Figure:
+    width, height = (round(96 * inches) for inches in canvas.get_size_inches())
+    stream = io.StringIO()
+    with matplotlib.rc_context(_STYLE):
+        canvas.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    plt.close(canvas)
+    return Figure(svg=stream.getvalue(), caption=caption, alt=alt, width=width, height=height)
+
+
+def _thin(count: int) -> np.ndarray:
+    return np.unique(np.linspace(0, count - 1, min(count, _POINTS)).round().astype(int))
+
+
+def paths(panels: Sequence[tuple[str, np.ndarray, np.ndarray]], caption: str, *, unit: str = "mm") -> Figure:
+    """Paths from above, coloured by error on one scale: panels of (title, position (n, 3) NED, error (n,)
+    m).
+    """
+    with matplotlib.rc_context(_STYLE):
+        canvas, axes = plt.subplots(1, len(panels), figsize=(4.2 * len(panels), 3.8), squeeze=False)
+        top = max(float(np.quantile(error, 0.99)) for _, _, error in panels) * 1e3
+        lines = None
+        for ax, (title, position, error) in zip(axes[0], panels, strict=True):
+            keep = _thin(len(position))
+            xy = position[keep][:, [1, 0]]
+            lines = LineCollection(list(np.stack([xy[:-1], xy[1:]], axis=1)), cmap="viridis", linewidths=2.5)
+            lines.set_array(error[keep][:-1] * 1e3)
+            lines.set_clim(0.0, top)
+            ax.add_collection(lines)
+            ax.autoscale()
+            ax.set_aspect("equal", adjustable="datalim")
+            ax.set(title=title, xlabel="east, m", ylabel="north, m")
+        assert lines is not None
+        canvas.colorbar(lines, ax=axes[0].tolist(), label=f"error, {unit}", shrink=0.85)
+    alt = "; ".join(f"{title}: median {1e3 * float(np.median(e)):.0f} {unit}" for title, _, e in panels)
+    return _finish(canvas, caption, f"Paths from above coloured by error. {alt}.")
+
+
+def residuals(before: Sequence[Errors], after: Sequence[Errors], floor_m: float | None) -> Figure:
+    """Prediction error over time on each held-out flight, before and after, one scale, with the noise
+    floor.
+    """
+    with matplotlib.rc_context(_STYLE):
+        canvas, axes = plt.subplots(
+            len(before), 1, figsize=(8.4, 1.0 + 1.7 * len(before)), squeeze=False, sharey=True
+        )
+        for ax, b, a in zip(axes[:, 0], before, after, strict=True):
+            for errors, colour, label in ((b, BEFORE, "before"), (a, AFTER, "after")):
+                order = np.argsort(errors.t_s, kind="stable")
+                keep = order[_thin(len(order))]
+                norm = np.linalg.norm(errors.position, axis=1)
+                ax.plot(errors.t_s[keep], norm[keep] * 1e3, color=colour, label=label, linewidth=1.2)
+            if floor_m is not None:
+                ax.axhline(floor_m * 1e3, color=FLOOR, linestyle="--", label="noise floor", linewidth=1.0)
+            ax.set(title=f"flight {b.flight}", ylabel="error, mm")
+            ax.set_ylim(bottom=0.0)
+        axes[-1, 0].set_xlabel("time, s")
+        axes[0, 0].legend(ncols=3, frameon=False)
+    return _finish(
+        canvas,
+        "Position error of the prediction on flights that were not used.",
+        f"Prediction error over time, before and after, on {len(before)} held-out flights.",
+    )
+
+
+def ranking(evidence: Mapping[str, float], kept: Sequence[str]) -> Figure:
+    """What each candidate is worth: log evidence lost by leaving it out, or gained by adding it, in nats."""
+    names = sorted(evidence, key=lambda name: evidence[name])
+    with matplotlib.rc_context(_STYLE):
+        canvas, ax = plt.subplots(figsize=(8.4, 0.8 + 0.28 * len(names)))
+        values = np.array([evidence[name] for name in names])
+        shown = np.sign(values) * np.log10(1.0 + np.abs(values))
+        ax.barh(names, shown, color=[AFTER if name in kept else FLOOR for name in names])
+        ticks = np.array([-100, -10, 0, 10, 100, 1000, 10000])
+        places = np.sign(ticks) * np.log10(1.0 + np.abs(ticks))
+        inside = (places >= shown.min() - 1.0) & (places <= shown.max() + 1.0)
+        ax.set_xticks(places[inside], [f"{t}" for t in ticks[inside]])
+        ax.axvline(0.0, color=NEUTRAL, linewidth=0.8)
+        ax.set_xlabel("log evidence for the effect, nats (named effects in blue)")
+    best = ", ".join(f"{n} {evidence[n]:.0f}" for n in reversed(names[-3:]))
+    return _finish(
+        canvas,
+        "Ranking of the candidates: what the evidence loses without an effect that was named, "
+        "or would gain with one that was not.",
+        f"Candidates by log evidence in nats; the first three: {best}.",
+    )
