@@ -32,7 +32,7 @@ class PoseInput:
         self._age, self._interval = inputs["mocap_age_s"], inputs["mocap_interval_s"]
 
     def offer(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
-        """Whether the pose waits for a tick now: newer than the last one, recent, and made of sane numbers."""
+        """Whether the pose waits for a tick now: newer than the last one, recent, of sane numbers."""
         length = math.hypot(*q)
         if (
             time_us <= self._newest_us
