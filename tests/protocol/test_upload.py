@@ -77,9 +77,9 @@ class Channel:
         if self.bad or self.cut_us[0] <= now_us < self.cut_us[1]:
             return
         if self.rng.random() < self.garble:
-            data = bytearray(data)
-            data[self.rng.randrange(len(data))] ^= 1 << self.rng.randrange(8)
-            data = bytes(data)
+            damaged = bytearray(data)
+            damaged[self.rng.randrange(len(data))] ^= 1 << self.rng.randrange(8)
+            data = bytes(damaged)
         for _ in range(2 if self.rng.random() < self.duplicates else 1):
             arrival = now_us + 6_000 + self.rng.randrange(self.jitter_us + 1)
             heapq.heappush(self.frames, (arrival, self.sent, data))

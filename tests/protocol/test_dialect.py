@@ -1,0 +1,115 @@
+"""The dialect against MAVLink's own definitions, its room on the air, and what is generated from it."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+from protocol import generate
+from protocol import messages as m
+from protocol.codec import Codec
+from protocol.generated.frames import DIALECT_VERSION, MESSAGES
+from protocol.messages import mavlink
+from protocol.uwb import FRAME_BYTES
+
+OVERHEAD = 12
+STANDARD = sorted(number for number in MESSAGES if number < 52100)
+UNSENT = {"ATT_POS_MOCAP": 84}
+"""Bytes of fields at the end that are never sent: the pose covariance."""
+
+
+@pytest.mark.parametrize("number", STANDARD)
+def test_standard_message_equals_common_bit_for_bit(number: int) -> None:
+    from pymavlink.dialects.v20 import common
+
+    ours, theirs = mavlink.mavlink_map[number], common.mavlink_map[number]
+    assert ours.crc_extra == theirs.crc_extra
+    for attribute in ("msgname", "fieldnames", "fieldtypes", "ordered_fieldnames", "array_lengths", "orders"):
+        assert getattr(ours, attribute) == getattr(theirs, attribute)
+    assert ours.unpacker.format == theirs.unpacker.format
+
+
+def test_standard_constants_equal_common() -> None:
+    from pymavlink.dialects.v20 import common
+
+    names = [name for name in vars(mavlink) if name.startswith("MAV_") and not name.endswith("_END")]
+    assert len(names) > 40
+    for name in names:
+        assert getattr(mavlink, name) == getattr(common, name), name
+
+
+def test_private_messages_have_free_ids() -> None:
+    from pymavlink.dialects.v20 import all as everything
+
+    private = [number for number in MESSAGES if number >= 52100]
+    assert len(private) + len(STANDARD) == len(MESSAGES)
+    assert not set(private) & set(everything.mavlink_map)
+    assert max(private) < 60_000
+
+
+@pytest.mark.parametrize("number", MESSAGES)
+def test_every_message_fits_one_radio_frame(number: int) -> None:
+    name, _, longest = MESSAGES[number]
+    assert longest - UNSENT.get(name, 0) + OVERHEAD <= FRAME_BYTES
+
+
+def test_telemetry_and_chunks_have_the_sizes_of_the_budget() -> None:
+    sizes = {name: longest + OVERHEAD for name, _, longest in MESSAGES.values()}
+    assert sizes["FC_CONTROL"] == 96
+    assert sizes["FC_ESTIMATE"] == 74
+    assert sizes["UPLOAD_CHUNK"] == FRAME_BYTES
+    assert sizes["TIMESYNC"] == 28
+    assert sizes["COMMAND_LONG"] == 45
+    pose = Codec(*m.CAMERAS).encode(m.AttPosMocap(2**63, (1.0, 0.5, 0.5, 0.5), 1.0, 1.0, 1.0))
+    assert len(pose) == 48
+    assert 48 + sizes["COMMAND_LONG"] <= FRAME_BYTES
+
+
+def test_enums_of_the_dialect_equal_those_of_the_vehicle() -> None:
+    from firmware_model.failsafe import Failsafe
+    from firmware_model.supervisor import State
+    from protocol.blobs import Kind
+
+    for enum, prefix in ((State, "STATE"), (Failsafe, "FAILSAFE"), (Kind, "BLOB")):
+        for member in enum:
+            assert getattr(mavlink, f"TRIMTAB_{prefix}_{member.name}") == member.value
+        assert len(mavlink.enums[f"TRIMTAB_{prefix}"]) - (prefix == "BLOB") == len(enum) + 1  # and ENUM_END
+
+
+def test_every_field_and_message_is_described() -> None:
+    root = ElementTree.parse(generate.DIALECT).getroot()
+    for message in root.iter("message"):
+        description = message.find("description")
+        assert description is not None
+        assert description.text
+        assert all(field.text for field in message.iter("field"))
+
+
+def test_generate_gives_the_committed_bytes(tmp_path: Path) -> None:
+    pytest.importorskip("grpc_tools", reason="grpcio-tools is not installed")
+    written = generate.generate(tmp_path)
+    committed = sorted(path for path in generate.GENERATED.iterdir() if path.suffix in (".py", ".pyi"))
+    assert [path.name for path in written] == [path.name for path in committed]
+    for new, old in zip(written, committed, strict=True):
+        assert new.read_bytes() == old.read_bytes(), f"{new.name}: run python -m protocol.generate"
+
+
+def test_vehicle_heartbeat_tells_the_dialect_version_and_state() -> None:
+    heartbeat = m.vehicle_heartbeat(4, armed=True)
+    assert m.dialect_version(heartbeat) == DIALECT_VERSION
+    assert heartbeat.custom_mode & 0xFF == 4
+    assert heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    assert m.is_vehicle(heartbeat)
+
+
+def test_heartbeats_of_others_are_told_apart() -> None:
+    newer = m.vehicle_heartbeat(1, armed=False)
+    newer.custom_mode += 1 << 16
+    assert m.dialect_version(newer) == DIALECT_VERSION + 1
+    px4 = m.Heartbeat(mavlink.MAV_TYPE_QUADROTOR, 12, 81, 0x03040000, 4, 3)
+    assert m.is_vehicle(px4)
+    assert m.dialect_version(px4) is None
+    assert not m.is_vehicle(m.host_heartbeat())
+    assert m.dialect_version(m.host_heartbeat()) is None
