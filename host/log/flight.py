@@ -229,6 +229,9 @@ def _read_status(pairs: Sequence[tuple[Entry, Any]], shift_us: int) -> Status | 
         loop_max_us=_counts(messages, "loop_max_us"),
         loop_overruns=_counts(messages, "loop_overruns"),
         receive_overruns=_counts(messages, "receive_overruns"),
+        saturated_ticks=_counts(messages, "saturated_ticks"),
+        flight_ticks=_counts(messages, "flight_ticks"),
+        poses_used=_counts(messages, "poses_used"),
     )
 
 

@@ -46,7 +46,7 @@ def find_damaged(path: Path) -> Path:
 
 def default_output(path: Path) -> Path:
     """Where the recovered log goes unless told otherwise: FLIGHT.recovered.mcap beside it."""
-    name = path.name.removesuffix(".partial").removesuffix(".mcap")
+    name = path.name.removesuffix(".part").removesuffix(".mcap")
     return path.with_name(name + SUFFIX)
 
 

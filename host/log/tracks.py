@@ -86,7 +86,7 @@ class Control(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Status(_Track):
-    """State and failsafe (numbers of the enumerations in flight.proto), battery voltage, loop timing."""
+    """State and failsafe (numbers as in flight.proto), battery voltage, counts since boot."""
 
     t_us: Times
     state: Times
@@ -95,6 +95,9 @@ class Status(_Track):
     loop_max_us: Times
     loop_overruns: Times
     receive_overruns: Times
+    saturated_ticks: Times
+    flight_ticks: Times
+    poses_used: Times
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -3,7 +3,7 @@
 Times are integer microseconds on the host's clock from arm: a log starts when the vehicle acknowledges
 arming. What arrived or was measured before that instant is not logged (the format has no negative times).
 
-The file grows under `NAME.partial` and gets its name when it is closed. Every chunk reaches the system as
+The file grows under `NAME.part` and gets its name when it is closed. Every chunk reaches the system as
 soon as it is full, so that a killed writer loses the last chunk at most; `host.log.recover` reads the rest.
 """
 
@@ -80,7 +80,7 @@ class Provenance:
 
 def partial_path(path: Path) -> Path:
     """Where the log that will be `path` grows."""
-    return path.with_name(path.name + ".partial")
+    return path.with_name(path.name + ".part")
 
 
 class _Unbuffered:

@@ -1,0 +1,1 @@
+"""The host's side of the link: client, flight director, ports, and the vehicles they fly."""

@@ -1,0 +1,141 @@
+"""How far another clock is from the host's, from messages that take an unknown time."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+BUCKET_US = 1_000_000
+BUCKETS = 30
+"""The least delay is looked for in the last so many seconds: drift stays below a microsecond a bucket."""
+STEP_US = 5_000
+"""A delay so much below the least one seen is none: the other clock was set or stood still."""
+_SETTLED = 20
+_BEST = 8
+
+
+class LeastDelay:
+    """The smallest of the values seen in the last `BUCKETS` seconds."""
+
+    def __init__(self) -> None:
+        self._buckets: deque[tuple[int, float]] = deque(maxlen=BUCKETS)
+        self.value: float = math.inf
+        self.samples = 0
+
+    def add(self, value: float, now_us: int) -> bool:
+        """Whether the value was below the least one by a step; everything before it is then forgotten."""
+        stepped = self.samples >= _SETTLED and value < self.value - STEP_US
+        if stepped:
+            self.clear()
+        self.samples += 1
+        number = now_us // BUCKET_US
+        buckets = self._buckets
+        if buckets and buckets[-1][0] == number:
+            if value < buckets[-1][1]:
+                buckets[-1] = (number, value)
+        else:
+            buckets.append((number, value))
+            while buckets[0][0] <= number - BUCKETS:
+                buckets.popleft()
+            self.value = min(least for _, least in buckets)
+        self.value = min(self.value, value)
+        return stepped
+
+    def clear(self) -> None:
+        """Forgets everything."""
+        self._buckets.clear()
+        self.value = math.inf
+        self.samples = 0
+
+
+class ClockSync:
+    """Offset of a vehicle's clock against the host's, from TIMESYNC exchanges.
+
+    Each way's least delay is looked for on its own, so that a quick way up and a quick way down need not fall
+    into one exchange. What remains is half the difference of the two least delays: a link of equal slots both
+    ways has next to none.
+
+    Attributes:
+        exchanges: answers taken. rtt_us: round trip, smoothed. rtts_us: the last 10,000 round trips.
+        steps: how often the other clock jumped and the comparison began anew.
+    """
+
+    def __init__(self) -> None:
+        self.exchanges = 0
+        self.steps = 0
+        self.rtt_us = 0.0
+        self.rtts_us: deque[int] = deque(maxlen=10_000)
+        self._up = LeastDelay()
+        self._down = LeastDelay()
+        self._recent: deque[tuple[int, int]] = deque(maxlen=100)
+
+    @property
+    def settled(self) -> bool:
+        """Whether ten exchanges have been seen since the start or the last step."""
+        return self._up.samples >= 10
+
+    @property
+    def offset_us(self) -> float:
+        """Vehicle clock minus host clock; 0 before the first exchange."""
+        return 0.5 * (self._up.value - self._down.value) if self._up.samples else 0.0
+
+    @property
+    def sd_us(self) -> float:
+        """Standard deviation of the offset, from how closely the best exchanges of each way agree."""
+        if len(self._recent) < 2:
+            return 0.5 * self.rtt_us
+        spread = 0.0
+        for way in range(2):
+            best = sorted(pair[way] for pair in self._recent)[:_BEST]
+            mean = sum(best) / len(best)
+            spread += sum((value - mean) ** 2 for value in best) / (len(best) - 1)
+        return 0.5 * math.sqrt(spread)
+
+    def answer(self, sent_us: int, vehicle_us: int, now_us: int) -> None:
+        """Takes an answer: when it was asked (host), the vehicle's clock, when it arrived (host)."""
+        rtt_us = now_us - sent_us
+        if rtt_us < 0 or rtt_us > 5_000_000:
+            return
+        up, down = vehicle_us - sent_us, now_us - vehicle_us
+        self.exchanges += 1
+        self.rtts_us.append(rtt_us)
+        self.rtt_us += (rtt_us - self.rtt_us) / min(self.exchanges, 16)
+        if self._up.add(up, now_us):
+            self._begin_anew(self._down, down, now_us)
+        elif self._down.add(down, now_us):
+            self._begin_anew(self._up, up, now_us)
+        self._recent.append((up, down))
+
+    def _begin_anew(self, other: LeastDelay, value: float, now_us: int) -> None:
+        self.steps += 1
+        self._recent.clear()
+        other.clear()
+        other.add(value, now_us)
+
+
+class CameraClock:
+    """Offset of the camera system's clock against the host's, from nothing but when its poses arrive.
+
+    Args:
+        delay_us: the least time from exposure to arrival, as the maker states it; None: one clock, offset 0.
+    """
+
+    def __init__(self, delay_us: int | None) -> None:
+        self._delay_us = delay_us
+        self._late = LeastDelay()
+
+    @property
+    def offset_us(self) -> float:
+        """Camera clock minus host clock."""
+        if self._delay_us is None or not self._late.samples:
+            return 0.0
+        return self._delay_us - self._late.value
+
+    def pose(self, stamp_us: int, now_us: int) -> None:
+        """Takes the stamp of a pose that has just arrived."""
+        if self._delay_us is not None:
+            self._late.add(now_us - stamp_us, now_us)
+
+    def clear(self) -> None:
+        """Forgets everything: clocks have jumped."""
+        self._late.clear()

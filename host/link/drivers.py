@@ -1,0 +1,151 @@
+"""Carry bytes between a session and the world: a vehicle in lock-step, or a port and a camera socket.
+
+The only place of the link that looks at the wall clock.
+"""
+
+from __future__ import annotations
+
+import selectors
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from host.link.ports import Cameras, Port
+from host.link.session import Session
+from host.link.vehicle import Vehicle
+
+TICK_US = 1_000
+LATE_US = 20_000
+"""Behind the wall clock by more than this, simulated time is stretched and an overrun counted."""
+READ_WAIT_US = 100_000
+"""A port is looked at no less often, whatever its descriptor says."""
+
+
+@dataclass
+class DriveStatistics:
+    """Simulated and wall time of a run, and how often and by how much the machine was late."""
+
+    session_us: int = 0
+    wall_s: float = 0.0
+    overruns: int = 0
+    stretched_us: int = 0
+
+    @property
+    def realtime_factor(self) -> float:
+        """Session seconds a wall second."""
+        return self.session_us * 1e-6 / self.wall_s if self.wall_s > 0.0 else 0.0
+
+
+class Interrupts:
+    """Counts Ctrl-C instead of raising it wherever the program just is; nothing outside the main thread."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._before: Any = None
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGINT, self._on_signal)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.count += 1
+
+
+def run_lockstep(
+    session: Session,
+    vehicle: Vehicle,
+    *,
+    realtime: bool = False,
+    interrupt: Callable[[], None] | None = None,
+) -> DriveStatistics:
+    """Statistics once the session is done; its result or error is in the session.
+
+    Args:
+        realtime: keep to the wall clock, as far as the machine can.
+        interrupt: called at Ctrl-C, between two steps; without it the session ends at once.
+
+    Raises whatever the vehicle raises, a foreign plant's error for instance.
+    """
+    statistics = DriveStatistics()
+    first_us = vehicle.now_us
+    begin_s = time.perf_counter()
+    origin_us = _wall_us() - first_us
+    end = interrupt or (lambda: session.fail(KeyboardInterrupt()))
+    step, run_until = session.step, vehicle.run_until
+    with Interrupts() as interrupts:
+        handled = 0
+        now_us = first_us
+        while not session.done:
+            out = step(now_us, vehicle.serial_read(), vehicle.mocap_read())
+            if out:
+                vehicle.serial_write(out)
+            if interrupts.count > handled:
+                handled = interrupts.count
+                end()
+            now_us = run_until(max(session.next_deadline_us, now_us + TICK_US))
+            if realtime:
+                origin_us += _keep_pace(now_us, origin_us, statistics)
+    statistics.session_us = now_us - first_us
+    statistics.wall_s = time.perf_counter() - begin_s
+    return statistics
+
+
+def _keep_pace(now_us: int, origin_us: int, statistics: DriveStatistics) -> int:
+    """Waits for the wall clock; us by which simulated time must be stretched."""
+    ahead_us = now_us - (_wall_us() - origin_us)
+    if ahead_us > 0:
+        time.sleep(ahead_us * 1e-6)
+        return 0
+    if ahead_us > -LATE_US:
+        return 0
+    statistics.overruns += 1
+    statistics.stretched_us -= ahead_us
+    return -ahead_us
+
+
+def run_port(
+    session: Session,
+    port: Port,
+    cameras: Cameras | None = None,
+    *,
+    interrupt: Callable[[], None] | None = None,
+) -> DriveStatistics:
+    """Statistics once the session is done, in real time. Raises LinkError where the port fails."""
+    statistics = DriveStatistics()
+    end = interrupt or (lambda: session.fail(KeyboardInterrupt()))
+    first_us = now_us = _wall_us()
+    with Interrupts() as interrupts, selectors.DefaultSelector() as selector:
+        selector.register(port, selectors.EVENT_READ)
+        if cameras is not None:
+            selector.register(cameras, selectors.EVENT_READ)
+        handled = 0
+        while not session.done:
+            wait_us = min(session.next_deadline_us - now_us, READ_WAIT_US)
+            selector.select(max(0, wait_us) * 1e-6)
+            datagrams = cameras.read() if cameras is not None else []
+            data = port.read()
+            now_us = _wall_us()
+            out = session.step(now_us, data, datagrams)
+            if out:
+                port.write(out)
+            if interrupts.count > handled:
+                handled = interrupts.count
+                end()
+    statistics.session_us = now_us - first_us
+    statistics.wall_s = statistics.session_us * 1e-6
+    return statistics
+
+
+def _wall_us() -> int:
+    return time.monotonic_ns() // 1000

@@ -1,0 +1,349 @@
+"""The flight director: from connecting to disarming, the same in lock-step and in real time, all of it
+logged.
+
+Connect, check the vehicle, its parameters and what is live on board, compare clocks, forward the cameras'
+poses, arm, start, follow the phases until the vehicle has disarmed. The log begins when arming is
+acknowledged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from host.errors import FlightFailed, LinkError, Refused, UsageError
+from host.link.client import Client
+from host.link.clock import CameraClock
+from host.link.recorder import Recorder
+from host.link.session import Session
+from host.link.tasks import (
+    PATIENCE_US,
+    Command,
+    FindVehicle,
+    FreshStatus,
+    Identity,
+    ReadParameters,
+    SendBlob,
+    SettleClock,
+    Task,
+    check_same_vehicle,
+)
+from host.log import LogWriter, Provenance
+from host.vehicle import Vehicle, to_parameters
+from protocol import messages as m
+from protocol.blobs import FeedForward, Kind, Reference
+from protocol.messages import Message, mavlink
+from protocol.parameters import differences
+from protocol.telemetry import TICK_US
+
+ARM_PATIENCE_US = 10_000_000
+SILENCE_US = 30_000_000
+"""A vehicle that lost its host lands by itself; after this long in silence it is given up."""
+STRAY_US = 2_000_000
+"""A status that was overtaken by arming still says standby; after this long standby is believed."""
+POSES_FIRST = 5
+PHASES = {
+    mavlink.TRIMTAB_STATE_BOOT: "boot",
+    mavlink.TRIMTAB_STATE_STANDBY: "standby",
+    mavlink.TRIMTAB_STATE_ARMED: "armed",
+    mavlink.TRIMTAB_STATE_TAKEOFF: "takeoff",
+    mavlink.TRIMTAB_STATE_TRACKING: "tracking",
+    mavlink.TRIMTAB_STATE_HOLD: "hold",
+    mavlink.TRIMTAB_STATE_LANDING: "landing",
+    mavlink.TRIMTAB_STATE_FAILSAFE: "failsafe",
+}
+FAILSAFES = {
+    mavlink.TRIMTAB_FAILSAFE_MOCAP_LOST: "mocap lost",
+    mavlink.TRIMTAB_FAILSAFE_LINK_LOST: "link lost",
+    mavlink.TRIMTAB_FAILSAFE_TILT: "tilted too far",
+}
+_STANDBY = mavlink.TRIMTAB_STATE_STANDBY
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightOrder:
+    """What to fly, and where to log it.
+
+    Fields:
+        port, cameras: how messages call the vehicle's port and the camera system.
+        upload: send what is not live on board; otherwise that is an error.
+        as_flashed: fly with parameters on board that differ from the vehicle file.
+        model_id: of the model the plan was made with. session: more for the log's provenance.
+        camera_delay_us: least time from exposure to arrival; None where host and cameras share a clock.
+    """
+
+    vehicle: Vehicle
+    reference: Reference
+    log_path: Path
+    feedforward: FeedForward | None = None
+    port: str = "vehicle"
+    cameras: str = "the camera system"
+    upload: bool = True
+    as_flashed: bool = False
+    model_id: str | None = None
+    session: Mapping[str, str] = field(default_factory=dict)
+    camera_delay_us: int | None = None
+
+    def __post_init__(self) -> None:
+        for name, blob in (("reference", self.reference), ("feed-forward", self.feedforward)):
+            if blob is not None and blob.vehicle_id != self.vehicle.id:
+                raise UsageError(
+                    f"the {name} {blob.id} was made for vehicle {blob.vehicle_id}, not for "
+                    f"{self.vehicle.name} ({self.vehicle.id}); plan it anew or give the right --vehicle"
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightEnd:
+    """How a flight ended: `whole` says that the reference was flown to its end, `failsafe` why it was not."""
+
+    whole: bool
+    failsafe: str | None
+    interrupted: bool
+
+
+class Interrupted(Exception):
+    """Somebody wants the flight to end; raised in the script by `FlightDirector.interrupt`."""
+
+
+class AwaitPoses(Task):
+    """Result: None once poses flow to the vehicle. Raises LinkError where none arrive."""
+
+    CHECK_US = 20_000
+
+    def __init__(self, session: Session, cameras: str) -> None:
+        super().__init__()
+        self._session = session
+        self._cameras = cameras
+
+    def begin(self, client: Client, now_us: int) -> None:
+        self._end_us = now_us + PATIENCE_US
+        self._first = self._session.forwarded
+        self.deadline_us = now_us + self.CHECK_US
+
+    def advance(self, client: Client, now_us: int) -> None:
+        if self._session.forwarded >= self._first + POSES_FIRST:
+            self.finish()
+        elif now_us >= self._end_us:
+            raise LinkError(f"{self._cameras}: no poses in {PATIENCE_US / 1e6:g} s; check that it sends here")
+        else:
+            self.deadline_us = now_us + self.CHECK_US
+
+
+class FollowFlight(Task):
+    """Result: the last FC_STATUS, in standby again. Raises LinkError after too long a silence."""
+
+    wants = (m.FcStatus,)
+    CHECK_US = 500_000
+
+    def __init__(self, on_phase: Callable[[m.FcStatus], None]) -> None:
+        super().__init__()
+        self._on_phase = on_phase
+        self._armed = False
+
+    def begin(self, client: Client, now_us: int) -> None:
+        self._begin_us = now_us
+        self.deadline_us = now_us + self.CHECK_US
+
+    def receive(self, client: Client, message: Message, now_us: int) -> None:
+        assert isinstance(message, m.FcStatus)
+        self._on_phase(message)
+        if message.state > _STANDBY:
+            self._armed = True
+        elif self._armed or now_us - self._begin_us > STRAY_US:
+            self.finish(message)
+
+    def advance(self, client: Client, now_us: int) -> None:
+        heard_us = self._begin_us if client.heard_us is None else client.heard_us
+        if now_us - heard_us >= SILENCE_US:
+            raise LinkError(
+                f"the vehicle has been silent for {SILENCE_US / 1e6:g} s; it lands by itself, go and see"
+            )
+        self.deadline_us = now_us + self.CHECK_US
+
+
+class FlightDirector:
+    """Flies one order through `session`, which a driver steps; call `close` at the end in any case.
+
+    Attributes:
+        phase: what is going on, for people. flown_s, total_s: progress of the reference.
+        end: how it ended, None before. identity: of the vehicle, None before it is known.
+        log_open: whether there is a log.
+    """
+
+    def __init__(self, order: FlightOrder, on_phase: Callable[[str], None] | None = None) -> None:
+        self.session = Session(self._script, CameraClock(order.camera_delay_us))
+        self.phase = "connecting"
+        self.end: FlightEnd | None = None
+        self.identity: Identity | None = None
+        self.log_open = False
+        self._order = order
+        self._on_phase = on_phase
+        self._on_board: dict[str, float] | None = None
+        self._log: LogWriter | None = None
+        self._recorder: Recorder | None = None
+        self._interrupted = False
+        self._exchanges_before = 0
+
+    @property
+    def frames(self) -> tuple[int, int, int]:
+        """Frames since arm: sent, received, lost."""
+        return (0, 0, 0) if self._recorder is None else self._recorder.counts.frames()
+
+    @property
+    def rtts_us(self) -> list[int]:
+        """Round trips since arm."""
+        clock = self.session.client.clock
+        return list(clock.rtts_us)[self._exchanges_before :]
+
+    def interrupt(self) -> None:
+        """Ends the flight: in the air the vehicle lands first. A second call gives it up at once."""
+        if self._interrupted or self._recorder is None:
+            self._interrupted = True
+            self.session.fail(KeyboardInterrupt())
+        else:
+            self._interrupted = True
+            self.session.fail(Interrupted())
+
+    def abandon(self, error: BaseException) -> None:
+        """Leaves a readable log that says why the world around the flight failed, even from before arm."""
+        if self._recorder is None and not self.log_open:
+            self._open_log(0)
+        if self._recorder is not None:
+            now_us = self.session.now_us
+            self._recorder.say(f"ended by {type(error).__name__}: {error}", now_us)
+        self.close()
+
+    def close(self) -> None:
+        """Closes the log."""
+        if self._log is not None:
+            self.session.listener = None
+            self._log.close()
+
+    # The script.
+
+    def _script(self, session: Session) -> Generator[Task, Any, FlightEnd]:
+        order = self._order
+        identity: Identity = yield FindVehicle(order.port)
+        self.identity = identity
+        check_same_vehicle(identity, order.vehicle.id, what=order.vehicle.name, port=order.port)
+        self._note("checking")
+        on_board: dict[str, float] = yield ReadParameters()
+        self._on_board = on_board
+        self._check_parameters(on_board)
+        yield from self._ensure_live(order.reference, Kind.REFERENCE)
+        yield from self._ensure_live(order.feedforward, Kind.FEEDFORWARD)
+        yield SettleClock()
+        yield AwaitPoses(session, order.cameras)
+        self._note("arming")
+        yield from self._arm()
+        self._open_log(session.now_us)
+        try:
+            yield from self._command(mavlink.MAV_CMD_MISSION_START, "start")
+            status = yield FollowFlight(self._follow)
+        except Interrupted:
+            self._note("landing on request")
+            yield from self._command(mavlink.MAV_CMD_NAV_LAND, "land", must=False)
+            status = yield FollowFlight(self._follow)
+        self.end = self._judge(status)
+        self._note("landed")
+        return self.end
+
+    def _check_parameters(self, on_board: Mapping[str, float]) -> None:
+        different = differences(to_parameters(self._order.vehicle), on_board)
+        if different and not self._order.as_flashed:
+            shown = ", ".join(
+                f"{name} is {there:g}, not {wanted:g}"
+                for name, (wanted, there) in list(different.items())[:3]
+            )
+            more = f" and {len(different) - 3} more" if len(different) > 3 else ""
+            raise UsageError(
+                f"parameters on board differ from {self._order.vehicle.name}: {shown}{more}; "
+                "set the vehicle up anew, or fly it as it is with --as-flashed"
+            )
+
+    def _ensure_live(self, blob: Reference | FeedForward | None, kind: Kind) -> Generator[Task, Any, None]:
+        status = yield FreshStatus()
+        field_name, name = _BLOBS[kind]
+        live = bytes(getattr(status, field_name))
+        if blob is None:
+            if any(live):
+                raise UsageError(
+                    f"the {name} {live.hex()} is live on board; name its file, or make a neutral one live"
+                )
+            return
+        if live.hex() == blob.id:
+            return
+        if not self._order.upload:
+            what = live.hex() if any(live) else "none"
+            raise UsageError(
+                f"the {name} live on board is {what}, not {blob.id}; run `trimtab upload` with it first"
+            )
+        self._note(f"uploading the {name}")
+        yield SendBlob(blob.to_bytes(), kind, what=f"{name} {blob.id}")
+
+    def _arm(self) -> Generator[Task, Any, None]:
+        try:
+            yield Command(
+                mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), what="arm", patience_us=ARM_PATIENCE_US
+            )
+        except Refused as error:
+            raise FlightFailed(str(error)) from error
+
+    def _command(self, number: int, what: str, must: bool = True) -> Generator[Task, Any, None]:
+        try:
+            yield Command(number, what=what)
+        except Refused as error:
+            if must:
+                raise FlightFailed(str(error)) from error
+
+    def _open_log(self, now_us: int) -> None:
+        order, client = self._order, self.session.client
+        told = dict(order.session) | {"arm_host_us": str(now_us)}
+        if self.identity is not None:
+            told["session_uid"] = self.identity.uid
+        provenance = Provenance(
+            vehicle=order.vehicle,
+            reference=order.reference.to_bytes(),
+            feedforward=None if order.feedforward is None else order.feedforward.to_bytes(),
+            model_id=order.model_id,
+            parameters=self._on_board,
+            session=told,
+        )
+        self._log = LogWriter(order.log_path, provenance)
+        self.log_open = True
+        self._exchanges_before = len(client.clock.rtts_us)
+        self._recorder = Recorder(self._log, client, self.session.camera, order.reference, now_us)
+        self.session.listener = self._recorder
+        self._recorder.say("armed", now_us)
+
+    # Following.
+
+    def _note(self, phase: str) -> None:
+        if phase != self.phase:
+            self.phase = phase
+            if self._on_phase is not None:
+                self._on_phase(phase)
+
+    def _follow(self, status: m.FcStatus) -> None:
+        self._note(PHASES.get(status.state, "unknown"))
+
+    def _judge(self, status: m.FcStatus) -> FlightEnd:
+        """How the flight ended, from the status in standby after it."""
+        flown = status.reference_tick != m.NO_TICK
+        ticks = self._order.reference.duration_us // TICK_US
+        whole = flown and status.tick - status.reference_tick >= ticks
+        failsafe = FAILSAFES.get(status.failsafe, str(status.failsafe)) if status.failsafe else None
+        return FlightEnd(
+            whole=whole and failsafe is None and not self._interrupted,
+            failsafe=failsafe,
+            interrupted=self._interrupted,
+        )
+
+
+_BLOBS = {
+    Kind.REFERENCE: ("reference_id", "reference"),
+    Kind.FEEDFORWARD: ("feedforward_id", "feed-forward"),
+}

@@ -1,0 +1,191 @@
+"""The serial ports of this machine, TCP and UDP in their place, and the socket that poses arrive at.
+
+The only module that imports pyserial.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from typing import Protocol
+from urllib.parse import urlsplit
+
+import serial
+
+from host.errors import LinkError, UsageError
+
+BAUD = 921_600
+READ_BYTES = 65_536
+CONNECT_S = 5.0
+
+
+class Port(Protocol):
+    """A byte stream that never blocks a reader; `name` is how messages call it."""
+
+    name: str
+
+    def fileno(self) -> int: ...
+    def read(self) -> bytes: ...
+    def write(self, data: bytes) -> None: ...
+    def close(self) -> None: ...
+
+
+def open_port(url: str, baud: int = BAUD) -> Port:
+    """The port at a device path (pty, USB), `tcp:HOST:PORT` or `udp:HOST:PORT`.
+
+    Raises LinkError (exit code 3) where nothing can be opened there, UsageError where the URL makes no sense.
+    """
+    scheme, colon, rest = url.partition(":")
+    if colon and scheme in ("tcp", "udp"):
+        address = _address(rest.removeprefix("//"), url)
+        return _TcpPort(url, address) if scheme == "tcp" else _UdpPort(url, address)
+    return _SerialPort(url, baud)
+
+
+class _SerialPort:
+    """A device that pyserial opens."""
+
+    def __init__(self, name: str, baud: int) -> None:
+        self.name = name
+        try:
+            self._serial = serial.Serial(name, baud, timeout=0, write_timeout=1.0, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise LinkError(f"{name}: cannot be opened as a serial port ({_reason(error)})") from error
+
+    def fileno(self) -> int:
+        return self._serial.fileno()
+
+    def read(self) -> bytes:
+        try:
+            return self._serial.read(READ_BYTES)
+        except (serial.SerialException, OSError) as error:
+            raise LinkError(f"{self.name}: the port is gone ({_reason(error)})") from error
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._serial.write(data)
+        except serial.SerialTimeoutException:
+            raise LinkError(f"{self.name}: nobody takes what is written there; check the port") from None
+        except (serial.SerialException, OSError) as error:
+            raise LinkError(f"{self.name}: the port is gone ({_reason(error)})") from error
+
+    def close(self) -> None:
+        with contextlib.suppress(serial.SerialException, OSError):
+            self._serial.close()
+
+
+class _TcpPort:
+    """A connection to a server that plays a serial port."""
+
+    def __init__(self, name: str, address: tuple[str, int]) -> None:
+        self.name = name
+        try:
+            self._socket = socket.create_connection(address, timeout=CONNECT_S)
+        except OSError as error:
+            raise LinkError(f"{name}: cannot be reached ({_reason(error)})") from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setblocking(False)
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def read(self) -> bytes:
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise LinkError(f"{self.name}: the connection broke ({_reason(error)})") from error
+        if not data:
+            raise LinkError(f"{self.name}: the other side closed the connection")
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._socket.settimeout(1.0)
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            raise LinkError(f"{self.name}: the connection broke ({_reason(error)})") from error
+        finally:
+            self._socket.setblocking(False)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _UdpPort:
+    """Datagrams to and from one address; it is told of us by our first heartbeat."""
+
+    def __init__(self, name: str, address: tuple[str, int]) -> None:
+        self.name = name
+        try:
+            family, kind, number, _, target = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)[0]
+            self._socket = socket.socket(family, kind, number)
+            self._socket.connect(target)
+        except OSError as error:
+            raise LinkError(f"{name}: cannot be reached ({_reason(error)})") from error
+        self._socket.setblocking(False)
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def read(self) -> bytes:
+        data = bytearray()
+        # A refused datagram is reported on a later read: nobody listens there yet.
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            while len(data) < READ_BYTES:
+                data += self._socket.recv(READ_BYTES)
+        return bytes(data)
+
+    def write(self, data: bytes) -> None:
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            self._socket.send(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class Cameras:
+    """The socket at which a camera system's datagrams arrive."""
+
+    def __init__(self, url: str) -> None:
+        """Listens at `udp://HOST:PORT`. Raises UsageError where that is no address of this machine."""
+        parts = urlsplit(url)
+        if parts.scheme != "udp":
+            raise UsageError(f"mocap {url}: give it as udp://HOST:PORT")
+        address = _address(parts.netloc, url)
+        try:
+            family, kind, number, _, local = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)[0]
+            self._socket = socket.socket(family, kind, number)
+            self._socket.bind(local)
+        except OSError as error:
+            raise UsageError(f"mocap {url}: cannot listen there ({_reason(error)})") from error
+        self._socket.setblocking(False)
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def read(self) -> list[bytes]:
+        """The datagrams that wait, oldest first."""
+        found: list[bytes] = []
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            while len(found) < 100:
+                found.append(self._socket.recv(READ_BYTES))
+        return found
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def _address(text: str, url: str) -> tuple[str, int]:
+    """Host and port. Raises UsageError where they are not both there."""
+    host, colon, number = text.rpartition(":")
+    if not colon or not host or not number.isdigit() or not 0 < int(number) <= 65535:
+        raise UsageError(f"{url}: needs HOST:PORT with a port number of 1 to 65535")
+    return host.strip("[]"), int(number)
+
+
+def _reason(error: BaseException) -> str:
+    """What the system says, in one line and without its numbers."""
+    number = getattr(error, "strerror", None)
+    return " ".join((number or str(error) or type(error).__name__).split())

@@ -1,0 +1,275 @@
+"""Writes what passes the host during a flight into its log, on the host's clock from arm."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import numpy as np
+
+from host.link.client import Client
+from host.link.clock import CameraClock
+from host.log import LogWriter, topics
+from host.log.tracking import reference_at
+from protocol import messages as m
+from protocol.blobs import Reference
+from protocol.generated import flight_pb2
+from protocol.messages import Message, mavlink
+from protocol.telemetry import TICK_US, IntervalDecoder, decode_age, decode_quaternion
+
+LINK_US = 100_000
+DISPLAY_EVERY = 5
+"""Every so many poses and references one is written for display."""
+OVERTAKEN_TICKS = 1_000
+_AGE_UNKNOWN_US = 6_553_500
+_FLOWN = (mavlink.TRIMTAB_STATE_TRACKING, mavlink.TRIMTAB_STATE_HOLD)
+
+
+class Recorder:
+    """Logs one flight; `arm_us` is the host's clock when the vehicle acknowledged arming.
+
+    `last_status` is the newest FC_STATUS logged, None before.
+    """
+
+    def __init__(
+        self, log: LogWriter, client: Client, camera: CameraClock, reference: Reference, arm_us: int
+    ) -> None:
+        self.last_status: m.FcStatus | None = None
+        self._log = log
+        self._client = client
+        self._clock = client.clock
+        self._camera = camera
+        self._arm_us = arm_us
+        self._link_us = arm_us
+        self._intervals = IntervalDecoder()
+        self._estimate_tick = -1
+        self._flown = _FlownReference(reference)
+        self._poses = 0
+        self._counts = LinkCounts(client)
+        self._handlers: dict[type, Callable[[Any, int], None]] = {
+            m.FcControl: self._control,
+            m.FcEstimate: self._estimate,
+            m.FcStatus: self._status,
+            m.StatusText: self._text,
+        }
+
+    @property
+    def deadline_us(self) -> int:
+        """When `link` is due."""
+        return self._link_us
+
+    @property
+    def counts(self) -> LinkCounts:
+        """Frames since arm."""
+        return self._counts
+
+    def receive(self, messages: Sequence[Message], now_us: int) -> None:
+        """Logs messages that have just arrived."""
+        handlers = self._handlers
+        for message in messages:
+            handler = handlers.get(type(message))
+            if handler is not None:
+                handler(message, now_us - self._arm_us)
+
+    def pose(self, message: m.AttPosMocap, vehicle_us: int, now_us: int) -> None:
+        """Logs a pose of the camera system, forwarded with the stamp `vehicle_us` (0: not forwarded)."""
+        source_us = message.time_usec
+        publish_us = round(source_us - self._camera.offset_us) - self._arm_us
+        log_us = now_us - self._arm_us
+        p = (message.x, message.y, message.z)
+        self._log.pose(log_us, publish_us, source_us, vehicle_us, p, message.q)
+        self._poses += 1
+        if self._poses % DISPLAY_EVERY == 0:
+            self._log.display(topics.DISPLAY_POSE, log_us, publish_us, p, message.q)
+
+    def link(self, now_us: int) -> None:
+        """Logs the state of the link where it is due."""
+        if now_us < self._link_us:
+            return
+        self._link_us += LINK_US * (1 + (now_us - self._link_us) // LINK_US)
+        codec, clock, counts = self._client.codec, self._clock, self._counts
+        sent, received, lost = counts.frames()
+        message = flight_pb2.Link(
+            frames_sent=sent,
+            frames_received=received,
+            frames_lost=lost,
+            frames_repeated=codec.repeated,
+            bad_bytes=codec.bad_bytes,
+            rtt_us=clock.rtt_us,
+            clock_offset_us=clock.offset_us,
+            clock_offset_sd_us=clock.sd_us,
+            camera_offset_us=self._camera.offset_us,
+            messages_sent=codec.sent,
+            messages_received=codec.received,
+            messages_lost=codec.lost,
+        )
+        log_us = now_us - self._arm_us
+        self._log.write(topics.LINK, message, log_us, log_us)
+
+    def say(self, text: str, now_us: int) -> None:
+        """Logs a line of the host's own."""
+        log_us = now_us - self._arm_us
+        self._log.text(log_us, log_us, mavlink.MAV_SEVERITY_INFO, text, "host")
+
+    def _publish_us(self, vehicle_us: int) -> int:
+        """A vehicle stamp on the host's clock from arm."""
+        return round(vehicle_us - self._clock.offset_us) - self._arm_us
+
+    def _control(self, message: m.FcControl, log_us: int) -> None:
+        ignored = self._intervals.ignored
+        interval = self._intervals.push(message)
+        if self._intervals.ignored != ignored:
+            return
+        source_us = message.tick * TICK_US
+        publish_us = self._publish_us(source_us)
+        interval_us, means = 0, None
+        if interval is not None:
+            interval_us = (interval.end_tick - interval.start_tick) * TICK_US
+            means = (*interval.motor_mean, *interval.gyro_mean, *interval.force_mean)
+        self._log.control(
+            log_us,
+            publish_us,
+            source_us,
+            message.collective,
+            message.rate_cmd,
+            message.torque,
+            message.rate_integral,
+            interval_us,
+            means,
+        )
+        for tick, reference_us, flat in self._flown.at(message.tick):
+            self._reference(log_us, tick, reference_us, flat)
+
+    def _reference(self, log_us: int, tick: int, reference_us: int, flat: Sequence[float]) -> None:
+        source_us = tick * TICK_US
+        publish_us = self._publish_us(source_us)
+        flown = self._flown
+        self._log.reference(log_us, publish_us, source_us, flown.id, reference_us, flat)
+        flown.written += 1
+        if flown.written % DISPLAY_EVERY == 0:
+            half = 0.5 * flat[12]
+            heading = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
+            self._log.display(topics.DISPLAY_REFERENCE, log_us, publish_us, flat[0:3], heading)
+
+    def _estimate(self, message: m.FcEstimate, log_us: int) -> None:
+        tick = message.tick
+        if self._estimate_tick - OVERTAKEN_TICKS < tick <= self._estimate_tick:
+            return
+        self._estimate_tick = tick
+        source_us = tick * TICK_US
+        age_us = decode_age(message.mocap_age)
+        self._log.estimate(
+            log_us,
+            self._publish_us(source_us),
+            source_us,
+            message.p,
+            message.v,
+            decode_quaternion(message.q),
+            message.rate,
+            message.gyro_bias,
+            _AGE_UNKNOWN_US if age_us is None else age_us,
+        )
+
+    def _status(self, message: m.FcStatus, log_us: int) -> None:
+        self.last_status = message
+        known = message.reference_tick != m.NO_TICK
+        self._flown.start_tick = message.reference_tick if known and message.state in _FLOWN else None
+        source_us = message.tick * TICK_US
+        status = flight_pb2.Status(
+            source_us=source_us,
+            state=cast(Any, message.state),
+            failsafe=cast(Any, message.failsafe),
+            battery_v=message.battery_mv * 1e-3,
+            reference_id=_shown_id(message.reference_id),
+            feedforward_id=_shown_id(message.feedforward_id),
+            tracking_start_us=message.reference_tick * TICK_US if known else 0,
+            loop_max_us=message.loop_us,
+            loop_overruns=message.loop_overruns,
+            receive_overruns=message.uart_overruns,
+            saturated_ticks=message.saturated_ticks,
+            flight_ticks=message.flight_ticks,
+            poses_used=message.poses_used,
+        )
+        self._log.write(topics.FC_STATUS, status, log_us, self._publish_us(source_us))
+
+    def _text(self, message: m.StatusText, log_us: int) -> None:
+        self._log.text(log_us, log_us, message.severity, message.text, "vehicle")
+
+
+class LinkCounts:
+    """Frames since this was built: of both radios where both report, else the host's messages."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._messages_before = _messages(client)
+        self._radios_before = client.radio_counts
+
+    def frames(self) -> tuple[int, int, int]:
+        """Sent, received, lost."""
+        before, now = self._radios_before, self._client.radio_counts
+        if before is None:
+            before = self._radios_before = now
+        if before is not None and now is not None and now != before:
+            up_sent, up_got, down_sent, down_got = (
+                (b - a) & 0xFFFF_FFFF for a, b in zip(before, now, strict=True)
+            )
+            # What came twice hides a loss, what is in the air looks like one: a few frames either way.
+            lost = max(0, up_sent - up_got) + max(0, down_sent - down_got)
+            return up_sent + down_sent, up_got + down_got, lost
+        sent, received, lost = (
+            b - a for a, b in zip(self._messages_before, _messages(self._client), strict=True)
+        )
+        return sent, received, lost
+
+
+def _messages(client: Client) -> tuple[int, int, int]:
+    codec = client.codec
+    return codec.sent, codec.received, codec.lost
+
+
+class _FlownReference:
+    """The flat outputs at the ticks that control messages come with.
+
+    They come every so many ticks, so one table a phase holds nearly all of them. Ticks that come before the
+    vehicle has said when tracking began wait for that; `written` counts for display.
+    """
+
+    STEP_TICKS = 10
+    WAITING = 10
+
+    def __init__(self, reference: Reference) -> None:
+        self.id = reference.id
+        self.start_tick: int | None = None
+        self.written = 0
+        self._reference = reference
+        self._waiting: deque[int] = deque(maxlen=self.WAITING)
+        self._tables: dict[int, list[list[float]]] = {}
+
+    def at(self, tick: int) -> list[tuple[int, int, Sequence[float]]]:
+        """(tick, us since the start, flat outputs) of this tick and of those that waited for the start."""
+        start = self.start_tick
+        if start is None:
+            self._waiting.append(tick)
+            return []
+        found = [self._row(waited, start) for waited in self._waiting if waited >= start]
+        self._waiting.clear()
+        if tick >= start:
+            found.append(self._row(tick, start))
+        return found
+
+    def _row(self, tick: int, start: int) -> tuple[int, int, Sequence[float]]:
+        end_us = self._reference.duration_us
+        row, phase = divmod(tick - start, self.STEP_TICKS)
+        table = self._tables.get(phase)
+        if table is None:
+            rows = end_us // (self.STEP_TICKS * TICK_US) + 2
+            t_us = (np.arange(rows) * self.STEP_TICKS + phase) * TICK_US
+            table = self._tables[phase] = reference_at(self._reference, t_us).tolist()
+        return tick, min((tick - start) * TICK_US, end_us), table[min(row, len(table) - 1)]
+
+
+def _shown_id(first_bytes: Sequence[int]) -> str:
+    """An id of six bytes as hex; empty for none."""
+    data = bytes(first_bytes)
+    return data.hex() if any(data) else ""

@@ -1,0 +1,118 @@
+"""What a flight comes to: tracking, motors, link, as people and `--json` get it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from host.link.drivers import DriveStatistics
+from host.link.flight import FlightDirector, FlightEnd
+from host.log import Flight, read_flight
+from host.log.tracking import tracking_error
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightResult:
+    """One flight. What could not be measured is None, a flight without tracking phase has no error for
+    instance.
+
+    clipped_share: share of the ticks in flight on which the motors could not give what was commanded.
+    """
+
+    log: Path
+    log_id: str
+    reference: str
+    end: FlightEnd | None
+    tracking_rmse_m: float | None
+    tracking_max_m: float | None
+    clipped_share: float | None
+    realtime_factor: float
+    frames_sent: int
+    frames_lost: int
+    rtt_ms: float | None
+    mocap_age_ms_p99: float | None
+    duration_s: float
+
+    def to_json(self) -> dict[str, Any]:
+        """The answer of `trimtab fly --json`."""
+        return {
+            "log": str(self.log),
+            "reference": self.reference,
+            "tracking_rmse_m": self.tracking_rmse_m,
+            "tracking_max_m": self.tracking_max_m,
+            "clipped_share": self.clipped_share,
+            "realtime_factor": round(self.realtime_factor, 3),
+            "link": {
+                "frames_sent": self.frames_sent,
+                "frames_lost": self.frames_lost,
+                "rtt_ms": self.rtt_ms,
+                "mocap_age_ms_p99": self.mocap_age_ms_p99,
+            },
+            "log_id": self.log_id,
+            "duration_s": self.duration_s,
+            "whole": self.end is not None and self.end.whole,
+            "failsafe": None if self.end is None else self.end.failsafe,
+        }
+
+    def to_lines(self) -> list[str]:
+        """The same for people."""
+        lines = [
+            f"{self.log}  id {self.log_id}  {self.duration_s:.1f} s, {self.realtime_factor:.1f} x real time"
+        ]
+        if self.tracking_rmse_m is not None and self.tracking_max_m is not None:
+            rmse_mm, max_mm = 1e3 * self.tracking_rmse_m, 1e3 * self.tracking_max_m
+            lines.append(f"tracking error {rmse_mm:.1f} mm RMSE, {max_mm:.1f} mm at most")
+        if self.clipped_share:
+            lines.append(f"motors at their limits for {100.0 * self.clipped_share:.2f} % of the flight")
+        rtt = "" if self.rtt_ms is None else f", round trip {self.rtt_ms:.1f} ms"
+        age = (
+            ""
+            if self.mocap_age_ms_p99 is None
+            else f", poses at most {self.mocap_age_ms_p99:.0f} ms old (99 %)"
+        )
+        lines.append(f"link: {self.frames_sent} frames, {self.frames_lost} lost{rtt}{age}")
+        return lines
+
+
+def summarise(director: FlightDirector, log: Path, driven: DriveStatistics) -> FlightResult:
+    """The result of a flight whose log is closed. Raises LogError where the log cannot be read back."""
+    flight = read_flight(log)
+    error = tracking_error(flight)
+    sent, _, lost = director.frames
+    rtts = director.rtts_us
+    return FlightResult(
+        log=log,
+        log_id=flight.id,
+        reference=flight.reference_id or "",
+        end=director.end,
+        tracking_rmse_m=None if error is None else error.rmse_m,
+        tracking_max_m=None if error is None else error.max_m,
+        clipped_share=_clipped_share(flight),
+        realtime_factor=driven.realtime_factor,
+        frames_sent=sent,
+        frames_lost=lost,
+        rtt_ms=median(rtts) * 1e-3 if rtts else None,
+        mocap_age_ms_p99=_mocap_age_ms_p99(flight),
+        duration_s=flight.duration_s,
+    )
+
+
+def _clipped_share(flight: Flight) -> float | None:
+    status = flight.status
+    if status is None:
+        return None
+    ticks = int(status.flight_ticks[-1] - status.flight_ticks[0])
+    return float(status.saturated_ticks[-1] - status.saturated_ticks[0]) / ticks if ticks > 0 else None
+
+
+def _mocap_age_ms_p99(flight: Flight) -> float | None:
+    """99th percentile of the age of the pose last used, over the tracking phase."""
+    if flight.estimate is None or flight.tracking is None:
+        return None
+    start_us, end_us = flight.tracking
+    keep = (flight.estimate.t_us >= start_us) & (flight.estimate.t_us <= end_us)
+    return float(np.percentile(flight.estimate.mocap_age_s[keep], 99.0) * 1e3) if keep.any() else None

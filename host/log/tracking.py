@@ -1,0 +1,65 @@
+"""How closely a flight followed its reference, and the reference itself at any times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_model.law.reference import hermite_yaw, septic
+from host.log.tracks import Flight, Floats, Times
+from protocol.blobs import Reference
+
+FLAT_SIZE = 14
+"""p, v, a, j (NED, 3 each), yaw, yaw rate."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingError:
+    """Distance between camera pose and reference over the tracking phase, m; `poses` is how many entered."""
+
+    rmse_m: float
+    max_m: float
+    poses: int
+
+
+def reference_at(reference: Reference, t_us: Times) -> Floats:
+    """(n, 14) flat outputs `t_us` after the reference's start; before and after it the end nodes are held."""
+    nodes = reference.nodes_ned()
+    starts = np.array([node.t_us for node in nodes])
+    states = np.array([node.state for node in nodes]).T
+    inside = np.clip(t_us, 0, starts[-1])
+    k = np.clip(np.searchsorted(starts, inside, side="right") - 1, 0, len(nodes) - 2)
+    dt_s, s_s = (starts[k + 1] - starts[k]) * 1e-6, (inside - starts[k]) * 1e-6
+    p, v, a, j, _ = septic(dt_s, s_s, list(states[:, k]), list(states[:, k + 1]))
+    return np.stack([*p, *v, *a, *j, *_yaw_at(reference, inside)], axis=1)
+
+
+def _yaw_at(reference: Reference, t_us: Times) -> tuple[Floats, Floats]:
+    """Yaw and yaw rate; held before the first and after the last yaw node."""
+    rows = reference.yaw_nodes()
+    starts = np.array([row.t_us for row in rows])
+    yaw, rate = np.array([row.yaw for row in rows]), np.array([row.yaw_rate for row in rows])
+    if len(rows) == 1:
+        return np.full(len(t_us), yaw[0]), np.zeros(len(t_us))
+    k = np.clip(np.searchsorted(starts, t_us, side="right") - 1, 0, len(rows) - 2)
+    dt_s = (starts[k + 1] - starts[k]) * 1e-6
+    s_s = (np.clip(t_us, starts[0], starts[-1]) - starts[k]) * 1e-6
+    inner, inner_rate = hermite_yaw(dt_s, s_s, yaw[k], rate[k], yaw[k + 1], rate[k + 1])
+    held = (t_us < starts[0]) | (t_us > starts[-1])
+    return inner, np.where(held, 0.0, inner_rate)
+
+
+def tracking_error(flight: Flight) -> TrackingError | None:
+    """The error of the tracking phase, or of what was flown of it; None without reference, phase or poses."""
+    if flight.reference is None or flight.tracking is None or flight.mocap is None:
+        return None
+    start_us, end_us = flight.tracking
+    keep = (flight.mocap.t_us >= start_us) & (flight.mocap.t_us <= end_us)
+    if not keep.any():
+        return None
+    wanted = reference_at(flight.reference, flight.mocap.t_us[keep] - start_us)[:, :3]
+    square = ((flight.mocap.p[keep] - wanted) ** 2).sum(axis=1)
+    return TrackingError(
+        rmse_m=float(np.sqrt(square.mean())), max_m=float(np.sqrt(square.max())), poses=int(keep.sum())
+    )
