@@ -13,7 +13,7 @@ import numpy as np
 from host.trace import evidence, segments
 from host.trace.evidence import Linearisation, Process
 from host.trace.parameters import Space
-from host.trace.segments import Segments
+from host.trace.segments import Basis, Segments
 from host.vehicle import Vehicle
 
 _CALM = float(np.log(0.05**2))
@@ -43,6 +43,7 @@ class Fit:
     process: Process
     lin: Linearisation
     data: Segments
+    basis: Basis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,9 +92,9 @@ def refit(
         for name in set(start.effects) - set(effects):
             z[list(groups[name])] = 0.0
     precision = prior.precision(effects)
-    active = np.ones(len(z), dtype=bool)
+    kept = segments.basis(vehicle, space, data, z, local) if start is None else start.basis
     for iteration in range(iterations):
-        grams = segments.linearise(vehicle, space, data, z, local, active)
+        grams = segments.linearise(vehicle, space, data, z, local, kept)
         data = data.with_x0(grams.x0)
         lin = segments.project(grams, data, z, local)
         process = evidence.fit_process(lin, prior, effects, process)
@@ -115,6 +116,7 @@ def refit(
         process=process,
         lin=lin,
         data=data,
+        basis=kept,
     )
 
 

@@ -194,7 +194,8 @@ def predict_segments(
         rate_weight=data.rate_weight * early,
         force_weight=data.force_weight * early,
     )
-    x0 = segments.fitted_x0(vehicle, space, fit, z, local, iterations=3)
+    kept = segments.basis(vehicle, space, fit, z, local)
+    x0 = segments.fitted_x0(vehicle, space, fit, z, local, kept, iterations=4)
     position = segments.roll_out(
         vehicle, space, data, x0.T[:, None, :], z[:, None], local[data.flight].T[:, None, :]
     )[0]
@@ -227,9 +228,9 @@ def _fitted_local(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray)
     """Nuisances (flights, 9) of flights that were not used, under given parameters."""
     local = np.zeros((int(data.flight.max()) + 1, segments.LOCALS))
     process = starting_process(data)
-    none = np.zeros(len(z), dtype=bool)
+    kept = segments.basis(vehicle, space, data, z, local)
     for _ in range(3):
-        grams = segments.linearise(vehicle, space, data, z, local, none)
+        grams = segments.linearise(vehicle, space, data, z, local, kept)
         data = data.with_x0(grams.x0)
         lin = segments.project(grams, data, z, local)
         process = evidence.fit_process(lin, space.prior, (), process)

@@ -246,8 +246,20 @@ def residuals(
 
 
 @dataclass(frozen=True, kw_only=True)
+class Basis:
+    """Columns of the Jacobian that hardly depend on the parameters, whitened by sigma: kept between refits.
+
+    x (S, 12, n) initial state, local (S, 9, n) flight nuisances, bins (S, 6 bins, n) disturbance; n = 12 H.
+    """
+
+    x: np.ndarray
+    local: np.ndarray
+    bins: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
 class Grams:
-    """Unprojected Grams (S, m, m) of [r | X 12 | S P | L 6 | Z 6 bins] and the initial states (S, 12) they
+    """Unprojected Grams (S, m, m) of [r | X 12 | S P | L 9 | Z 6 bins], and the initial states (S, 12) they
     hold at.
     """
 
@@ -255,89 +267,99 @@ class Grams:
     x0: np.ndarray
 
 
-def linearise(
-    vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, local: np.ndarray, active: np.ndarray
-) -> Grams:
-    """Grams of all segments at scaled parameters z (P,) and flight nuisances `local` (flights, 9).
+class _Lanes:
+    """Lanes of perturbed roll-outs, all starting from one point of every segment."""
 
-    active (P,) masks the columns worth a lane; the others stay zero. Initial states take one Gauss-Newton
-    step towards their own segment first.
-    """
-    columns = 1 + STATES + int(active.sum()) + LOCALS + 6 * data.bins
-    chunk = max(1, _LANES // columns)
-    parts = [
-        _linearise(vehicle, space, data.take(slice(i, i + chunk)), z, local, active)
-        for i in range(0, len(data.flight), chunk)
-    ]
-    return Grams(gram=np.concatenate([p.gram for p in parts]), x0=np.concatenate([p.x0 for p in parts]))
+    def __init__(self, data: Segments, x0: np.ndarray, z: np.ndarray, local: np.ndarray, count: int) -> None:
+        self.x0 = np.repeat(x0.T[:, None, :], count, axis=1)
+        self.z = np.repeat(z[:, None], count, axis=1)
+        self.local = np.repeat(local[data.flight].T[:, None, :], count, axis=1)
+        self.bins = np.zeros((data.bins, 6, count))
+        self.steps = np.ones(count)
+
+    def jacobian(self, vehicle: Vehicle, space: Space, data: Segments, *, bins: bool) -> np.ndarray:
+        """(S, lanes, n): the residual in lane 0, in the others its negative slope along the perturbation."""
+        pushed = self.bins if bins else None
+        r = residuals(data, *roll_out(vehicle, space, data, self.x0, self.z, self.local, pushed))
+        A = (r[0] - r) / self.steps[:, None, None]
+        A[0] = r[0]
+        return np.swapaxes(A, 0, 1)
+
+
+def _chunks(data: Segments, lanes: int) -> list[slice]:
+    size = max(1, _LANES // lanes)
+    return [slice(i, i + size) for i in range(0, len(data.flight), size)]
+
+
+def basis(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, local: np.ndarray) -> Basis:
+    """The basis at scaled parameters z (P,) and flight nuisances `local` (flights, 9)."""
+    count = 1 + STATES + LOCALS + 6 * data.bins
+    factor = np.ones(LOCALS)
+    factor[3:6] = _RATE_DRIVEN if data.rate_driven else 1.0
+    parts = []
+    for chunk in _chunks(data, count):
+        part = data.take(chunk)
+        lanes = _Lanes(part, part.x0, z, local, count)
+        for i in range(STATES):
+            lanes.steps[1 + i] = _X_STEP[i]
+            lanes.x0[i, 1 + i] += _X_STEP[i]
+        first = 1 + STATES
+        for i in range(LOCALS):
+            lanes.steps[first + i] = _LOCAL_STEP[i] * factor[i]
+            lanes.local[i, first + i] += lanes.steps[first + i]
+        first += LOCALS
+        for b in range(data.bins):
+            for i in range(6):
+                lanes.steps[first + 6 * b + i] = _BIN_STEP[i] * factor[i]
+                lanes.bins[b, i, first + 6 * b + i] = lanes.steps[first + 6 * b + i]
+        parts.append(lanes.jacobian(vehicle, space, part, bins=True)[:, 1:])
+    whole = np.concatenate(parts)
+    cuts = np.cumsum([STATES, LOCALS])
+    return Basis(x=whole[:, : cuts[0]], local=whole[:, cuts[0] : cuts[1]], bins=whole[:, cuts[1] :])
 
 
 def fitted_x0(
-    vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, local: np.ndarray, iterations: int = 2
+    vehicle: Vehicle,
+    space: Space,
+    data: Segments,
+    z: np.ndarray,
+    local: np.ndarray,
+    kept: Basis,
+    iterations: int = 1,
 ) -> np.ndarray:
-    """Initial states (S, 12) that fit each segment's own measurements best, parameters and nuisances
-    given.
-    """
-    mine, x0, count = local[data.flight].T, data.x0, 1 + STATES
+    """Initial states (S, 12) that fit each segment's own measurements best; the rest is given."""
+    x0 = data.x0
+    normal = kept.x @ np.swapaxes(kept.x, 1, 2) + 1e-9 * np.eye(STATES)
     for _ in range(iterations):
-        lanes = np.repeat(x0.T[:, None, :], count, axis=1)
-        for i in range(STATES):
-            lanes[i, 1 + i] += _X_STEP[i]
-        flat = np.repeat(mine[:, None, :], count, axis=1)
-        zs = np.repeat(z[:, None], count, axis=1)
-        r = residuals(data, *roll_out(vehicle, space, data, lanes, zs, flat))
-        X = np.swapaxes((r[0] - r[1:]) / _X_STEP[:, None, None], 0, 1)
-        normal = X @ np.swapaxes(X, 1, 2) + 1e-9 * np.eye(STATES)
-        x0 = x0 + np.linalg.solve(normal, (X @ r[0][:, :, None]))[:, :, 0]
+        residual = []
+        for chunk in _chunks(data, 1):
+            part = data.take(chunk)
+            lanes = _Lanes(part, x0[chunk], z, local, 1)
+            residual.append(lanes.jacobian(vehicle, space, part, bins=False)[:, 0])
+        x0 = x0 + np.linalg.solve(normal, kept.x @ np.concatenate(residual)[:, :, None])[:, :, 0]
     return x0
 
 
-def _linearise(
-    vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, local: np.ndarray, active: np.ndarray
+def linearise(
+    vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, local: np.ndarray, kept: Basis
 ) -> Grams:
-    x0 = fitted_x0(vehicle, space, data, z, local)
-    mine = local[data.flight].T
-    on = np.flatnonzero(active)
-    count = 1 + STATES + len(on) + LOCALS + 6 * data.bins
-    lanes = np.repeat(x0.T[:, None, :], count, axis=1)
-    flat = np.repeat(mine[:, None, :], count, axis=1)
-    zs = np.repeat(z[:, None], count, axis=1)
-    bins = np.zeros((data.bins, 6, count))
-    factor = np.ones(LOCALS)
-    factor[3:6] = _RATE_DRIVEN if data.rate_driven else 1.0
-    steps = np.ones(count)
-    for i in range(STATES):
-        lanes[i, 1 + i] += _X_STEP[i]
-        steps[1 + i] = _X_STEP[i]
-    for i, column in enumerate(on):
-        zs[column, 1 + STATES + i] += _Z_STEP
-        steps[1 + STATES + i] = _Z_STEP
-    first = 1 + STATES + len(on)
-    for i in range(LOCALS):
-        steps[first + i] = _LOCAL_STEP[i] * factor[i]
-        flat[i, first + i] += steps[first + i]
-    first += LOCALS
-    for b in range(data.bins):
-        for i in range(6):
-            steps[first + 6 * b + i] = _BIN_STEP[i] * factor[i]
-            bins[b, i, first + 6 * b + i] = steps[first + 6 * b + i]
-    r = residuals(data, *roll_out(vehicle, space, data, lanes, zs, flat, bins))
-    A = (r[0] - r) / steps[:, None, None]
-    A[0] = r[0]
-    A = np.swapaxes(A, 0, 1)
-    small = A @ np.swapaxes(A, 1, 2)
-    width = 1 + STATES + space_size(space) + LOCALS + 6 * data.bins
-    keep = np.concatenate(
-        [np.arange(1 + STATES), 1 + STATES + on, np.arange(width - LOCALS - 6 * data.bins, width)]
-    )
-    gram = np.zeros((len(small), width, width))
-    gram[:, keep[:, None], keep[None, :]] = small
-    return Grams(gram=gram, x0=x0)
+    """Grams of all segments at scaled parameters z (P,) and flight nuisances `local` (flights, 9).
 
-
-def space_size(space: Space) -> int:
-    """Number P of scaled parameters."""
-    return len(space.columns)
+    Initial states take one Gauss-Newton step towards their own segment first.
+    """
+    x0 = fitted_x0(vehicle, space, data, z, local, kept)
+    count = 1 + len(z)
+    grams = []
+    for chunk in _chunks(data, count):
+        part = data.take(chunk)
+        lanes = _Lanes(part, x0[chunk], z, local, count)
+        for i in range(len(z)):
+            lanes.steps[1 + i] = _Z_STEP
+            lanes.z[i, 1 + i] += _Z_STEP
+        A = lanes.jacobian(vehicle, space, part, bins=False)
+        A = np.concatenate([A[:, :1], kept.x[chunk], A[:, 1:], kept.local[chunk], kept.bins[chunk]], axis=1)
+        grams.append(A @ np.swapaxes(A, 1, 2))
+    return Grams(gram=np.concatenate(grams), x0=x0)
 
 
 def project(grams: Grams, data: Segments, z: np.ndarray, local: np.ndarray) -> Linearisation:

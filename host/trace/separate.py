@@ -60,8 +60,8 @@ def propose(
         if data is None:
             continue
         local = np.zeros((1, segments.LOCALS))
-        active = np.ones(len(space.columns), dtype=bool)
-        grams = segments.linearise(vehicle, space, data, fit.z, local, active)
+        kept = segments.basis(vehicle, space, data, fit.z, local)
+        grams = segments.linearise(vehicle, space, data, fit.z, local, kept)
         lin = segments.project(grams, data, fit.z, local)
         sigma = separation(lin, fit, space, effect, alias)
         if best is None or sigma > best.expected_sigma:
