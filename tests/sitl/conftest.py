@@ -1,4 +1,4 @@
-"""A small host for the simulator's own tests: it forwards poses, keeps the link alive, arms, starts and listens."""
+"""A small host for the simulator's own tests: it forwards poses, keeps the link alive, arms and starts."""
 
 from __future__ import annotations
 

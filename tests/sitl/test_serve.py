@@ -1,0 +1,203 @@
+"""The real-time server: bytes through every kind of port, clients that come and go, lateness counted.
+
+Nothing here asserts how long anything takes; a hang is ended by the test timeout.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import threading
+import tty
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from host.vehicle import load_vehicle
+from protocol.codec import Codec
+from protocol.messages import CAMERAS, HOST, AttPosMocap, Heartbeat, is_vehicle
+from sitl import serve as server
+from sitl.vehicle import SimulatedVehicle
+
+
+class Echo:
+    """A vehicle that sends back what it gets and takes a pose a step."""
+
+    def __init__(self) -> None:
+        self.now_us = 0
+        self.waiting = b""
+
+    def run_until(self, t_us: int) -> int:
+        self.now_us = t_us
+        return t_us
+
+    def serial_read(self) -> bytes:
+        waiting, self.waiting = self.waiting, b""
+        return waiting
+
+    def serial_write(self, data: bytes) -> None:
+        self.waiting += data
+
+    def mocap_read(self) -> list[bytes]:
+        return [b"pose"]
+
+
+@contextlib.contextmanager
+def served(vehicle: server.Served, port: str, **options: object) -> Iterator[tuple[str, Callable[[], None]]]:
+    """Address of a server in a thread, and what stops it; its exceptions come out here."""
+    stop, up = threading.Event(), threading.Event()
+    found: list[str] = []
+    failed: list[BaseException] = []
+
+    def ready(address: str) -> None:
+        found.append(address)
+        up.set()
+
+    def run() -> None:
+        try:
+            server.serve(vehicle, port=port, stop=stop.is_set, ready=ready, **options)  # type: ignore[arg-type]
+        except BaseException as error:
+            failed.append(error)
+            up.set()
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    up.wait()
+    try:
+        if failed:
+            raise failed[0]
+        yield found[0], stop.set
+    finally:
+        stop.set()
+        thread.join()
+    if failed:
+        raise failed[0]
+
+
+def read_exactly(fd: int, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        select.select([fd], [], [])
+        data += os.read(fd, size - len(data))
+    return data
+
+
+def open_tty(path: str) -> int:
+    fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    tty.setraw(fd)
+    return fd
+
+
+def test_pty_serves_clients_that_come_and_go() -> None:
+    with served(Echo(), "pty") as (path, _):
+        for message in (b"first client", b"second client"):
+            fd = open_tty(path)
+            os.write(fd, message)
+            assert read_exactly(fd, len(message)) == message
+            os.close(fd)
+
+
+def test_pty_without_a_reader_drops_old_bytes_and_goes_on() -> None:
+    class Chatty(Echo):
+        said = 0
+
+        def serial_read(self) -> bytes:
+            self.said += 1
+            return b"x" * 4096
+
+    vehicle = Chatty()
+    with served(vehicle, "pty", realtime=False) as (path, _):
+        fd = open_tty(path)
+        while vehicle.said < 200:
+            select.select([], [], [], 0.001)
+        assert read_exactly(fd, 1000) == b"x" * 1000
+        os.close(fd)
+
+
+def test_tcp_serves_the_newest_client() -> None:
+    with served(Echo(), "tcp:127.0.0.1:0") as (address, _):
+        host, port = address.removeprefix("tcp:").split(":")
+        for message in (b"one", b"two"):
+            with socket.create_connection((host, int(port))) as client:
+                client.sendall(message)
+                assert read_exactly(client.fileno(), 3) == message
+
+
+def test_udp_answers_whoever_spoke_last() -> None:
+    with served(Echo(), "udp:127.0.0.1:0") as (address, _):
+        host, port = address.removeprefix("udp:").split(":")
+        for message in (b"one", b"two"):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+                client.sendto(message, (host, int(port)))
+                assert client.recv(100) == message
+
+
+def test_simulated_vehicle_in_real_time_sends_heartbeats_and_poses() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as camera:
+        camera.bind(("127.0.0.1", 0))
+        url = f"udp://127.0.0.1:{camera.getsockname()[1]}"
+        vehicle = SimulatedVehicle.create(load_vehicle("research"), world="quiet")
+        with served(vehicle, "pty", mocap=url) as (path, _):
+            fd, codec, met = open_tty(path), Codec(*HOST), False
+            while not met:
+                select.select([fd], [], [])
+                messages = codec.decode(os.read(fd, 4096))
+                met = any(isinstance(m, Heartbeat) and is_vehicle(m) for m in messages)
+            poses = Codec(*CAMERAS).decode(camera.recv(1000))
+            os.close(fd)
+    assert isinstance(poses[0], AttPosMocap)
+    assert poses[0].z == pytest.approx(0.0, abs=0.01)
+
+
+def test_late_machine_stretches_time_and_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wall clock that jumps by a tenth of a second every tenth look: no tick is skipped or caught up."""
+    looks = 0
+
+    def wall_us() -> int:
+        nonlocal looks
+        looks += 1
+        return looks * 500 + looks // 10 * 100_000
+
+    class Steps(Echo):
+        targets: list[int]
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.targets = []
+
+        def run_until(self, t_us: int) -> int:
+            self.targets.append(t_us)
+            return super().run_until(t_us)
+
+    vehicle = Steps()
+    monkeypatch.setattr(server, "_wall_us", wall_us)
+    statistics = server.serve(vehicle, port="pty", stop=lambda: len(vehicle.targets) >= 100)
+    assert vehicle.targets == [2000 * k for k in range(1, 101)]
+    assert statistics.overruns > 5
+    assert statistics.stretched_us > 500_000
+    assert statistics.simulated_us == 200_000
+
+
+@pytest.mark.parametrize(
+    ("port", "mocap", "told"),
+    [
+        ("serial:/dev/null", None, "choose pty, tcp:HOST:PORT or udp:HOST:PORT"),
+        ("tcp:5760", None, "needs HOST:PORT"),
+        ("udp:127.0.0.1:notaport", None, "needs HOST:PORT"),
+        ("pty", "http://127.0.0.1:9", "give it as udp://HOST:PORT"),
+        ("pty", "udp://127.0.0.1", "needs HOST:PORT"),
+    ],
+)
+def test_port_that_cannot_be_served_is_refused(port: str, mocap: str | None, told: str) -> None:
+    with pytest.raises(server.ServeError, match=told) as caught:
+        server.serve(Echo(), port=port, mocap=mocap, stop=lambda: True)
+    assert caught.value.exit_code == 2
+
+
+def test_port_that_is_taken_is_refused() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = f"tcp:127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(server.ServeError, match="in use"):
+            server.serve(Echo(), port=port, stop=lambda: True)
