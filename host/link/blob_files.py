@@ -1,0 +1,50 @@
+"""Reference and feed-forward files, read for flying and uploading."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from host.errors import UsageError
+from protocol.blobs import Blob, BlobError, FeedForward, Reference, from_bytes
+
+
+def read_blob(path: str | Path) -> Blob:
+    """The blob in a file. Raises UsageError naming the file and what is wrong in it."""
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}), check the file") from error
+    try:
+        return from_bytes(data)
+    except BlobError as error:
+        raise UsageError(
+            f"{path}: no reference or feed-forward ({error}); make one with trimtab plan"
+        ) from error
+
+
+def read_reference(path: str | Path) -> Reference:
+    """The reference in a file. Raises UsageError."""
+    blob = read_blob(path)
+    if not isinstance(blob, Reference):
+        raise UsageError(f"{path}: a feed-forward, give a reference (.ref)")
+    return blob
+
+
+def read_feedforward(path: str | Path) -> FeedForward:
+    """The feed-forward in a file. Raises UsageError."""
+    blob = read_blob(path)
+    if not isinstance(blob, FeedForward):
+        raise UsageError(f"{path}: a reference, give a feed-forward (.ff)")
+    return blob
+
+
+def model_of(path: str | Path) -> str | None:
+    """Id of the model that the plan in `path` was made with, from the provenance beside it; None without."""
+    beside = Path(f"{path}.json")
+    try:
+        told = json.loads(beside.read_text(encoding="utf-8"))
+        model = told.get("provenance", told)["parents"]["model"]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+    return model if isinstance(model, str) else None

@@ -1,0 +1,194 @@
+"""`trimtab fly`: a simulated vehicle, or one at a port, flies a reference; the flight is logged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from host.link.flight import FlightOrder
+    from host.link.summary import FlightResult
+
+CAMERA_DELAY_MS = 4.0
+_LEFT_OUT_WITH_VALUE = ("-o", "--output", "--port", "--mocap", "--workspace")
+_LEFT_OUT = ("--json", "--force", "--realtime")
+
+
+def command(
+    reference: Path,
+    *,
+    vehicle: VehicleName = DEFAULT_VEHICLE,
+    port: str | None = None,
+    mocap: str | None = None,
+    mocap_delay_ms: float = CAMERA_DELAY_MS,
+    world: str | None = None,
+    plant: str | None = None,
+    plant_options: str | None = None,
+    seed: int = 0,
+    world_seed: int = 0,
+    flight: int = 0,
+    realtime: Annotated[bool, Parameter(negative="")] = False,
+    as_flashed: Annotated[bool, Parameter(negative="")] = False,
+    feedforward: Path | None = None,
+    output: Output = None,
+    force: Force = False,
+    json: Json = False,
+    workspace: WorkspaceFolder = None,
+) -> None:
+    """Fly a reference and write its log.
+
+    Without --port a simulated vehicle flies, in lock-step and as fast as the machine allows.
+
+    Parameters
+    ----------
+    reference
+        Reference to fly, a .ref file.
+    port
+        Serial port of a real or served vehicle: a device, tcp:HOST:PORT or udp:HOST:PORT.
+    mocap
+        Where the camera system's poses arrive, udp://HOST:PORT; goes with --port.
+    mocap_delay_ms
+        Least time from a camera's exposure to the arrival of its pose, as the maker states it.
+    world
+        World to simulate, by name or path; the empty one by default.
+    plant
+        Somebody else's physics in place of a world, path.py:Class.
+    plant_options
+        TOML file that is handed to the plant.
+    seed
+        Seed of the host; the log holds it.
+    world_seed
+        Seed of the simulated world; the log does not hold it.
+    flight
+        Index of the flight: flights that differ in it alone share the world and nothing else.
+    realtime
+        Keep the simulation to the wall clock.
+    as_flashed
+        Fly with parameters on board that differ from the vehicle file.
+    feedforward
+        Feed-forward to fly with, a .ff file.
+    """
+    from host import artefacts
+    from host.errors import UsageError
+    from host.link.blob_files import model_of, read_feedforward, read_reference
+    from host.link.flight import FlightOrder
+    from host.link.fly import FlightEnded
+    from host.output import emit, say
+    from host.progress import Progress
+    from host.workspace import open_workspace
+
+    if (port is None) != (mocap is None):
+        raise UsageError("--port and --mocap go together: poses reach the vehicle through this host only")
+    if port is not None and (world or plant or plant_options or realtime or world_seed):
+        raise UsageError("--port flies what is there; leave out world, plant and --realtime")
+    if min(seed, world_seed, flight) < 0:
+        raise UsageError("seeds and flight indices are not negative")
+    if not 0.0 <= mocap_delay_ms <= 1000.0:
+        raise UsageError(f"--mocap-delay-ms {mocap_delay_ms:g} is no delay, give 0 to 1000")
+    airframe = open_workspace(workspace).vehicle(vehicle)
+    blob = read_reference(reference)
+    addition = None if feedforward is None else read_feedforward(feedforward)
+    log = artefacts.check_output(output or Path(f"{reference.stem}-{flight}.mcap"), force)
+    order = FlightOrder(
+        vehicle=airframe,
+        reference=blob,
+        feedforward=addition,
+        log_path=log,
+        port=port or "simulated vehicle",
+        cameras=mocap or "the camera system",
+        upload=port is None,
+        as_flashed=as_flashed,
+        model_id=model_of(reference),
+        session={"seed": str(seed), "flight": str(flight), **_provenance()},
+        camera_delay_us=None if port is None else round(1000 * mocap_delay_ms),
+    )
+    with Progress(f"flying {reference.name}") as bar:
+
+        def on_phase(phase: str) -> None:
+            bar.advance(1.0, phase)
+
+        try:
+            if port is not None and mocap is not None:
+                from host.link.fly import fly_port
+
+                result = fly_port(order, port, mocap, on_phase=on_phase)
+            else:
+                world_options = (world, world_seed, flight, plant, plant_options)
+                result = _fly_simulated(order, world_options, realtime, on_phase)
+        except FlightEnded as ended:
+            say(*ended.result.to_lines())
+            emit(ended.result.to_json(), json)
+            raise
+    say(*result.to_lines())
+    emit(result.to_json(), json)
+
+
+def _fly_simulated(
+    order: FlightOrder,
+    world_options: tuple[str | None, int, int, str | None, str | None],
+    realtime: bool,
+    on_phase: Callable[[str], None],
+) -> FlightResult:
+    """The flight with a simulated vehicle below the reference's first node; its truth goes beside the log."""
+    from contextlib import closing
+
+    from host.link.fly import fly_lockstep
+    from host.link.vehicle import vehicle_class
+
+    world, world_seed, flight, plant, plant_options = world_options
+    first = order.reference.nodes_ned()[0].state
+    simulated = vehicle_class().create(
+        order.vehicle,
+        world=world,
+        world_seed=world_seed,
+        flight=flight,
+        plant=plant,
+        plant_options=plant_options,
+        start_ned=(first[0], first[1], 0.0),
+        start_yaw=order.reference.yaw_nodes()[0].yaw,
+    )
+    with closing(simulated):
+        try:
+            return fly_lockstep(order, simulated, realtime=realtime, on_phase=on_phase)
+        finally:
+            if order.log_path.exists():
+                _write_truth(order.log_path, simulated.truth())
+
+
+def _write_truth(log: Path, truth: dict[str, object]) -> None:
+    """The sealed truth beside the log, tied to it by its id. Only checks open it."""
+    import json
+
+    from host.artefacts import content_id, write_atomic
+
+    record = {**truth, "log": content_id(log.read_bytes())}
+    text = json.dumps(record, indent=2, sort_keys=True) + "\n"
+    write_atomic(log.with_name(log.name + ".truth.json"), text, force=True)
+
+
+def _provenance() -> dict[str, str]:
+    """Version, git state and command, without what two runs of the same flight may differ in."""
+    import sys
+
+    from host import artefacts
+
+    words = iter(sys.argv[1:])
+    kept = []
+    for word in words:
+        option = word.partition("=")[0]
+        if option in _LEFT_OUT:
+            continue
+        if option in _LEFT_OUT_WITH_VALUE:
+            if option == word:
+                next(words, None)
+            continue
+        kept.append(word)
+    told = {"version": artefacts.version(), "command": artefacts.public_command(kept)}
+    git = artefacts.git_state()
+    return told | {"git": git} if git is not None else told

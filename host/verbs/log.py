@@ -1,0 +1,53 @@
+"""`trimtab log`: looks into a flight log, or makes a readable one of a damaged one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cyclopts import App
+
+from host.verbs.options import Force, Json, Output
+
+command = App(name="log", help="Look into a flight log, or recover it.")
+
+
+@command.command
+def info(log: Path, *, json: Json = False) -> None:
+    """Say what a log holds.
+
+    Parameters
+    ----------
+    log
+        A flight log.
+    """
+    from host.log import describe, to_lines
+    from host.output import emit, say
+
+    told = describe(log)
+    say(*to_lines(told))
+    emit(told, json)
+
+
+@command.command
+def recover(log: Path, *, output: Output = None, force: Force = False, json: Json = False) -> None:
+    """Make a readable log of one whose writer was killed or whose file was cut.
+
+    Parameters
+    ----------
+    log
+        The damaged log, or the name it would have had.
+    output
+        Where to write; LOG.recovered.mcap by default.
+    """
+    from host import artefacts
+    from host.log import recover as recover_log
+    from host.log.recover import default_output
+    from host.output import emit, say
+
+    target = artefacts.check_output(output or default_output(log), force)
+    found = recover_log(log, target)
+    if found.output is None:
+        say(f"{found.source} is whole, nothing to recover")
+    else:
+        say(f"{found.output}: {found.messages} messages, {found.duration_s:.2f} s ({found.damage})")
+    emit(found.to_json(), json)

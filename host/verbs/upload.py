@@ -1,0 +1,32 @@
+"""`trimtab upload`: a blob goes to the vehicle at a port, is checked on board and made live."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from host.verbs.options import Json
+
+
+def command(blob: Path, *, port: str, json: Json = False) -> None:
+    """Send a reference or feed-forward to a vehicle and commit it.
+
+    Parameters
+    ----------
+    blob
+        A .ref or .ff file.
+    port
+        Serial port of the vehicle: a device, tcp:HOST:PORT or udp:HOST:PORT.
+    """
+    from host.link.blob_files import read_blob
+    from host.link.fly import upload_port
+    from host.output import emit, say
+    from host.progress import Progress
+
+    found = read_blob(blob)
+    with Progress(f"uploading {blob.name}") as bar:
+        result = upload_port(found, port, lambda phase: bar.advance(1.0, phase))
+    say(
+        f"{result.kind} {result.id} is live: {result.frames_sent} frames in {result.seconds:.2f} s, "
+        f"{result.frames_repeated} of them again"
+    )
+    emit(result.to_json(), json)
