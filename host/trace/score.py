@@ -96,7 +96,7 @@ def effect_parts(model: Model | None, effects: Mapping[str, Effect]) -> list[Par
     if model is None:
         return []
     named = {name: v for name, v in model.adjustments.items() if name in effects}
-    return replace(model, adjustments=named).parts(effects)
+    return replace(model, adjustments=named, covariance=None).parts(effects)
 
 
 def predict_flights(
