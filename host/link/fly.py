@@ -1,21 +1,16 @@
-"""Flights and uploads from beginning to end, for verbs and whoever else has something to fly."""
+"""Flights from beginning to end, for verbs and whoever else has something to fly."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Generator
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
 
-from host.errors import FlightFailed
+from host.errors import FlightFailed, TrimtabError
 from host.link.drivers import DriveStatistics, run_lockstep, run_port
 from host.link.flight import FlightDirector, FlightOrder
 from host.link.ports import Cameras, open_port
-from host.link.session import Session
 from host.link.summary import FlightResult, summarise
-from host.link.tasks import FindVehicle, Identity, SendBlob, Task, check_same_vehicle
 from host.link.vehicle import Vehicle
-from protocol.blobs import Blob
 
 
 class FlightEnded(FlightFailed):
@@ -65,6 +60,8 @@ def fly_port(
     with contextlib.closing(Cameras(mocap)) as cameras, contextlib.closing(open_port(port)) as line:
         try:
             driven = run_port(director.session, line, cameras, interrupt=director.interrupt)
+        except TrimtabError as error:
+            raise _with_log(error, director, order) from error
         finally:
             director.close()
     return _conclude(director, order, driven)
@@ -74,9 +71,7 @@ def _conclude(director: FlightDirector, order: FlightOrder, driven: DriveStatist
     """The result of a session that is done, or its error."""
     error = director.session.error
     if error is not None:
-        if director.log_open and isinstance(error, Exception):
-            error.add_note(f"the log up to there is {order.log_path}")
-        raise error
+        raise _with_log(error, director, order) if isinstance(error, TrimtabError) else error
     result = summarise(director, order.log_path, driven)
     end = director.end
     assert end is not None
@@ -91,69 +86,6 @@ def _conclude(director: FlightDirector, order: FlightOrder, driven: DriveStatist
     return result
 
 
-@dataclass(frozen=True, kw_only=True)
-class UploadResult:
-    """One upload: kind and id of the blob, time, frames sent and how many of them again."""
-
-    kind: str
-    id: str
-    seconds: float
-    frames_sent: int
-    frames_repeated: int
-
-    def to_json(self) -> dict[str, Any]:
-        """The answer of `trimtab upload --json`."""
-        return {
-            "kind": self.kind,
-            "id": self.id,
-            "seconds": self.seconds,
-            "frames_sent": self.frames_sent,
-            "frames_repeated": self.frames_repeated,
-        }
-
-
-def upload_session(blob: Blob, port: str, on_phase: Callable[[str], None] | None = None) -> Session:
-    """A session that makes `blob` live on the vehicle at a port; its result is an UploadResult."""
-
-    def script(session: Session) -> Generator[Task, Any, UploadResult]:
-        say = on_phase or (lambda phase: None)
-        kind = blob.KIND.name.lower()
-        identity: Identity = yield FindVehicle(port)
-        check_same_vehicle(identity, blob.vehicle_id, what=f"the {kind}", port=port)
-        say(f"sending {kind} {blob.id}")
-        begin_us = session.now_us
-        sender = yield SendBlob(blob.to_bytes(), blob.KIND, what=f"{kind} {blob.id}")
-        return UploadResult(
-            kind=kind,
-            id=blob.id,
-            seconds=(session.now_us - begin_us) * 1e-6,
-            frames_sent=sender.messages_sent,
-            frames_repeated=sender.chunks_repeated,
-        )
-
-    return Session(script)
-
-
-def upload_port(blob: Blob, port: str, on_phase: Callable[[str], None] | None = None) -> UploadResult:
-    """The result of an upload at a serial port in real time. Raises Refused, LinkError or UsageError."""
-    session = upload_session(blob, port, on_phase)
-    with contextlib.closing(open_port(port)) as line:
-        run_port(session, line)
-    return _uploaded(session)
-
-
-def upload_lockstep(
-    blob: Blob, vehicle: Vehicle, on_phase: Callable[[str], None] | None = None
-) -> UploadResult:
-    """The same with a vehicle in this process."""
-    session = upload_session(blob, "vehicle", on_phase)
-    run_lockstep(session, vehicle)
-    return _uploaded(session)
-
-
-def _uploaded(session: Session) -> UploadResult:
-    if session.error is not None:
-        raise session.error
-    result = session.result
-    assert isinstance(result, UploadResult)
-    return result
+def _with_log(error: TrimtabError, director: FlightDirector, order: FlightOrder) -> TrimtabError:
+    """The same error, saying where the log is if there is one."""
+    return type(error)(f"{error}; the log up to there is {order.log_path}") if director.log_open else error

@@ -6,6 +6,8 @@ The only module that imports pyserial.
 from __future__ import annotations
 
 import contextlib
+import os
+import re
 import socket
 from typing import Protocol
 from urllib.parse import urlsplit
@@ -50,7 +52,10 @@ class _SerialPort:
         try:
             self._serial = serial.Serial(name, baud, timeout=0, write_timeout=1.0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
-            raise LinkError(f"{name}: cannot be opened as a serial port ({_reason(error)})") from error
+            reason = _reason(error)
+            raise LinkError(
+                f"{name}: cannot be opened as a serial port ({reason}), check its name"
+            ) from error
 
     def fileno(self) -> int:
         return self._serial.fileno()
@@ -82,7 +87,7 @@ class _TcpPort:
         try:
             self._socket = socket.create_connection(address, timeout=CONNECT_S)
         except OSError as error:
-            raise LinkError(f"{name}: cannot be reached ({_reason(error)})") from error
+            raise LinkError(f"{name}: cannot be reached ({_reason(error)}), check the address") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
 
@@ -123,7 +128,7 @@ class _UdpPort:
             self._socket = socket.socket(family, kind, number)
             self._socket.connect(target)
         except OSError as error:
-            raise LinkError(f"{name}: cannot be reached ({_reason(error)})") from error
+            raise LinkError(f"{name}: cannot be reached ({_reason(error)}), check the address") from error
         self._socket.setblocking(False)
 
     def fileno(self) -> int:
@@ -187,5 +192,8 @@ def _address(text: str, url: str) -> tuple[str, int]:
 
 def _reason(error: BaseException) -> str:
     """What the system says, in one line and without its numbers."""
-    number = getattr(error, "strerror", None)
-    return " ".join((number or str(error) or type(error).__name__).split())
+    number = getattr(error, "errno", None)
+    if number is None and (found := re.search(r"\((\d+), ", str(error))):
+        number = int(found[1])  # pyserial puts what termios raised into its own text
+    text = str(error) or type(error).__name__ if number is None else os.strerror(number)
+    return " ".join(text.split()).lower()

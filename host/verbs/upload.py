@@ -18,7 +18,7 @@ def command(blob: Path, *, port: str, json: Json = False) -> None:
         Serial port of the vehicle: a device, tcp:HOST:PORT or udp:HOST:PORT.
     """
     from host.link.blob_files import read_blob
-    from host.link.fly import upload_port
+    from host.link.upload import upload_port
     from host.output import emit, say
     from host.progress import Progress
 
