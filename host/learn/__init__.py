@@ -1,0 +1,6 @@
+"""Learning the residual of a flight's closed loop from its trajectories (paper section IV-B)."""
+
+from host.learn.learn import Judged, Learned, learn
+from host.learn.train import Settings
+
+__all__ = ["Judged", "Learned", "Settings", "learn"]

@@ -1,0 +1,62 @@
+"""Prediction errors of whole flights and of segments: what a model is judged by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from host.models.network import Network
+from host.models.phi import Phi
+from host.models.rollout import half_steps, reference_drive, roll_out
+from host.models.states import States
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """Root mean square of the norm of the error over all samples: m and m/s."""
+
+    position_rmse_m: float
+    velocity_rmse_m_s: float
+
+    def to_json(self) -> dict[str, float | None]:
+        """The two numbers; None where a roll-out diverged."""
+        return {name: value if np.isfinite(value) else None for name, value in vars(self).items()}
+
+
+def whole_flights(
+    phi: Phi, theta: np.ndarray, flights: Sequence[States], network: Network | None = None
+) -> Errors:
+    """Errors of whole flights predicted from their references alone, from the state when tracking begins.
+
+    All samples of all flights count alike.
+    """
+    squares: list[np.ndarray] = []
+    for states in flights:
+        predicted = predict(phi, theta, states, network)
+        squares.append((predicted - states.x)[:, :6] ** 2)
+    every = np.concatenate(squares)
+    return Errors(
+        position_rmse_m=float(np.sqrt(every[:, 0:3].sum(axis=1).mean())),
+        velocity_rmse_m_s=float(np.sqrt(every[:, 3:6].sum(axis=1).mean())),
+    )
+
+
+def predict(phi: Phi, theta: np.ndarray, states: States, network: Network | None = None) -> np.ndarray:
+    """The 12 states (n, 12) of a flight at its samples, predicted from its reference."""
+    split = phi.substeps(states.step_s)
+    step_s = states.step_s / split
+    times = half_steps(states.t_s[0], split * (len(states.t_s) - 1), step_s)
+    voltage = np.interp(times, states.t_s, states.voltage_ratio)
+    drive = reference_drive(states.reference, times, feedforward=states.feedforward, voltage_ratio=voltage)
+    return roll_out(
+        phi,
+        x0=states.initial(phi)[:, None],
+        drive=drive,
+        flight=states.constants,
+        theta=theta,
+        step_s=step_s,
+        every=split,
+        network=network,
+    )[:, :, 0]

@@ -1,0 +1,187 @@
+"""From flights to a model with a learned residual: split by reference, train, judge on references not used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from host.effects import Effect
+from host.learn.evaluate import Errors, whole_flights
+from host.learn.train import Settings, Trained, train
+from host.log import Flight
+from host.models.model import Model, Region
+from host.models.phi import Phi
+from host.models.segments import Segments, cut
+from host.models.states import States, TooLittleData, flight_states
+
+SEGMENT_STEPS = 50
+"""Of 20 ms: a second."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """Whole-flight errors on one set of flights, without and with the network."""
+
+    flights: tuple[str, ...]
+    references: tuple[str, ...]
+    nominal: Errors
+    learned: Errors
+
+    @property
+    def ratio(self) -> float:
+        """Position error with the network over that without."""
+        return self.learned.position_rmse_m / self.nominal.position_rmse_m
+
+    def to_json(self) -> dict[str, Any]:
+        """The errors, those of the nominal model, and which flights."""
+        return {
+            **self.learned.to_json(),
+            "nominal": self.nominal.to_json(),
+            "flights": list(self.flights),
+            "references": list(self.references),
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learned:
+    """A model with the network that trained best, and how good it is. `test` is None where nothing is held out."""
+
+    model: Model
+    train: Judged
+    test: Judged | None
+    trained: Trained
+    segments: int
+
+
+def learn(
+    flights: Sequence[Flight],
+    *,
+    hold_out: Sequence[Flight] = (),
+    base: Model | None = None,
+    effects: Mapping[str, Effect] | None = None,
+    settings: Settings | None = None,
+    seed: int = 0,
+    provenance: Mapping[str, Any] | None = None,
+    on_epoch: Callable[[int, float], None] | None = None,
+) -> Learned:
+    """A model learned from `flights` of one vehicle.
+
+    Held out for the test are `hold_out`, else the flights of every fourth reference where there are three or
+    more; a reference is never on both sides. `base` is a model whose effects (found in `effects`) stay as they
+    are: the network learns what they leave. Raises TooLittleData, and ValueError for flights of two vehicles.
+    """
+    settings = settings or Settings()
+    _check_one_vehicle([*flights, *hold_out])
+    rng = np.random.default_rng(seed)
+    states = [flight_states(flight) for flight in flights]
+    if hold_out:
+        test = [flight_states(flight) for flight in hold_out]
+        shared = {s.reference_id for s in test} & {s.reference_id for s in states}
+        if shared:
+            raise ValueError(
+                f"held-out flights share the reference {', '.join(sorted(shared))} with the others"
+            )
+        used = states
+    else:
+        used, test = split_by_reference(states, rng)
+    parts = [] if base is None else base.parts(effects or {})
+    vehicle = flights[0].vehicle
+    kept = tuple(effect for effect, _ in parts)
+    common: dict[str, Any] = {"vehicle": vehicle, "effects": kept, "parameters": states[0].parameters}
+    phi = Phi(estimator=False, **common)
+    theta = phi.theta(parts)
+    fitted, checked = _segments(used, phi, rng)
+    trained = train(phi, theta, fitted, checked, settings, rng, on_epoch)
+
+    whole = Phi(**common)
+    model = Model(
+        vehicle_id=vehicle.id,
+        vehicle_name=vehicle.name,
+        effects={} if base is None else base.effects,
+        adjustments={} if base is None else base.adjustments,
+        covariance=None if base is None else base.covariance,
+        sources={} if base is None else base.sources,
+        network=trained.network,
+        region=region(used),
+        data=tuple(sorted({s.flight_id for s in used} | set(() if base is None else base.data))),
+        provenance=provenance or {},
+    )
+
+    def judged(chosen: Sequence[States]) -> Judged:
+        return Judged(
+            flights=tuple(s.flight_id for s in chosen),
+            references=tuple(dict.fromkeys(s.reference_id for s in chosen)),
+            nominal=whole_flights(whole, theta, chosen),
+            learned=whole_flights(whole, theta, chosen, trained.network),
+        )
+
+    return Learned(
+        model=model,
+        train=judged(used),
+        test=judged(test) if test else None,
+        trained=trained,
+        segments=fitted.count,
+    )
+
+
+def split_by_reference(
+    states: Sequence[States], rng: np.random.Generator
+) -> tuple[list[States], list[States]]:
+    """Flights to learn from and flights held out: every fourth reference, at least one of three or more."""
+    references = sorted({s.reference_id for s in states})
+    if len(references) < 3:
+        return list(states), []
+    shuffled = [references[i] for i in rng.permutation(len(references))]
+    held = set(shuffled[: max(1, len(references) // 4)])
+    return (
+        [s for s in states if s.reference_id not in held],
+        [s for s in states if s.reference_id in held],
+    )
+
+
+def region(states: Sequence[States]) -> Region:
+    """The speeds, tilts and collective thrusts that the flights went through."""
+    x = np.concatenate([s.x for s in states])
+    thrust = np.concatenate([s.thrust for s in states]).sum(axis=1)
+    tilt = np.arccos(np.clip(np.cos(x[:, 6]) * np.cos(x[:, 7]), -1.0, 1.0))
+    return Region(
+        speed_max_m_s=float(np.linalg.norm(x[:, 3:6], axis=1).max()),
+        tilt_max_deg=float(np.rad2deg(tilt.max())),
+        thrust_min_n=float(thrust.min()),
+        thrust_max_n=float(thrust.max()),
+    )
+
+
+def _segments(used: Sequence[States], phi: Phi, rng: np.random.Generator) -> tuple[Segments, Segments]:
+    """Segments to fit and segments to stop by: a fifth of them, drawn over all flights."""
+    try:
+        segments = cut(used, phi, steps=SEGMENT_STEPS)
+    except ValueError as error:
+        raise TooLittleData(f"{error}; learning needs flights of several seconds") from None
+    if segments.count < 8:
+        raise TooLittleData(
+            f"{segments.count} segments of a second are too few to learn from; give 8 s of flight or more"
+        )
+    order = rng.permutation(segments.count)
+    checks = max(2, segments.count // 5)
+    return segments.take(order[checks:]), segments.take(order[:checks])
+
+
+def _check_one_vehicle(flights: Sequence[Flight]) -> None:
+    if not flights:
+        raise ValueError("no flights to learn from")
+    first = flights[0]
+    for flight in flights[1:]:
+        if flight.vehicle.id != first.vehicle.id:
+            raise TooLittleData(
+                f"{flight.path.name} is of vehicle {flight.vehicle.name} ({flight.vehicle.id}), "
+                f"{first.path.name} of {first.vehicle.name} ({first.vehicle.id}); learn from one vehicle at a time"
+            )
+        if flight.firmware_parameters != first.firmware_parameters:
+            raise TooLittleData(
+                f"{flight.path.name} flew with other firmware parameters than {first.path.name}; "
+                "learn from flights of one setting"
+            )

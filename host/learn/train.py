@@ -1,0 +1,118 @@
+"""Paper Algorithm 2: mini-batches of segments, gradients by roll-out and adjoint, Adam."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from host.learn.adam import Adam
+from host.learn.adjoint import Rollouts
+from host.learn.starts import free_starts
+from host.models.network import Layout, Network
+from host.models.phi import Phi
+from host.models.segments import Segments
+
+LOSS_SIGMA = (5e-3, 5e-3, 5e-3, 0.02, 0.02, 0.02, 0.01, 0.01, 0.01, 0.1, 0.1, 0.1)
+"""m, m/s, rad, rad/s: what turbulence and sensors leave of a roll-out of a second. Weights are 1/sigma^2."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How to train. `rate` decays to a hundredth over `epochs`; `l2` is on the weights, per segment."""
+
+    hidden: tuple[int, ...] = (32, 32)
+    epochs: int = 100
+    batch: int = 16
+    rate: float = 1e-2
+    l2: float = 1e-3
+    patience: int = 30
+    """Epochs without a better validation loss before training ends."""
+
+    def __post_init__(self) -> None:
+        if min(self.epochs, self.batch, self.patience) < 1 or not (self.rate > 0.0 and self.l2 >= 0.0):
+            raise ValueError(f"epochs, batch, patience and rate must be positive, l2 not negative: {self}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trained:
+    """The network of least validation loss; training loss in, validation loss before and after each epoch."""
+
+    network: Network
+    epochs: int
+    best_epoch: int
+    train_loss: np.ndarray
+    validation_loss: np.ndarray
+
+
+def train(
+    phi: Phi,
+    theta: np.ndarray,
+    segments: Segments,
+    validation: Segments,
+    settings: Settings,
+    rng: np.random.Generator,
+    on_epoch: Callable[[int, float], None] | None = None,
+) -> Trained:
+    """The residual d(x, xi) for phi with its effects at `theta`, learned from `segments`.
+
+    Each mini-batch first moves its segments' starts to where they fit best, then takes the gradient there
+    (starts at their optimum add nothing to it). Stops early on `validation`, from its measured starts.
+    """
+    layout = Layout(hidden=settings.hidden)
+    weight = 1.0 / np.square(LOSS_SIGMA)
+    batch = min(settings.batch, segments.count)
+    rollouts = Rollouts(phi, layout, theta, batch=batch, step_s=segments.step_s, weight=weight)
+    starts = free_starts(phi, theta, segments, weight)
+    shift = np.zeros((segments.count, phi.size))
+    batches = -(-segments.count // batch)
+    adam = Adam(layout.initial(rng), rate=settings.rate, steps=settings.epochs * batches)
+
+    best_xi, best_epoch = np.zeros(layout.size), 0
+    losses, checks = [], [_loss(rollouts, validation, best_xi)]
+    for epoch in range(1, settings.epochs + 1):
+        order = rng.permutation(segments.count)
+        total = 0.0
+        for first in range(0, segments.count, batch):
+            chosen = order[first : first + batch]
+            part = segments.take(chosen)
+            use = (np.arange(batch) < len(chosen)).astype(float)
+            x0 = _filled(part.x0 + shift[chosen] * starts.sigma[chosen], batch)
+            states = rollouts.roll_out(part, x0, adam.x)[1:, : len(chosen), :12].transpose(1, 0, 2)
+            shift[chosen] = starts.refine(chosen, shift[chosen], part.measured[:, 1:] - states)
+            x0 = _filled(part.x0 + shift[chosen] * starts.sigma[chosen], batch)
+            found = rollouts.gradient(part, x0, adam.x, use)
+            total += found.loss
+            adam.step(found.xi / len(chosen) + 2.0 * settings.l2 * adam.x)
+        losses.append(total / segments.count)
+        checks.append(_loss(rollouts, validation, adam.x))
+        if checks[-1] < checks[best_epoch]:
+            best_xi, best_epoch = adam.x.copy(), epoch
+        if on_epoch is not None:
+            on_epoch(epoch, checks[-1])
+        if epoch - best_epoch >= settings.patience:
+            break
+    return Trained(
+        network=Network(layout=layout, xi=best_xi),
+        epochs=len(losses),
+        best_epoch=best_epoch,
+        train_loss=np.array(losses),
+        validation_loss=np.array(checks),
+    )
+
+
+def _loss(rollouts: Rollouts, segments: Segments, xi: np.ndarray) -> float:
+    """Mean loss of segments from their measured starts; infinite where a roll-out diverges."""
+    total = 0.0
+    for first in range(0, segments.count, rollouts.batch):
+        part = segments.take(np.arange(first, min(first + rollouts.batch, segments.count)))
+        use = (np.arange(rollouts.batch) < part.count).astype(float)
+        states = rollouts.roll_out(part, _filled(part.x0, rollouts.batch), xi)
+        total += rollouts.loss(part, states, use)
+    return total / segments.count if np.isfinite(total) else float("inf")
+
+
+def _filled(rows: np.ndarray, count: int) -> np.ndarray:
+    """The rows, the first repeated up to `count`."""
+    return np.concatenate([rows, np.repeat(rows[:1], count - len(rows), axis=0)])

@@ -1,0 +1,93 @@
+"""Segments of flights for learning: equal lengths, with states, drive and start (paper IV-B.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from host.models.phi import Phi
+from host.models.rollout import half_steps, reference_drive
+from host.models.states import States
+
+_TILT_MAX = np.deg2rad(80.0)
+"""Beyond it Euler angles near their singularity, and a segment is left out."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Segments:
+    """S segments of N steps of `step_s`.
+
+    x0 (S, size): phi's state at the start, as measured. measured (S, N + 1, 12) with sigma (S, 12). drive
+    (S, 2N + 1, rows) at the steps' starts, middles and ends. constants (S, 9). flight (S,): index of the
+    flight each is of.
+    """
+
+    step_s: float
+    x0: np.ndarray
+    measured: np.ndarray
+    sigma: np.ndarray
+    drive: np.ndarray
+    constants: np.ndarray
+    flight: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """How many segments."""
+        return len(self.x0)
+
+    @property
+    def steps(self) -> int:
+        """Steps of a segment."""
+        return self.measured.shape[1] - 1
+
+    def take(self, indices: np.ndarray | Sequence[int]) -> Segments:
+        """The segments of these indices, in their order."""
+        k = np.asarray(indices, dtype=int)
+        return Segments(
+            step_s=self.step_s,
+            x0=self.x0[k],
+            measured=self.measured[k],
+            sigma=self.sigma[k],
+            drive=self.drive[k],
+            constants=self.constants[k],
+            flight=self.flight[k],
+        )
+
+
+def cut(flights: Sequence[States], phi: Phi, *, steps: int) -> Segments:
+    """Segments of `steps` steps, end to end over every flight's tracking phase; phi's drive is `reference`.
+
+    All flights have one step. Left out: what is beyond 80 degrees of roll or pitch, and a rest shorter than a
+    segment. Raises ValueError where nothing is left.
+    """
+    if len({states.step_s for states in flights}) > 1:
+        raise ValueError("flights on grids of different steps")
+    rows: list[tuple[np.ndarray, ...]] = []
+    for index, states in enumerate(flights):
+        total = len(states.t_s) - 1
+        times = half_steps(states.t_s[0], total, states.step_s)
+        voltage = np.interp(times, states.t_s, states.voltage_ratio)
+        drive = reference_drive(
+            states.reference, times, feedforward=states.feedforward, voltage_ratio=voltage
+        )
+        for k in range(0, total - steps + 1, steps):
+            measured = states.x[k : k + steps + 1]
+            if np.abs(measured[:, 6:8]).max() > _TILT_MAX:
+                continue
+            stages = drive[2 * k : 2 * (k + steps) + 1]
+            start = states.initial(phi, k)
+            rows.append((start, measured, states.sigma, stages, states.constants, np.array(index)))
+    if not rows:
+        raise ValueError(f"no segment of {steps} steps in {len(flights)} flights")
+    x0, measured, sigma, stages, constants, flight = (np.array(column) for column in zip(*rows, strict=True))
+    return Segments(
+        step_s=flights[0].step_s,
+        x0=x0,
+        measured=measured,
+        sigma=sigma,
+        drive=stages,
+        constants=constants,
+        flight=flight,
+    )

@@ -1,0 +1,219 @@
+"""A flight on a regular grid: smoothed states, rotor thrusts and controller memory over its tracking phase.
+
+Position and velocity come from the camera alone, attitude from gyro and camera together, body rate from the
+gyro. Nothing here knows an effect; a camera that is late makes states that are late.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from firmware_model.law.allocation import command_to_thrust
+from host.log import Control, Estimate, Flight, Mocap
+from host.models.phi import INTEGRAL, Phi, flight_constants
+from host.models.reference import block
+from host.models.smoothing import smooth
+from host.vehicle import Vehicle
+from protocol.blobs import FeedForward, Reference
+
+STEP_S = 0.02
+_JERK_DENSITY = 20.0
+"""(m/s^3)^2/Hz: follows flights of some 20 m/s^3; 1 mm at 100 Hz becomes 0.3 mm and 7 mm/s."""
+_DRIFT_DENSITY = 0.1
+"""rad^2/s^5, of the turn between gyro and camera: gyro bias and little else."""
+_RATE_SIGMA = 0.01
+"""rad/s: a gyro of 0.02 averaged over 10 ms and more, and what averaging over a step costs."""
+_LEAST_SIGMA = (2e-4, 3e-3, 1e-3)
+"""m, m/s, rad: no smoother is better than its model of the motion."""
+
+
+class TooLittleData(ValueError):
+    """The log lacks what its closed loop is rebuilt from; the message says what."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class States:
+    """A flight's tracking phase at t_s (n,), seconds since the reference's start, every `step_s`.
+
+    x (n, 12): p, v (NED), Theta, body rate (FRD); sigma (12,) of each. thrust (n, 4): lagged nominal rotor
+    thrusts, N. integral (n, 3): the law's. voltage_ratio (n,). constants (9,): `flight_constants`.
+    """
+
+    flight_id: str
+    reference_id: str
+    vehicle: Vehicle
+    reference: Reference
+    feedforward: FeedForward | None
+    parameters: Mapping[str, float] | None
+    step_s: float
+    t_s: np.ndarray
+    x: np.ndarray
+    sigma: np.ndarray
+    thrust: np.ndarray
+    integral: np.ndarray
+    voltage_ratio: np.ndarray
+    constants: np.ndarray
+
+    def initial(self, phi: Phi, k: int = 0) -> np.ndarray:
+        """phi's state (size,) at sample k; the estimator's errors start at 0."""
+        x = np.zeros(phi.size)
+        x[0:12], x[12:16] = self.x[k], self.thrust[k]
+        if phi.drive != "inputs":
+            x[INTEGRAL] = self.integral[k]
+            if phi.rate_filter:
+                x[INTEGRAL.stop : INTEGRAL.stop + 3] = self.x[k, 9:12]
+        return x
+
+
+def flight_states(flight: Flight, *, step_s: float = STEP_S) -> States:
+    """The states of a flight's tracking phase.
+
+    Raises TooLittleData where the log has no poses, no telemetry of the control law, no reference or no
+    tracking phase.
+    """
+    needed = {
+        "poses": flight.mocap,
+        "control telemetry": flight.control,
+        "on-board estimates": flight.estimate,
+        "reference": flight.reference,
+        "tracking phase": flight.tracking,
+    }
+    missing = [name for name, value in needed.items() if value is None]
+    if missing:
+        raise TooLittleData(
+            f"{flight.path.name}: no {', no '.join(missing)}; use a flight tracked to its end"
+        )
+    mocap, control, estimate = flight.mocap, flight.control, flight.estimate
+    reference, tracking = flight.reference, flight.tracking
+    assert mocap is not None
+    assert control is not None
+    assert estimate is not None
+    assert reference is not None
+    assert tracking is not None
+    start_s, end_s = (t * 1e-6 for t in tracking)
+    steps = int((end_s - start_s) / step_s + 1e-6)
+    at = start_s + step_s * np.arange(steps + 1)
+    inside = (mocap.t_us * 1e-6 > start_s - 1.0) & (mocap.t_us * 1e-6 < end_s + 1.0)
+    if steps < 25 or inside.sum() < 50:
+        raise TooLittleData(f"{flight.path.name}: less than half a second of tracking with poses")
+    pose_s, p = mocap.t_us[inside] * 1e-6, mocap.p[inside]
+    sigma_p = _noise(p)
+    path = smooth(pose_s, p, sigma_p, at, jerk_density=_JERK_DENSITY)
+    theta, sigma_theta = _attitude(mocap, control, inside, at)
+    rate = _gyro(control, estimate, at, step_s)
+    least_p, least_v, least_theta = _LEAST_SIGMA
+    sigma = np.repeat(
+        [
+            max(float(np.median(path.sigma_p)), least_p),
+            max(float(np.median(path.sigma_v)), least_v),
+            max(sigma_theta, least_theta),
+            _RATE_SIGMA,
+        ],
+        3,
+    )
+    integral = np.column_stack(
+        [np.interp(at, control.t1_us * 1e-6, control.rate_integral[:, i]) for i in range(3)]
+    )
+    interval_s = float(np.median(np.diff(pose_s)))
+    tracked = (estimate.t_us * 1e-6 >= start_s) & (estimate.t_us * 1e-6 <= end_s)
+    # The telemetry's age grows from a pose's use to the next one's; at its use it is half an interval less.
+    age_s = float(np.mean(estimate.mocap_age_s[tracked])) - 0.5 * interval_s if tracked.any() else 0.0
+    return States(
+        flight_id=flight.id,
+        reference_id=flight.reference_id or reference.id,
+        vehicle=flight.vehicle,
+        reference=reference,
+        feedforward=flight.feedforward,
+        parameters=flight.firmware_parameters,
+        step_s=step_s,
+        t_s=at - start_s,
+        x=np.column_stack([path.p, path.v, theta, rate]),
+        sigma=sigma,
+        thrust=_thrusts(flight.vehicle, control, at),
+        integral=integral,
+        voltage_ratio=_voltage(flight, at),
+        constants=flight_constants(
+            block(flight.feedforward), mocap_age_s=max(age_s, 0.0), mocap_interval_s=interval_s
+        ),
+    )
+
+
+def _noise(samples: np.ndarray) -> float:
+    """Sigma of white noise, from third differences: motion hardly enters them."""
+    third = np.diff(samples, 3, axis=0)
+    return max(float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)), 1e-5)
+
+
+def _attitude(mocap: Mocap, control: Control, inside: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, float]:
+    """Theta (n, 3) with yaw unwrapped, and its sigma: the gyro's turn, its drift taken from the camera."""
+    length = 1e-6 * (control.t1_us - control.t0_us)
+    gap = np.diff(control.t1_us * 1e-6, prepend=control.t0_us[0] * 1e-6)
+    covered = np.where(np.abs(gap - length) < 1e-4, length, gap)  # an invalid interval: the next one's mean
+    turns = Rotation.from_rotvec(control.gyro_mean * covered[:, None])
+    knots_s = np.concatenate([control.t0_us[:1], control.t1_us]) * 1e-6
+    steps = [Rotation.identity()]
+    for turn in turns:
+        steps.append(steps[-1] * turn)
+    gyro = Rotation.concatenate(steps)
+    pose_s = mocap.t_us[inside] * 1e-6
+    camera = Rotation.from_quat(mocap.q[inside][:, [1, 2, 3, 0]])
+    drift = camera * _between(knots_s, gyro, turns, pose_s).inv()
+    base = drift[0]
+    offset = (drift * base.inv()).as_rotvec()
+    sigma = _noise(offset)
+    smoothed = smooth(pose_s, offset, sigma, at, jerk_density=_DRIFT_DENSITY)
+    turned = Rotation.from_rotvec(smoothed.p) * base * _between(knots_s, gyro, turns, at)
+    theta = turned.as_euler("ZYX")[:, ::-1].copy()
+    theta[:, 2] = np.unwrap(theta[:, 2])
+    return theta, float(np.median(smoothed.sigma_p))
+
+
+def _between(knots_s: np.ndarray, gyro: Any, turns: Any, at: np.ndarray) -> Any:
+    """The gyro's attitude at times `at`, at a constant rate between knots."""
+    k = np.clip(np.searchsorted(knots_s, at, side="right") - 1, 0, len(knots_s) - 2)
+    share = np.clip((at - knots_s[k]) / np.maximum(knots_s[k + 1] - knots_s[k], 1e-9), 0.0, 1.0)
+    return gyro[k] * Rotation.from_rotvec(turns[k].as_rotvec() * share[:, None])
+
+
+def _gyro(control: Control, estimate: Estimate, at: np.ndarray, step_s: float) -> np.ndarray:
+    """Body rate (n, 3): the gyro's mean over the step around each time, less the bias estimated on board."""
+    edges = np.concatenate([control.t0_us[:1], control.t1_us]) * 1e-6
+    turned = np.concatenate(
+        [np.zeros((1, 3)), np.cumsum(control.gyro_mean * np.diff(edges)[:, None], axis=0)]
+    )
+    half = 0.5 * step_s
+    rate = np.column_stack(
+        [
+            (np.interp(at + half, edges, turned[:, i]) - np.interp(at - half, edges, turned[:, i])) / step_s
+            for i in range(3)
+        ]
+    )
+    bias = np.column_stack([np.interp(at, estimate.t_us * 1e-6, estimate.gyro_bias[:, i]) for i in range(3)])
+    return rate - bias
+
+
+def _thrusts(vehicle: Vehicle, control: Control, at: np.ndarray) -> np.ndarray:
+    """Nominal rotor thrusts (n, 4), N: what was commanded, behind the vehicle file's lag."""
+    commanded = command_to_thrust(control.motor_mean, vehicle.thrust_max_n, *vehicle.thrust_curve)
+    edges = np.concatenate([control.t0_us[:1], control.t1_us]) * 1e-6
+    stay = np.exp(-np.diff(edges) / vehicle.motor_lag_s)
+    thrust = np.empty((len(edges), 4))
+    thrust[0] = commanded[0]
+    for k, share in enumerate(stay):
+        thrust[k + 1] = commanded[k] + share * (thrust[k] - commanded[k])
+    return np.column_stack([np.interp(at, edges, thrust[:, i]) for i in range(4)])
+
+
+def _voltage(flight: Flight, at: np.ndarray) -> np.ndarray:
+    """Battery voltage over full voltage (n,), 1 where not logged."""
+    if flight.battery is None or not len(flight.battery):
+        return np.ones(len(at))
+    volts = np.interp(at, flight.battery.t_us * 1e-6, flight.battery.battery_v)
+    return volts / flight.vehicle.battery.full_v

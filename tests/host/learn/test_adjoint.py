@@ -1,0 +1,115 @@
+"""The gradient of Algorithm 1 against finite differences and against CasADi's own reverse mode."""
+
+from __future__ import annotations
+
+import casadi
+import numpy as np
+import pytest
+
+from host.learn.adjoint import Rollouts, step_function
+from host.learn.train import LOSS_SIGMA
+from host.models.network import Layout
+from host.models.phi import Phi
+from host.models.rollout import roll_out
+from host.models.segments import cut
+from host.vehicle import load_vehicle
+
+LAYOUT = Layout(hidden=(8, 8))
+PHI = Phi(vehicle=load_vehicle("research"), estimator=False)
+THETA = np.zeros(0)
+WEIGHT = 1.0 / np.square(LOSS_SIGMA)
+STEPS, BATCH = 20, 4
+
+
+@pytest.fixture(scope="module")
+def segments(make_states):
+    return cut([make_states(1)], PHI, steps=STEPS).take([2, 5, 7])
+
+
+@pytest.fixture(scope="module")
+def rollouts():
+    return Rollouts(PHI, LAYOUT, THETA, batch=BATCH, step_s=0.02, weight=WEIGHT)
+
+
+@pytest.fixture(scope="module")
+def xi():
+    rng = np.random.default_rng(2)
+    return LAYOUT.initial(rng) + 0.05 * rng.standard_normal(LAYOUT.size)
+
+
+USE = np.array([1.0, 1.0, 1.0, 0.0])
+
+
+def starts(segments):
+    return np.concatenate([segments.x0, segments.x0[:1]])
+
+
+def test_gradient_equals_finite_differences(rollouts, segments, xi):
+    found = rollouts.gradient(segments, starts(segments), xi, USE)
+
+    def loss(shift, x0_shift):
+        states = rollouts.roll_out(segments, starts(segments) + x0_shift, xi + shift)
+        return rollouts.loss(segments, states, USE)
+
+    rng = np.random.default_rng(3)
+    x0_scale = np.repeat([1e-3, 1e-2, 1e-2, 1e-1, 0.1, 0.1], [3, 3, 3, 3, 4, 3])
+    for _ in range(6):
+        along = rng.standard_normal(LAYOUT.size)
+        start_along = rng.standard_normal((BATCH, PHI.size)) * x0_scale
+
+        def slope(h, along=along, start_along=start_along):
+            forward, back = loss(h * along, h * start_along), loss(-h * along, -h * start_along)
+            return (forward - back) / (2.0 * h)
+
+        # Richardson: differences of order four, exact far below the bound.
+        numeric = (4.0 * slope(1e-4) - slope(2e-4)) / 3.0
+        exact = found.xi @ along + (found.x0 * start_along).sum()
+        assert exact == pytest.approx(numeric, rel=1e-7)
+
+
+def test_gradient_equals_casadi_reverse_mode(rollouts, segments, xi):
+    step = step_function(PHI, LAYOUT, THETA, batch=3, step_s=0.02)
+    weights, x0 = casadi.MX.sym("xi", LAYOUT.size), casadi.MX.sym("x0", PHI.size, 3)
+    x, total = x0, 0.0
+    for k in range(STEPS):
+        drives = [segments.drive[:, 2 * k + i].T for i in range(3)]
+        x = step(x, *drives, segments.constants.T, weights)
+        error = x[:12, :] - segments.measured[:, k + 1].T
+        total += casadi.dot(error, casadi.diag(casadi.DM(WEIGHT)) @ error) / STEPS
+    reverse = casadi.Function(
+        "reverse", [weights, x0], [total, casadi.gradient(total, weights), casadi.gradient(total, x0)]
+    )
+    loss, by_xi, by_x0 = (np.array(value) for value in reverse(xi, segments.x0.T))
+    found = rollouts.gradient(segments, starts(segments), xi, USE)
+    assert found.loss == pytest.approx(loss.item(), rel=1e-12)
+    scale = np.abs(by_xi).max()
+    np.testing.assert_allclose(found.xi, by_xi.ravel(), rtol=1e-10, atol=1e-10 * scale)
+    np.testing.assert_allclose(found.x0[:3], by_x0.T, rtol=1e-10, atol=1e-10 * np.abs(by_x0).max())
+
+
+def test_gradient_unused_segments_do_not_count(rollouts, segments, xi):
+    alone = rollouts.gradient(segments.take([0]), starts(segments), xi, np.array([1.0, 0, 0, 0]))
+    both = rollouts.gradient(segments, starts(segments), xi, np.array([1.0, 0, 0, 0]))
+    np.testing.assert_allclose(alone.xi, both.xi, rtol=1e-12, atol=1e-14)
+
+
+def test_roll_out_equals_that_over_lanes(rollouts, segments):
+    """CasADi's step and numpy's lanes are one model."""
+    states = rollouts.roll_out(segments, starts(segments), np.zeros(LAYOUT.size))
+    lanes = roll_out(
+        PHI,
+        x0=segments.x0.T,
+        drive=segments.drive.transpose(1, 2, 0),
+        flight=segments.constants.T,
+        theta=THETA,
+        step_s=0.02,
+    )
+    np.testing.assert_allclose(states[:, :3, :12].transpose(0, 2, 1), lanes, rtol=1e-10, atol=1e-12)
+
+
+def test_rollouts_too_long_a_step_or_too_many_segments_are_refused(rollouts, segments, xi):
+    with pytest.raises(ValueError, match="too long for this model"):
+        Rollouts(PHI, LAYOUT, THETA, batch=2, step_s=0.2, weight=WEIGHT)
+    many = segments.take([0, 1, 2, 0, 1])
+    with pytest.raises(ValueError, match="5 segments for a batch of 4"):
+        rollouts.roll_out(many, starts(segments), xi)
