@@ -167,10 +167,9 @@ def _accelerations(
     push(middle, [-c * u for c, u in zip(plate, flow, strict=True)])
 
     outside = _tether(ops, P, p, v)
-    for arm in arms:
-        foot, lever = _foot(ops, P, p, v, R, w, arm)
-        outside = _add(outside, foot)
-        torque = _add(torque, lever)
+    floor_force, floor_torque = _floor(ops, P, p, v, R, w, arms)
+    outside = _add(outside, floor_force)
+    torque = _add(torque, floor_torque)
     a = [f / mass + o / mass + g for f, o, g in zip(_into_world(R, force), outside, gust[:3], strict=True)]
     a[2] = a[2] + GRAVITY_M_S2
     momentum = _symmetric(P["inertia"], w)
@@ -178,18 +177,27 @@ def _accelerations(
     return a, _add(_symmetric(P["inertia_inverse"], turning), gust[3:])
 
 
-def _foot(
-    ops: Any, P: Mapping[str, Any], p: Vector, v: Vector, R: Vector, w: Vector, arm: Vector
+def _floor(
+    ops: Any, P: Mapping[str, Any], p: Vector, v: Vector, R: Vector, w: Vector, arms: Sequence[Vector]
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Force in NED and torque in FRD of the floor on the foot below a rotor: damped spring and friction."""
-    depth = p[2] + R[6] * arm[0] + R[7] * arm[1] + R[8] * arm[2]
-    velocity = _add(v, _into_world(R, _cross(w, arm)))
-    press = ops.maximum(P["floor"][0] * depth + P["floor"][1] * velocity[2], 0.0)
-    press = ops.where(depth > 0.0, press, 0.0)
-    slip = ops.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1] + _SLIP_M_S * _SLIP_M_S)
-    grip = -_FRICTION * press / slip
-    force = [grip * velocity[0], grip * velocity[1], -press]
-    return force, _cross(arm, _into_body(R, force))
+    """Force in NED and torque in FRD of the floor: a damped spring under each rotor, friction on the body."""
+    down = R[6:9]
+    sway = _cross(down, w)  # w x arm, seen along the vertical, is arm . (down x w)
+    total: Scalar = 0.0
+    lever: list[Scalar] = [0.0, 0.0, 0.0]
+    for arm in arms:
+        depth = p[2] + _dot(arm, down)
+        press = ops.maximum(P["floor"][0] * depth + P["floor"][1] * (v[2] + _dot(arm, sway)), 0.0)
+        press = ops.where(depth > 0.0, press, 0.0)
+        total = total + press
+        lever = [old + press * a for old, a in zip(lever, arm, strict=True)]
+    grip = _FRICTION * total
+    slide = grip / ops.sqrt(v[0] * v[0] + v[1] * v[1] + _SLIP_M_S * _SLIP_M_S)
+    reach = ops.sqrt(arms[0][0] * arms[0][0] + arms[0][1] * arms[0][1])
+    turn = reach * w[2]
+    torque = _cross(down, lever)
+    torque[2] = torque[2] - grip * reach * turn / ops.sqrt(turn * turn + _SLIP_M_S * _SLIP_M_S)
+    return [-slide * v[0], -slide * v[1], -total], torque
 
 
 def _tether(ops: Any, P: Mapping[str, Any], p: Vector, v: Vector) -> list[Scalar]:
