@@ -13,10 +13,10 @@ from typing import Protocol
 
 import numpy as np
 
+from firmware_model.uart import NEVER_US
+from protocol.uwb import FRAME_BYTES
 from sitl.world import RadioSettings
 
-FRAME_BYTES = 116
-NEVER_US = 1 << 62
 _BLOCK = 1024
 _SHORT_SHARE = 0.5  # of a full frame's risk in a bad spell that a very short frame still runs
 _FLIPS_MAX = 6

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from firmware_model.uart import NEVER_US
 from sitl.world import TICK_US, ImuSettings, MocapSettings
 
-NEVER_US = 1 << 62
 _BLOCK = 1024
 _STAMP_JITTER = (
     0.15  # of an undeclared latency: cameras stamped by a busy computer are late by varying amounts
@@ -136,7 +136,3 @@ def _turned(q: Sequence[float], turn: Sequence[float]) -> tuple[float, float, fl
         scale * (y + w * b + z * a - x * c),
         scale * (z + w * c + x * b - y * a),
     )
-
-
-DatagramEncoder = Callable[[Pose], bytes]
-"""Turns a pose into the datagram the camera system sends to the host."""

@@ -1,11 +1,7 @@
-"""The truth of a simulated session: what the world held. Written only where asked, opened only by checks."""
+"""The truth of a simulated session: what the world held. Who writes it decides where; only checks open it."""
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from sitl.draw import World
@@ -27,12 +23,3 @@ def truth_record(world: World, flight: int, *, plant: str | None = None) -> dict
         "deviations": {f"{kind}.{key}": value for (kind, key), value in world.deviations.items()},
         "turbulence": world.turbulence.model_dump(),
     }
-
-
-def write_truth(path: str | Path, truth: Mapping[str, Any], *, log_id: str | None = None) -> None:
-    """Nothing comes back; the record is written aside and renamed. `log_id` ties it to a log."""
-    target = Path(path)
-    record = {**truth, "log": log_id}
-    draft = target.with_name(f".{target.name}.part")
-    draft.write_text(json.dumps(record, indent=2, sort_keys=True) + "\n", encoding="utf-8")
-    os.replace(draft, target)

@@ -63,7 +63,7 @@ class ImuSettings(Strict):
     gyro_noise_rad_s: NonNegative = 0.02
     gyro_bias_rad_s: NonNegative = 0.004
     accelerometer_noise_m_s2: NonNegative = 0.08
-    accelerometer_bias_m_s2: NonNegative = 0.03
+    accelerometer_bias_m_s2: NonNegative = 0.01
     voltage_noise_v: NonNegative = 0.005
 
 

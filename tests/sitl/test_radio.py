@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from sitl.radio import NEVER_US, BurstLoss, RadioChannel
+from firmware_model.uart import NEVER_US
+from sitl.radio import BurstLoss, RadioChannel
 from sitl.world import RadioSettings
 
 FRAME = bytes(range(116))
