@@ -68,9 +68,12 @@ FLIGHT = (
     "feedback_delay_s",
     "position_weight",
     "velocity_weight",
+    "accelerometer_x",
+    "accelerometer_y",
+    "accelerometer_z",
 )
 """Constants of one flight: form (a) of the feed-forward, age of a pose at its use, time between poses,
-further delay of the position and velocity fed back, weights of their feedback."""
+further delay of the position and velocity fed back, weights of their feedback, accelerometer bias."""
 
 
 def flight_constants(
@@ -80,13 +83,14 @@ def flight_constants(
     mocap_interval_s: float = 0.0,
     feedback_delay_s: float = 0.0,
     weights: Sequence[float] = (1.0, 1.0),
+    accelerometer_bias: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
 ) -> np.ndarray:
-    """The (9,) constants of a flight, for `Phi`; `block` is form (a) of what was fed forward."""
+    """The (12,) constants of a flight, for `Phi`; `block` is form (a) of what was fed forward."""
     gain, roll, pitch, prediction = (1.0, 0.0, 0.0, 0.0)
     if block is not None:
         gain, roll, pitch, prediction = block[0], block[10], block[11], block[12]
-    mocap = (mocap_age_s, mocap_interval_s)
-    return np.array([gain, roll, pitch, prediction, *mocap, feedback_delay_s, *weights], dtype=float)
+    late = (mocap_age_s, mocap_interval_s, feedback_delay_s)
+    return np.array([gain, roll, pitch, prediction, *late, *weights, *accelerometer_bias], dtype=float)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,10 +122,11 @@ class Phi:
         """Number of states."""
         if self.drive == "inputs":
             return STATE_SIZE
-        return self._errors.start + (estimator.SIZE if self._has_estimator else 0)
+        return self.errors.start + (estimator.SIZE if self._has_estimator else 0)
 
     @property
-    def _errors(self) -> slice:
+    def errors(self) -> slice:
+        """Where the estimator's errors are in the state; beyond its end without them."""
         start = INTEGRAL.stop + (3 if self.rate_filter else 0)
         return slice(start, start + estimator.SIZE)
 
@@ -190,6 +195,7 @@ class Phi:
     ) -> list[Scalar]:
         """xdot with the law in the loop, from the rigid body's part of it."""
         gain, roll, pitch, prediction, age, interval, delay, *weights = (flight[i] for i in range(9))
+        imu_bias = [flight[i] for i in range(9, 12)]
         a, rate_dot = body[V], body[RATE]
         error_dot: list[Scalar] = []
         if self.drive == "estimate":
@@ -199,11 +205,11 @@ class Phi:
             p, v, rate = x[0:3], x[V], x[RATE]
             R = euler_to_matrix(ops, x[THETA])
             if self._has_estimator:
-                e = estimator.errors_of(x[self._errors], a, rate)
+                e = estimator.errors_of(x[self.errors], a, rate)
                 R_true, R = R, estimator.turn(ops, R, e[6:9])
                 error_dot = estimator.error_rates(
-                    law_step.estimator_gains(self._firmware), e, R_true, R, v, a, rate, rate_dot,
-                    age, prediction, mocap_latency_s(ops, parts), interval,
+                    law_step.estimator_gains(self.firmware), e, R_true, R, v, a, rate, rate_dot,
+                    age, prediction, mocap_latency_s(ops, parts), interval, imu_bias,
                 )  # fmt: skip
                 p = [p[i] + e[i] for i in range(3)]
                 v = [v[i] + e[3 + i] for i in range(3)]
@@ -211,24 +217,24 @@ class Phi:
             p = [p[i] - delay * (v[i] - 0.5 * delay * a[i]) for i in range(3)]
             v = [v[i] - delay * a[i] for i in range(3)]
 
-        k = law_step.gains(self._firmware)
+        k = law_step.gains(self.firmware)
         corner, slope_share = _sampled_filter(k.filter_rate)
         if self.rate_filter:
             away = [rate[i] - x[INTEGRAL.stop + i] for i in range(3)]
         else:  # the filter's lag behind a ramp
             away = [alpha / corner for alpha in rate_dot]
-        limit = law_step.integral_limit(self._firmware)
+        limit = law_step.integral_limit(self.firmware)
         integral = [ops.clip(x[INTEGRAL.start + i], -limit[i], limit[i]) for i in range(3)]
         reference = Reference(drive[0:3], drive[3:6], drive[6:9], drive[9:12], drive[12], drive[13])
         collective, torque, _, integral_dot = control(
-            ops, k, law_step.body(self._firmware), p, v, R, rate,
+            ops, k, law_step.body(self.firmware), p, v, R, rate,
             [rate[i] - slope_share * away[i] for i in range(3)], integral, reference,
             drive[14:17], weights, drive[17:20], (roll, pitch),
         )  # fmt: skip
         if not self.rate_filter:
             share = slope_share * k.filter_rate / (corner * corner)
             torque = _behind(torque, rotor_torque(self.vehicle, x[THRUST]), k.rate_derivative, share, lag)
-        _, command, _ = law_step.motors(ops, self._firmware, collective, torque, gain)
+        _, command, _ = law_step.motors(ops, self.firmware, collective, torque, gain)
         return [
             *body,
             *thrust_rates(x[THRUST], command, lag),
@@ -238,7 +244,7 @@ class Phi:
         ]
 
     @cached_property
-    def _firmware(self) -> tuple[float, ...]:
+    def firmware(self) -> tuple[float, ...]:
         """The law's block `parameters`."""
         table = to_parameters(self.vehicle) if self.parameters is None else self.parameters
         return law_step.parameter_vector(table)

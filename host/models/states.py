@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from firmware_model.law import step as law_step
 from firmware_model.law.allocation import command_to_thrust
-from host.log import Control, Estimate, Flight, Mocap
+from host.log import Control, Estimate, Flight
+from host.models.bias import accelerometer_bias, standing_errors
 from host.models.phi import INTEGRAL, Phi, flight_constants
 from host.models.reference import block
 from host.models.smoothing import smooth
-from host.vehicle import Vehicle
+from host.vehicle import Vehicle, to_parameters
 from protocol.blobs import FeedForward, Reference
 
 STEP_S = 0.02
@@ -43,7 +45,7 @@ class States:
     """A flight's tracking phase at t_s (n,), seconds since the reference's start, every `step_s`.
 
     x (n, 12): p, v (NED), Theta, body rate (FRD); sigma (12,) of each. thrust (n, 4): lagged nominal rotor
-    thrusts, N. integral (n, 3): the law's. voltage_ratio (n,). constants (9,): `flight_constants`.
+    thrusts, N. integral (n, 3): the law's. voltage_ratio (n,). constants (12,): `flight_constants`.
     """
 
     flight_id: str
@@ -62,18 +64,24 @@ class States:
     constants: np.ndarray
 
     def initial(self, phi: Phi, k: int = 0) -> np.ndarray:
-        """phi's state (size,) at sample k; the estimator's errors start at 0."""
+        """phi's state (size,) at sample k; the estimator's errors are what the accelerometer's bias makes."""
         x = np.zeros(phi.size)
         x[0:12], x[12:16] = self.x[k], self.thrust[k]
         if phi.drive != "inputs":
             x[INTEGRAL] = self.integral[k]
             if phi.rate_filter:
                 x[INTEGRAL.stop : INTEGRAL.stop + 3] = self.x[k, 9:12]
+            if phi.errors.stop <= phi.size:
+                R = Rotation.from_euler("ZYX", self.x[k, 8:5:-1]).as_matrix()
+                gains = law_step.estimator_gains(phi.firmware)
+                excess = R @ self.constants[9:12]
+                for i, per_bias in enumerate(standing_errors(gains, *self.constants[4:6])):
+                    x[phi.errors.start + 3 * i : phi.errors.start + 3 * i + 3] = per_bias * excess
         return x
 
 
-def flight_states(flight: Flight, *, step_s: float = STEP_S) -> States:
-    """The states of a flight's tracking phase.
+def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 0.0) -> States:
+    """The states of a flight's tracking phase; poses are taken to be `latency_s` older than stamped.
 
     Raises TooLittleData where the log has no poses, no telemetry of the control law, no reference or no
     tracking phase.
@@ -100,13 +108,14 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S) -> States:
     start_s, end_s = (t * 1e-6 for t in tracking)
     steps = int((end_s - start_s) / step_s + 1e-6)
     at = start_s + step_s * np.arange(steps + 1)
-    inside = (mocap.t_us * 1e-6 > start_s - 1.0) & (mocap.t_us * 1e-6 < end_s + 1.0)
+    taken_s = mocap.t_us * 1e-6 - latency_s
+    inside = (taken_s > start_s - 1.0) & (taken_s < end_s + 1.0)
     if steps < 25 or inside.sum() < 50:
         raise TooLittleData(f"{flight.path.name}: less than half a second of tracking with poses")
-    pose_s, p = mocap.t_us[inside] * 1e-6, mocap.p[inside]
+    pose_s, p = taken_s[inside], mocap.p[inside]
     sigma_p = _noise(p)
     path = smooth(pose_s, p, sigma_p, at, jerk_density=_JERK_DENSITY)
-    theta, sigma_theta = _attitude(mocap, control, inside, at)
+    theta, sigma_theta = _attitude(pose_s, mocap.q[inside], control, at)
     rate = _gyro(control, estimate, at, step_s)
     least_p, least_v, least_theta = _LEAST_SIGMA
     sigma = np.repeat(
@@ -125,6 +134,13 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S) -> States:
     tracked = (estimate.t_us * 1e-6 >= start_s) & (estimate.t_us * 1e-6 <= end_s)
     # The telemetry's age grows from a pose's use to the next one's; at its use it is half an interval less.
     age_s = float(np.mean(estimate.mocap_age_s[tracked])) - 0.5 * interval_s if tracked.any() else 0.0
+    gains = law_step.estimator_gains(law_step.parameter_vector(_parameters(flight)))
+    per_bias, _ = standing_errors(gains, max(age_s, 0.0), interval_s)
+    estimated = np.column_stack([np.interp(at, estimate.t_us * 1e-6, estimate.p[:, i]) for i in range(3)])
+    R = Rotation.from_euler("ZYX", theta[:, ::-1]).as_matrix()
+    imu_bias = accelerometer_bias(
+        estimated - path.p, R, path.v, np.gradient(path.v, step_s, axis=0), per_bias
+    )
     return States(
         flight_id=flight.id,
         reference_id=flight.reference_id or reference.id,
@@ -140,9 +156,17 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S) -> States:
         integral=integral,
         voltage_ratio=_voltage(flight, at),
         constants=flight_constants(
-            block(flight.feedforward), mocap_age_s=max(age_s, 0.0), mocap_interval_s=interval_s
+            block(flight.feedforward),
+            mocap_age_s=max(age_s, 0.0),
+            mocap_interval_s=interval_s,
+            accelerometer_bias=imu_bias,
         ),
     )
+
+
+def _parameters(flight: Flight) -> Mapping[str, float]:
+    table = flight.firmware_parameters
+    return to_parameters(flight.vehicle) if table is None else table
 
 
 def _noise(samples: np.ndarray) -> float:
@@ -151,7 +175,9 @@ def _noise(samples: np.ndarray) -> float:
     return max(float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)), 1e-5)
 
 
-def _attitude(mocap: Mocap, control: Control, inside: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, float]:
+def _attitude(
+    pose_s: np.ndarray, q: np.ndarray, control: Control, at: np.ndarray
+) -> tuple[np.ndarray, float]:
     """Theta (n, 3) with yaw unwrapped, and its sigma: the gyro's turn, its drift taken from the camera."""
     length = 1e-6 * (control.t1_us - control.t0_us)
     gap = np.diff(control.t1_us * 1e-6, prepend=control.t0_us[0] * 1e-6)
@@ -162,8 +188,7 @@ def _attitude(mocap: Mocap, control: Control, inside: np.ndarray, at: np.ndarray
     for turn in turns:
         steps.append(steps[-1] * turn)
     gyro = Rotation.concatenate(steps)
-    pose_s = mocap.t_us[inside] * 1e-6
-    camera = Rotation.from_quat(mocap.q[inside][:, [1, 2, 3, 0]])
+    camera = Rotation.from_quat(q[:, [1, 2, 3, 0]])
     drift = camera * _between(knots_s, gyro, turns, pose_s).inv()
     base = drift[0]
     offset = (drift * base.inv()).as_rotvec()

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from firmware_model.law.ops import FLOAT
 
+from firmware_model.law.ops import FLOAT
 from host.effects import compose_feedforward, load_effects
 from host.models import dynamics
 

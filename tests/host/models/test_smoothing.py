@@ -1,0 +1,65 @@
+"""The smoother against curves that are known, and its sigma against the error it makes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from firmware_model.law.estimator import EstimatorGains
+from host.models.bias import accelerometer_bias, standing_errors
+from host.models.smoothing import smooth
+
+
+def curve(t):
+    return np.stack([1.5 * np.sin(1.9 * t), np.sin(2.7 * t + 0.3), 0.3 * np.sin(1.3 * t)], axis=1)
+
+
+def slope(t):
+    terms = (1.5 * 1.9 * np.cos(1.9 * t), 2.7 * np.cos(2.7 * t + 0.3), 0.39 * np.cos(1.3 * t))
+    return np.stack(terms, axis=1)
+
+
+def test_smooth_noisy_curve_gives_position_velocity_and_honest_sigma():
+    rng = np.random.default_rng(0)
+    t = np.sort(rng.uniform(0.0, 6.0, 600))
+    at = np.linspace(0.5, 5.5, 101)
+    samples = curve(t) + 1e-3 * rng.standard_normal((600, 3))
+    found = smooth(t, samples, 1e-3, at, jerk_density=20.0)
+    p_rms = np.sqrt(np.square(found.p - curve(at)).mean())
+    v_rms = np.sqrt(np.square(found.v - slope(at)).mean())
+    assert p_rms < 0.5e-3
+    assert v_rms < 0.012
+    assert 0.5 < p_rms / np.median(found.sigma_p) < 1.5
+    assert 0.5 < v_rms / np.median(found.sigma_v) < 1.5
+
+
+def test_smooth_gap_is_bridged_with_a_larger_sigma():
+    t = np.arange(0.0, 4.0, 0.01)
+    t = t[(t < 1.9) | (t > 2.1)]
+    found = smooth(t, curve(t), 1e-3, np.array([1.0, 2.0, 3.0]), jerk_density=20.0)
+    assert found.sigma_p[1] > 2.0 * found.sigma_p[0]
+    np.testing.assert_allclose(found.p, curve(np.array([1.0, 2.0, 3.0])), atol=3e-3)
+
+
+def test_smooth_times_in_any_order_keep_theirs():
+    t = np.arange(0.0, 2.0, 0.01)
+    at = np.array([1.5, 0.5, 1.0])
+    found = smooth(t, curve(t), 1e-3, at, jerk_density=20.0)
+    np.testing.assert_allclose(found.p, curve(at), atol=1e-3)
+
+
+def test_smooth_too_few_samples_are_refused():
+    with pytest.raises(ValueError, match="at least 3 samples"):
+        smooth(np.zeros(2), np.zeros((2, 3)), 1e-3, np.zeros(1), jerk_density=1.0)
+
+
+def test_accelerometer_bias_is_found_beside_lateness():
+    rng = np.random.default_rng(1)
+    t = np.arange(0.0, 10.0, 0.02)
+    v, a = slope(t), np.gradient(slope(t), 0.02, axis=0)
+    R = np.repeat(np.eye(3)[None], len(t), axis=0)
+    bias = np.array([0.03, -0.02, 0.05])
+    per_bias, velocity = standing_errors(EstimatorGains(20.0, 120.0, 5.0, 0.5), 0.015, 0.01)
+    assert velocity == pytest.approx(20.0 / 120.0)
+    error = per_bias * bias - 0.012 * v + 2e-4 * a + 3e-4 * rng.standard_normal(v.shape)
+    np.testing.assert_allclose(accelerometer_bias(error, R, v, a, per_bias), bias, atol=0.005)
