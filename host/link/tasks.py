@@ -300,13 +300,13 @@ class SendBlob(Task):
         elif self.sender.over:
             if self.sender.silent:
                 raise LinkError(f"{self._what}: {self.sender.reason}; check the link and send it again")
-            raise Refused(f"{self._what}: {self.sender.reason}")
+            raise Refused(f"{self._what}: {self.sender.reason.strip()}")
         else:
             self.deadline_us = self.sender.next_deadline_us() or now_us
 
 
 class FreshStatus(Task):
-    """Result: the first FC_STATUS that arrives. Raises LinkError where none does."""
+    """Result: the first FC_STATUS of a vehicle that has booted. Raises LinkError where none arrives."""
 
     wants = (m.FcStatus,)
 
@@ -315,10 +315,12 @@ class FreshStatus(Task):
         self.deadline_us = self._end_us
 
     def receive(self, client: Client, message: Message, now_us: int) -> None:
-        self.finish(message)
+        assert isinstance(message, m.FcStatus)
+        if message.state != mavlink.TRIMTAB_STATE_BOOT:
+            self.finish(message)
 
     def advance(self, client: Client, now_us: int) -> None:
-        raise LinkError("the vehicle reports no status; check the link")
+        raise LinkError("the vehicle reports no status, or never ends booting; check the link")
 
 
 class SettleClock(Task):

@@ -10,7 +10,7 @@ from typing import Any
 from host.link.drivers import run_lockstep, run_port
 from host.link.ports import open_port
 from host.link.session import Session
-from host.link.tasks import FindVehicle, Identity, SendBlob, Task, check_same_vehicle
+from host.link.tasks import FindVehicle, FreshStatus, Identity, SendBlob, Task, check_same_vehicle
 from host.link.vehicle import Vehicle
 from protocol.blobs import Blob
 
@@ -44,6 +44,7 @@ def upload_session(blob: Blob, port: str, on_phase: Callable[[str], None] | None
         kind = blob.KIND.name.lower()
         identity: Identity = yield FindVehicle(port)
         check_same_vehicle(identity, blob.vehicle_id, what=f"the {kind}", port=port)
+        yield FreshStatus()
         say(f"sending {kind} {blob.id}")
         begin_us = session.now_us
         sender = yield SendBlob(blob.to_bytes(), blob.KIND, what=f"{kind} {blob.id}")

@@ -1,0 +1,350 @@
+"""Whole flights in lock-step: what the log says of them, and what becomes of them when things go wrong."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from host.codegen.compiler import find_compiler
+from host.errors import LinkError, Refused, UsageError
+from host.link.drivers import run_lockstep
+from host.link.flight import FlightDirector, FlightOrder
+from host.link.fly import FlightEnded, fly_lockstep
+from host.link.session import Session
+from host.link.summary import FlightResult
+from host.link.tasks import FreshStatus, SetParameter
+from host.link.upload import upload_lockstep
+from host.log import Flight, read_flight, topics
+from host.log.scan import scan
+from host.log.tracking import reference_at
+from host.vehicle import Vehicle, load_vehicle
+from protocol.blobs import NEUTRAL_BLOCK, FeedForward, Reference
+from protocol.generated import flight_pb2
+
+Flown = tuple[FlightResult, Flight]
+Fly = Callable[..., FlightResult]
+Simulate = Callable[..., Any]
+PLANT = f"{Path(__file__).parent.parent / 'plants' / 'thermal.py'}:Thermal"
+
+
+def test_session_flies_the_reference_and_logs_it(flown: Flown, reference: Reference) -> None:
+    result, flight = flown
+    assert result.end is not None
+    assert result.end.whole
+    assert result.tracking_rmse_m is not None
+    assert result.tracking_rmse_m < 0.05
+    assert flight.id == result.log_id
+    assert flight.reference == reference
+    assert flight.tracking_whole
+    assert flight.tracking is not None
+    start_us, end_us = flight.tracking
+    assert end_us - start_us == reference.duration_us
+    states = flight.status
+    assert states is not None
+    order = list(dict.fromkeys(states.state.tolist()))
+    assert order == [2, 3, 4, 5, 6, 1]  # armed, takeoff, tracking, hold, landing, standby
+    assert flight.firmware_parameters is not None
+    assert flight.firmware_parameters["MASS"] == pytest.approx(0.752)
+    assert flight.metadata["session_uid"] != "0"
+
+
+def test_session_topics_come_at_their_rates(flown: Flown) -> None:
+    flight = flown[1]
+    assert flight.mocap is not None
+    assert flight.estimate is not None
+    assert flight.control is not None
+    assert flight.status is not None
+    assert flight.link is not None
+    for track, rate_hz in ((flight.mocap, 100), (flight.estimate, 100), (flight.control, 100)):
+        assert len(track) == pytest.approx(rate_hz * flight.duration_s, rel=0.05)
+    assert len(flight.status) >= 9.5 * flight.duration_s
+    assert len(flight.link) == pytest.approx(10 * flight.duration_s, rel=0.05)
+    # Poses: measured 4 to 4.5 ms before they arrive, to the tick; both as they were.
+    late = flight.mocap.t_arrival_us - flight.mocap.t_us
+    assert late.min() >= 4000
+    assert late.max() <= 6000
+
+
+def test_session_clock_comparison_is_exact_where_both_ways_are_alike(flown: Flown) -> None:
+    # The simulated vehicle's clock is the host's: the offset is known to be 0.
+    link = flown[1].link
+    assert link is not None
+    assert abs(link.clock_offset_us[-1]) <= 500.0
+    assert link.clock_offset_sd_us[-1] < 500.0
+
+
+def test_session_control_means_tell_of_the_flight(flown: Flown, vehicle: Vehicle) -> None:
+    flight = flown[1]
+    control = flight.control
+    assert control is not None
+    assert flight.tracking is not None
+    # Intervals join: what one message lost, the next one holds.
+    np.testing.assert_array_equal(control.t0_us[1:], control.t1_us[:-1])
+    inside = (control.t0_us >= flight.tracking[0]) & (control.t1_us <= flight.tracking[1])
+    c1, c2 = vehicle.thrust_curve
+    u = control.motor_mean[inside]
+    thrust = vehicle.thrust_max_n * (c1 * u + c2 * u**2).sum(axis=1)
+    # Motors, command and accelerometer say the same in their three ways, above the weight for the tilt.
+    assert thrust.mean() == pytest.approx(control.collective[inside].mean(), rel=0.01)
+    assert thrust.mean() == pytest.approx(-vehicle.mass_kg * control.force_mean[inside, 2].mean(), rel=0.03)
+    assert 1.0 < thrust.mean() / (9.81 * vehicle.mass_kg) < 1.15
+    np.testing.assert_allclose(control.gyro_mean[inside].mean(axis=0), 0.0, atol=0.05)
+
+
+def test_session_logged_reference_is_the_one_flown(flown: Flown, reference: Reference) -> None:
+    result, flight = flown
+    entries = scan(result.log).by_topic()[topics.REFERENCE]
+    messages = [flight_pb2.Reference.FromString(entry.data) for entry in entries]
+    assert len(messages) >= 0.97 * (reference.duration_us * 1e-4 + 100)
+    t_us = np.array([message.reference_us for message in messages])
+    np.testing.assert_allclose(
+        [list(message.p_ned_m) for message in messages], reference_at(reference, t_us)[:, :3], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        [list(message.j_ned_m_s3) for message in messages], reference_at(reference, t_us)[:, 9:12], atol=1e-9
+    )
+    assert {message.reference_id for message in messages} == {reference.id}
+    assert flight.tracking is not None
+    published = np.array([entry.publish_time_us for entry in entries])
+    inside = t_us < reference.duration_us
+    np.testing.assert_allclose(published[inside] - t_us[inside], flight.tracking[0], atol=500)
+
+
+def test_session_same_seed_gives_the_same_bytes_and_another_flight_others(
+    fly: Fly, simulate: Simulate, tmp_path: Path
+) -> None:
+    first = fly(simulate(world_seed=5), log_path=tmp_path / "a.mcap").log.read_bytes()
+    again = fly(simulate(world_seed=5), log_path=tmp_path / "b.mcap").log.read_bytes()
+    other = fly(simulate(world_seed=5, flight=1), log_path=tmp_path / "c.mcap").log.read_bytes()
+    assert first == again
+    assert first != other
+
+
+@pytest.mark.skipif(find_compiler() is None, reason="needs a compiler")
+def test_session_with_and_without_a_compiler_gives_the_same_bytes(
+    fly: Fly, simulate: Simulate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    logs = []
+    for engine in ("vm", "c"):
+        monkeypatch.setenv("TRIMTAB_ENGINE", engine)
+        logs.append(fly(simulate(world="worn"), log_path=tmp_path / f"{engine}.mcap").log.read_bytes())
+    assert logs[0] == logs[1]
+
+
+def test_session_after_a_power_cycle_equals_one_that_began_so(
+    fly: Fly, simulate: Simulate, reference: Reference, tmp_path: Path
+) -> None:
+    # As in the demo: uploaded on an idle clock, power-cycled, flown. Twice the same bytes.
+    logs = []
+    for name in ("a.mcap", "b.mcap"):
+        simulated = simulate()
+        uploaded = upload_lockstep(reference, simulated)
+        assert uploaded.id == reference.id
+        simulated.power_cycle(3)
+        assert simulated.now_us == 0
+        logs.append(fly(simulated, log_path=tmp_path / name, upload=False).log.read_bytes())
+    assert logs[0] == logs[1]
+
+
+@pytest.mark.parametrize(("loss", "burst"), [(0.2, 5.0), (0.3, 20.0)])
+def test_session_over_a_lossy_radio_flies_all_the_same(
+    fly: Fly, simulate: Simulate, loss: float, burst: float
+) -> None:
+    simulated = simulate(radio={"loss": loss, "burst_frames": burst})
+    result = fly(simulated)
+    assert result.tracking_rmse_m is not None
+    assert result.tracking_rmse_m < 0.06
+    counts = simulated.radio_counts()
+    lost = sum(way["lost"] for way in counts.values())
+    # The counts in the result begin at arm and end with the radios' last report.
+    assert 0.6 * lost <= result.frames_lost <= lost
+    flight = read_flight(result.log)
+    assert flight.control is not None
+    intervals = np.unique(flight.control.t1_us - flight.control.t0_us)
+    assert len(intervals) > 1  # lost messages widened some
+    np.testing.assert_array_equal(flight.control.t0_us[1:], flight.control.t1_us[:-1])
+
+
+def test_session_with_another_vehicle_is_refused_before_anything_is_written(
+    fly: Fly, simulate: Simulate, tmp_path: Path
+) -> None:
+    with pytest.raises(UsageError, match=r"is there, research is for"):
+        fly(simulate(vehicle=load_vehicle("nano")))
+    assert not list(tmp_path.iterdir())
+
+
+def test_order_for_another_vehicle_than_the_references_is_refused(reference: Reference) -> None:
+    with pytest.raises(UsageError, match="was made for vehicle"):
+        FlightOrder(vehicle=load_vehicle("nano"), reference=reference, log_path=Path("x.mcap"))
+
+
+def test_session_with_other_parameters_on_board_needs_as_flashed(
+    fly: Fly, simulate: Simulate, tmp_path: Path
+) -> None:
+    def script(session: Session) -> Any:
+        yield FreshStatus()
+        return (yield SetParameter("POS_P_N", 5.5))
+
+    simulated = simulate()
+    session = Session(script)
+    run_lockstep(session, simulated)
+    assert session.error is None
+    simulated.power_cycle(0)
+    with pytest.raises(UsageError, match=r"POS_P_N is 5\.5.*--as-flashed"):
+        fly(simulated)
+    assert not list(tmp_path.iterdir())
+    simulated.power_cycle(0)
+    result = fly(simulated, as_flashed=True)
+    parameters = read_flight(result.log).firmware_parameters
+    assert parameters is not None
+    assert parameters["POS_P_N"] == 5.5
+
+
+def test_session_reference_refused_on_board_names_node_and_reason(
+    fly: Fly, figure_eight: Callable[..., Reference], vehicle: Vehicle, tmp_path: Path
+) -> None:
+    with pytest.raises(Refused, match=r"refused on board at node \d+"):
+        fly(reference=figure_eight(vehicle, duration_s=1.5, size_m=2.0))
+    assert not list(tmp_path.iterdir())
+
+
+def test_session_without_upload_needs_the_reference_on_board(fly: Fly, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"live on board is none.*trimtab upload"):
+        fly(upload=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_session_with_a_feedforward_logs_it_and_without_refuses_it(
+    fly: Fly, simulate: Simulate, vehicle: Vehicle, tmp_path: Path
+) -> None:
+    block = (*NEUTRAL_BLOCK[:4], 0.3, 0.3, 0.0, *NEUTRAL_BLOCK[7:])
+    addition = FeedForward(vehicle_id=vehicle.id, model_id="0" * 12, block=block)
+    simulated = simulate()
+    result = fly(simulated, feedforward=addition)
+    assert read_flight(result.log).feedforward == addition
+    simulated.power_cycle(1)
+    with pytest.raises(UsageError, match=f"{addition.id} is live on board"):
+        fly(simulated, log_path=tmp_path / "without.mcap")
+
+
+def test_session_that_loses_mocap_ends_in_failsafe_with_its_log_kept(
+    fly: Fly, simulate: Simulate, world_file: Callable[[str], str]
+) -> None:
+    simulated = simulate(world=world_file("[mocap]\ngaps_s = [[7.0, 20.0]]\n"))
+    with pytest.raises(FlightEnded, match="failsafe: mocap lost") as caught:
+        fly(simulated)
+    assert caught.value.exit_code == 1
+    result = caught.value.result
+    flight = read_flight(result.log)
+    assert flight.failsafe == "mocap-lost"
+    assert not flight.tracking_whole
+    assert result.to_json()["failsafe"] == "mocap lost"
+
+
+def test_session_that_loses_the_link_lands_and_says_so(
+    fly: Fly, simulate: Simulate, world_file: Callable[[str], str]
+) -> None:
+    simulated = simulate(world=world_file("[mocap]\nrate_hz = 100\n[radio]\ncuts_s = [[6.0, 8.0]]\n"))
+    with pytest.raises(FlightEnded, match="failsafe"):
+        fly(simulated)
+
+
+def test_session_whose_link_stays_away_is_given_up_with_its_log_kept(
+    fly: Fly, simulate: Simulate, world_file: Callable[[str], str], tmp_path: Path
+) -> None:
+    simulated = simulate(world=world_file("[radio]\ncuts_s = [[6.0, 900.0]]\n"))
+    with pytest.raises(LinkError, match=r"silent for 30 s.*the log up to there is .*flight\.mcap"):
+        fly(simulated)
+    flight = read_flight(tmp_path / "flight.mcap")
+    assert flight.mocap is not None
+    assert flight.mocap.t_us[-1] > 30_000_000
+
+
+@pytest.mark.parametrize(("option", "value"), [("fail_after_ticks", 7000), ("nan_after_ticks", 7000)])
+def test_session_with_a_plant_that_fails_leaves_a_readable_log(
+    fly: Fly, simulate: Simulate, tmp_path: Path, option: str, value: int
+) -> None:
+    options = tmp_path / "plant.toml"
+    options.write_text(f"{option} = {value}\n", encoding="utf-8")
+    with pytest.raises(Exception, match="Thermal") as caught:
+        fly(simulate(plant=PLANT, plant_options=str(options)))
+    assert getattr(caught.value, "exit_code", None) == 2
+    flight = read_flight(tmp_path / "flight.mcap")
+    assert flight.estimate is not None
+    assert flight.estimate.t_us[-1] == pytest.approx(
+        7_000_000 - int(flight.metadata["arm_host_us"]), abs=50_000
+    )
+
+
+def test_session_with_a_plant_that_fails_before_arm_leaves_a_readable_log(
+    fly: Fly, simulate: Simulate, tmp_path: Path
+) -> None:
+    options = tmp_path / "plant.toml"
+    options.write_text("fail_after_ticks = 100\n", encoding="utf-8")
+    with pytest.raises(Exception, match="Thermal"):
+        fly(simulate(plant=PLANT, plant_options=str(options)))
+    flight = read_flight(tmp_path / "flight.mcap")
+    assert flight.tracking is None
+    assert flight.mocap is None
+
+
+def test_session_interrupted_leaves_a_readable_log(fly: Fly, tmp_path: Path) -> None:
+    def press(phase: str) -> None:
+        if phase == "tracking":
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        fly(on_phase=press)
+    flight = read_flight(tmp_path / "flight.mcap")
+    assert flight.status is not None
+    assert flight.status.state.max() <= 4
+
+
+def test_session_interrupted_with_a_director_lands_first(
+    vehicle: Vehicle, reference: Reference, simulate: Simulate, tmp_path: Path
+) -> None:
+    phases: list[str] = []
+
+    def press(phase: str) -> None:
+        phases.append(phase)
+        if phase == "tracking":
+            os.kill(os.getpid(), signal.SIGINT)
+
+    director = FlightDirector(
+        FlightOrder(vehicle=vehicle, reference=reference, log_path=tmp_path / "x.mcap"), press
+    )
+    run_lockstep(director.session, simulate(), interrupt=director.interrupt)
+    director.close()
+    assert director.end is not None
+    assert director.end.interrupted
+    assert not director.end.whole
+    assert phases[-4:] == ["landing on request", "landing", "standby", "landed"]
+    flight = read_flight(tmp_path / "x.mcap")
+    assert flight.mocap is not None
+    assert abs(flight.mocap.p[-1, 2]) < 0.1
+    assert not flight.tracking_whole
+
+
+def test_session_without_poses_is_refused(
+    fly: Fly, simulate: Simulate, world_file: Callable[[str], str]
+) -> None:
+    with pytest.raises(LinkError, match="no poses in 5 s"):
+        fly(simulate(world=world_file("[mocap]\ngaps_s = [[0.0, 60.0]]\n")), cameras="udp://somewhere")
+
+
+def test_fly_lockstep_leaves_the_vehicle_open(
+    vehicle: Vehicle, reference: Reference, simulate: Simulate, tmp_path: Path
+) -> None:
+    simulated = simulate()
+    for k in range(2):
+        order = FlightOrder(vehicle=vehicle, reference=reference, log_path=tmp_path / f"{k}.mcap")
+        fly_lockstep(order, simulated)
+        simulated.power_cycle(k + 1)
+    logs = [read_flight(tmp_path / f"{k}.mcap") for k in range(2)]
+    assert logs[0].metadata["session_uid"] != logs[1].metadata["session_uid"]

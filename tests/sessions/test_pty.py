@@ -1,0 +1,105 @@
+"""Two flights in real time over a real pseudo terminal, through pyserial, as in two shells."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from host.link.flight import FlightOrder
+from host.link.fly import fly_port
+from host.link.upload import upload_port
+from host.log import read_flight
+from host.vehicle import Vehicle
+from protocol.blobs import Reference
+
+pytestmark = [
+    pytest.mark.xdist_group("serial"),
+    pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo terminals"),
+]
+
+
+def free_port() -> int:
+    """A UDP port number that nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextmanager
+def served(*words: str) -> Iterator[tuple[str, Callable[[], dict]]]:
+    """`trimtab sitl` in a process of its own: its port, and a function that ends it and gives its JSON."""
+    command = [sys.executable, "-m", "host.cli", "sitl", *words, "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+
+    def end() -> dict:
+        process.send_signal(signal.SIGTERM)
+        said, _ = process.communicate(timeout=60)
+        assert process.returncode == 0
+        return json.loads(said.strip().splitlines()[-1])
+
+    try:
+        yield process.stdout.readline().strip(), end
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+
+
+def test_pty_flight_after_upload_tracks_and_logs(
+    vehicle: Vehicle, reference: Reference, tmp_path: Path
+) -> None:
+    mocap = f"udp://127.0.0.1:{free_port()}"
+    truth = tmp_path / "truth.json"
+    with served("--port", "pty", "--mocap", mocap, "--world-seed", "2", "--truth", str(truth)) as (port, end):
+        uploaded = upload_port(reference, port)
+        assert uploaded.id == reference.id
+        assert upload_port(reference, port).frames_sent == 1  # it is live already
+        order = FlightOrder(
+            vehicle=vehicle,
+            reference=reference,
+            log_path=tmp_path / "pty.mcap",
+            port=port,
+            upload=False,
+            camera_delay_us=4000,
+        )
+        result = fly_port(order, port, mocap)
+        assert end()["simulated_s"] > 10.0
+    assert result.end is not None
+    assert result.end.whole
+    assert result.tracking_rmse_m is not None
+    assert result.tracking_rmse_m < 0.15
+    flight = read_flight(result.log)
+    assert flight.tracking_whole
+    assert flight.metadata["session_uid"] == json.loads(truth.read_text())["uid"]
+
+
+def test_pty_flight_over_a_radio_that_loses_a_fifth_of_its_frames(
+    vehicle: Vehicle, reference: Reference, tmp_path: Path
+) -> None:
+    mocap = f"udp://127.0.0.1:{free_port()}"
+    with served("--port", "pty", "--mocap", mocap, "--world", "lossy-link") as (port, end):
+        upload_port(reference, port)
+        order = FlightOrder(
+            vehicle=vehicle,
+            reference=reference,
+            log_path=tmp_path / "lossy.mcap",
+            port=port,
+            upload=False,
+            camera_delay_us=4000,
+        )
+        result = fly_port(order, port, mocap)
+        end()
+    assert result.end is not None
+    assert result.end.whole
+    assert result.frames_lost > 0.08 * result.frames_sent
+    assert result.tracking_rmse_m is not None
+    assert result.tracking_rmse_m < 0.15

@@ -1,0 +1,159 @@
+"""`fly`, `upload` and `log` as a user runs them; what a log may not tell."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from host import cli, output
+from host.effects import load_effects
+from host.log.scan import scan
+from protocol.blobs import Reference
+
+FLY_KEYS = {
+    "log",
+    "reference",
+    "tracking_rmse_m",
+    "tracking_max_m",
+    "clipped_share",
+    "realtime_factor",
+    "link",
+}
+LINK_KEYS = {"frames_sent", "frames_lost", "rtt_ms", "mocap_age_ms_p99"}
+
+
+@pytest.fixture
+def trimtab(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, dict[str, Any], str]]:
+    """Runs the command line in the test's folder: exit code, the JSON of the last line, stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: str) -> tuple[int, dict[str, Any], str]:
+        monkeypatch.setattr(output, "_emitted", False)
+        monkeypatch.setattr("sys.argv", ["trimtab", *words])
+        capsys.readouterr()
+        code = cli.main(words)
+        told = capsys.readouterr()
+        last = told.out.strip().splitlines()[-1:] or [""]
+        return code, json.loads(last[0]) if last[0].startswith("{") else {}, told.err
+
+    return run
+
+
+@pytest.fixture
+def ref(tmp_path: Path, reference: Reference) -> str:
+    (tmp_path / "eight.ref").write_bytes(reference.to_bytes())
+    return "eight.ref"
+
+
+def test_fly_answers_with_the_documented_keys_and_leaves_log_and_truth(
+    trimtab: Any, ref: str, tmp_path: Path
+) -> None:
+    code, told, _ = trimtab("fly", ref, "--json", "--seed", "4", "--flight", "2")
+    assert code == 0
+    assert set(told) >= FLY_KEYS
+    assert set(told["link"]) == LINK_KEYS
+    assert told["log"] == "eight-2.mcap"
+    truth = json.loads((tmp_path / "eight-2.mcap.truth.json").read_text())
+    assert truth["log"] == told["log_id"]
+    code, described, _ = trimtab("log", "info", "eight-2.mcap", "--json")
+    assert code == 0
+    assert described["id"] == told["log_id"]
+    assert described["provenance"]["seed"] == "4"
+    assert described["provenance"]["flight"] == "2"
+    assert described["provenance"]["session_uid"] == truth["uid"]
+
+
+def test_fly_again_does_not_overwrite_unless_forced(trimtab: Any, ref: str, tmp_path: Path) -> None:
+    log = tmp_path / "x.mcap"
+    log.write_bytes(b"mine")
+    code, _, complaint = trimtab("fly", ref, "-o", "x.mcap", "--json")
+    assert code == 2
+    assert "--force" in complaint
+    assert log.read_bytes() == b"mine"
+
+
+def test_fly_log_tells_nothing_of_world_seed_or_drawn_values(trimtab: Any, ref: str, tmp_path: Path) -> None:
+    seed = "918273645"
+    code, told, _ = trimtab(
+        "fly", ref, "--world", "drawn-several", "--world-seed", seed, "-o", "x.mcap", "--json"
+    )
+    assert code == 0
+    found = scan(tmp_path / "x.mcap")
+    text = repr((found.metadata, found.attachments)).encode() + b"".join(e.data for e in found.messages)
+    truth = json.loads((tmp_path / "x.mcap.truth.json").read_text())
+    assert truth["world_seed"] == int(seed)
+    assert truth["effects"]
+    values = [value for effect in truth["effects"].values() for value in effect.values()]
+    values += list(truth["deviations"].values())
+    forbidden = ["drawn-several", seed, "--world", *(f"{value:.6g}" for value in values)]
+    vehicle_file = found.attachments["vehicle.toml"][1].decode()
+    forbidden += [name for name in load_effects() if not re.search(rf"\b{name}\b", vehicle_file)]
+    assert len(forbidden) > 5
+    for word in forbidden:
+        assert word.encode() not in text, word
+    assert told["link"]["frames_sent"] > 0
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "part"),
+    [
+        (("fly", "none.ref"), 2, "none.ref: cannot be read"),
+        (("fly", "bad.ref"), 2, "bad.ref: no reference or feed-forward"),
+        (("fly", "eight.ref", "--vehicle", "nano"), 2, "was made for vehicle"),
+        (("fly", "eight.ref", "--world", "atlantis"), 2, "atlantis"),
+        (("fly", "eight.ref", "--port", "/dev/null"), 2, "--port and --mocap go together"),
+        (("fly", "eight.ref", "--port", "/dev/null", "--mocap", "udp://127.0.0.1:1x"), 2, "HOST:PORT"),
+        (("fly", "eight.ref", "--flight", "-1"), 2, "not negative"),
+        (("fly", "eight.ref", "-o", "no/x.mcap"), 2, "folder"),
+        (("upload", "eight.ref", "--port", "/dev/null"), 3, "cannot be opened as a serial port"),
+        (("upload", "bad.ref", "--port", "/dev/null"), 2, "bad.ref"),
+        (("log", "info", "bad.ref"), 5, "is no MCAP file"),
+        (("log", "recover", "bad.ref"), 5, "is no MCAP file"),
+    ],
+)
+def test_verb_with_bad_input_is_one_line_and_a_code_and_leaves_nothing(
+    trimtab: Any, ref: str, tmp_path: Path, words: tuple[str, ...], code: int, part: str
+) -> None:
+    (tmp_path / "bad.ref").write_bytes(b"TRTB" + bytes(30))
+    before = sorted(path.name for path in tmp_path.iterdir())
+    got, told, complaint = trimtab(*words, "--json")
+    assert got == code
+    assert part in complaint
+    assert complaint.count("\n") == 1
+    assert told["exit_code"] == code
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_fly_that_ends_in_failsafe_answers_and_exits_with_1(
+    trimtab: Any, ref: str, world_file: Callable[[str], str]
+) -> None:
+    world = world_file("[mocap]\ngaps_s = [[7.0, 20.0]]\n")
+    code, told, complaint = trimtab("fly", ref, "--world", world, "-o", "x.mcap", "--json")
+    assert code == 1
+    assert told["failsafe"] == "mocap lost"
+    assert "ended in failsafe" in complaint
+    assert trimtab("log", "info", "x.mcap", "--json")[1]["failsafe"] == "mocap-lost"
+
+
+def test_log_recover_of_a_cut_log_writes_one_that_can_be_read(
+    trimtab: Any, flown: Any, tmp_path: Path
+) -> None:
+    content = flown[0].log.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: len(content) // 2])
+    code, _, complaint = trimtab("log", "info", "cut.mcap")
+    assert code == 5
+    assert "trimtab log recover cut.mcap" in complaint
+    code, told, _ = trimtab("log", "recover", "cut.mcap", "--json")
+    assert code == 0
+    assert told["recovered"]
+    code, described, _ = trimtab("log", "info", told["log"], "--json")
+    assert code == 0
+    assert described["recovered"]
+    assert trimtab("log", "recover", "cut.mcap")[0] == 2  # it is there already
