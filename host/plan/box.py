@@ -1,7 +1,7 @@
-"""The box a plan is solved in: the limits, a little inside, and tightened where the finished reference sticks out.
+"""The box a plan is solved in: just inside the limits, tighter where the finished reference sticks out.
 
-Limits are judged on the final reference, inside every interval; the solver sees only its nodes. What the reference
-exceeds a limit by is therefore taken off the solver's box before the next round.
+Limits are judged on the final reference, inside every interval; the solver sees only its nodes. What the
+reference exceeds a limit by is therefore taken off the solver's box before the next round.
 """
 
 from __future__ import annotations
@@ -16,8 +16,11 @@ from host.models.model import Region
 from host.plan.dynamics import Dynamics
 from host.vehicle import Limits
 
-_INSET = 0.01  # of every range, at the start
-_EXCESS = 1.3  # share of an excess that is taken off the box
+_INSET = 0.01  # of every range at the start, except:
+_INSET_RATE = 0.05
+_INSET_THRUST = 0.02
+_EXCESS = 1.2  # share of an excess that is taken off the box,
+_STEP = 0.002  # and share of the bound besides
 _REGION_MARGIN = 1.1  # how far beyond the trained region a network is trusted
 KEEP_OUT = "keep_out_m"
 """Name of the margin to keep-out shapes, beside those of `firmware_model.law.checks`."""
@@ -41,8 +44,8 @@ class SolverBox:
     def inside(cls, limits: Limits) -> SolverBox:
         """A box just inside the limits."""
         low, high = limits.thrust_headroom
-        inset = _INSET * (high - low)
-        x, y, z = (bound * (1.0 - _INSET) for bound in limits.body_rate_max_rad_s)
+        inset = _INSET_THRUST * (high - low)
+        x, y, z = (bound * (1.0 - _INSET_RATE) for bound in limits.body_rate_max_rad_s)
         return cls(
             thrust_share=(low + inset, high - inset),
             body_rate_rad_s=(x, y, z),
@@ -54,27 +57,33 @@ class SolverBox:
         )
 
     def tightened(self, margins: Mapping[str, float]) -> SolverBox:
-        """The box with every negative margin of the finished reference taken off its bound."""
+        """The box with the finished reference's negative margins taken off its bounds, and a little more."""
 
-        def excess(name: str) -> float:
-            return _EXCESS * max(0.0, -margins.get(name, 0.0))
+        def excess(name: str, bound: float, most: float) -> float:
+            margin = margins.get(name, 0.0)
+            return min(most, _EXCESS * -margin + _STEP * bound) if margin < 0.0 else 0.0
+
+        def lower(name: str, bound: float) -> float:
+            return bound - excess(name, bound, 0.3 * bound)
 
         low, high = self.thrust_share
-        rate = excess("body_rate_rad_s")
-        x, y, z = (max(0.5 * bound, bound - rate) for bound in self.body_rate_rad_s)
+        x, y, z = (lower("body_rate_rad_s", bound) for bound in self.body_rate_rad_s)
         return SolverBox(
-            thrust_share=(low + excess("thrust_low"), high - excess("thrust_high")),
+            thrust_share=(
+                low + excess("thrust_low", high - low, 0.1 * (high - low)),
+                high - excess("thrust_high", high - low, 0.1 * (high - low)),
+            ),
             body_rate_rad_s=(x, y, z),
-            tilt_deg=max(0.5 * self.tilt_deg, self.tilt_deg - excess("tilt_deg")),
-            speed_m_s=max(0.5 * self.speed_m_s, self.speed_m_s - excess("speed_m_s")),
-            jerk_m_s3=max(0.5 * self.jerk_m_s3, self.jerk_m_s3 - excess("jerk_m_s3")),
-            fence_m=self.fence_m + excess("geofence_m"),
-            keep_out_m=self.keep_out_m + excess(KEEP_OUT),
+            tilt_deg=lower("tilt_deg", self.tilt_deg),
+            speed_m_s=lower("speed_m_s", self.speed_m_s),
+            jerk_m_s3=lower("jerk_m_s3", self.jerk_m_s3),
+            fence_m=self.fence_m + excess("geofence_m", 1.0, 0.3),
+            keep_out_m=self.keep_out_m + excess(KEEP_OUT, 1.0, 0.3),
         )
 
 
 def within_region(limits: Limits, region: Region, dynamics: Dynamics) -> Limits:
-    """The limits cut down to where a model was trained, with a tenth beyond; thrust by what each rotor may give."""
+    """The limits cut down to where a model was trained, and a tenth beyond; thrust in equal shares."""
     low, high = limits.thrust_headroom
     most = _REGION_MARGIN * region.thrust_max_n / (4.0 * dynamics.vehicle.thrust_max_n)
     least = region.thrust_min_n / (_REGION_MARGIN * 4.0 * dynamics.vehicle.thrust_max_n)

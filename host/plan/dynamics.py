@@ -1,14 +1,15 @@
-"""The planner's state, and what an interval integrates, costs and bounds, for a vehicle and a model of its residual.
+"""The planner's state, and what an interval integrates, costs and bounds, for a vehicle with its model.
 
-The paper's 12 states (eq. 1) and the four rotor thrusts in units of hover thrust; the inputs are the thrusts' rates.
-With thrust as a state acceleration is continuous and the jerk finite, which a reference needs; the paper's effort
-u'u weighs the thrusts themselves, as there.
+The paper's 12 states (eq. 1) and the four rotor thrusts in units of hover thrust; the inputs are the thrusts'
+rates. With thrust as a state acceleration is continuous and the jerk finite, which a reference needs; the
+paper's effort u'u weighs the thrusts themselves, as there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -17,8 +18,9 @@ from numpy.typing import NDArray
 
 from firmware_model.law.constants import GRAVITY
 from host.codegen import CASADI
+from host.effects import Effect
 from host.models.dynamics import RATE, THETA, THRUST, Part, V, residual_acceleration_ned, rigid_body
-from host.models.model import Region
+from host.models.model import Model, Region
 from host.models.network import Network
 from host.plan.stage import Layers, StageModel
 from host.route.shapes import Box, Cylinder, Sphere
@@ -27,20 +29,26 @@ from host.vehicle import Limits, Vehicle
 Array = NDArray[np.float64]
 Shape = Box | Cylinder | Sphere
 
-STATES, INPUTS, PARAMETERS = 16, 4, 1
+STATES, INPUTS, PARAMETERS = 16, 4, 2
+"""The parameters are the heading asked for and a factor on the weight of the thrust rates."""
 TILT_ROW, SPEED_ROW, JERK_ROW, FIRST_SHAPE_ROW = 0, 1, 2, 3
-"""Rows bounded at every node: cos tilt; squared speed and squared jerk as shares of their squared limits; distance
-from each keep-out shape in metres."""
+"""Rows bounded at every node: cos tilt; squared speed and squared jerk as shares of their squared limits;
+distance from each keep-out shape in metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualModel:
-    """What is known beyond the nominal vehicle: effects with values, a network on top, and where they hold."""
+    """What is known beyond the nominal vehicle: effects with values, a network on top, where they hold."""
 
     parts: tuple[Part, ...] = ()
     network: Network | None = None
     region: Region | None = None
     id: str | None = None
+
+    @classmethod
+    def of(cls, model: Model, effects: Mapping[str, Effect]) -> ResidualModel:
+        """Effects and adjustments of a model file, with its network. Raises ValueError for unknown effects."""
+        return cls(parts=tuple(model.parts(effects)), network=model.network, region=model.region, id=model.id)
 
     @property
     def has_residual(self) -> bool:
@@ -50,16 +58,23 @@ class ResidualModel:
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
-    """What the cost is made of.
+    """What the cost holds beside the squared residual, m^2/s^4.
 
-    control: of the squared rotor thrusts in units of hover thrust, m^2/s^4 (the paper's lambda_r = 0.1 per N^2 on its
-    0.752 kg vehicle is 0.34). thrust_rate: of their squared rates in 1/s. yaw: of the squared deviation from the
-    heading asked for, large because the flat reference has no other heading.
+    control: of the squared rotor thrusts in units of hover thrust (the paper's lambda_r = 0.1 per N^2 on its
+    0.752 kg vehicle is 0.34). thrust_rate: of their squared rates in 1/s: without it the plan ripples as fast
+    as its nodes allow. yaw: of the squared deviation from the heading asked for, in radians; large, because
+    the flat reference has no other heading.
     """
 
-    control: float = 0.34
-    thrust_rate: float = 0.02
+    control: float = 0.04
+    thrust_rate: float = 0.004
     yaw: float = 1e4
+
+    def scaled(self, factor: float) -> Weights:
+        """All weights times the factor."""
+        return Weights(
+            control=factor * self.control, thrust_rate=factor * self.thrust_rate, yaw=factor * self.yaw
+        )
 
     def __post_init__(self) -> None:
         for name in ("control", "thrust_rate", "yaw"):
@@ -70,7 +85,7 @@ class Weights:
 
 @dataclass(frozen=True, kw_only=True)
 class Dynamics:
-    """A vehicle as the planner sees it. augmented: the model is part of the dynamics, not only of the cost."""
+    """A vehicle as the planner sees it. augmented: the model is in the dynamics, not only in the cost."""
 
     vehicle: Vehicle
     model: ResidualModel = field(default_factory=ResidualModel)
@@ -109,8 +124,8 @@ class Dynamics:
     def hover(self, yaw: float) -> Array:
         """(16,) the state at rest at the origin in which nothing accelerates, in the planner's units.
 
-        Newton's method on attitude and thrusts; differs from level only where the dynamics are augmented. Raises
-        ValueError where the model has no such state.
+        Newton's method on attitude and thrusts; differs from level only where the dynamics are augmented.
+        Raises ValueError where the model has no such state.
         """
         unknown = ca.SX.sym("unknown", 6)
         x = ca.vertcat(ca.SX(6, 1), unknown[:2], yaw, ca.SX(3, 1), unknown[2:])
@@ -141,14 +156,14 @@ class Dynamics:
         keep_out: Sequence[Shape],
         weigh_time: bool,
     ) -> StageModel:
-        """The interval's model. Its one parameter is the yaw asked for; path rows as TILT_ROW and so on."""
+        """The interval's model; path rows as TILT_ROW and so on."""
 
         def effort(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
             thrust = x[THRUST]
             turn = x[THETA.stop - 1] - p[0]
             return (
                 weights.control * ca.dot(thrust, thrust)
-                + weights.thrust_rate * ca.dot(u, u)
+                + p[1] * weights.thrust_rate * ca.dot(u, u)
                 + weights.yaw * turn * turn
             )
 
@@ -181,7 +196,7 @@ def layers(network: Network) -> Layers:
     out: list[tuple[Array, Array]] = []
     start = 0
     sizes = network.layout.sizes
-    for inputs, outputs in zip(sizes[:-1], sizes[1:], strict=True):
+    for inputs, outputs in pairwise(sizes):
         stop = start + outputs * (inputs + 1)
         rows = network.xi[start:stop].reshape(outputs, inputs + 1)
         out.append((rows[:, :-1].copy(), rows[:, -1].copy()))

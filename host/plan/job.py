@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """What a plan took. deviation_m: of the table from the solver's path; intervals: of the shooting problem."""
+    """What a plan took. deviation_m: of the table from the solver's path. intervals: of the problem."""
 
     status: str
     solve_s: float
@@ -34,7 +34,7 @@ class Effort:
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """A route to plan, with what `plan` has made of its other arguments. limits: vehicle's, route's, headroom's."""
+    """A route to plan, with what `plan` has made of its other arguments. limits: all that apply, merged."""
 
     kind: Kind
     route: Route

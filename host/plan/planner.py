@@ -1,16 +1,17 @@
 """`plan`: from a route to a checked reference.
 
-Three kinds. min-snap: the minimum-snap spline with optimised leg times; it knows no limits, so it is refused, or
-stretched in time where allowed, if it breaks one. min-control and min-residual: paper eqs. 10-11 by multiple
-shooting within the vehicle's limits. With nominal dynamics the reference is feasible for the nominal vehicle,
-which is what a flatness-based law assumes (paper section IV-C.4). With augmented dynamics (`*` in the paper) the
-path is feasible for the vehicle *with* its effects: the reference holds that path's position, velocity,
-acceleration and jerk; the law's flat attitude and thrust for it lack what the effects add, and only a law that
-feeds the effects forward, or an MPC with the same model, asks for the planned attitude and thrust. Either way the
-limits are judged on the flat reference, as on board.
+Three kinds. min-snap: the minimum-snap spline with optimised leg times; it knows no limits, so it is refused,
+or stretched in time where allowed, if it breaks one. min-control and min-residual: paper eqs. 10-11 by
+multiple shooting within the vehicle's limits. With nominal dynamics the reference is feasible for the nominal
+vehicle, which is what a flatness-based law assumes (paper section IV-C.4). With augmented dynamics (`*` in
+the paper) the path is feasible for the vehicle *with* its effects: the reference holds that path's position,
+velocity, acceleration and jerk; the law's flat attitude and thrust for it lack what the effects add, and only
+a law that feeds the effects forward, or an MPC with the same model, asks for the planned attitude and thrust.
+Either way the limits are judged on the flat reference, as on board.
 
 The shooting problem starts on the straight lines between the waypoints; where that fails, along the min-snap
-spline. A finished reference that leaves the limits between nodes is solved again in a box tightened by the excess.
+spline. A finished reference that leaves the limits between nodes is solved again in a box tightened by the
+excess.
 """
 
 from __future__ import annotations
@@ -47,13 +48,13 @@ def plan(
 ) -> Plan:
     """A checked plan for the route. The same arguments give the same reference.
 
-    kind: one of KINDS; a `*` behind it plans with the model in the dynamics. model: needed by min-residual and `*`;
-    `effects` are those its names refer to, the shipped ones by default. headroom: limits tighter than the
-    route's. total_time_s: instead of the route's. stretch: a min-snap plan that breaks a limit takes more time.
-    nodes: about how many shooting intervals, None for one about every 70 ms.
+    kind: one of KINDS; a `*` behind it plans with the model in the dynamics. model: needed by min-residual
+    and `*`; `effects` are those its names refer to, the shipped ones by default. headroom: limits tighter
+    than the route's. total_time_s: instead of the route's. stretch: a min-snap plan that breaks a limit takes
+    more time. nodes: about how many shooting intervals, None for one about every 70 ms.
 
-    Raises ConfigurationError or UsageError (exit code 2) for what contradicts itself before solving, PlanRefused
-    (1) with node and reason, PlanUnsolved (4).
+    Raises ConfigurationError or UsageError (exit code 2) for what contradicts itself before solving,
+    PlanRefused (1) with node and reason, PlanUnsolved (4).
     """
     name, augmented = parse_kind(kind)
     if nodes is not None and not 20 <= nodes <= NODES_MAX:
@@ -84,10 +85,9 @@ def _residual_model(
                 f"({vehicle.id}); give this vehicle's model"
             )
         try:
-            parts = model.parts(load_effects() if effects is None else effects)
+            model = ResidualModel.of(model, load_effects() if effects is None else effects)
         except ValueError as error:
             raise UsageError(str(error)) from None
-        model = ResidualModel(parts=tuple(parts), network=model.network, region=model.region, id=model.id)
     if model is None:
         if kind == "min-residual" or augmented:
             raise UsageError(f"{kind}{'*' if augmented else ''} needs a model, give --model")

@@ -31,14 +31,17 @@ def parse_kind(text: str) -> tuple[Kind, bool]:
 class Settings:
     """How the shooting problem is set up; the defaults are the ones measured.
 
-    weigh_time: the cost is an integral; False is the paper's sum without steps (eq. 11), which rewards long
-    ones. shared_steps: one step size a leg, else one an interval. step_box: bounds of a step in units of its
-    nominal value. step_penalty: cost of (h/h0 - 1)^2 for each step size. total_time_box: bounds of the whole
-    time in units of the route's. rounds: how often the problem may be solved, each time in a box tightened by
-    what the finished reference exceeded.
+    relative_weights: weights are in units of the mean squared residual predicted along the min-snap path (not
+    below 0.6 m/s^2), so that a small drag is avoided as thoroughly as a large one; False takes them as they
+    are. weigh_time: the cost is an integral; False is the paper's sum without steps (eq. 11), which rewards
+    long ones. shared_steps: one step size a leg, else one an interval. step_box: bounds of a step in units of
+    its nominal value. step_penalty: cost of (h/h0 - 1)^2 for each step size. total_time_box: bounds of the
+    whole time in units of the route's. rounds: how often the problem may be solved, each time in a box
+    tightened by what the finished reference exceeded.
     """
 
     weights: Weights = field(default_factory=Weights)
+    relative_weights: bool = True
     weigh_time: bool = True
     shared_steps: bool = True
     step_box: tuple[float, float] = (0.7, 1.4)
@@ -46,7 +49,7 @@ class Settings:
     total_time_box: tuple[float, float] = (1.0, 1.0)
     tolerance: float = 1e-6
     iterations_max: int = 400
-    rounds: int = 5
+    rounds: int = 8
 
     def __post_init__(self) -> None:
         for name in ("step_box", "total_time_box"):
@@ -63,10 +66,10 @@ class Settings:
 class Plan:
     """A checked reference and what is known about it.
 
-    margins: least distance to each limit over the whole reference. residual_rms_m_s2: predicted along it, None
-    without a model. deviation_m: largest distance from the solver's path, None for min-snap. stretch: of the
-    route's time. intervals: of the shooting problem; rounds: solves. solve_s: processor time, the only number
-    that varies from run to run.
+    margins: least distance to each limit over the whole reference. residual_rms_m_s2: predicted along it,
+    None without a model. deviation_m: largest distance from the solver's path, None for min-snap. stretch: of
+    the route's time. intervals: of the shooting problem; rounds: solves. solve_s: processor time, the only
+    number that varies from run to run.
     """
 
     reference: Reference
@@ -88,7 +91,7 @@ class Plan:
 
 
 class PlanRefused(Refused):
-    """No reference within the limits; `verdict` says where the nearest one breaks them, None where none was found."""
+    """No reference within the limits; `verdict` says where the nearest one breaks them, if one was found."""
 
     def __init__(self, message: str, verdict: Verdict | None = None) -> None:
         super().__init__(message)

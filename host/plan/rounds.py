@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from host.plan.box import SolverBox
 from host.plan.job import Effort, Job
-from host.plan.judge import Judged
+from host.plan.judge import Judged, measure
 from host.plan.result import Plan, PlanRefused, PlanUnsolved
 from host.plan.shooting import (
     Grid,
@@ -29,6 +30,11 @@ Array = NDArray[np.float64]
 
 _YAW_SETTLED = np.radians(1.0)
 """How far the heading at the nodes may move between rounds because their times did."""
+_LEAST_RESIDUAL = 0.6
+"""m/s^2: below, a residual is not worth a wilder path."""
+_PATIENCE = 4
+"""Rounds after which a path that still sticks out is made smoother, twice as much each round."""
+_REMEDY = "give it more time, headroom or nodes"
 _SEARCH = (SolveStatus.INFEASIBLE, SolveStatus.RESTORATION)
 
 
@@ -63,9 +69,18 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
         run.yaw = yaw_profile(yaws, solution.t_s)
     assert judged is not None
     raise PlanRefused(
-        f"the {job.label} plan is refused after {run.rounds} rounds: {judged.message}; give it more time or headroom",
+        f"the {job.label} plan is refused after {run.rounds} rounds: {judged.message}; {_REMEDY}",
         judged.verdict,
     )
+
+
+def _scale(job: Job, grid: Grid) -> float:
+    """Unit of the weights: the mean squared residual along the min-snap path at nominal times, or 1."""
+    if job.kind != "min-residual" or not job.settings.relative_weights:
+        return 1.0
+    path = snap_table(job.waypoints_ned, grid.counts * grid.h0_s)
+    rms = measure(job.dynamics.vehicle, job.dynamics.model, path, job.yaws()).residual_rms_m_s2
+    return max(_LEAST_RESIDUAL, rms or 0.0) ** 2
 
 
 class _Run:
@@ -76,7 +91,7 @@ class _Run:
         self.box = SolverBox.inside(job.limits)
         self.model = job.dynamics.stage_model(
             minimise_residual=job.kind == "min-residual",
-            weights=job.settings.weights,
+            weights=job.settings.weights.scaled(_scale(job, grid)),
             limits=job.limits,
             keep_out=job.route.keep_out,
             weigh_time=job.settings.weigh_time,
@@ -86,6 +101,7 @@ class _Run:
         self.problem: Problem
         self.rounds = self.iterations = 0
         self._from_snap = False
+        self._last: Solution | None = None
 
     def solve(self, near: Judged | None) -> Solution:
         """The round's solution; `near` is the reference of the round before, for the message of a refusal."""
@@ -101,24 +117,26 @@ class _Run:
             self.rounds += 1
             self.iterations += solution.iterations
             if solution.status.usable:
+                self._last = solution
                 return solution
-            if self._from_snap:
+            if self._last is not None:
+                self._last = None
+            elif not self._from_snap:
+                self._from_snap = True
+            else:
                 self._fail(solution, near)
-            self._from_snap = True
 
     def _fail(self, solution: Solution, near: Judged | None) -> None:
         label = self.job.label
         if near is not None and not near.ok:
             raise PlanRefused(
-                f"the {label} plan is refused: {near.message}, and tighter bounds leave no way; give it more time or "
-                "headroom",
+                f"the {label} plan is refused: {near.message}, and tighter bounds leave no way; {_REMEDY}",
                 near.verdict,
             )
         if solution.status in _SEARCH:
-            raise PlanRefused(f"no {label} plan: {solution.status.value}; give it more time or headroom")
+            raise PlanRefused(f"no {label} plan: {solution.status.value}; {_REMEDY}")
         raise PlanUnsolved(
-            f"no {label} plan: {solution.status.value} ({solution.iterations} iterations); give it more time, "
-            "headroom or other nodes",
+            f"no {label} plan: {solution.status.value} ({solution.iterations} iterations); {_REMEDY}",
             solution.status,
         )
 
@@ -132,13 +150,14 @@ class _Run:
             start = linear_start(job.dynamics, job.waypoints_ned, grid, self.yaw)
         low, high = settings.total_time_box
         total_s = job.route.duration_s
-        return make_problem(
+        problem = make_problem(
             job.dynamics,
             job.waypoints_ned,
             grid,
             job.limits,
             self.box,
             yaw=self.yaw,
+            smoothing=2.0 ** max(0, self.rounds - _PATIENCE),
             start=start,
             h_bounds=settings.step_box,
             total_bounds_s=(-np.inf, np.inf) if grid.times_fixed else (low * total_s, high * total_s),
@@ -146,3 +165,7 @@ class _Run:
             step_penalty=settings.step_penalty,
             shapes=len(job.route.keep_out),
         )
+        if self._last is None:
+            return problem
+        last = self._last
+        return replace(problem, x_start=last.x, u_start=last.u, h_start=last.h, warm=last.multipliers)

@@ -1,4 +1,4 @@
-"""From a route to a shooting problem and back: nodes on legs, bounds, starts, and the spline through the solution."""
+"""From a route to a shooting problem and back: nodes on legs, bounds, starts, the solution's spline."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ _YAW_SLACK = 0.3  # rad, around the heading asked for; the cost keeps it two ord
 class Grid:
     """How the intervals lie on the legs.
 
-    counts: (legs,) intervals of each leg; h0_s: (legs,) nominal step of each; times_fixed: the waypoints' times are
-    given and the steps are no variables.
+    counts: (legs,) intervals of each leg; h0_s: (legs,) nominal step of each; times_fixed: the waypoints'
+    times are given and the steps are no variables.
     """
 
     counts: NDArray[np.int64]
@@ -100,6 +100,7 @@ def make_problem(
     box: SolverBox,
     *,
     yaw: Array,
+    smoothing: float,
     start: tuple[Array, Array],
     h_bounds: tuple[float, float],
     total_bounds_s: tuple[float, float],
@@ -107,7 +108,9 @@ def make_problem(
     step_penalty: float,
     shapes: int,
 ) -> Problem:
-    """The problem in this box. yaw: (N + 1,) heading asked for at the nodes."""
+    """The problem in this box. yaw: (N + 1,) heading asked for at the nodes; smoothing: factor
+    on the weight of the thrust rates.
+    """
     count = int(grid.counts.sum())
     low, high = np.full((STATES, count + 1), -np.inf), np.full((STATES, count + 1), np.inf)
     for axis, (near, far) in enumerate(limits.geofence_m):
@@ -138,7 +141,7 @@ def make_problem(
         leg_of=grid.leg_of,
         shared_steps=shared_steps,
         h0_s=grid.h0_s[grid.leg_of],
-        parameters=yaw[None, :-1],
+        parameters=np.stack([yaw[:-1], np.full(count, smoothing)]),
         x_bounds=(low, high),
         u_bounds=(-free, free),
         path_bounds=(path_low, path_high),

@@ -1,9 +1,10 @@
 """A smooth spline through the nodes of a solved problem.
 
-The solver's acceleration is continuous but its jerk jumps where an input does, and septic pieces through such nodes
-overshoot. A B-spline of degree 7 with simple knots is C6; fitted to the nodes' positions and velocities, with the
-waypoints and the rest at both ends as equalities, it leaves the nodes by well under a millimetre. Its knots are the
-reference's nodes, so that the septic pieces of the reference are the spline itself.
+The solver's acceleration is continuous but its jerk jumps where an input does, and septic pieces through such
+nodes overshoot. A B-spline of degree 7 with simple knots is C6; fitted to the nodes' positions and
+velocities, with the waypoints and the rest at both ends as equalities, it leaves the nodes by well under a
+millimetre. Its knots are the reference's nodes, so that the septic pieces of the reference are the spline
+itself.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ def fit(
 ) -> Table:
     """The node table of the spline nearest to the nodes in the least-squares sense.
 
-    times_s: (n,) node times; p_ned, v_ned: (3, n); waypoints: index of each waypoint among the nodes, the first 0,
-    the last n - 1; waypoints_ned: (K, 3). No leg has more pieces than intervals between its nodes.
+    times_s: (n,) node times; p_ned, v_ned: (3, n); waypoints: index of each waypoint among the nodes, the
+    first 0, the last n - 1; waypoints_ned: (K, 3). No leg has more pieces than intervals between its nodes.
     """
     waypoint_times = round_times(times_s[waypoints])
     step_s = float(times_s[-1]) / (len(times_s) - 1)
@@ -51,7 +52,7 @@ def fit(
 
 
 def _constrained_lstsq(rows: Array, wanted: Array, equal: Array, exact: Array) -> Array:
-    """The x that minimises |rows x - wanted| among those with equal x = exact, by the null space of `equal`."""
+    """The x with equal x = exact that minimises |rows x - wanted|, by the null space of `equal`."""
     q, r = np.linalg.qr(equal.T, mode="complete")
     count = len(equal)
     particular = q[:, :count] @ np.linalg.solve(r[:count].T, exact)

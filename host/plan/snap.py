@@ -1,12 +1,13 @@
 """Minimum-snap splines of degree 7 through any number of waypoints.
 
-Between two waypoints the path is the septic that meets position, velocity, acceleration and jerk at both ends; the
-derivatives at the inner waypoints are free and follow from one symmetric positive definite banded solve (Bry et
-al., IJRR 2015, "free end derivatives"). The natural conditions of the problem make the optimum C6 at every inner
-waypoint, so that nothing but the sampling of the reference limits its smoothness.
+Between two waypoints the path is the septic that meets position, velocity, acceleration and jerk at both
+ends; the derivatives at the inner waypoints are free and follow from one symmetric positive definite banded
+solve (Bry et al., IJRR 2015, "free end derivatives"). The natural conditions of the problem make the optimum
+C6 at every inner waypoint, so that nothing but the sampling of the reference limits its smoothness.
 
-With time in units of the mean leg and every unknown scaled to a unit diagonal the solve stays well conditioned for
-hundreds of legs whose durations differ by orders of magnitude; cost and memory are linear in their number.
+With time in units of the mean leg and every unknown scaled to a unit diagonal the solve stays well
+conditioned for hundreds of legs whose durations differ by orders of magnitude; cost and memory are linear in
+their number.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _SHARE_FACTOR = 3.0  # how far optimise_durations may move a leg's share of the 
 
 
 def _septic_basis() -> list[list[Fraction]]:
-    """8 x 8 exact: column c holds the monomial coefficients of the septic on [0, 1] whose c-th end value is one.
+    """8 x 8: column c has the monomial coefficients of the septic on [0, 1] whose c-th end value is one.
 
     End values in the order p0, v0, a0, j0, p1, v1, a1, j1, derivatives with respect to the unit interval.
     """
@@ -56,7 +57,7 @@ def _septic_basis() -> list[list[Fraction]]:
 
 
 def _snap_gram() -> Array:
-    """8 x 8: y' G y is the integral of the squared fourth derivative over [0, 1] of the septic with end values y."""
+    """8 x 8: y' G y integrates the squared fourth derivative of the septic with end values y over [0, 1]."""
     basis = _septic_basis()
 
     def moment(i: int, j: int) -> Fraction:
@@ -110,8 +111,8 @@ def _checked(waypoints_ned: Array, durations_s: Array) -> tuple[Array, Array]:
 def solve_snap(waypoints_ned: Array, durations_s: Array) -> SnapSpline:
     """The minimum-snap spline through the waypoints, at rest (v = a = j = 0) at both ends.
 
-    waypoints_ned: (K >= 2, 3) m; durations_s: (K - 1,). Source: Mellinger and Kumar, ICRA 2011; Bry et al., IJRR
-    2015. Raises ValueError for wrong shapes, non-finite values and durations that are not positive.
+    waypoints_ned: (K >= 2, 3) m; durations_s: (K - 1,). Source: Mellinger and Kumar, ICRA 2011; Bry et al.,
+    IJRR 2015. Raises ValueError for wrong shapes, non-finite values and durations that are not positive.
     """
     waypoints, durations = _checked(waypoints_ned, durations_s)
     unit_s = float(durations.mean())
@@ -170,7 +171,7 @@ def cost_gradient(spline: SnapSpline) -> Array:
 
 
 def heuristic_durations(waypoints_ned: Array, total_s: float) -> Array:
-    """(K - 1,): shares of the total time by length, the first and last leg with extra time to start and to stop.
+    """(K - 1,): the total time shared by length, with extra time to start and to stop.
 
     A leg counts with its length plus a tenth of the mean leg, so that coinciding waypoints still get time.
     """
@@ -186,8 +187,8 @@ def heuristic_durations(waypoints_ned: Array, total_s: float) -> Array:
 def optimise_durations(waypoints_ned: Array, total_s: float, *, iterations: int = 100) -> Array:
     """(K - 1,): the durations with the given sum that minimise the snap cost, from the heuristic ones.
 
-    L-BFGS-B on the logarithm of the cost over the logarithms of the shares with the exact gradient; a share moves by
-    at most a factor of three. Deterministic.
+    L-BFGS-B on the logarithm of the cost over the logarithms of the shares with the exact gradient; a share
+    moves by at most a factor of three. Deterministic.
     """
     start = heuristic_durations(waypoints_ned, total_s)
     if len(start) == 1:

@@ -1,12 +1,14 @@
 """One shooting interval: RK4 step, stage cost, and their exact derivatives by a stage-wise chain rule.
 
-An interval has z = (x, u, h). Differentiating the unrolled RK4 step symbolically repeats the residual network's
-derivatives through all four evaluations; here the network's Jacobian and Hessian are written once per evaluation by
-formula, the small rest of the dynamics is differentiated by CasADi, and the evaluations are joined by forward
-sensitivities and one adjoint sweep. The expressions are SX, to be evaluated over all intervals by `Function.map`.
+An interval has z = (x, u, h). Differentiating the unrolled RK4 step symbolically repeats the residual
+network's derivatives through all four evaluations; here the network's Jacobian and Hessian are written once
+per evaluation by formula, the small rest of the dynamics is differentiated by CasADi, and the evaluations are
+joined by forward sensitivities and one adjoint sweep. The expressions are SX, to be evaluated over all
+intervals by `Function.map`.
 
-Source: paper eqs. 10-11. With Z_i = d(x_i, u)/dz of RK4 evaluation i and kappa_i the adjoint of its slope k_i, the
-Hessian of lam' F(z) is the sum of Z_i' (d2 kappa_i' f) Z_i and of the products of h with the sensitivities.
+Source: paper eqs. 10-11. With Z_i = d(x_i, u)/dz of RK4 evaluation i and kappa_i the adjoint of its slope
+k_i, the Hessian of lam' F(z) is the sum of Z_i' (d2 kappa_i' f) Z_i and of the products of h with the
+sensitivities.
 """
 
 from __future__ import annotations
@@ -28,18 +30,18 @@ _WEIGHT = (1 / 6, 2 / 6, 2 / 6, 1 / 6)
 
 
 Layers = tuple[tuple[Array, Array], ...]
-"""A tanh network from (v_ned, Theta) to an acceleration in NED, m/s^2: (outputs, inputs) weights and (outputs,) biases
-of every layer; the last is linear."""
+"""A tanh network from (v_ned, Theta) to an acceleration in NED, m/s^2: weights (outputs, inputs) and biases
+(outputs,) of every layer; the last is linear."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageModel:
     """What an interval integrates, costs and bounds. p: the interval's parameters besides its nominal step.
 
-    derivative(x, u): (nx,) continuous dynamics without the network. residual(x): (3,) m/s^2, the part of the cost
-    |residual|^2 that is not the network's, or None for no such cost. effort(x, u, p): scalar, already weighted.
-    path(x, u, p): rows bounded at every node. network: added to the residual, and where `augmented` to rows 3:6 of
-    the dynamics. weigh_time: cost per second of the interval, else per interval.
+    derivative(x, u): (nx,) continuous dynamics without the network. residual(x): (3,) m/s^2, the part of the
+    cost |residual|^2 that is not the network's, or None for no such cost. effort(x, u, p): scalar, already
+    weighted. path(x, u, p): rows bounded at every node. network: added to the residual, and where `augmented`
+    to rows 3:6 of the dynamics. weigh_time: cost per second of the interval, else per interval.
     """
 
     nx: int
@@ -59,8 +61,8 @@ class Stage:
     """CasADi functions of one interval of h * h0_s seconds, z = (x, u, h).
 
     value(x, u, h, h0_s, p) -> x_next, cost, path. slopes(same) -> d x_next/dz, d cost/dz, d path/d(x, u).
-    hessian(same, sigma, lam_x, lam_path) -> upper triangle of the Hessian in z of sigma cost + lam_x' x_next +
-    lam_path' path.
+    hessian(same, sigma, lam_x, lam_path) -> upper triangle of the Hessian in z of sigma cost + lam_x' x_next
+    + lam_path' path.
     """
 
     value: ca.Function
@@ -193,7 +195,7 @@ class _Builder:
         return total
 
     def _residual(self) -> None:
-        """Residual d, its Jacobian, mu -> Hessian of mu' d in x; the running cost and its gradient in (x, u)."""
+        """Set residual d, its Jacobian and Hessians in x, the running cost and its gradient in (x, u)."""
         model, nx = self.model, self.model.nx
         self.residual_jacobian: ca.SX | None = None
         running = model.effort(self.x, self.u, self.p)

@@ -20,7 +20,7 @@ _HALVINGS = 10
 
 
 def plan_snap(job: Job, *, stretch: bool) -> Plan:
-    """The plan. Raises PlanRefused with node and reason where it breaks a limit and may not or cannot be stretched."""
+    """The plan. Raises PlanRefused with node and reason where it breaks a limit and stretching does not help."""
     started = time.process_time()
     durations = job.durations()
     factor, judged = 1.0, _attempt(job, durations, 1.0)
@@ -44,7 +44,8 @@ def _stretched(job: Job, durations: Array, refused: Judged) -> tuple[float, Judg
     best = _attempt(job, durations, high)
     if not best.ok:
         raise PlanRefused(
-            f"the min-snap plan is refused: {refused.message}; {high:g} times the time does not help: {best.message}",
+            f"the min-snap plan is refused: {refused.message}; {high:g} times the time does not help: "
+            f"{best.message}",
             best.verdict,
         )
     for _ in range(_HALVINGS):

@@ -1,7 +1,7 @@
 """Node tables: position, velocity, acceleration and jerk at whole microseconds, and what lies between them.
 
-A table becomes the reference: the vehicle flies the septic pieces between its nodes. Everything a plan says about
-itself (margins, residual, length, deviation) is therefore computed from the rounded table.
+A table becomes the reference: the vehicle flies the septic pieces between its nodes. Everything a plan says
+about itself (margins, residual, length, deviation) is therefore computed from the rounded table.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class Table:
 def knot_times(waypoint_times_us: Times, spacing_s: float = SPACING_S, most: Times | None = None) -> Times:
     """Times from the first to the last waypoint, every waypoint among them, about `spacing_s` apart, in us.
 
-    A leg is divided evenly into at least one piece, and at most `most` of each leg; no piece is shorter than half the
-    spacing unless its leg is.
+    A leg is divided evenly into at least one piece, and at most `most` of each leg; no piece is shorter than
+    half the spacing unless its leg is.
     """
     pieces: list[NDArray[np.float64]] = []
     caps = np.full(len(waypoint_times_us) - 1, np.iinfo(np.int64).max) if most is None else most
@@ -67,7 +67,7 @@ def round_times(times_s: Array) -> Times:
 
 
 def snap_table(waypoints_ned: Array, durations_s: Array) -> Table:
-    """The minimum-snap spline with waypoint times rounded to microseconds, divided into nodes: exact in between."""
+    """The minimum-snap spline, waypoint times rounded to microseconds, divided into nodes without loss."""
     waypoint_times = round_times(np.concatenate([[0.0], np.cumsum(durations_s)]))
     spline = solve_snap(waypoints_ned, np.diff(waypoint_times) * 1e-6)
     ends = Table(times_us=waypoint_times, states_ned=_rows(spline))
@@ -110,7 +110,7 @@ def yaw_at(yaws: Sequence[YawNode], times_us: Array | Times) -> tuple[Array, Arr
 
 
 def flat_states(vehicle: Vehicle, table: Table, yaws: Sequence[YawNode], times_us: Array | Times) -> Array:
-    """(16, m): p_ned, v_ned, Theta, rate_frd and rotor thrusts (N) that the flat outputs ask of the nominal vehicle."""
+    """(16, m): p_ned, v_ned, Theta, rate_frd, rotor thrusts (N) of the nominal vehicle on this path."""
     p, v, a, j, snap = evaluate(table, times_us)
     yaw, yaw_rate = yaw_at(yaws, times_us)
     body = Body(vehicle.mass_kg, vehicle.inertia_kg_m2)

@@ -1,10 +1,10 @@
 """Direct multiple shooting: many intervals joined into one sparse problem for Ipopt.
 
-The unknowns are the states at N + 1 nodes, the inputs of N intervals and the step sizes in units of their nominal
-value, one for each interval or one shared by all intervals of a leg (paper eq. 11 with every h in a box). Sharing
-makes a step size one dense column in the sparse matrices instead of a variable of its own at every node, and keeps
-the solver from trading steps against each other within a leg. All derivatives come from `Stage`, mapped over the
-intervals; MUMPS factorises. The same problem gives the same iterates.
+The unknowns are the states at N + 1 nodes, the inputs of N intervals and the step sizes in units of their
+nominal value, one for each interval or one shared by all intervals of a leg (paper eq. 11 with every h in a
+box). Sharing makes a step size one dense column in the sparse matrices instead of a variable of its own at
+every node, and keeps the solver from trading steps against each other within a leg. All derivatives come from
+`Stage`, mapped over the intervals; MUMPS factorises. The same problem gives the same iterates.
 """
 
 from __future__ import annotations
@@ -24,13 +24,21 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
+class Multipliers:
+    """Of the bounds on the unknowns and of the constraint rows, at a solution."""
+
+    bounds: Array
+    rows: Array
+
+
+@dataclass(frozen=True, kw_only=True)
 class Problem:
     """Bounds and a start for the unknowns of N intervals. Infinite bounds mean none; equal ones fix a value.
 
-    leg_of: (N,) leg of each interval, ascending from 0. h0_s: (N,) nominal steps. parameters: (np, N). x_bounds: two
-    of (nx, N + 1); u_bounds: two of (nu, N); path_bounds: two of (rows, N); h_bounds: low, high, in units of h0_s.
-    total_bounds_s: low, high of the whole time; equal ones pin it. x_start: (nx, N + 1); u_start: (nu, N); h_start:
-    (steps,). step_penalty: cost of (h - 1)^2 for each step size.
+    leg_of: (N,) leg of each interval, ascending from 0. h0_s: (N,) nominal steps. parameters: (np, N).
+    x_bounds: two of (nx, N + 1); u_bounds: two of (nu, N); path_bounds: two of (rows, N); h_bounds: low,
+    high, in units of h0_s. total_bounds_s: low, high of the whole time; equal ones pin it. x_start: (nx, N +
+    1); u_start: (nu, N); h_start: (steps,). step_penalty: cost of (h - 1)^2 for each step size.
     """
 
     leg_of: NDArray[np.int64]
@@ -46,6 +54,7 @@ class Problem:
     u_start: Array
     h_start: Array
     step_penalty: float
+    warm: Multipliers | None = None
 
     def __post_init__(self) -> None:
         count = len(self.leg_of)
@@ -72,6 +81,18 @@ class Problem:
     def steps(self) -> int:
         """How many step sizes there are."""
         return int(self.step_of[-1]) + 1
+
+
+_WARM = {
+    "ipopt.warm_start_init_point": "yes",
+    "ipopt.mu_init": 1e-4,
+    "ipopt.warm_start_bound_push": 1e-6,
+    "ipopt.warm_start_bound_frac": 1e-6,
+    "ipopt.warm_start_slack_bound_push": 1e-6,
+    "ipopt.warm_start_slack_bound_frac": 1e-6,
+    "ipopt.warm_start_mult_bound_push": 1e-6,
+}
+"""For a start near the solution, with its multipliers; else Ipopt moves it into the middle of its box."""
 
 
 class SolveStatus(Enum):
@@ -117,6 +138,7 @@ class Solution:
     cost: float
     iterations: int
     solve_s: float
+    multipliers: Multipliers
 
 
 def solve(
@@ -129,17 +151,20 @@ def solve(
         "cache": assembly.derivatives,
         "no_nlp_grad": True,
         "calc_lam_p": False,
-        "calc_lam_x": False,
         "print_time": False,
         "ipopt.print_level": 0,
         "ipopt.sb": "yes",
         "ipopt.tol": tolerance,
         "ipopt.max_iter": max_iterations,
     }
-    solver = ca.nlpsol("plan", "ipopt", assembly.nlp, options)
     low, high = assembly.bounds()
     g_low, g_high = assembly.row_bounds()
-    found = solver(x0=assembly.start(), lbx=low, ubx=high, lbg=g_low, ubg=g_high)
+    given = {"x0": assembly.start(), "lbx": low, "ubx": high, "lbg": g_low, "ubg": g_high}
+    if problem.warm is not None:
+        options |= _WARM
+        given |= {"lam_x0": problem.warm.bounds, "lam_g0": problem.warm.rows}
+    solver = ca.nlpsol("plan", "ipopt", assembly.nlp, options)
+    found = solver(**given)
     stats = solver.stats()
     x, u, h = assembly.split(np.asarray(found["x"]).ravel())
     steps = h[problem.step_of] * problem.h0_s
@@ -152,6 +177,9 @@ def solve(
         cost=float(found["f"]),
         iterations=int(stats["iter_count"]),
         solve_s=time.process_time() - started,
+        multipliers=Multipliers(
+            bounds=np.asarray(found["lam_x"]).ravel(), rows=np.asarray(found["lam_g"]).ravel()
+        ),
     )
 
 

@@ -1,0 +1,70 @@
+"""References on disk: `NAME.ref`, and beside it `NAME.ref.json` with the plan's figures and provenance."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from host import artefacts
+from host.errors import UsageError
+from host.plan.result import Plan
+
+SUFFIX = ".ref"
+
+
+def check_name(path: Path | str, force: bool = False) -> Path:
+    """The path, if a plan may be written there. Raises UsageError; call it before planning."""
+    path = Path(path)
+    if path.suffix != SUFFIX:
+        raise UsageError(f"{path}: a reference's name ends in {SUFFIX}")
+    artefacts.check_output(path, force)
+    artefacts.check_output(_beside(path), force)
+    return path
+
+
+def write_plan(
+    plan: Plan, path: Path | str, *, provenance: Mapping[str, Any] | None = None, force: bool = False
+) -> Path:
+    """The path of the written reference; each of the two files appears whole or not at all, the blob last.
+
+    `provenance` as of `host.artefacts.provenance`. The same plan and provenance give the same bytes:
+    processor time is left out. Raises UsageError where a file exists and `force` is not set.
+    """
+    path = check_name(path, force)
+    record = {
+        "reference": plan.reference.id,
+        "vehicle": plan.reference.vehicle_id,
+        "provenance": dict(provenance or {}),
+        "plan": {name: value for name, value in figures(plan).items() if name != "solve_s"},
+    }
+    text = json.dumps(record, indent=2, sort_keys=True, allow_nan=False) + "\n"
+    artefacts.write_atomic(_beside(path), text, force)
+    return artefacts.write_atomic(path, plan.reference.to_bytes(), force)
+
+
+def figures(plan: Plan) -> dict[str, Any]:
+    """What is known about a plan, as plain data for JSON."""
+    return {
+        "kind": plan.kind,
+        "augmented": plan.augmented,
+        "status": plan.status,
+        "duration_s": plan.duration_s,
+        "waypoint_times_s": list(plan.waypoint_times_s),
+        "margins": dict(plan.margins),
+        "residual_rms_m_s2": plan.residual_rms_m_s2,
+        "path_length_m": plan.path_length_m,
+        "mean_speed_m_s": plan.mean_speed_m_s,
+        "deviation_m": plan.deviation_m,
+        "stretch": plan.stretch,
+        "nodes": len(plan.reference.nodes),
+        "intervals": plan.intervals,
+        "rounds": plan.rounds,
+        "iterations": plan.iterations,
+        "solve_s": plan.solve_s,
+    }
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(path.name + ".json")
