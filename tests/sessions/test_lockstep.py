@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.codegen.compiler import find_compiler
 from host.errors import LinkError, Refused, UsageError
 from host.link.drivers import run_lockstep
 from host.link.flight import FlightDirector, FlightOrder
@@ -126,10 +125,14 @@ def test_session_same_seed_gives_the_same_bytes_and_another_flight_others(
     assert first != other
 
 
-@pytest.mark.skipif(find_compiler() is None, reason="needs a compiler")
 def test_session_with_and_without_a_compiler_gives_the_same_bytes(
-    fly: Fly, simulate: Simulate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fly: Fly,
+    simulate: Simulate,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    require: Callable[[str], None],
 ) -> None:
+    require("compiler")
     logs = []
     for engine in ("vm", "c"):
         monkeypatch.setenv("TRIMTAB_ENGINE", engine)

@@ -20,10 +20,12 @@ from host.log import read_flight
 from host.vehicle import Vehicle
 from protocol.blobs import Reference
 
-pytestmark = [
-    pytest.mark.xdist_group("serial"),
-    pytest.mark.skipif(sys.platform == "win32", reason="needs pseudo terminals"),
-]
+pytestmark = pytest.mark.xdist_group("serial")
+
+
+@pytest.fixture(autouse=True)
+def _pty(require: Callable[[str], None]) -> None:
+    require("pty")
 
 
 def free_port() -> int:

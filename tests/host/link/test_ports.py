@@ -7,7 +7,7 @@ import os
 import select
 import socket
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -27,8 +27,9 @@ def receive(port: Port | Cameras, size: int) -> bytes:
 
 
 @pytest.fixture
-def pty() -> Iterator[tuple[int, str]]:
+def pty(require: Callable[[str], None]) -> Iterator[tuple[int, str]]:
     """A raw pty: master descriptor, name of the slave."""
+    require("pty")
     master, slave = os.openpty()
     tty.setraw(slave)
     yield master, os.ttyname(slave)
