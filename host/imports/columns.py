@@ -2,43 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from host.imports.nanobench import table
-from host.imports.recording import ImportFormatError, Recording
-from host.vehicle.strict_toml import Strict, read_strict
+from host.imports.frames import Body, World, q_ned_frd, to_frd, to_ned, turn_from_euler, turn_from_quaternion
+from host.imports.nanobench import STANDARD_GRAVITY
+from host.imports.recording import (
+    ImportFormatError,
+    Recording,
+    Unknown,
+    first_of_equal,
+    fresh,
+    since_first_us,
+)
+from host.imports.table import table
+from host.vehicle import ConfigurationError
+from host.vehicle.files import read_text
+from host.vehicle.strict_toml import Strict, parse_toml, validate
 
 Three = tuple[str, str, str]
 Four = tuple[str, str, str, str]
 
-_TO_NED = {
-    "ned": np.eye(3),
-    "nwu": np.diag([1.0, -1.0, -1.0]),
-    "enu": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]),
-}
-_TO_FRD = {"frd": np.eye(3), "flu": np.diag([1.0, -1.0, -1.0])}
 _TIME_US = {"s": 1e6, "ms": 1e3, "us": 1.0}
-Unknown = Literal[
-    "thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency"
-]
 
 
 class ColumnMap(Strict):
-    """Columns of a CSV flight log. Angles, rates and torques are SI unless their unit key says otherwise."""
+    """Columns of a CSV flight log, by name. SI and radians unless a unit key says otherwise."""
 
-    world: Literal["ned", "nwu", "enu"]
+    world: World
     """Axes of positions: north-east-down, north-west-up or east-north-up."""
-    body: Literal["frd", "flu"]
+    body: Body
     """Axes of rates, forces and torques, and the frame the attitude turns from."""
     time: str
     time_unit: Literal["s", "ms", "us"] = "s"
     position_m: Three
     quaternion: Four | None = None
+    """Body to world."""
     quaternion_order: Literal["wxyz", "xyzw"] = "wxyz"
     euler: Three | None = None
     """Roll, pitch and yaw columns, ZYX, of the body axes in the world axes named above."""
@@ -48,26 +52,70 @@ class ColumnMap(Strict):
     motor_command_full: Annotated[float, Field(gt=0.0)] = 1.0
     """The value that means full command."""
     thrust_n: str | None = None
+    """Commanded collective thrust."""
     torque_n_m: Three | None = None
+    """Commanded torque; without it the torque is unknown and the gyro drives the attitude."""
     gyro: Three | None = None
     gyro_unit: Literal["rad/s", "deg/s"] = "rad/s"
     specific_force: Three | None = None
+    """What an accelerometer measures: at rest it points up."""
     specific_force_unit: Literal["m/s2", "g"] = "m/s2"
     battery_v: str | None = None
+    reference_position_m: Three | None = None
+    """What the vehicle was asked to follow."""
+    reference_velocity_m_s: Three | None = None
+    reference_acceleration_m_s2: Three | None = None
     unknown: tuple[Unknown, ...] = ()
     """What the log does not determine; tracing estimates it as nuisance."""
 
-    @model_validator(mode="after")
-    def _one_attitude_and_one_input(self) -> Self:
-        if (self.quaternion is None) == (self.euler is None):
-            raise ValueError("attitude: give either quaternion or euler")
-        if self.motor_command is not None and self.thrust_n is not None:
-            raise ValueError("inputs: give either motor_command or thrust_n, not both")
-        if self.torque_n_m is not None and self.thrust_n is None:
-            raise ValueError("torque_n_m: needs thrust_n beside it, add it")
-        if self.specific_force is not None and self.gyro is None:
-            raise ValueError("specific_force: needs gyro beside it, add it")
-        return self
+
+def read_map(path: Path | str) -> ColumnMap:
+    """The column map in a TOML file. Raises ConfigurationError (exit code 2) with every problem."""
+    path = Path(path)
+    data = parse_toml(read_text(path), path.name)
+    problems = [f"{path.name}: {problem}" for problem in _contradictions(data)]
+    try:
+        found = validate(data, path.name, ColumnMap)
+    except ConfigurationError as error:
+        raise ConfigurationError([*error.problems, *problems]) from None
+    if problems:
+        raise ConfigurationError(problems)
+    if found.thrust_n is not None and found.torque_n_m is None and "torque" not in found.unknown:
+        return found.model_copy(update={"unknown": (*found.unknown, "torque")})
+    return found
+
+
+def _contradictions(data: Mapping[str, Any]) -> list[str]:
+    """What keys that are there or not there say about each other, a line each."""
+    there = set(data)
+    found = []
+    if ("quaternion" in there) == ("euler" in there):
+        found.append("attitude: give either quaternion or euler")
+    if {"motor_command", "thrust_n"} <= there:
+        found.append("inputs: give either motor_command or thrust_n")
+    if "torque_n_m" in there and "thrust_n" not in there:
+        found.append("torque_n_m: means nothing without thrust_n, add that")
+    unknown = data.get("unknown")
+    torque_unknown = isinstance(unknown, list) and "torque" in unknown
+    if "gyro" not in there and "thrust_n" in there and (torque_unknown or "torque_n_m" not in there):
+        found.append("gyro: without it and without torque_n_m nothing drives the attitude, add one")
+    elif "gyro" not in there and torque_unknown:
+        found.append("gyro: with the torque unknown nothing else drives the attitude, add it")
+    for unit, owner in (
+        ("quaternion_order", "quaternion"),
+        ("euler_unit", "euler"),
+        ("motor_command_full", "motor_command"),
+        ("gyro_unit", "gyro"),
+        ("specific_force_unit", "specific_force"),
+        ("reference_velocity_m_s", "reference_position_m"),
+        ("reference_acceleration_m_s2", "reference_position_m"),
+    ):
+        if unit in there and owner not in there:
+            found.append(f"{unit}: means nothing without {owner}, add that or remove this")
+    for key, names in data.items():
+        if key != "unknown" and isinstance(names, list) and len(set(map(str, names))) < len(names):
+            found.append(f"{key}: names a column twice, give each its own")
+    return found
 
 
 def read(path: Path | str, columns: Path | str) -> Recording:
@@ -75,67 +123,69 @@ def read(path: Path | str, columns: Path | str) -> Recording:
 
     Raises ConfigurationError for the map (exit code 2) and ImportFormatError for the log.
     """
-    path, columns = Path(path), Path(columns)
-    try:
-        text = columns.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ImportFormatError(
-            f"{columns}: cannot be read as text ({error}); give a TOML column map"
-        ) from None
-    chosen = read_strict(text, columns.name, ColumnMap)
+    path, chosen = Path(path), read_map(columns)
     groups = (
         (chosen.time,), chosen.position_m, chosen.quaternion, chosen.euler, chosen.motor_command,
-        chosen.torque_n_m, chosen.gyro, chosen.specific_force, (chosen.thrust_n,), (chosen.battery_v,),
+        chosen.torque_n_m, chosen.gyro, chosen.specific_force, chosen.reference_position_m,
+        chosen.reference_velocity_m_s, chosen.reference_acceleration_m_s2,
+        tuple(name for name in (chosen.thrust_n, chosen.battery_v) if name is not None),
     )  # fmt: skip
-    rows = table(
-        path, tuple(dict.fromkeys(name for group in groups for name in group or () if name is not None))
-    )
-    t_us = np.round((rows[chosen.time] - rows[chosen.time][0]) * _TIME_US[chosen.time_unit]).astype(np.int64)
-    if (np.diff(t_us) <= 0).any():
-        line = int(np.flatnonzero(np.diff(t_us) <= 0)[0]) + 3
-        raise ImportFormatError(
-            f"{path.name}: line {line}: {chosen.time} does not increase; sort or mend the rows"
-        )
+    rows = table(path, [name for group in groups for name in group or ()])
+    t_us = since_first_us(rows[chosen.time], _TIME_US[chosen.time_unit], path.name)
+    keep = first_of_equal(t_us)
+    t_us = t_us[keep]
 
-    def stack(names: tuple[str, ...] | None) -> np.ndarray | None:
-        return None if names is None else np.column_stack([rows[name] for name in names])
+    def stack(names: tuple[str, ...]) -> np.ndarray:
+        return np.column_stack([rows[name][keep] for name in names])
 
-    to_ned, to_frd = _TO_NED[chosen.world], _TO_FRD[chosen.body]
-    gyro, force, torque = stack(chosen.gyro), stack(chosen.specific_force), stack(chosen.torque_n_m)
-    motors = stack(chosen.motor_command)
+    def in_world(names: Three | None) -> np.ndarray | None:
+        return None if names is None else to_ned(stack(names), chosen.world)
+
+    def in_body(names: Three | None, scale: float = 1.0) -> np.ndarray | None:
+        return None if names is None else to_frd(stack(names), chosen.body) * scale
+
+    def alone(name: str | None) -> np.ndarray | None:
+        return None if name is None else rows[name][keep]
+
+    def times_of(*there: object) -> np.ndarray | None:
+        return t_us if any(item is not None for item in there) else None
+
     position = stack(chosen.position_m)
-    assert position is not None
+    attitude, turn = _turn(chosen, stack, path.name)
+    new = fresh(position, attitude)
+    motors = None if chosen.motor_command is None else stack(chosen.motor_command) / chosen.motor_command_full
     return Recording(
         source=path.name,
-        pose_us=t_us,
-        p_ned=position @ to_ned.T,
-        q_ned_frd=_attitude(chosen, rows, to_ned, to_frd),
-        input_us=t_us if motors is not None or chosen.thrust_n is not None else None,
-        motor_command=None if motors is None else motors / chosen.motor_command_full,
-        thrust_n=None if chosen.thrust_n is None else rows[chosen.thrust_n],
-        torque_n_m=None if torque is None else torque @ to_frd.T,
-        imu_us=None if gyro is None else t_us,
-        gyro=None if gyro is None else (np.deg2rad(gyro) if chosen.gyro_unit == "deg/s" else gyro) @ to_frd.T,
-        specific_force=None
-        if force is None
-        else force @ to_frd.T * (9.80665 if chosen.specific_force_unit == "g" else 1.0),
-        battery_us=None if chosen.battery_v is None else t_us,
-        battery_v=None if chosen.battery_v is None else rows[chosen.battery_v],
+        pose_us=t_us[new],
+        p_ned=to_ned(position, chosen.world)[new],
+        q_ned_frd=q_ned_frd(turn, chosen.world, chosen.body)[new],
+        input_us=times_of(motors, chosen.thrust_n),
+        motor_command=motors,
+        thrust_n=alone(chosen.thrust_n),
+        torque_n_m=in_body(chosen.torque_n_m),
+        imu_us=times_of(chosen.gyro, chosen.specific_force),
+        gyro=in_body(chosen.gyro, np.pi / 180.0 if chosen.gyro_unit == "deg/s" else 1.0),
+        specific_force=in_body(
+            chosen.specific_force, STANDARD_GRAVITY if chosen.specific_force_unit == "g" else 1.0
+        ),
+        battery_us=times_of(chosen.battery_v),
+        battery_v=alone(chosen.battery_v),
+        reference_us=times_of(chosen.reference_position_m),
+        p_ref_ned=in_world(chosen.reference_position_m),
+        v_ref_ned=in_world(chosen.reference_velocity_m_s),
+        a_ref_ned=in_world(chosen.reference_acceleration_m_s2),
         unknown=chosen.unknown,
     )
 
 
-def _attitude(
-    chosen: ColumnMap, rows: dict[str, np.ndarray], to_ned: np.ndarray, to_frd: np.ndarray
-) -> np.ndarray:
-    """q_ned_frd (n, 4), w first and w >= 0, from the map's quaternion or Euler angles."""
-    if chosen.quaternion is not None:
-        q = np.column_stack([rows[name] for name in chosen.quaternion])
-        turn = Rotation.from_quat(q, scalar_first=chosen.quaternion_order == "wxyz")
-    else:
-        assert chosen.euler is not None
-        angles = np.column_stack([rows[name] for name in reversed(chosen.euler)])
-        turn = Rotation.from_euler("ZYX", angles, degrees=chosen.euler_unit == "deg")
-    matrix = to_ned @ turn.as_matrix() @ to_frd.T
-    q = Rotation.from_matrix(matrix).as_quat(scalar_first=True)
-    return np.where(q[:, :1] < 0, -q, q)
+def _turn(chosen: ColumnMap, stack: Any, source: str) -> tuple[np.ndarray, Rotation]:
+    """The attitude as the file has it, (n, 4) or (n, 3), and as turns from body to world axes."""
+    if chosen.euler is not None:
+        angles = stack(chosen.euler)
+        return angles, turn_from_euler(angles, degrees=chosen.euler_unit == "deg")
+    assert chosen.quaternion is not None
+    q = stack(chosen.quaternion)
+    try:
+        return q, turn_from_quaternion(q, scalar_first=chosen.quaternion_order == "wxyz")
+    except ValueError as error:
+        raise ImportFormatError(f"{source}: {error}; cut or mend that row") from None

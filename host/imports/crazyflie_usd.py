@@ -2,24 +2,59 @@
 estimate.
 
 Layout: byte 0xBC; u16 version; u16 number of event types; per type u16 id, name, u16 number of variables,
-each "name(format)"; then records of u16 id, time (u32 ms in version 1, u64 us in version 2) and the packed
-variables; the last four bytes are the CRC-32 of all before them. Strings end with NUL, numbers are
-little-endian.
+each "name(format)" with a letter of Python's struct; then records of u16 id, time (u32 ms in version 1, u64
+us in version 2) and the packed variables; the last four bytes are the CRC-32 of all before them. Strings end
+with NUL, numbers are little-endian.
+
+World z up (nwu here), body FLU, positions in mm. The positions and angles are those of the on-board filter,
+which runs slower than the log: rows that repeat a pose are dropped.
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from host.imports.recording import ImportFormatError, Recording, quaternion_from_flu, vector_from_flu
+from host.imports.frames import q_ned_frd, to_frd, to_ned, turn_from_euler
+from host.imports.recording import (
+    ImportFormatError,
+    Recording,
+    Unknown,
+    first_of_equal,
+    fresh,
+    since_first_us,
+)
 
-UNKNOWN = ("motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency")
-_FORMATS = frozenset("bBhHiIfqQd")
+UNKNOWN: tuple[Unknown, ...] = (
+    "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency",
+)  # fmt: skip
+MARK = 0xBC
+FORMATS = frozenset("bBhHiIqQefd")
+_SHORTEST = 9
+
+_POSITION = ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z")
+_ANGLES = ("ctrlLee.rpyx", "ctrlLee.rpyy", "ctrlLee.rpyz")
+_RATE = ("ctrlLee.omegax", "ctrlLee.omegay", "ctrlLee.omegaz")
+_THRUST = ("ctrlLee.thrustSI",)
+_TORQUE = ("ctrlLee.torquex", "ctrlLee.torquey", "ctrlLee.torquez")
+_TARGET = ("ctrltargetZ.x", "ctrltargetZ.y", "ctrltargetZ.z")
+_TARGET_RATE = ("ctrltargetZ.vx", "ctrltargetZ.vy", "ctrltargetZ.vz")
+VARIABLES = (*_POSITION, *_ANGLES, *_RATE, *_THRUST, *_TORQUE, *_TARGET, *_TARGET_RATE)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Event:
+    """Records of one event type: times (n,) in units of `unit_us`, and variables (n,) by name."""
+
+    name: str
+    times: np.ndarray
+    unit_us: float
+    columns: Mapping[str, np.ndarray]
 
 
 def read(path: Path | str) -> Recording:
@@ -28,104 +63,134 @@ def read(path: Path | str) -> Recording:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise ImportFormatError(f"{path}: cannot be read ({error.strerror})") from None
-    t_us, column = decode(data, path.name)
-    keep = np.r_[True, np.diff(t_us) > 0]
-    t_us = t_us[keep] - t_us[0]
+        raise ImportFormatError(f"{path}: cannot be read ({error.strerror}); check the path") from None
+    event = _with_all(decode(data, path.name), path.name)
+    t_us = since_first_us(event.times, event.unit_us, path.name)
+    keep = first_of_equal(t_us)
+    t_us = t_us[keep]
+    named = {name.lower(): values for name, values in event.columns.items()}
 
-    def stack(*names: str) -> np.ndarray:
-        found = []
-        for name in names:
-            key = next((k for k in column if k.lower() == name.lower()), None)
-            if key is None:
-                raise ImportFormatError(
-                    f"{path.name}: no variable {name}; log it on the vehicle and fly again"
-                )
-            found.append(column[key][keep])
-        return np.column_stack(found)
+    def stack(names: tuple[str, ...], scale: float = 1.0) -> np.ndarray:
+        return scale * np.column_stack([named[name.lower()][keep] for name in names])
 
-    rpy = stack("ctrlLee.rpyx", "ctrlLee.rpyy", "ctrlLee.rpyz")
-    q = Rotation.from_euler("ZYX", rpy[:, ::-1]).as_quat()[:, [3, 0, 1, 2]]
+    position, angles = stack(_POSITION, 1e-3), stack(_ANGLES)
+    if not np.isfinite(angles).all():
+        raise ImportFormatError(f"{path.name}: {_ANGLES[0][:-1]} holds values that are not finite; fly again")
+    new = fresh(position, angles)
+    if new.sum() < 2:
+        raise ImportFormatError(f"{path.name}: the pose never changes; is a position estimate running?")
     return Recording(
         source=path.name,
-        pose_us=t_us,
-        p_ned=vector_from_flu(stack("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z") * 1e-3),
-        q_ned_frd=quaternion_from_flu(q),
+        pose_us=t_us[new],
+        p_ned=to_ned(position, "nwu")[new],
+        q_ned_frd=q_ned_frd(turn_from_euler(angles), "nwu", "flu")[new],
         input_us=t_us,
-        thrust_n=stack("ctrlLee.thrustSI")[:, 0],
-        torque_n_m=vector_from_flu(stack("ctrlLee.torquex", "ctrlLee.torquey", "ctrlLee.torquez")),
+        thrust_n=stack(_THRUST)[:, 0],
+        torque_n_m=to_frd(stack(_TORQUE), "flu"),
         imu_us=t_us,
-        gyro=vector_from_flu(stack("ctrlLee.omegax", "ctrlLee.omegay", "ctrlLee.omegaz")),
+        gyro=to_frd(stack(_RATE), "flu"),
         reference_us=t_us,
-        p_ref_ned=vector_from_flu(stack("ctrltargetZ.x", "ctrltargetZ.y", "ctrltargetZ.z") * 1e-3),
-        v_ref_ned=vector_from_flu(stack("ctrltargetZ.vx", "ctrltargetZ.vy", "ctrltargetZ.vz") * 1e-3),
+        p_ref_ned=to_ned(stack(_TARGET, 1e-3), "nwu"),
+        v_ref_ned=to_ned(stack(_TARGET_RATE, 1e-3), "nwu"),
         mass_kg=_declared_mass(path),
         unknown=UNKNOWN,
     )
 
 
-def decode(data: bytes, name: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Times (n,) in us and the variables (n,) of a uSD log's first event type.
+def _with_all(events: tuple[Event, ...], name: str) -> Event:
+    """The event type that holds every variable needed; letters' case differs between firmware versions."""
+
+    def lacks(event: Event) -> list[str]:
+        there = {column.lower() for column in event.columns}
+        return [variable for variable in VARIABLES if variable.lower() not in there]
+
+    best = min(events, key=lambda event: len(lacks(event)))
+    missing = lacks(best)
+    if missing:
+        raise ImportFormatError(
+            f"{name}: no variable {', '.join(missing)}; log it on the vehicle and fly again"
+        )
+    if len(best.times) < 2:
+        raise ImportFormatError(f"{name}: fewer than two records; nothing to import")
+    return best
+
+
+def decode(data: bytes, name: str) -> tuple[Event, ...]:
+    """The records of a uSD log by event type, one or more.
 
     Raises ImportFormatError for anything that is not a whole log: wrong mark, cut short, wrong check sum.
     """
-    if len(data) < 9 or data[0] != 0xBC:
+    if data[:1] != bytes([MARK]):
         raise ImportFormatError(f"{name}: does not begin with 0xBC; not a Crazyflie uSD log")
-    if zlib.crc32(data[:-4]) != struct.unpack("<I", data[-4:])[0]:
+    if len(data) < _SHORTEST or zlib.crc32(data[:-4]) != struct.unpack("<I", data[-4:])[0]:
         raise ImportFormatError(
             f"{name}: check sum is wrong, the file is cut or damaged; copy it from the card again"
         )
     try:
         return _decode(data[:-4], name)
-    except (struct.error, IndexError, UnicodeDecodeError, ValueError) as error:
-        if isinstance(error, ImportFormatError):
-            raise
+    except (struct.error, IndexError, UnicodeDecodeError) as error:
         raise ImportFormatError(
             f"{name}: header or records do not fit ({error}); not a log of this format"
         ) from None
 
 
-def _decode(data: bytes, name: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def _decode(data: bytes, name: str) -> tuple[Event, ...]:
     version, count = struct.unpack_from("<HH", data, 1)
     if version not in (1, 2):
         raise ImportFormatError(f"{name}: format version {version}; versions 1 and 2 are read")
-    offset, types = 5, {}
+    stamp, unit_us = ("I", 1000.0) if version == 1 else ("Q", 1.0)
+    offset = 5
+    types: dict[int, tuple[str, list[str], struct.Struct]] = {}
     for _ in range(count):
         (kind,) = struct.unpack_from("<H", data, offset)
-        _, offset = _string(data, offset + 2)
+        title, offset = _string(data, offset + 2)
         (variables,) = struct.unpack_from("<H", data, offset)
         offset += 2
-        names, layout = [], ""
+        names, layout = [], f"<{stamp}"
         for _ in range(variables):
             text, offset = _string(data, offset)
-            if not text.endswith(")") or text[-2:-1] not in _FORMATS or text[-3:-2] != "(":
-                raise ImportFormatError(f"{name}: variable {text!r} has no known format letter")
-            names.append(text[:-3])
-            layout += text[-2]
-        types[kind] = (names, layout)
+            variable, letter = text[:-3], text[-2:-1]
+            if text[-3:] != f"({letter})" or letter not in FORMATS:
+                raise ImportFormatError(
+                    f"{name}: variable {text!r} has no format letter of {' '.join(sorted(FORMATS))}; "
+                    "not a log of this format"
+                )
+            names.append(variable)
+            layout += letter
+        if kind in types:
+            raise ImportFormatError(f"{name}: event type {kind} is declared twice; not a log of this format")
+        types[kind] = (title, names, struct.Struct(layout))
     if not types:
         raise ImportFormatError(f"{name}: no event type; nothing was logged")
-    stamp, to_us = ("I", 1000) if version == 1 else ("Q", 1)
-    packers = {kind: struct.Struct(f"<{stamp}{layout}") for kind, (_, layout) in types.items()}
-    first = next(iter(types))
-    rows = []
+    rows: dict[int, list[tuple]] = {kind: [] for kind in types}
     while offset < len(data):
         (kind,) = struct.unpack_from("<H", data, offset)
-        if kind not in packers:
-            raise ImportFormatError(f"{name}: record of unknown type {kind} at byte {offset}")
-        row = packers[kind].unpack_from(data, offset + 2)
-        offset += 2 + packers[kind].size
-        if kind == first:
-            rows.append(row)
-    if len(rows) < 2:
-        raise ImportFormatError(f"{name}: fewer than two records; nothing to import")
-    values = np.array([row[1:] for row in rows], dtype=float)
-    t_us = np.array([row[0] for row in rows], dtype=np.int64) * to_us
-    return t_us, dict(zip(types[first][0], values.T, strict=True))
+        if kind not in types:
+            raise ImportFormatError(
+                f"{name}: record of unknown type {kind} at byte {offset}; not a log of this format"
+            )
+        packer = types[kind][2]
+        rows[kind].append(packer.unpack_from(data, offset + 2))
+        offset += 2 + packer.size
+    return tuple(
+        Event(
+            name=title,
+            times=np.array([row[0] for row in rows[kind]], dtype=float),
+            unit_us=unit_us,
+            columns={
+                column: np.array([row[1 + i] for row in rows[kind]], dtype=float)
+                for i, column in enumerate(names)
+            },
+        )
+        for kind, (title, names, _) in types.items()
+    )
 
 
 def _string(data: bytes, offset: int) -> tuple[str, int]:
-    end = data.index(b"\0", offset)
+    """The NUL-terminated text at `offset` and the offset behind it."""
+    end = data.find(b"\0", offset)
+    if end < 0:
+        raise IndexError("a text without its end")
     return data[offset:end].decode("ascii"), end + 1
 
 
@@ -133,14 +198,14 @@ def _declared_mass(path: Path) -> float | None:
     """Mass in kg from the info file kept beside such logs, info/infoNN.yaml for logs/logNN; None without
     one.
     """
-    info = path.parent.parent / "info" / f"info{path.name.removeprefix('log')}.yaml"
+    info = path.resolve().parent.parent / "info" / f"info{path.name.removeprefix('log')}.yaml"
     if not info.is_file():
         return None
     for line in info.read_text(encoding="utf-8", errors="replace").splitlines():
         key, _, value = line.partition(":")
         if key.strip() == "mass":
             try:
-                return float(value)
+                return float(value.partition("#")[0])
             except ValueError:
                 raise ImportFormatError(
                     f"{info.name}: mass {value.strip()!r} is not a number; mend it"

@@ -1,88 +1,73 @@
-"""Reader of NanoBench CSV flights: a Crazyflie 2.1 in a Vicon room, one row each 10 ms, world z up, scalar
-last.
+"""Reader of NanoBench CSV flights: a Crazyflie 2.1 in a Vicon room, one row each 10 ms.
+
+World z up (nwu here: the room's x counts as north), body FLU, quaternions body to world with the scalar
+last, accelerometer in g, motor commands as PWM in 16 bits, m1 front right and on clockwise.
 """
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 
-from host.imports.recording import ImportFormatError, Recording, quaternion_from_flu, vector_from_flu
+from host.imports.frames import q_ned_frd, to_frd, to_ned, turn_from_quaternion
+from host.imports.recording import (
+    Corner,
+    ImportFormatError,
+    Recording,
+    Unknown,
+    first_of_equal,
+    fresh,
+    since_first_us,
+)
+from host.imports.table import table
 
-_POSE = ("px", "py", "pz", "qw", "qx", "qy", "qz")
+UNKNOWN: tuple[Unknown, ...] = (
+    "thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency",
+)  # fmt: skip
+CORNERS: tuple[Corner, Corner, Corner, Corner] = ("front-right", "rear-right", "rear-left", "front-left")
+PWM_MAX = 65535.0
+STANDARD_GRAVITY = 9.80665
+"""m/s^2 in one g of an accelerometer; not the g of this project's dynamics."""
+
+_POSITION = ("px", "py", "pz")
+_QUATERNION = ("qx", "qy", "qz", "qw")
 _MOTORS = ("motor_motor_m1", "motor_motor_m2", "motor_motor_m3", "motor_motor_m4")
 _GYRO = ("imu_gyro_x", "imu_gyro_y", "imu_gyro_z")
 _ACCELEROMETER = ("imu_acc_x", "imu_acc_y", "imu_acc_z")
 _BATTERY = "pwr_pm_vbat"
-_PWM_MAX = 65535.0
-_STANDARD_GRAVITY = 9.80665
-UNKNOWN = ("thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency")
+COLUMNS = ("t", *_POSITION, *_QUATERNION, *_MOTORS, *_GYRO, *_ACCELEROMETER, _BATTERY)
 
 
 def read(path: Path | str) -> Recording:
-    """The flight of a NanoBench CSV file. Raises ImportFormatError naming the file, column and row."""
+    """The flight of a NanoBench CSV file. Raises ImportFormatError naming the file, column and line."""
     path = Path(path)
-    needed = ("t", *_POSE, *_MOTORS, *_GYRO, *_ACCELEROMETER, _BATTERY)
-    rows = table(path, needed)
-    t = rows["t"]
-    t_us = np.round((t - t[0]) * 1e6).astype(np.int64)
-    keep = np.r_[True, np.diff(t_us) > 0]
-    column = {name: values[keep] for name, values in rows.items()}
+    rows = table(path, COLUMNS)
+    t_us = since_first_us(rows["t"], 1e6, path.name)
+    keep = first_of_equal(t_us)
     t_us = t_us[keep]
 
     def stack(names: tuple[str, ...]) -> np.ndarray:
-        return np.column_stack([column[name] for name in names])
+        return np.column_stack([rows[name][keep] for name in names])
 
-    pose = stack(_POSE)
+    position, quaternion = stack(_POSITION), stack(_QUATERNION)
+    new = fresh(position, quaternion)
+    try:
+        turn = turn_from_quaternion(quaternion, scalar_first=False)
+    except ValueError as error:
+        raise ImportFormatError(f"{path.name}: {error}; cut or mend that row") from None
     return Recording(
         source=path.name,
-        pose_us=t_us,
-        p_ned=vector_from_flu(pose[:, :3]),
-        q_ned_frd=quaternion_from_flu(pose[:, 3:]),
+        pose_us=t_us[new],
+        p_ned=to_ned(position, "nwu")[new],
+        q_ned_frd=q_ned_frd(turn, "nwu", "flu")[new],
         input_us=t_us,
-        motor_command=stack(_MOTORS) / _PWM_MAX,
+        motor_command=stack(_MOTORS) / PWM_MAX,
+        motor_corners=CORNERS,
         imu_us=t_us,
-        gyro=vector_from_flu(stack(_GYRO)),
-        specific_force=vector_from_flu(stack(_ACCELEROMETER)) * _STANDARD_GRAVITY,
+        gyro=to_frd(stack(_GYRO), "flu"),
+        specific_force=to_frd(stack(_ACCELEROMETER), "flu") * STANDARD_GRAVITY,
         battery_us=t_us,
-        battery_v=column[_BATTERY],
+        battery_v=rows[_BATTERY][keep],
         unknown=UNKNOWN,
     )
-
-
-def table(path: Path, needed: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The needed columns of a CSV file by name. Raises ImportFormatError naming the file, column and row."""
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            reader = csv.reader(stream)
-            header = next(reader, [])
-            missing = [name for name in needed if name not in header]
-            if missing:
-                raise ImportFormatError(f"{path.name}: no column {', '.join(missing)}; is it another format?")
-            at = [header.index(name) for name in needed]
-            values = []
-            for number, row in enumerate(reader, start=2):
-                try:
-                    values.append([float(row[i]) for i in at])
-                except (ValueError, IndexError):
-                    bad = next((n for n, i in zip(needed, at, strict=True) if not _is_number(row, i)), "?")
-                    raise ImportFormatError(
-                        f"{path.name}: line {number}: {bad} is not a number; mend it"
-                    ) from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ImportFormatError(f"{path.name}: not a CSV text file ({error})") from None
-    except OSError as error:
-        raise ImportFormatError(f"{path}: cannot be read ({error.strerror})") from None
-    if len(values) < 2:
-        raise ImportFormatError(f"{path.name}: fewer than two rows; nothing to import")
-    return dict(zip(needed, np.array(values).T, strict=True))
-
-
-def _is_number(row: list[str], index: int) -> bool:
-    try:
-        float(row[index])
-    except (ValueError, IndexError):
-        return False
-    return True

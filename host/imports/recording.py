@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
+
+Unknown = Literal[
+    "thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency"
+]
+"""What a recording may not determine. Tracing estimates it as nuisance and counts it as no effect."""
+
+Corner = Literal["front-right", "rear-right", "rear-left", "front-left"]
+
+LONGEST_S = 24 * 3600.0
+_COMMAND_SLACK = 1e-3
 
 
 class ImportFormatError(ValueError):
@@ -15,25 +26,27 @@ class ImportFormatError(ValueError):
     exit_code = 5
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
     """A foreign flight in this project's frames and units: world NED, body FRD, SI; times in us since its
     first row.
 
     pose_us (n,), p_ned (n, 3), q_ned_frd (n, 4) w first. Inputs at input_us (m,): motor_command (m, 4) in
-    0..1 in the vehicle file's rotor order, or thrust_n (m,) with torque_n_m (m, 3). gyro (k, 3),
-    specific_force (k, 3) at imu_us. battery_v at battery_us. p_ref_ned (m, 3) and v_ref_ned (m, 3) at
+    0..1, or thrust_n (m,) with torque_n_m (m, 3) where known. `motor_corners`: where the motors sit whose
+    commands the columns hold; None where they follow the vehicle file. gyro (k, 3) and specific_force
+    (k, 3) at imu_us. battery_v at battery_us. p_ref_ned (r, 3), and where logged v_ref_ned and a_ref_ned, at
     reference_us. mass_kg: the mass its controller was given. `unknown`: what the recording does not
-    determine and tracing estimates as nuisance.
+    determine. Raises ImportFormatError, naming the file, for anything that cannot be true.
     """
 
     source: str
     pose_us: np.ndarray
     p_ned: np.ndarray
     q_ned_frd: np.ndarray
-    unknown: tuple[str, ...]
+    unknown: tuple[Unknown, ...]
     input_us: np.ndarray | None = None
     motor_command: np.ndarray | None = None
+    motor_corners: tuple[Corner, Corner, Corner, Corner] | None = None
     thrust_n: np.ndarray | None = None
     torque_n_m: np.ndarray | None = None
     imu_us: np.ndarray | None = None
@@ -44,39 +57,83 @@ class Recording:
     reference_us: np.ndarray | None = None
     p_ref_ned: np.ndarray | None = None
     v_ref_ned: np.ndarray | None = None
+    a_ref_ned: np.ndarray | None = None
     mass_kg: float | None = None
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, np.ndarray) and not np.isfinite(value).all():
-                row = int(np.argwhere(~np.isfinite(np.atleast_2d(value.T).T))[0][0])
-                raise ImportFormatError(
-                    f"{self.source}: {field.name} is not finite at row {row}; cut or mend that row"
-                )
-        for name in ("pose_us", "input_us", "imu_us", "battery_us", "reference_us"):
-            t = getattr(self, name)
-            if t is not None and (len(t) < 2 or (np.diff(t) <= 0).any()):
-                raise ImportFormatError(
-                    f"{self.source}: {name} must hold two or more strictly increasing times"
-                )
-        if len(self.p_ned) != len(self.pose_us) or len(self.q_ned_frd) != len(self.pose_us):
+        strange = sorted(set(self.unknown) - set(get_args(Unknown)))
+        if strange:
+            raise ValueError(f"unknown {strange} is none of {get_args(Unknown)}")
+        for times, names in _TRACKS.items():
+            self._check_track(times, names)
+        if self.mass_kg is not None and not 0.0 < self.mass_kg < np.inf:
+            raise ImportFormatError(f"{self.source}: mass {self.mass_kg!r} kg; mend its info file")
+        command = self.motor_command
+        if command is not None and (command.min() < -_COMMAND_SLACK or command.max() > 1.0 + _COMMAND_SLACK):
             raise ImportFormatError(
-                f"{self.source}: positions and attitudes differ in length from their times"
+                f"{self.source}: motor commands from {command.min():.4g} to {command.max():.4g} of full; "
+                "give the value that means full command"
             )
+        if command is not None and self.thrust_n is not None:
+            raise ValueError("either motor commands or thrust, not both")
+
+    def _check_track(self, times: str, names: tuple[str, ...]) -> None:
+        t_us = getattr(self, times)
+        arrays = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        if t_us is None:
+            if arrays:
+                raise ValueError(f"{', '.join(arrays)} without {times}")
+            return
+        if len(t_us) < 2 or (np.diff(t_us) <= 0).any():
+            raise ImportFormatError(f"{self.source}: {times} must hold two or more strictly increasing times")
+        for name, values in arrays.items():
+            if len(values) != len(t_us):
+                raise ValueError(f"{name} has {len(values)} rows, {times} {len(t_us)}")
+            if not np.isfinite(values).all():
+                row = int(np.argwhere(~np.isfinite(values.reshape(len(values), -1)))[0][0])
+                raise ImportFormatError(
+                    f"{self.source}: {name} is not finite at row {row}; cut or mend that row"
+                )
 
 
-def vector_from_flu(v: np.ndarray) -> np.ndarray:
-    """Vectors (n, 3) with y and z negated: body FLU to FRD, and a z-up world to the NED it shares north
-    with.
+_TRACKS = {
+    "pose_us": ("p_ned", "q_ned_frd"),
+    "input_us": ("motor_command", "thrust_n", "torque_n_m"),
+    "imu_us": ("gyro", "specific_force"),
+    "battery_us": ("battery_v",),
+    "reference_us": ("p_ref_ned", "v_ref_ned", "a_ref_ned"),
+}
+
+
+def since_first_us(times: np.ndarray, unit_us: float, source: str) -> np.ndarray:
+    """Whole microseconds since the first of `times` (n,), which are in units of `unit_us`.
+
+    Raises ImportFormatError where they run back or last longer than a day, which a wrong unit does. Equal
+    times pass: `first_of_equal` drops the repetitions.
     """
-    return v * np.array([1.0, -1.0, -1.0])
+    with np.errstate(over="ignore", invalid="ignore"):
+        elapsed_us = (times - times[0]) * unit_us
+    if not (elapsed_us[-1] <= LONGEST_S * 1e6) or not np.isfinite(elapsed_us).all():
+        raise ImportFormatError(f"{source}: lasts longer than a day; is the unit of its times right?")
+    t_us = np.round(elapsed_us).astype(np.int64)
+    back = np.flatnonzero(np.diff(t_us) < 0)
+    if len(back):
+        raise ImportFormatError(
+            f"{source}: time runs back after row {back[0]}; cut the log there or sort its rows"
+        )
+    return t_us
 
 
-def quaternion_from_flu(q_wxyz: np.ndarray) -> np.ndarray:
-    """Unit q_ned_frd (n, 4), w first and w >= 0, from q (n, 4) that turns FLU body vectors into a z-up
-    world.
+def first_of_equal(t_us: np.ndarray) -> np.ndarray:
+    """Mask (n,) that keeps the first row of each time."""
+    return np.r_[True, np.diff(t_us) > 0]
+
+
+def fresh(*columns: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the rows that differ from the row before them in any of the columns (n, k).
+
+    A pose that repeats the last one to the bit was not measured again: its logger held it, and with its own
+    row's time it would come too late.
     """
-    q = q_wxyz * np.array([1.0, 1.0, -1.0, -1.0])
-    q = q / np.linalg.norm(q, axis=1, keepdims=True)
-    return np.where(q[:, :1] < 0, -q, q)
+    whole = np.column_stack(columns)
+    return np.r_[True, (np.diff(whole, axis=0) != 0.0).any(axis=1)]

@@ -2,83 +2,106 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from host.imports.recording import ImportFormatError, Recording
+from host.imports import plausible
+from host.imports.airborne import airborne
+from host.imports.recording import Corner, Recording
 from host.log import Battery, Mocap, RecordedImu, RecordedInputs, write_imported
-from host.vehicle import Vehicle
+from host.vehicle import ConfigurationError, Vehicle
 
-AIRBORNE_M = 0.15
-"""Height above the first poses from which a vehicle counts as clear of the ground."""
+_SIDES: dict[Corner, tuple[bool, bool]] = {
+    "front-right": (True, True),
+    "rear-right": (False, True),
+    "rear-left": (False, False),
+    "front-left": (True, False),
+}
+"""Corner of a quadrotor to whether it lies forward and right."""
 
-_EDGE_US = 500_000
-_SHORTEST_US = 2_000_000
 
-
-def write(recording: Recording, vehicle: Vehicle, path: Path, *, profile: str) -> dict[str, int]:
+def write(
+    recording: Recording,
+    vehicle: Vehicle,
+    path: Path,
+    *,
+    profile: str,
+    provenance: Mapping[str, str] | None = None,
+) -> dict[str, int]:
     """Messages by topic of the log written at `path`; its tracking phase is the time clear of the ground.
 
-    The vehicle takes the mass that the recording declares. Raises ImportFormatError when it never flew.
+    The vehicle takes the mass that the recording declares. `provenance`: what else the log says about where
+    it comes from. Raises ImportFormatError where the recording never flew or contradicts itself, and
+    ConfigurationError where the vehicle cannot be the one that was recorded.
     """
     r = recording
-    if r.mass_kg is not None and r.mass_kg != vehicle.mass_kg:
-        vehicle = vehicle.model_copy(update={"mass_kg": r.mass_kg})
+    tracking_us = airborne(r)
+    plausible.check(r, tracking_us)
+    told = {"profile": profile, "source_file": r.source, "unknown": " ".join(r.unknown)}
     return write_imported(
         path,
-        vehicle=vehicle,
+        vehicle=_as_declared(vehicle, r),
         mocap=Mocap(t_us=r.pose_us, t_arrival_us=r.pose_us, p=r.p_ned, q=r.q_ned_frd),
-        inputs=_inputs(r),
+        inputs=_inputs(r, vehicle),
         imu=None
         if r.imu_us is None
         else RecordedImu(t_us=r.imu_us, gyro=r.gyro, specific_force=r.specific_force),
         battery=None
         if r.battery_us is None or r.battery_v is None
         else Battery(t_us=r.battery_us, battery_v=r.battery_v),
-        tracking_us=airborne(r),
-        session={"profile": profile, "source_file": r.source, "unknown": " ".join(r.unknown)},
+        tracking_us=tracking_us,
+        session={**told, **(provenance or {})},
     )
 
 
-def airborne(recording: Recording) -> tuple[int, int]:
-    """Begin and end in us of the longest time clear of the ground, half a second shorter at both ends."""
-    height = np.median(recording.p_ned[:20, 2]) - recording.p_ned[:, 2]
-    floor = height.min()
-    up = height > floor + AIRBORNE_M
-    edges = np.flatnonzero(np.diff(np.r_[False, up, False].astype(int)))
-    spans = [
-        (int(recording.pose_us[a]) + _EDGE_US, int(recording.pose_us[b - 1]) - _EDGE_US)
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
-    ]
-    best = max(spans, key=lambda span: span[1] - span[0], default=(0, 0))
-    if height.max() - floor < AIRBORNE_M:  # recorded in the air from first row to last
-        best = (int(recording.pose_us[0]) + _EDGE_US, int(recording.pose_us[-1]) - _EDGE_US)
-    if best[1] - best[0] < _SHORTEST_US:
-        raise ImportFormatError(
-            f"{recording.source}: less than {_SHORTEST_US / 1e6:g} s clear of the ground; "
-            "import a longer flight"
-        )
-    return best
+def _as_declared(vehicle: Vehicle, r: Recording) -> Vehicle:
+    """The vehicle with the mass that the recording declares."""
+    if r.mass_kg is None or r.mass_kg == vehicle.mass_kg:
+        return vehicle
+    try:
+        return vehicle.replace(mass_kg=r.mass_kg)
+    except ConfigurationError as error:
+        problems = [f"{r.source} declares {r.mass_kg:g} kg: {problem}" for problem in error.problems]
+        raise ConfigurationError(problems) from None
 
 
-def _inputs(r: Recording) -> RecordedInputs | None:
-    """The recorded inputs at the highest level there is; None without any."""
-    if r.input_us is None and r.reference_us is None:
-        return None
+def _inputs(r: Recording, vehicle: Vehicle) -> RecordedInputs | None:
+    """The recorded inputs at the highest level there is, motors in the vehicle's order; None without any."""
     t_us = r.input_us if r.input_us is not None else r.reference_us
-    assert t_us is not None
-    shared = r.reference_us is not None and np.array_equal(r.reference_us, t_us)
-    torque = r.torque_n_m if r.torque_n_m is not None or r.thrust_n is None else np.zeros((len(t_us), 3))
-    level = (
-        "motor" if r.motor_command is not None else "thrust-torque" if r.thrust_n is not None else "reference"
-    )
+    if t_us is None:
+        return None
+    reference = (r.p_ref_ned, r.v_ref_ned, r.a_ref_ned)
+    if r.reference_us is None or not np.array_equal(r.reference_us, t_us):
+        reference = (None, None, None)
+    motor, torque = r.motor_command, r.torque_n_m
+    if motor is not None:
+        motor = np.clip(motor[:, _rotor_order(r, vehicle)], 0.0, 1.0)
+    if r.thrust_n is not None and torque is None:
+        torque = np.zeros((len(t_us), 3))  # declared unknown, so that nothing reads it
+    level = "motor" if motor is not None else "thrust-torque" if r.thrust_n is not None else "reference"
+    p_ref, v_ref, a_ref = reference
     return RecordedInputs(
         t_us=t_us,
         level=level,
-        motor=r.motor_command,
+        motor=motor,
         thrust_n=r.thrust_n,
         torque_n_m=torque,
-        p_ref=r.p_ref_ned if shared else None,
-        v_ref=r.v_ref_ned if shared else None,
+        p_ref=p_ref,
+        v_ref=v_ref,
+        a_ref=a_ref,
     )
+
+
+def _rotor_order(r: Recording, vehicle: Vehicle) -> list[int]:
+    """Which recorded motor drives each rotor of the vehicle file."""
+    if r.motor_corners is None:
+        return [0, 1, 2, 3]
+    recorded = [_SIDES[corner] for corner in r.motor_corners]
+    placed = [(rotor.position_m[0] > 0.0, rotor.position_m[1] > 0.0) for rotor in vehicle.rotors]
+    if sorted(placed) != sorted(recorded):
+        raise ConfigurationError(
+            [f"{vehicle.name}: no rotor at each corner as in {r.source}; give its vehicle with --vehicle"]
+        )
+    return [recorded.index(place) for place in placed]

@@ -36,8 +36,9 @@ def command(
     """
     from host import artefacts
     from host.errors import UsageError
+    from host.imports.profiles import read
     from host.imports.write import write
-    from host.log import read_flight
+    from host.log import partial_path, read_flight
     from host.output import emit, say
     from host.workspace import open_workspace
 
@@ -45,29 +46,20 @@ def command(
     if (profile == "csv") != (columns is not None):
         raise UsageError("--columns MAP.toml goes with the csv profile, and only with it")
     airframe = open_workspace(workspace).vehicle(vehicle)
-    if profile == "nanobench":
-        from host.imports.nanobench import read
-
-        recording = read(path)
-    elif profile == "crazyflie-usd":
-        from host.imports.crazyflie_usd import read
-
-        recording = read(path)
-    else:
-        from host.imports.columns import read as read_columns
-
-        assert columns is not None
-        recording = read_columns(path, columns)
-    partial = output.with_name(output.name + ".part")
+    recording = read(profile, path, columns)
+    growing = output.with_name(output.name + ".import")
+    told = {"version": artefacts.version(), "source_id": artefacts.content_id(path.read_bytes())}
     try:
-        topics = write(recording, airframe, partial, profile=profile)
-        partial.replace(output)
+        topics = write(recording, airframe, growing, profile=profile, provenance=told)
+        growing.replace(output)
     finally:
-        partial.unlink(missing_ok=True)
+        growing.unlink(missing_ok=True)
+        partial_path(growing).unlink(missing_ok=True)
     flight = read_flight(output)
+    mass = f", {recording.mass_kg:g} kg as declared" if recording.mass_kg is not None else ""
     unknown = f"; unknown: {', '.join(recording.unknown)}" if recording.unknown else ""
     say(
-        f"{output}: {flight.duration_s:.1f} s of {flight.vehicle.name}, "
+        f"{output}: {flight.duration_s:.1f} s of {flight.vehicle.name}{mass}, "
         f"{sum(topics.values())} messages{unknown}"
     )
     emit(
@@ -76,6 +68,8 @@ def command(
             "vehicle": flight.vehicle.name,
             "duration_s": flight.duration_s,
             "topics": topics,
+            "mass_kg": flight.vehicle.mass_kg,
+            "unknown": recording.unknown,
         },
         json,
     )

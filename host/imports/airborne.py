@@ -1,0 +1,89 @@
+"""When a foreign vehicle was clear of the ground, from its poses and, where recorded, its inputs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from host.imports.recording import ImportFormatError, Recording
+
+CLEAR_M = 0.15
+"""Height above the ground from which a vehicle counts as clear of it."""
+
+EDGE_US = 500_000
+"""Left out after take-off and before landing: ground effect, and a controller that settles."""
+
+SHORTEST_US = 2_000_000
+
+_REST_US = 300_000
+_REST_M = 0.02
+_POWERED = 0.3
+
+
+def airborne(recording: Recording) -> tuple[int, int]:
+    """Begin and end in us of the longest time clear of the ground.
+
+    The ground is the lowest height, where the vehicle rests there with its motors off; a log that never
+    shows that was recorded in the air from its first row to its last. Raises ImportFormatError where less
+    than two seconds are left.
+    """
+    t_us = recording.pose_us
+    height = -recording.p_ned[:, 2]
+    floor = float(np.quantile(height, 0.01))
+    powered = _powered(recording)
+    flying = np.ones(len(t_us), dtype=bool) if powered is None else powered
+    if _grounded(recording, height, floor, powered):
+        flying = flying & (height > floor + CLEAR_M)
+    edges = np.flatnonzero(np.diff(np.r_[False, flying, False].astype(int)))
+    spans = [
+        (
+            int(t_us[a]) + (EDGE_US if a > 0 else 0),
+            int(t_us[b - 1]) - (EDGE_US if b < len(t_us) else 0),
+        )
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    begin, end = max(spans, key=lambda span: span[1] - span[0], default=(0, 0))
+    if end - begin < SHORTEST_US:
+        raise ImportFormatError(
+            f"{recording.source}: clear of the ground for {max(end - begin, 0) * 1e-6:.1f} s, of which "
+            f"{SHORTEST_US * 1e-6:g} s are needed; import a longer flight"
+        )
+    return begin, end
+
+
+def _powered(recording: Recording) -> np.ndarray | None:
+    """Whether each pose falls where the rotors push, (n,); None without recorded inputs."""
+    if recording.motor_command is not None:
+        push = recording.motor_command.mean(axis=1)
+    elif recording.thrust_n is not None:
+        push = recording.thrust_n
+    else:
+        return None
+    assert recording.input_us is not None
+    full = float(np.quantile(push, 0.9))
+    if full <= 0.0:
+        return np.zeros(len(recording.pose_us), dtype=bool)
+    # A moment of cut thrust in flight is no landing: the greatest push within a rest's length counts.
+    width = max(1, round(_REST_US / float(np.median(np.diff(recording.input_us)))))
+    padded = np.pad(push, (width // 2, width - 1 - width // 2), mode="edge")
+    greatest = np.lib.stride_tricks.sliding_window_view(padded, width).max(axis=1)
+    return np.interp(recording.pose_us, recording.input_us, greatest) > _POWERED * full
+
+
+def _grounded(recording: Recording, height: np.ndarray, floor: float, powered: np.ndarray | None) -> bool:
+    """Whether the vehicle rests at the lowest height at some time, its motors off."""
+    t_us, p = recording.pose_us, recording.p_ned
+    if powered is None and np.ptp(height) < CLEAR_M < np.ptp(p[:, :2], axis=0).max():
+        return False  # level flight, recorded in the air
+    off = height < floor + 0.5 * CLEAR_M
+    if powered is not None:
+        off &= ~powered
+    for a in np.flatnonzero(off & np.r_[True, ~off[:-1]]):
+        stop = np.flatnonzero(~off[a:])
+        b = a + int(stop[0]) if len(stop) else len(t_us)
+        ends = np.searchsorted(t_us[a:b], t_us[a:b] + _REST_US)
+        for k in range(0, b - a, max(1, (b - a) // 200)):
+            window = p[a + k : a + int(ends[k])]
+            whole = a + int(ends[k]) < len(t_us) and ends[k] < b - a
+            if whole and np.ptp(window, axis=0).max() < _REST_M:
+                return True
+    return False

@@ -1,0 +1,32 @@
+"""The import profiles by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from host.imports.recording import Recording
+
+PROFILES = ("nanobench", "crazyflie-usd", "csv")
+
+
+def read(profile: str, path: Path, columns: Path | None = None) -> Recording:
+    """The recording at `path` as the profile reads it; `columns` is the column map, for csv only.
+
+    Raises ImportFormatError (exit code 5) for the log, ConfigurationError (2) for the map, and ValueError
+    for a profile that does not exist or a map that goes with none.
+    """
+    if (profile == "csv") != (columns is not None):
+        raise ValueError(f"a column map goes with csv and only with it, not with {profile}")
+    if columns is not None:
+        from host.imports.columns import read as read_columns
+
+        return read_columns(path, columns)
+    if profile == "nanobench":
+        from host.imports.nanobench import read as read_nanobench
+
+        return read_nanobench(path)
+    if profile == "crazyflie-usd":
+        from host.imports.crazyflie_usd import read as read_usd
+
+        return read_usd(path)
+    raise ValueError(f"profile {profile!r} is none of {', '.join(PROFILES)}")

@@ -1,0 +1,67 @@
+"""Reader of the numbers in a CSV file's named columns."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from host.imports.recording import ImportFormatError
+
+
+def table(path: Path, needed: Sequence[str]) -> dict[str, np.ndarray]:
+    """The needed columns of a CSV file by name, finite numbers all.
+
+    Empty lines are passed over, blanks around names and a byte order mark too. Raises ImportFormatError
+    naming the file and every missing column, or the first line and column without a number.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            return _table(stream, path.name, tuple(dict.fromkeys(needed)))
+    except UnicodeDecodeError as error:
+        raise ImportFormatError(f"{path.name}: no text at byte {error.start}; give a CSV file") from None
+    except csv.Error as error:
+        raise ImportFormatError(f"{path.name}: not a CSV file ({error}); give one") from None
+    except OSError as error:
+        raise ImportFormatError(
+            f"{path}: cannot be read ({error.strerror or error}); check the path"
+        ) from None
+
+
+def _table(stream: object, name: str, needed: tuple[str, ...]) -> dict[str, np.ndarray]:
+    reader = csv.reader(stream)  # type: ignore[arg-type]
+    header = [cell.strip() for cell in next(reader, [])]
+    missing = [column for column in needed if column not in header]
+    if missing:
+        raise ImportFormatError(f"{name}: no column {', '.join(missing)}; is it another format?")
+    twice = [column for column in needed if header.count(column) > 1]
+    if twice:
+        raise ImportFormatError(f"{name}: two columns are named {', '.join(twice)}; rename one")
+    at = [header.index(column) for column in needed]
+    rows = []
+    for cells in reader:
+        if not cells:
+            continue
+        try:
+            row = [float(cells[i]) for i in at]
+        except (ValueError, IndexError):
+            row = [math.nan]
+        if not all(map(math.isfinite, row)):
+            column = next(c for c, i in zip(needed, at, strict=True) if not _is_number(cells, i))
+            raise ImportFormatError(
+                f"{name}: line {reader.line_num}: {column} is no finite number; cut or mend that line"
+            )
+        rows.append(row)
+    if len(rows) < 2:
+        raise ImportFormatError(f"{name}: fewer than two rows of numbers; nothing to import")
+    return dict(zip(needed, np.array(rows).T, strict=True))
+
+
+def _is_number(cells: list[str], index: int) -> bool:
+    try:
+        return math.isfinite(float(cells[index]))
+    except (ValueError, IndexError):
+        return False
