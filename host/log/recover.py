@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcap.writer import CompressionType, Writer
-
 from host.log.errors import LogError
+from host.log.mcap_file import McapFile
 from host.log.scan import scan
-from host.log.writer import CHUNK_BYTES, PROVENANCE, partial_path
+from host.log.writer import PROVENANCE, partial_path
 
 SUFFIX = ".recovered.mcap"
 
@@ -74,23 +73,22 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
     growing = partial_path(target)
     try:
         with growing.open("wb") as stream:
-            writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-            writer.start(profile="", library="trimtab")
+            writer = McapFile(stream)
             for name, entries in found.metadata.items():
                 writer.add_metadata(name, entries)
             writer.add_metadata("recovery", {"damage": found.damage, "bytes": str(found.size)})
             for name, (media_type, data) in found.attachments.items():
-                writer.add_attachment(0, 0, name, media_type, data)
+                writer.add_attachment(name, media_type, data)
             schemas = {
-                number: writer.register_schema(name=schema.name, encoding=schema.encoding, data=schema.data)
+                number: writer.add_schema(schema.name, schema.data, schema.encoding)
                 for number, schema in found.schemas.items()
             }
             channels = {
-                number: writer.register_channel(
-                    topic=channel.topic,
-                    message_encoding=channel.message_encoding,
-                    schema_id=schemas.get(channel.schema_id, 0),
-                    metadata=channel.metadata,
+                number: writer.add_channel(
+                    channel.topic,
+                    schemas.get(channel.schema_id, 0),
+                    channel.metadata,
+                    channel.message_encoding,
                 )
                 for number, channel in found.channels.items()
             }
@@ -98,8 +96,8 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
                 writer.add_message(
                     channels[entry.channel_id],
                     entry.log_time_us,
-                    entry.data,
                     entry.publish_time_us,
+                    entry.data,
                     entry.sequence,
                 )
             writer.finish()

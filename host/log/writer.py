@@ -19,18 +19,16 @@ from typing import IO, Any, Self, cast
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from host.log import topics
 from host.log.errors import LogError
+from host.log.mcap_file import McapFile
 from host.log.topics import Topic
 from host.vehicle import Vehicle
 from protocol.blobs import blob_id
 from protocol.generated import flight_pb2
 
-CHUNK_BYTES = 64 * 1024
 FORMAT = "1"
 PROVENANCE = "trimtab"
 PARAMETERS = "firmware_parameters"
@@ -88,20 +86,11 @@ class _Unbuffered:
 
     def __init__(self, raw: RawIOBase) -> None:
         self._raw = raw
-        self._size = 0
 
-    def write(self, data: bytes) -> int:
+    def write(self, data: bytes, /) -> None:
         view = memoryview(data)
         while view:
             view = view[self._raw.write(view) or 0 :]
-        self._size += len(data)
-        return len(data)
-
-    def tell(self) -> int:
-        return self._size
-
-    def flush(self) -> None:
-        pass
 
 
 class LogWriter:
@@ -124,48 +113,38 @@ class LogWriter:
                 self._file = cast(RawIOBase, open(partial_path(output), "wb", buffering=0))  # noqa: SIM115
             except OSError as error:
                 raise LogError(f"{output}: cannot be written ({error.strerror}), give another -o") from error
-            stream = cast(IO[bytes], _Unbuffered(self._file))
+            self._mcap = McapFile(_Unbuffered(self._file))
         else:
-            stream = output
-        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(profile="", library="trimtab")
-        self._add = self._writer.add_message
+            self._mcap = McapFile(output)
+        self._add = self._mcap.add_message
         self._closed = False
         self._write_provenance(provenance)
         self._channels = {topic.name: self._register(topic) for topic in channels}
         self._messages = _Messages()
 
     def _write_provenance(self, provenance: Provenance) -> None:
-        self._writer.add_metadata(PROVENANCE, provenance.metadata())
+        self._mcap.add_metadata(PROVENANCE, provenance.metadata())
         if provenance.parameters is not None:
             values = {name: repr(float(value)) for name, value in sorted(provenance.parameters.items())}
-            self._writer.add_metadata(PARAMETERS, values)
-        attach = self._writer.add_attachment
-        attach(0, 0, VEHICLE_FILE, "application/toml", provenance.vehicle.to_toml().encode())
+            self._mcap.add_metadata(PARAMETERS, values)
+        attach = self._mcap.add_attachment
+        attach(VEHICLE_FILE, "application/toml", provenance.vehicle.to_toml().encode())
         if provenance.reference is not None:
-            attach(0, 0, REFERENCE_FILE, "application/octet-stream", provenance.reference)
+            attach(REFERENCE_FILE, "application/octet-stream", provenance.reference)
         if provenance.feedforward is not None:
-            attach(0, 0, FEEDFORWARD_FILE, "application/octet-stream", provenance.feedforward)
+            attach(FEEDFORWARD_FILE, "application/octet-stream", provenance.feedforward)
 
     def _register(self, topic: Topic) -> int:
         descriptor = topic.message.DESCRIPTOR
-        schema = self._writer.register_schema(
-            name=descriptor.full_name,
-            encoding=SchemaEncoding.Protobuf,
-            data=build_file_descriptor_set(cast(Any, topic.message)).SerializeToString(deterministic=True),
-        )
-        return self._writer.register_channel(
-            topic=topic.name,
-            message_encoding=MessageEncoding.Protobuf,
-            schema_id=schema,
-            metadata=topic.metadata(),
-        )
+        described = build_file_descriptor_set(cast(Any, topic.message)).SerializeToString(deterministic=True)
+        schema = self._mcap.add_schema(descriptor.full_name, described)
+        return self._mcap.add_channel(topic.name, schema, topic.metadata())
 
     def write(self, topic: str, message: Any, log_us: int, publish_us: int) -> bool:
         """Writes a message of any topic; False, and nothing written, where a time lies before arm."""
         if log_us < 0 or publish_us < 0:
             return False
-        self._add(self._channels[topic], log_us, message.SerializeToString(), publish_us)
+        self._add(self._channels[topic], log_us, publish_us, message.SerializeToString())
         return True
 
     def pose(
@@ -282,7 +261,7 @@ class LogWriter:
         if self._closed:
             return
         self._closed = True
-        self._writer.finish()
+        self._mcap.finish()
         if self._file is not None and self.path is not None:
             self._file.close()
             partial_path(self.path).replace(self.path)

@@ -13,6 +13,8 @@ from typing import IO
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
 from host.log import FLIGHT_TOPICS, LogError, LogWriter, Provenance, describe, read_flight, to_lines
@@ -87,6 +89,23 @@ def test_log_independent_reader_finds_topics_times_and_sampling(log_bytes: bytes
     first = next(iter(reader.iter_decoded_messages(topics=["/mocap/pose"])))
     assert (first.message.log_time, first.message.publish_time) == (4000, 0)
     assert list(first.decoded_message.p_ned_m) == [0.0, 0.0, -1.0]
+
+
+def test_log_independent_reader_seeks_and_counts(log_bytes: bytes) -> None:
+    # The reference implementation checks every CRC and finds messages through the chunk and message indexes.
+    reader = make_reader(io.BytesIO(log_bytes), validate_crcs=True)
+    summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == len(list(reader.iter_messages())) == 3 * 700 + 2 * 70 + 1
+    assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 2
+    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (4_000, 6_994_000)
+    middle = reader.iter_messages(topics=["/fc/estimate"], starting_at=3_004_000, ending_before=3_504_000)
+    assert [message.log_time for _, _, message in middle] == list(range(3_004_000, 3_504_000, 10_000))
+    assert [attachment.name for attachment in reader.iter_attachments()] == ["vehicle.toml", "flown.ref"]
+    assert {record.name for record in reader.iter_metadata()} == {"trimtab", "firmware_parameters"}
+    whole = StreamReader(io.BytesIO(log_bytes), validate_crcs=True)
+    assert sum(isinstance(record, Message) for record in whole.records) == 2241
 
 
 def test_log_provenance_comes_before_the_first_message(log_bytes: bytes) -> None:

@@ -99,7 +99,7 @@ def test_recover_killed_writer_leaves_what_it_had_written(tmp_path: Path) -> Non
     assert done.returncode == -signal.SIGKILL
     assert not path.exists()
     assert partial_path(path).exists()
-    with pytest.raises(LogError, match=r"trimtab log recover .*killed\.mcap\.partial"):
+    with pytest.raises(LogError, match=r"trimtab log recover .*killed\.mcap\.part"):
         read_flight(path)
     found = recover(path)
     assert found.output is not None
