@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from firmware_model.law.allocation import allocation_matrix, invert4
 from host.log import Flight
-from host.trace.segments import Segments
+from host.trace.segments import BIN_S, Segments
 from host.vehicle import Vehicle
 
 DT_S = 0.01
@@ -272,6 +272,7 @@ def _cut(
                 "force_weight": (force_share[a : a + steps] > 0.5).astype(float),
                 "command": command[a - pre : a + steps],
                 "voltage_ratio": ratio[a : a + steps],
+                "w": np.zeros((round(segment_s / BIN_S), 6)),
                 "sigma": sigma,
             }
         )

@@ -78,6 +78,9 @@ def refit(
 ) -> Fit:
     """Gauss-Newton on all parameters under the prior of `effects`, the process noise fitted again at every
     step.
+
+    The first fit, with no `start`, also finds the trajectories that the basis is taken along: its columns are
+    long, and along the wrong trajectory they would no longer be parallel to an effect of the same shape.
     """
     prior, groups = space.prior, space.groups
     flights = int(data.flight.max()) + 1
@@ -92,7 +95,11 @@ def refit(
         for name in set(start.effects) - set(effects):
             z[list(groups[name])] = 0.0
     precision = prior.precision(effects)
-    kept = segments.basis(vehicle, space, data, z, local) if start is None else start.basis
+    if start is None:
+        data = data.with_w(segments.measured_turn(vehicle, space, data))
+        kept = segments.basis(vehicle, space, data, z, local)
+    else:
+        kept = start.basis
     for iteration in range(iterations):
         grams = segments.linearise(vehicle, space, data, z, local, kept)
         data = data.with_x0(grams.x0)
@@ -105,8 +112,13 @@ def refit(
             break
         if iteration < iterations - 1:
             step = space.clipped(z + np.clip(step, -4.0, 4.0)) - z
-            local = local + evidence.local_step(lin, white, prior, step)
+            moved = evidence.local_step(lin, white, prior, step)
+            local = local + moved
+            data = data.with_w(evidence.disturbances(lin, process, step, moved))
             z = z + step
+            if start is None and iteration < 2:
+                data = data.with_x0(segments.fitted_x0(vehicle, space, data, z, local, kept, 2))
+                kept = segments.basis(vehicle, space, data, z, local)
     return Fit(
         effects=tuple(sorted(effects)),
         log_evidence=evidence.log_evidence(white, z, precision, len(effects)),

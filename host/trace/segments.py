@@ -31,13 +31,12 @@ CHANNELS = 12
 
 BIN_S = 0.1
 _LANES = 2500
-_X_STEP = np.array([1e-3] * 3 + [5e-3] * 3 + [1e-3] * 3 + [5e-3] * 3)
-_LOCAL_STEP = np.array([1e-3] * 3 + [0.1] * 3 + [0.1] * 3)
-_BIN_STEP = np.array([0.2] * 3 + [2.0] * 3)
-_RATE_DRIVEN = 0.02
-"""Factor on the local and bin steps that are rad/s instead of rad/s^2."""
-
-_Z_STEP = 0.05
+_X_STEP = np.full(STATES, 1e-6)
+_LOCAL_STEP = np.full(LOCALS, 1e-5)
+_BIN_STEP = np.full(6, 1e-5)
+_Z_STEP = 1e-5
+"""Steps of the difference quotients are small: attitude answers torque so strongly that columns of coarse
+steps are no longer parallel where the effects are, and what should cancel looks like information."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +48,8 @@ class Segments:
     0 or 1; rate and force (S, H, 3) FRD means over the step, force_weight (S, H); command (S, pre + H, 4)
     motor command, or rotor thrust in N where `in_newton`; voltage_ratio (S, H). sigma (S, 4): position m,
     attitude rad, body rate rad/s, specific force m/s^2. `rate_driven`: the measured body rate is an input
-    instead of the commanded torque, for logs that declare the torque unknown.
+    instead of the commanded torque, for logs that declare the torque unknown. w (S, bins, 6): disturbance the
+    roll-outs are linearised at, so that they stay near what was measured whatever the parameters lack.
     """
 
     dt_s: float
@@ -67,6 +67,7 @@ class Segments:
     command: np.ndarray
     voltage_ratio: np.ndarray
     sigma: np.ndarray
+    w: np.ndarray
     in_newton: bool
     rate_driven: bool
 
@@ -91,6 +92,10 @@ class Segments:
     def with_x0(self, x0: np.ndarray) -> Segments:
         """The same segments starting from other initial states (S, 12)."""
         return replace(self, x0=x0)
+
+    def with_w(self, w: np.ndarray) -> Segments:
+        """The same segments linearised at another disturbance (S, bins, 6)."""
+        return replace(self, w=w)
 
     def take(self, index: Any) -> Segments:
         """The segments at `index` (slice, mask or integers)."""
@@ -164,15 +169,15 @@ def roll_out(
             thrust = after
             continue
         middle = [t + (now - t) * half for t, now in zip(target, thrust, strict=True)]
-        push = list(gravity)
-        turn = [local[3], local[4], local[5]]
+        index = min(k // per_bin, data.bins - 1)
+        w = [data.w[:, index, i] for i in range(6)]
         if bins is not None:
-            b = bins[min(k // per_bin, len(bins) - 1)][:, :, None]
-            R = [data.attitude[:, k, i] for i in range(9)]
-            push = [
-                g + R[3 * i] * b[0] + R[3 * i + 1] * b[1] + R[3 * i + 2] * b[2] for i, g in enumerate(gravity)
-            ]
-            turn = [t + b[3 + i] for i, t in enumerate(turn)]
+            w = [a + b for a, b in zip(w, bins[index][:, :, None], strict=True)]
+        R = [data.attitude[:, k, i] for i in range(9)]
+        push = [
+            g + R[3 * i] * w[0] + R[3 * i + 1] * w[1] + R[3 * i + 2] * w[2] for i, g in enumerate(gravity)
+        ]
+        turn = [local[3 + i] + w[3 + i] for i in range(3)]
         if data.rate_driven:
             x = [*x[:9], *(data.rate[:, k, i] + turn[i] for i in range(3))]
         voltage, t_s = data.voltage_ratio[:, k], data.start_s + k * dt
@@ -294,8 +299,6 @@ def _chunks(data: Segments, lanes: int) -> list[slice]:
 def basis(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, local: np.ndarray) -> Basis:
     """The basis at scaled parameters z (P,) and flight nuisances `local` (flights, 9)."""
     count = 1 + STATES + LOCALS + 6 * data.bins
-    factor = np.ones(LOCALS)
-    factor[3:6] = _RATE_DRIVEN if data.rate_driven else 1.0
     parts = []
     for chunk in _chunks(data, count):
         part = data.take(chunk)
@@ -305,17 +308,47 @@ def basis(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, local: 
             lanes.x0[i, 1 + i] += _X_STEP[i]
         first = 1 + STATES
         for i in range(LOCALS):
-            lanes.steps[first + i] = _LOCAL_STEP[i] * factor[i]
+            lanes.steps[first + i] = _LOCAL_STEP[i]
             lanes.local[i, first + i] += lanes.steps[first + i]
         first += LOCALS
         for b in range(data.bins):
             for i in range(6):
-                lanes.steps[first + 6 * b + i] = _BIN_STEP[i] * factor[i]
+                lanes.steps[first + 6 * b + i] = _BIN_STEP[i]
                 lanes.bins[b, i, first + 6 * b + i] = lanes.steps[first + 6 * b + i]
         parts.append(lanes.jacobian(vehicle, space, part, bins=True)[:, 1:])
     whole = np.concatenate(parts)
     cuts = np.cumsum([STATES, LOCALS])
     return Basis(x=whole[:, : cuts[0]], local=whole[:, cuts[0] : cuts[1]], bins=whole[:, cuts[1] :])
+
+
+def measured_turn(vehicle: Vehicle, space: Space, data: Segments) -> np.ndarray:
+    """Disturbance (S, bins, 6) with the angular acceleration that the nominal model lacks along the
+    measurements.
+
+    Read off the measured body rate; the force part is zero, errors of force turn nothing.
+    """
+    w = np.zeros((len(data.flight), data.bins, 6))
+    if data.rate_driven:
+        return w
+    pre, per_bin = data.command.shape[1] - data.steps, round(BIN_S / data.dt_s)
+    airframe = Airframe(vehicle, space.theta(list(space.values(np.zeros(len(space.columns))))))
+    share = 1.0 - np.exp(-data.dt_s / vehicle.motor_lag_s)
+    thrust = airframe.commanded_thrust(data.command[:, 0], data.in_newton)
+    modelled = np.empty((len(data.flight), data.steps, 3))
+    j = np.array(vehicle.inertia_kg_m2)
+    for k in range(-pre, data.steps):
+        target = airframe.commanded_thrust(data.command[:, pre + k], data.in_newton)
+        thrust = thrust + (target - thrust) * share
+        if k >= 0:
+            torque = np.stack(dynamics.rotor_torque(vehicle, list(thrust.T)), axis=1)
+            rate = data.rate[:, k]
+            modelled[:, k] = (torque - np.cross(rate, j * rate)) / j
+    for b in range(data.bins):
+        a, e = b * per_bin, min((b + 1) * per_bin, data.steps - 1)
+        known = (data.rate_weight[:, a] * data.rate_weight[:, e])[:, None]
+        gained = (data.rate[:, e] - data.rate[:, a]) / ((e - a) * data.dt_s)
+        w[:, b, 3:] = known * (gained - modelled[:, a:e].mean(1))
+    return w
 
 
 def fitted_x0(
@@ -357,6 +390,7 @@ def linearise(
             lanes.steps[1 + i] = _Z_STEP
             lanes.z[i, 1 + i] += _Z_STEP
         A = lanes.jacobian(vehicle, space, part, bins=False)
+        A[:, 0] += np.einsum("szn,sz->sn", kept.bins[chunk], part.w.reshape(len(part.w), -1))
         A = np.concatenate([A[:, :1], kept.x[chunk], A[:, 1:], kept.local[chunk], kept.bins[chunk]], axis=1)
         grams.append(A @ np.swapaxes(A, 1, 2))
     return Grams(gram=np.concatenate(grams), x0=x0)

@@ -17,7 +17,7 @@ from host.trace import evidence, segments
 from host.trace.data import DT_S, LAGS, SEGMENT_S
 from host.trace.diagnose import Fit
 from host.trace.parameters import Space
-from host.trace.segments import Segments
+from host.trace.segments import BIN_S, Segments
 from host.vehicle import Vehicle
 
 
@@ -105,6 +105,7 @@ def _along(vehicle: Vehicle, flat: np.ndarray, fit: Fit) -> Segments | None:
         command=command[long],
         voltage_ratio=np.full(n, float(np.median(fit.data.voltage_ratio))),
         sigma=np.repeat(fit.data.sigma.mean(0, keepdims=True), count, axis=0),
+        w=np.zeros((count, round(SEGMENT_S / BIN_S), 6)),
         in_newton=fit.data.in_newton,
         rate_driven=fit.data.rate_driven,
     )
