@@ -51,11 +51,9 @@ def encode_quaternion(q: Sequence[float]) -> tuple[int, int, int, int]:
 
 def decode_quaternion(q: Sequence[int]) -> tuple[float, float, float, float]:
     """The unit quaternion in FC_ESTIMATE, w first; the identity where all parts are 0."""
-    norm = math.sqrt(sum(part * part for part in q))
-    if norm == 0.0:
-        return (1.0, 0.0, 0.0, 0.0)
-    w, x, y, z = (part / norm for part in q)
-    return (w, x, y, z)
+    w, x, y, z = q
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    return (w / norm, x / norm, y / norm, z / norm) if norm else (1.0, 0.0, 0.0, 0.0)
 
 
 def encode_age(age_us: int | None) -> int:
@@ -172,4 +170,5 @@ class IntervalDecoder:
 
 
 def _means(later: Sequence[int], earlier: Sequence[int], counts: float) -> tuple[float, ...]:
-    return tuple(difference(b, a) / counts for b, a in zip(later, earlier, strict=True))
+    # `difference` written out: this runs ten times a message.
+    return tuple([((b - a + _HALF & _MASK) - _HALF) / counts for b, a in zip(later, earlier, strict=True)])
