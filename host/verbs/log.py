@@ -1,4 +1,4 @@
-"""`trimtab log`: looks into a flight log, or makes a readable one of a damaged one."""
+"""`trimtab log`: looks into a flight log, makes a readable one of a damaged one, or tables of it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cyclopts import App
 
 from host.verbs.options import Force, Json, Output
 
-command = App(name="log", help="Look into a flight log, or recover it.")
+command = App(name="log", help="Look into a flight log, recover or export it.")
 
 
 @command.command
@@ -51,3 +51,26 @@ def recover(log: Path, *, output: Output = None, force: Force = False, json: Jso
     else:
         say(f"{found.output}: {found.messages} messages, {found.duration_s:.2f} s ({found.damage})")
     emit(found.to_json(), json)
+
+
+@command.command
+def export(log: Path, *, output: Output = None, force: Force = False, json: Json = False) -> None:
+    """Write a log as tables, one CSV file a topic.
+
+    Parameters
+    ----------
+    log
+        A flight log.
+    output
+        Folder for the tables; LOG.csv by default.
+    """
+    from host.errors import UsageError
+    from host.log.export import export_csv
+    from host.output import emit, say
+
+    folder = output or log.with_suffix(".csv")
+    if folder.exists() and not force:
+        raise UsageError(f"{folder}: exists, choose another name or add --force")
+    written = export_csv(log, folder)
+    say(*(f"{folder / name}: {rows} rows" for name, rows in written.items()))
+    emit({"folder": str(folder), "rows": written}, json)
