@@ -47,7 +47,7 @@ class ResidualModel:
 
     @classmethod
     def of(cls, model: Model, effects: Mapping[str, Effect]) -> ResidualModel:
-        """Effects and adjustments of a model file, with its network. Raises ValueError for unknown effects."""
+        """Effects and adjustments of a model file, and its network. Raises ValueError for unknown effects."""
         return cls(parts=tuple(model.parts(effects)), network=model.network, region=model.region, id=model.id)
 
     @property
@@ -85,7 +85,7 @@ class Weights:
 
 @dataclass(frozen=True, kw_only=True)
 class Dynamics:
-    """A vehicle as the planner sees it. augmented: the model is in the dynamics, not only in the cost."""
+    """A vehicle as the planner sees it. augmented: the model is in the dynamics, not only the cost."""
 
     vehicle: Vehicle
     model: ResidualModel = field(default_factory=ResidualModel)

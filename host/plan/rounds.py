@@ -28,12 +28,13 @@ from host.plan.transcription import Problem, Solution, SolveStatus, solve
 
 Array = NDArray[np.float64]
 
-_YAW_SETTLED = np.radians(1.0)
-"""How far the heading at the nodes may move between rounds because their times did."""
+_YAW_SETTLED = np.radians(2.0)
+"""How far the heading at the nodes may move because their times did, without another round to use it."""
 _LEAST_RESIDUAL = 0.6
 """m/s^2: below, a residual is not worth a wilder path."""
 _PATIENCE = 4
-"""Rounds after which a path that still sticks out is made smoother, twice as much each round."""
+"""Rounds after which a path that sticks out is made smoother, twice as much each round, and one that does not
+is taken although its heading moved."""
 _REMEDY = "give it more time, headroom or nodes"
 _SEARCH = (SolveStatus.INFEASIBLE, SolveStatus.RESTORATION)
 
@@ -55,7 +56,7 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
         yaws = job.yaws(solution.t_s[-1] / job.route.duration_s)
         judged = job.judge(table, yaws)
         moved = np.abs(yaw_profile(yaws, solution.t_s) - run.yaw).max()
-        if judged.ok and moved <= _YAW_SETTLED:
+        if judged.ok and (moved <= _YAW_SETTLED or run.rounds >= _PATIENCE):
             effort = Effort(
                 status=solution.status.name.lower(),
                 solve_s=time.process_time() - started,

@@ -146,7 +146,7 @@ def solve(
 ) -> Solution:
     """The local optimum from the given start. `solve_s` is processor time and the only number that varies."""
     started = time.process_time()
-    assembly = _Assembly(model, stage, problem)
+    assembly = Assembly(model, stage, problem)
     options: dict[str, Any] = {
         "cache": assembly.derivatives,
         "no_nlp_grad": True,
@@ -183,7 +183,7 @@ def solve(
     )
 
 
-class _Assembly:
+class Assembly:
     """Objective, constraints and their derivatives over all intervals, as CasADi functions of one vector w.
 
     w = (x_0 .. x_N, u_0 .. u_{N-1}, h). Rows: N * nx gaps, N * np path rows, then the total time.
