@@ -2,8 +2,8 @@
 
 One RK4 step of the hybrid closed loop Phi(x, x_bar, xi) = phi(x, x_bar) + d(x, xi) is an MX function of all
 the batch's segments: the network as matrix products over them, the rigid body and the law as an SX function
-mapped over them. Its vector-Jacobian product comes from CasADi's reverse mode; the recursion over the steps
-is ours.
+mapped over them. The adjoint of the step is written out stage by stage; the vector-Jacobian products of phi
+and of the network in it are CasADi's reverse mode. phi and its products are compiled where a compiler works.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 import casadi
 import numpy as np
 
+from host.codegen import compile_function
 from host.models.network import Layout
 from host.models.phi import DRIVE_ROWS, FLIGHT, Phi
 from host.models.segments import Segments
@@ -70,9 +71,9 @@ class Rollouts:
             )
         self.phi, self.layout, self.batch, self.step_s = phi, layout, batch, step_s
         self.weight = np.asarray(weight, dtype=float)
-        step = step_function(phi, layout, theta, batch=batch, step_s=step_s)
-        self._step = Buffered(step)
-        self._adjoint = Buffered(adjoint_function(step))
+        model = _Model(phi, layout, theta, batch=batch, step_s=step_s)
+        self._step = Buffered(model.step())
+        self._adjoint = Buffered(model.adjoint())
 
     def roll_out(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
         """States (N + 1, batch, size) from the starts x0 (batch, size): equation 7."""
@@ -133,40 +134,91 @@ class Rollouts:
             rows[segments.count :] = segments.drive[0, 2 * k + i]
 
 
-def step_function(
-    phi: Phi, layout: Layout, theta: np.ndarray, *, batch: int, step_s: float
-) -> casadi.Function:
-    """One RK4 step of the hybrid model for `batch` segments as an MX function, effects at `theta`."""
-    mapped = phi.function.map(batch)
-    rows = DRIVE_ROWS[phi.drive]
-    x = casadi.MX.sym("x", phi.size, batch)
-    names = ("drive_start", "drive_middle", "drive_end")
-    start, middle, end = (casadi.MX.sym(name, rows, batch) for name in names)
-    flight = casadi.MX.sym("flight", len(FLIGHT), batch)
-    xi = casadi.MX.sym("xi", layout.size)
-    values = casadi.repmat(casadi.DM(theta), 1, batch)
+class _Model:
+    """phi with its network for `batch` segments as MX functions; effects at the values `theta`."""
 
-    def rate(state: Any, drive: Any) -> Any:
-        return mapped(state, drive, flight, values, layout.matrices(xi, state[3:9, :]))
+    def __init__(self, phi: Phi, layout: Layout, theta: np.ndarray, *, batch: int, step_s: float) -> None:
+        self.layout, self.step_s = layout, step_s
+        self._phi = compile_function(phi.function)[0].map(batch)
+        self._products = compile_function(vector_jacobian(phi.function))[0].map(batch)
+        self._theta = casadi.repmat(casadi.DM(theta), 1, batch)
+        drives = [
+            casadi.MX.sym(name, DRIVE_ROWS[phi.drive], batch)
+            for name in ("drive_start", "drive_middle", "drive_end")
+        ]
+        self.inputs = [
+            casadi.MX.sym("x", phi.size, batch),
+            *drives,
+            casadi.MX.sym("flight", len(FLIGHT), batch),
+            casadi.MX.sym("xi", layout.size),
+        ]
+        self.names = [symbol.name() for symbol in self.inputs]
 
-    h = step_s
-    k1 = rate(x, start)
-    k2 = rate(x + 0.5 * h * k1, middle)
-    k3 = rate(x + 0.5 * h * k2, middle)
-    k4 = rate(x + h * k3, end)
-    following = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    inputs = [x, start, middle, end, flight, xi]
-    return casadi.Function("step", inputs, [following], ["x", *names, "flight", "xi"], ["next"])
+    def step(self) -> casadi.Function:
+        """(x, drives, flight, xi) -> x one step later, a column a segment."""
+        _, rates = self._stages()
+        return casadi.Function("step", self.inputs, [self._next(rates)], self.names, ["next"])
+
+    def adjoint(self) -> casadi.Function:
+        """(.., costate) -> costate' dPhi/dx and costate' dPhi/dxi: the four stages backwards."""
+        h = self.step_s
+        x, start, middle, end, flight, xi = self.inputs
+        drives = (start, middle, middle, end)
+        states, _ = self._stages()
+        costate = casadi.MX.sym("costate", x.shape[0], x.shape[1])
+        total, gradient, later = costate, 0.0, None
+        for stage, weight, reach in ((3, 1.0, 0.0), (2, 2.0, 1.0), (1, 2.0, 0.5), (0, 1.0, 0.5)):
+            of_rate = (h * weight / 6.0) * costate
+            if later is not None:  # the next stage started from this one's rate
+                of_rate = of_rate + h * reach * later
+            later, part = self._pull_back(states[stage], drives[stage], flight, xi, of_rate)
+            total, gradient = total + later, gradient + part
+        return casadi.Function(
+            "adjoint",
+            [*self.inputs, costate],
+            [total, gradient],
+            [*self.names, "costate"],
+            ["costate_before", "gradient"],
+        )
+
+    def _stages(self) -> tuple[list[Any], list[Any]]:
+        """States at which RK4 takes its four rates, and the rates."""
+        h = self.step_s
+        x, start, middle, end, flight, xi = self.inputs
+        states, rates = [x], [self._rate(x, start, flight, xi)]
+        for drive, reach in ((middle, 0.5), (middle, 0.5), (end, 1.0)):
+            states.append(x + h * reach * rates[-1])
+            rates.append(self._rate(states[-1], drive, flight, xi))
+        return states, rates
+
+    def _next(self, rates: list[Any]) -> Any:
+        k1, k2, k3, k4 = rates
+        return self.inputs[0] + self.step_s / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+    def _rate(self, x: Any, drive: Any, flight: Any, xi: Any) -> Any:
+        return self._phi(x, drive, flight, self._theta, self.layout.matrices(xi, x[3:9, :]))
+
+    def _pull_back(self, x: Any, drive: Any, flight: Any, xi: Any, of_rate: Any) -> tuple[Any, Any]:
+        """of_rate' d(rate)/dx, through the network too, and of_rate' d(rate)/dxi."""
+        seen = casadi.MX.sym("seen", *x[3:9, :].shape)
+        weights = casadi.MX.sym("weights", self.layout.size)
+        push = casadi.MX.sym("push", 3, seen.shape[1])
+        product = casadi.dot(push, self.layout.matrices(weights, seen))
+        network = casadi.Function(
+            "network",
+            [weights, seen, push],
+            [casadi.gradient(product, seen), casadi.gradient(product, weights)],
+        )
+        residual = self.layout.matrices(xi, x[3:9, :])
+        of_x, of_residual = self._products(x, drive, flight, self._theta, residual, of_rate)
+        of_seen, of_xi = network(xi, x[3:9, :], of_residual)
+        return casadi.vertcat(of_x[:3, :], of_x[3:9, :] + of_seen, of_x[9:, :]), of_xi
 
 
-def adjoint_function(step: casadi.Function) -> casadi.Function:
-    """The step's vector-Jacobian products: costate' dPhi/dx (a column a segment) and costate' dPhi/dxi."""
-    inputs = step.mx_in()
-    costate = casadi.MX.sym("costate", step.size1_out(0), step.size2_out(0))
-    product = casadi.dot(costate, step(*inputs))
-    names = [step.name_in(i) for i in range(step.n_in())]
-    x, xi = inputs[0], inputs[-1]
-    outputs = [casadi.gradient(product, x), casadi.gradient(product, xi)]
-    return casadi.Function(
-        "adjoint", [*inputs, costate], outputs, [*names, "costate"], ["costate_before", "gradient"]
-    )
+def vector_jacobian(phi: casadi.Function) -> casadi.Function:
+    """phi's inputs and a row l -> l' dphi/dx and l' dphi/d(acceleration), by CasADi's reverse mode."""
+    inputs = phi.sx_in()
+    row = casadi.SX.sym("row", phi.size1_out(0))
+    rate = phi(*inputs)
+    products = [casadi.densify(casadi.jtimes(rate, inputs[i], row, True)) for i in (0, 4)]
+    return casadi.Function("products", [*inputs, row], casadi.cse(products))

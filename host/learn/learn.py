@@ -1,17 +1,19 @@
-"""From flights to a model with a learned residual: split by reference, train, judge on references not used."""
+"""From flights to a model with a learned residual: split by reference, train, judge on what was not used."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from firmware_model.law.ops import FLOAT
 from host.effects import Effect
 from host.learn.evaluate import Errors, whole_flights
 from host.learn.train import Settings, Trained, train
 from host.log import Flight
+from host.models.dynamics import Part, mocap_latency_s
 from host.models.model import Model, Region
 from host.models.phi import Phi
 from host.models.segments import Segments, cut
@@ -47,7 +49,7 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """A model with the network that trained best, and how good it is. `test` is None where nothing is held out."""
+    """A model with the network that trained best, and how good it is; `test` None: nothing was held out."""
 
     model: Model
     train: Judged
@@ -70,24 +72,26 @@ def learn(
     """A model learned from `flights` of one vehicle.
 
     Held out for the test are `hold_out`, else the flights of every fourth reference where there are three or
-    more; a reference is never on both sides. `base` is a model whose effects (found in `effects`) stay as they
-    are: the network learns what they leave. Raises TooLittleData, and ValueError for flights of two vehicles.
+    more; a reference is never on both sides. `base` is a model whose effects (found in `effects`) stay as
+    they are: the network learns what they leave. Raises TooLittleData, also for flights of two vehicles.
     """
     settings = settings or Settings()
     _check_one_vehicle([*flights, *hold_out])
     rng = np.random.default_rng(seed)
-    states = [flight_states(flight) for flight in flights]
+    parts = _parts(base, effects or {})
+    latency_s = float(mocap_latency_s(FLOAT, parts))
+    states = [flight_states(flight, latency_s=latency_s) for flight in flights]
     if hold_out:
-        test = [flight_states(flight) for flight in hold_out]
+        test = [flight_states(flight, latency_s=latency_s) for flight in hold_out]
         shared = {s.reference_id for s in test} & {s.reference_id for s in states}
         if shared:
-            raise ValueError(
-                f"held-out flights share the reference {', '.join(sorted(shared))} with the others"
+            names = ", ".join(sorted(shared))
+            raise TooLittleData(
+                f"held-out flights share the reference {names} with the others; hold out others"
             )
         used = states
     else:
         used, test = split_by_reference(states, rng)
-    parts = [] if base is None else base.parts(effects or {})
     vehicle = flights[0].vehicle
     kept = tuple(effect for effect, _ in parts)
     common: dict[str, Any] = {"vehicle": vehicle, "effects": kept, "parameters": states[0].parameters}
@@ -125,6 +129,14 @@ def learn(
         trained=trained,
         segments=fitted.count,
     )
+
+
+def _parts(base: Model | None, effects: Mapping[str, Effect]) -> list[Part]:
+    """The base's effects and those of its adjustments that are effects."""
+    if base is None:
+        return []
+    known = {name: values for name, values in base.adjustments.items() if name in effects}
+    return replace(base, adjustments=known, covariance=None).parts(effects)
 
 
 def split_by_reference(
@@ -172,13 +184,14 @@ def _segments(used: Sequence[States], phi: Phi, rng: np.random.Generator) -> tup
 
 def _check_one_vehicle(flights: Sequence[Flight]) -> None:
     if not flights:
-        raise ValueError("no flights to learn from")
+        raise TooLittleData("no flights to learn from; name one or more logs")
     first = flights[0]
     for flight in flights[1:]:
         if flight.vehicle.id != first.vehicle.id:
+            one, other = (f"{f.vehicle.name} ({f.vehicle.id})" for f in (flight, first))
             raise TooLittleData(
-                f"{flight.path.name} is of vehicle {flight.vehicle.name} ({flight.vehicle.id}), "
-                f"{first.path.name} of {first.vehicle.name} ({first.vehicle.id}); learn from one vehicle at a time"
+                f"{flight.path.name} is of vehicle {one}, {first.path.name} of {other}; "
+                "learn from one vehicle at a time"
             )
         if flight.firmware_parameters != first.firmware_parameters:
             raise TooLittleData(

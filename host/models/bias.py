@@ -7,12 +7,14 @@ flight, is no effect, and shows in the log as the mean of estimate less camera.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from firmware_model.law.estimator import EstimatorGains
 
 
-def standing_errors(gains: EstimatorGains, age_s: float, interval_s: float) -> tuple[float, float]:
+def standing_errors(gains: EstimatorGains, age_s: Any, interval_s: Any) -> tuple[Any, Any]:
     """Estimated less true position and velocity, over a constant excess of acceleration (s^2, s).
 
     Where corrections balance it: `host.models.estimator` at rest.

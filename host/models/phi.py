@@ -27,10 +27,11 @@ import numpy as np
 from firmware_model.law import step as law_step
 from firmware_model.law.dfbc import Reference, control
 from firmware_model.law.ops import Ops
-from firmware_model.law.rotations import euler_to_matrix
+from firmware_model.law.rotations import euler_to_matrix, mat_vec
 from host.codegen.ops import CASADI
 from host.effects import Effect
 from host.models import estimator
+from host.models.bias import standing_errors
 from host.models.dynamics import (
     RATE,
     STATE_SIZE,
@@ -99,7 +100,8 @@ class Phi:
 
     `parameters` are the firmware's, by name (default: the vehicle file's). `estimator` adds its 12 error
     states to the drive `reference`: needed with a mocap latency, a prediction time, or poses so late that
-    turning them forward shows. `rate_filter` keeps the filter behind the rate derivative as three states;
+    turning them forward shows; without them the errors are those that an accelerometer's bias makes to stand.
+    `rate_filter` keeps the filter behind the rate derivative as three states;
     without them its lag is kept to first order, and steps may be five times longer.
     """
 
@@ -204,16 +206,22 @@ class Phi:
         else:
             p, v, rate = x[0:3], x[V], x[RATE]
             R = euler_to_matrix(ops, x[THETA])
+            gains = law_step.estimator_gains(self.firmware)
             if self._has_estimator:
                 e = estimator.errors_of(x[self.errors], a, rate)
                 R_true, R = R, estimator.turn(ops, R, e[6:9])
                 error_dot = estimator.error_rates(
-                    law_step.estimator_gains(self.firmware), e, R_true, R, v, a, rate, rate_dot,
+                    gains, e, R_true, R, v, a, rate, rate_dot,
                     age, prediction, mocap_latency_s(ops, parts), interval, imu_bias,
                 )  # fmt: skip
                 p = [p[i] + e[i] for i in range(3)]
                 v = [v[i] + e[3 + i] for i in range(3)]
                 rate = [rate[i] - e[9 + i] for i in range(3)]
+            else:  # what stands of the errors
+                excess = mat_vec(R, imu_bias)
+                off_p, off_v = standing_errors(gains, age, interval)
+                p = [p[i] + off_p * excess[i] for i in range(3)]
+                v = [v[i] + off_v * excess[i] for i in range(3)]
             p = [p[i] - delay * (v[i] - 0.5 * delay * a[i]) for i in range(3)]
             v = [v[i] - delay * a[i] for i in range(3)]
 
