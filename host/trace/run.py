@@ -108,7 +108,9 @@ def run(
         adjustments_only=middle,
         before_score=rmse(before) if before else None,
         after_score=rmse(after) if after else None,
-        noise_floor=noise_floor([*flights, *held_out]),
+        noise_floor=noise_floor(
+            flights, predict_flights(flights, model, effects) if drive == "reference" else ()
+        ),
         next_flight=following,
         model=model,
         space=chosen,

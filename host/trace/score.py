@@ -239,18 +239,19 @@ def _fitted_local(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray)
     return local
 
 
-def noise_floor(flights: Sequence[Flight]) -> dict[str, float | None]:
-    """The error a perfect model would leave: what twin flights differ by, over the square root of two.
+def noise_floor(flights: Sequence[Flight], errors: Sequence[Errors]) -> dict[str, float | None]:
+    """The error a perfect model would leave: what of the prediction's errors does not repeat between twins.
 
-    Without twins only the scatter of the poses is known, and nothing of the velocity.
+    `errors` are those of `flights`, whole flights predicted by one model; voltage and the like, which the
+    model follows, drop out. Without them or without twins only the scatter of the poses is known.
     """
     position, velocity = [], []
-    for a, b in twins_of(flights):
-        first, second = (_from_start(flights[i]) for i in (a, b))
-        t = first[0][(first[0] >= second[0][0]) & (first[0] <= second[0][-1])]
-        for column, found in ((1, position), (2, velocity)):
-            for i in range(3):
-                x, y = (np.interp(t, m[0], m[column][:, i]) for m in (first, second))
+    for a, b in twins_of(flights) if errors else ():
+        first, second = errors[a], errors[b]
+        t = first.t_s[(first.t_s >= second.t_s[0]) & (first.t_s <= second.t_s[-1])]
+        for i in range(3):
+            for kind, found in (("position", position), ("velocity", velocity)):
+                x, y = (np.interp(t, e.t_s, getattr(e, kind)[:, i]) for e in (first, second))
                 found.append((x - y) ** 2)
     if position:
         return {
@@ -259,12 +260,6 @@ def noise_floor(flights: Sequence[Flight]) -> dict[str, float | None]:
         }
     sigma = np.mean([noise(signals(flight))[0] for flight in flights])
     return {"position_rmse_m": float(np.sqrt(3.0) * sigma), "velocity_rmse_m_s": None}
-
-
-def _from_start(flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    t, p, v = motion(flight)
-    assert flight.tracking is not None
-    return t - flight.tracking[0] * 1e-6, p, v
 
 
 def twins_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
