@@ -10,6 +10,7 @@ import importlib.util
 import os
 import shutil
 from collections.abc import Callable, Generator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -40,9 +41,18 @@ def _pty() -> str | None:
     return None if hasattr(os, "openpty") else "no pseudo-terminals here"
 
 
+RECORDED_FLIGHTS = Path(__file__).parent.parent.parent / "shared" / "data"
+"""Real flights that other people measured; too large, and not ours, to be kept here."""
+
+
+def _recorded_flights() -> str | None:
+    return None if RECORDED_FLIGHTS.is_dir() else "no recorded flights in ../shared/data beside this checkout"
+
+
 PARTS: dict[str, Callable[[], str | None]] = {
     "browser": _program("chromium", "chromium-browser", "google-chrome"),
     "compiler": _compiler,
+    "flights": _recorded_flights,
     "generator": _module("grpc_tools", "requirements-all.lock"),
     "git": _program("git"),
     "node": _program("node"),

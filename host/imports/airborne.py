@@ -33,13 +33,12 @@ def airborne(recording: Recording) -> tuple[int, int]:
     flying = np.ones(len(t_us), dtype=bool) if powered is None else powered
     if _grounded(recording, height, floor, powered):
         flying = flying & (height > floor + CLEAR_M)
-    edges = np.flatnonzero(np.diff(np.r_[False, flying, False].astype(int)))
     spans = [
         (
             int(t_us[a]) + (EDGE_US if a > 0 else 0),
             int(t_us[b - 1]) - (EDGE_US if b < len(t_us) else 0),
         )
-        for a, b in zip(edges[::2], edges[1::2], strict=True)
+        for a, b in _runs(flying, t_us)
     ]
     begin, end = max(spans, key=lambda span: span[1] - span[0], default=(0, 0))
     if end - begin < SHORTEST_US:
@@ -48,6 +47,17 @@ def airborne(recording: Recording) -> tuple[int, int]:
             f"{SHORTEST_US * 1e-6:g} s are needed; import a longer flight"
         )
     return begin, end
+
+
+def _runs(flying: np.ndarray, t_us: np.ndarray) -> list[tuple[int, int]]:
+    """First row and row behind the last of each time in the air; a break too short for a landing is none."""
+    edges = np.flatnonzero(np.diff(np.r_[False, flying, False].astype(int)))
+    runs: list[tuple[int, int]] = []
+    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if runs and t_us[a] - t_us[runs[-1][1] - 1] < _REST_US:
+            a = runs.pop()[0]
+        runs.append((a, b))
+    return runs
 
 
 def _powered(recording: Recording) -> np.ndarray | None:

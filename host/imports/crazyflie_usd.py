@@ -22,6 +22,7 @@ import numpy as np
 
 from host.imports.frames import q_ned_frd, to_frd, to_ned, turn_from_euler
 from host.imports.recording import (
+    READABLE,
     ImportFormatError,
     Recording,
     Unknown,
@@ -71,11 +72,14 @@ def read(path: Path | str) -> Recording:
     named = {name.lower(): values for name, values in event.columns.items()}
 
     def stack(names: tuple[str, ...], scale: float = 1.0) -> np.ndarray:
-        return scale * np.column_stack([named[name.lower()][keep] for name in names])
+        values = np.column_stack([named[name.lower()][keep] for name in names])
+        if not (np.abs(values) < READABLE).all():
+            raise ImportFormatError(
+                f"{path.name}: {', '.join(names)} hold values that are no numbers; fly again"
+            )
+        return scale * values
 
     position, angles = stack(_POSITION, 1e-3), stack(_ANGLES)
-    if not np.isfinite(angles).all():
-        raise ImportFormatError(f"{path.name}: {_ANGLES[0][:-1]} holds values that are not finite; fly again")
     new = fresh(position, angles)
     if new.sum() < 2:
         raise ImportFormatError(f"{path.name}: the pose never changes; is a position estimate running?")

@@ -15,6 +15,12 @@ Unknown = Literal[
 Corner = Literal["front-right", "rear-right", "rear-left", "front-left"]
 
 LONGEST_S = 24 * 3600.0
+LARGEST = 1e6
+"""No SI value of a flight is beyond this; what is has another unit, or is damaged."""
+
+READABLE = 1e30
+"""Values as a file holds them, in whatever unit, are refused from here on: no conversion overflows."""
+
 _COMMAND_SLACK = 1e-3
 
 
@@ -94,6 +100,10 @@ class Recording:
                 raise ImportFormatError(
                     f"{self.source}: {name} is not finite at row {row}; cut or mend that row"
                 )
+            if np.abs(values).max() > LARGEST:
+                raise ImportFormatError(
+                    f"{self.source}: {name} reaches {np.abs(values).max():.3g}; is its unit right?"
+                )
 
 
 _TRACKS = {
@@ -113,7 +123,7 @@ def since_first_us(times: np.ndarray, unit_us: float, source: str) -> np.ndarray
     """
     with np.errstate(over="ignore", invalid="ignore"):
         elapsed_us = (times - times[0]) * unit_us
-    if not (elapsed_us[-1] <= LONGEST_S * 1e6) or not np.isfinite(elapsed_us).all():
+    if not (np.abs(elapsed_us) <= LONGEST_S * 1e6).all():
         raise ImportFormatError(f"{source}: lasts longer than a day; is the unit of its times right?")
     t_us = np.round(elapsed_us).astype(np.int64)
     back = np.flatnonzero(np.diff(t_us) < 0)
@@ -136,4 +146,4 @@ def fresh(*columns: np.ndarray) -> np.ndarray:
     row's time it would come too late.
     """
     whole = np.column_stack(columns)
-    return np.r_[True, (np.diff(whole, axis=0) != 0.0).any(axis=1)]
+    return np.r_[True, (whole[1:] != whole[:-1]).any(axis=1)]

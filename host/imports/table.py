@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from host.imports.recording import ImportFormatError
+from host.imports.recording import READABLE, ImportFormatError
 
 
 def table(path: Path, needed: Sequence[str]) -> dict[str, np.ndarray]:
     """The needed columns of a CSV file by name, finite numbers all.
 
     Empty lines are passed over, blanks around names and a byte order mark too. Raises ImportFormatError
-    naming the file and every missing column, or the first line and column without a number.
+    naming the file and every missing column, or the first line and column without a number below 1e30.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
@@ -49,7 +49,7 @@ def _table(stream: object, name: str, needed: tuple[str, ...]) -> dict[str, np.n
             row = [float(cells[i]) for i in at]
         except (ValueError, IndexError):
             row = [math.nan]
-        if not all(map(math.isfinite, row)):
+        if not all(abs(value) < READABLE for value in row):
             column = next(c for c, i in zip(needed, at, strict=True) if not _is_number(cells, i))
             raise ImportFormatError(
                 f"{name}: line {reader.line_num}: {column} is no finite number; cut or mend that line"
@@ -62,6 +62,6 @@ def _table(stream: object, name: str, needed: tuple[str, ...]) -> dict[str, np.n
 
 def _is_number(cells: list[str], index: int) -> bool:
     try:
-        return math.isfinite(float(cells[index]))
+        return abs(float(cells[index])) < READABLE
     except (ValueError, IndexError):
         return False

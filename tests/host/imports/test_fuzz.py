@@ -1,0 +1,142 @@
+"""Whatever the bytes: a recording or one ImportFormatError, and nothing else."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from host.imports import ImportFormatError, crazyflie_usd, nanobench, profiles
+from host.imports.airborne import airborne
+from host.imports.plausible import check
+from host.vehicle import ConfigurationError
+
+MORE = settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+MAP = """
+world = "enu"
+body = "flu"
+time = "t"
+position_m = ["x", "y", "z"]
+euler = ["a", "b", "c"]
+gyro = ["d", "e", "f"]
+thrust_n = "T"
+"""
+
+
+@pytest.fixture(autouse=True)
+def _numpy_is_quiet() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def refused_or_read(profile: str, path: Path, columns: Path | None = None) -> None:
+    """Reads the file and looks at it as an import does."""
+    try:
+        found = profiles.read(profile, path, columns)
+        check(found, airborne(found))
+    except ImportFormatError as error:
+        assert str(error)  # noqa: PT017 (either outcome is good)
+
+
+@MORE
+@given(data=st.binary(max_size=400))
+def test_any_bytes_are_refused_or_read(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(data)
+    (tmp_path / "map.toml").write_text(MAP)
+    refused_or_read("nanobench", path)
+    refused_or_read("crazyflie-usd", path)
+    refused_or_read("csv", path, tmp_path / "map.toml")
+
+
+@MORE
+@given(data=st.binary(max_size=300), version=st.sampled_from([1, 2]), events=st.integers(0, 3))
+def test_any_usd_body_with_a_good_sum_is_refused_or_read(data: bytes, version: int, events: int) -> None:
+    body = struct.pack("<BHH", 0xBC, version, events) + data
+    try:
+        crazyflie_usd.decode(body + struct.pack("<I", zlib.crc32(body)), "log")
+    except ImportFormatError as error:
+        assert "\n" not in str(error)  # noqa: PT017
+
+
+def _usd_log(version: int, names: list[str], letters: list[str], rows: list[bytes]) -> bytes:
+    head = struct.pack("<BHHH", 0xBC, version, 1, 1) + b"x\0" + struct.pack("<H", len(names))
+    variables = zip(names, letters, strict=True)
+    head += b"".join(f"{name}({letter})".encode() + b"\0" for name, letter in variables)
+    size = struct.calcsize("<" + ("I" if version == 1 else "Q") + "".join(letters))
+    body = head + b"".join(struct.pack("<H", 1) + row[:size].ljust(size, b"\0") for row in rows)
+    return body + struct.pack("<I", zlib.crc32(body))
+
+
+@MORE
+@given(
+    version=st.sampled_from([1, 2]),
+    letters=st.lists(
+        st.sampled_from("bBhHiIqQefd"),
+        min_size=len(crazyflie_usd.VARIABLES),
+        max_size=len(crazyflie_usd.VARIABLES),
+    ),
+    rows=st.lists(st.binary(max_size=160), max_size=6),
+)
+def test_usd_log_of_any_values_is_refused_or_read(
+    tmp_path: Path, version: int, letters: list[str], rows: list[bytes]
+) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(_usd_log(version, list(crazyflie_usd.VARIABLES), letters, rows))
+    refused_or_read("crazyflie-usd", path)
+
+
+number = st.one_of(
+    st.floats().map(str), st.integers(-5, 5).map(str), st.text(max_size=4), st.sampled_from(["1e308", "-0"])
+)
+
+
+@MORE
+@given(rows=st.lists(st.lists(number, min_size=1, max_size=len(nanobench.COLUMNS) + 1), max_size=4))
+@example(rows=[["0", *["1e308"] * 7, *["0"] * 11], ["1", *["-1e308"] * 7, *["0"] * 11]])
+@example(rows=[["0", *["0"] * 3, "0", "0", "0", "1", *["0"] * 11], ["9"] * 19])
+def test_nanobench_of_any_cells_is_refused_or_read(tmp_path: Path, rows: list[list[str]]) -> None:
+    path = tmp_path / "log"
+    lines = [nanobench.COLUMNS, *rows]
+    path.write_text("\n".join(",".join(line) for line in lines), encoding="utf-8", newline="")
+    refused_or_read("nanobench", path)
+
+
+@MORE
+@given(rows=st.lists(st.lists(st.floats(), min_size=11, max_size=11), min_size=2, max_size=8))
+@example(rows=[[0.0, *[1e308] * 10], [3.0, *[-1e308] * 10], [6.0, *[1e308] * 10]])
+@example(rows=[[float(k), 1e300, -1e300, 1e-300, k, 0.0, 0.0, 1e200, 0.0, 0.0, 1.0] for k in range(8)])
+def test_csv_of_any_numbers_is_refused_or_read(tmp_path: Path, rows: list[list[float]]) -> None:
+    path, columns = tmp_path / "log", tmp_path / "map.toml"
+    columns.write_text(MAP)
+    text = ["t,x,y,z,a,b,c,d,e,f,T", *(",".join(map(repr, row)) for row in rows)]
+    path.write_text("\n".join(text), encoding="utf-8")
+    refused_or_read("csv", path, columns)
+
+
+@MORE
+@given(text=st.text(max_size=200))
+@example(text="world = []\nunknown = 3\nposition_m = [[], 1]")
+@example(text="[world]\nx = 1\n[[unknown]]\n")
+def test_any_column_map_is_refused_as_configuration(tmp_path: Path, text: str) -> None:
+    path, columns = tmp_path / "log", tmp_path / "map.toml"
+    columns.write_bytes(text.encode("utf-8", "surrogatepass"))
+    path.write_text("t\n1\n2\n")
+    with pytest.raises(ConfigurationError):
+        profiles.read("csv", path, columns)
+
+
+@pytest.mark.parametrize(("profile", "columns"), [("csv", None), ("nanobench", Path("m")), ("other", None)])
+def test_profile_that_does_not_fit_its_arguments_is_the_callers_mistake(
+    profile: str, columns: Path | None
+) -> None:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011
+        profiles.read(profile, Path("log"), columns)
+    assert not isinstance(caught.value, ImportFormatError)

@@ -1,0 +1,140 @@
+"""A flight read in the wrong axes or units is told from a good one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from host.imports import ImportFormatError, Recording
+from host.imports.airborne import airborne
+from host.imports.frames import q_ned_frd, to_frd, to_ned
+from host.imports.plausible import check
+
+
+def read_as(flight: Any, world: str, body: str) -> Recording:
+    """The numbers of `flight` read as if they were in these axes."""
+    t_us = np.round(1e6 * flight.t).astype(np.int64)
+    return Recording(
+        source="log",
+        pose_us=t_us,
+        p_ned=to_ned(flight.p, world),  # type: ignore[arg-type]
+        q_ned_frd=q_ned_frd(flight.turn, world, body),  # type: ignore[arg-type]
+        unknown=(),
+        imu_us=t_us,
+        gyro=to_frd(flight.gyro, body),  # type: ignore[arg-type]
+        specific_force=to_frd(flight.force, body),  # type: ignore[arg-type]
+        input_us=t_us,
+        motor_command=flight.motor,
+    )
+
+
+SPAN_US = (2_000_000, 10_500_000)
+AXES = [(world, body) for world in ("ned", "nwu", "enu") for body in ("frd", "flu")]
+
+
+@pytest.mark.parametrize(("world", "body"), AXES)
+def test_flight_in_its_own_axes_agrees_with_itself(
+    made_up: Any, foreign: SimpleNamespace, world: str, body: str
+) -> None:
+    found = read_as(foreign.in_axes(made_up, world, body), world, body)
+    check(found, airborne(found))
+
+
+@pytest.mark.parametrize(("world", "body"), AXES)
+@pytest.mark.parametrize(("as_world", "as_body"), AXES)
+def test_flight_read_in_other_axes_is_refused_where_it_shows(
+    made_up: Any, foreign: SimpleNamespace, world: str, body: str, as_world: str, as_body: str
+) -> None:
+    found = read_as(foreign.in_axes(made_up, world, body), as_world, as_body)
+    up = "ned" in (world, as_world) and world != as_world
+    if (world, body) == (as_world, as_body):
+        check(found, SPAN_US)
+        return
+    if body == as_body and not up:
+        # East-north-up read as north-west-up is the same flight seen from another side: nothing can show it.
+        check(found, SPAN_US)
+        return
+    with pytest.raises(ImportFormatError) as caught:
+        check(found, SPAN_US)
+    assert "check" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"gyro": 57.3}, "gyro's x axis"),
+        ({"gyro": -1.0}, "gyro's y axis"),
+        ({"specific_force": 1 / 9.8}, "accelerometer averages"),
+        ({"specific_force": -1.0}, "accelerometer averages"),
+        ({"p_ned": 1e3}, "accelerate north"),
+        ({"pose_us": 1000}, "accelerate"),
+    ],
+)
+def test_value_in_another_unit_is_refused(made_up: Any, changes: dict[str, float], said: str) -> None:
+    found = read_as(made_up, "ned", "frd")
+    span = SPAN_US
+    if "pose_us" in changes:
+        found = replace(found, **{name: found.pose_us // 5 for name in ("pose_us", "imu_us", "input_us")})
+        span = (SPAN_US[0] // 5, SPAN_US[1] // 5)
+    else:
+        found = replace(found, **{name: getattr(found, name) * by for name, by in changes.items()})
+    with pytest.raises(ImportFormatError, match=said):
+        check(found, span)
+
+
+def test_positions_mirrored_against_the_attitude_are_refused(made_up: Any) -> None:
+    found = read_as(made_up, "ned", "frd")
+    with pytest.raises(ImportFormatError, match="accelerate east"):
+        check(replace(found, p_ned=found.p_ned * [1.0, -1.0, 1.0]), SPAN_US)
+
+
+def test_positions_in_a_room_turned_against_the_attitude_are_refused(made_up: Any) -> None:
+    found = read_as(made_up, "ned", "frd")
+    quarter = Rotation.from_rotvec([0.0, 0.0, np.pi / 2])
+    with pytest.raises(ImportFormatError, match="accelerate north"):
+        check(replace(found, p_ned=quarter.apply(found.p_ned)), SPAN_US)
+
+
+def test_noise_tilted_markers_and_late_poses_pass(made_up: Any) -> None:
+    rng = np.random.default_rng(2)
+    found = read_as(made_up, "ned", "frd")
+    size = found.p_ned.shape
+    bumped = (
+        Rotation.from_rotvec(rng.normal(0.0, 0.01, size))
+        * Rotation.from_quat(found.q_ned_frd, scalar_first=True)
+        * Rotation.from_rotvec([0.07, -0.05, 0.03])
+    )
+    check(
+        replace(
+            found,
+            pose_us=found.pose_us + 20_000,
+            p_ned=found.p_ned + rng.normal(0.0, 1e-3, size),
+            q_ned_frd=bumped.as_quat(scalar_first=True),
+            gyro=found.gyro + rng.normal(0.05, 0.05, size),
+            specific_force=found.specific_force + rng.normal(0.3, 1.0, size),
+        ),
+        SPAN_US,
+    )
+
+
+def test_hover_has_nothing_to_compare_and_passes() -> None:
+    t_us = np.arange(0, 5_000_000, 10_000, dtype=np.int64)
+    rng = np.random.default_rng(3)
+    n = len(t_us)
+    check(
+        Recording(
+            source="log",
+            pose_us=t_us,
+            p_ned=rng.normal(0.0, 1e-3, (n, 3)),
+            q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+            unknown=(),
+            imu_us=t_us,
+            gyro=rng.normal(0.0, 0.02, (n, 3)),
+        ),
+        (0, int(t_us[-1])),
+    )

@@ -1,0 +1,128 @@
+"""Flights that other people measured: imported, read back, and traced.
+
+Expected values are independent of this project: the drag, gain and mass figures come from regressions of
+the accelerometer, or of the thrust axis, on the raw files, as published beside the recordings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from host.effects import load_effects
+from host.imports.profiles import read
+from host.imports.write import write
+from host.log import Flight, read_flight
+from host.trace.result import Named, Trace
+from host.trace.run import run
+from host.vehicle import load_vehicle
+
+FLIGHTS = Path(__file__).parents[4] / "shared" / "data"
+NANOBENCH = ("B3_figure8_fast_rep1.csv", "B7_oval_fast_rep2.csv", "B8_star_slow_rep1.csv")
+LOGS = ("08", "12", "15", "148", "153")
+FILES = [("nanobench", f"nanobench/{name}") for name in NANOBENCH]
+FILES += [("crazyflie-usd", f"crazyswarm2_tools/logs/log{number}") for number in LOGS]
+
+
+@pytest.fixture
+def bring_in(tmp_path: Path, require: Callable[[str], None]) -> Callable[[str, str], Flight]:
+    require("flights")
+
+    def bring(profile: str, name: str) -> Flight:
+        path = tmp_path / f"{Path(name).stem}.mcap"
+        write(read(profile, FLIGHTS / name), load_vehicle("nano"), path, profile=profile)
+        return read_flight(path)
+
+    return bring
+
+
+@pytest.mark.parametrize(("profile", "name"), FILES)
+def test_real_flight_reads_back_upright_in_the_air_and_weighing_g(
+    bring_in: Callable[[str, str], Flight], profile: str, name: str
+) -> None:
+    flight = bring_in(profile, name)
+    assert flight.mocap is not None
+    assert flight.tracking is not None
+    inputs, imu = flight.recorded_inputs, flight.recorded_imu
+    assert inputs is not None
+    assert imu is not None
+    assert imu.gyro is not None
+    begin, end = flight.tracking
+    pose = flight.mocap
+    inside = (pose.t_us >= begin) & (pose.t_us <= end)
+    assert end - begin > 5_000_000
+    assert inside.sum() > 500
+    assert pose.p[inside, 2].max() < -0.15
+    R = Rotation.from_quat(pose.q, scalar_first=True)
+    assert R.as_matrix()[inside, 2, 2].min() > 0.5
+    if profile == "nanobench":
+        assert inputs.level == "motor"
+        assert inputs.motor is not None
+        assert flight.battery is not None
+        assert 3.2 < flight.battery.battery_v.min() < flight.battery.battery_v.max() < 4.3
+        flying = (inputs.t_us >= begin) & (inputs.t_us <= end)
+        assert 0.3 < np.median(inputs.motor[flying]) < 0.9
+        assert inputs.motor[:50].max() == 0.0
+        # Standing on the floor: one g upwards. In the air, over the whole flight: the same, in the world.
+        assert imu.specific_force is not None
+        rest = imu.t_us < 500_000
+        np.testing.assert_allclose(imu.specific_force[rest].mean(axis=0), [0.0, 0.0, -9.81], atol=0.25)
+        assert np.abs(R[:50].as_euler("ZYX")[:, 1:]).max() < 0.05
+        at = np.clip(np.searchsorted(pose.t_us, imu.t_us), 0, len(pose.t_us) - 1)
+        air = (imu.t_us >= begin) & (imu.t_us <= end)
+        world = R[at[air]].apply(imu.specific_force[air]).mean(axis=0)
+        np.testing.assert_allclose(world, [0.0, 0.0, -9.81], atol=0.6)
+    else:
+        assert inputs.level == "thrust-torque"
+        assert inputs.thrust_n is not None
+        assert inputs.p_ref is not None
+        assert flight.vehicle.mass_kg in (0.033, 0.0333)
+        # The on-board filter moves on at about 135 Hz; what the logger repeated is not a measurement.
+        assert 100.0 < inside.sum() / ((end - begin) * 1e-6) < 160.0
+        at = np.searchsorted(pose.t_us, inputs.t_us[:-1])
+        # Level only: motors stronger than the controller knows hold the vehicle 0.4 m above its reference.
+        assert np.linalg.norm((pose.p[at] - inputs.p_ref[:-1])[:, :2], axis=1).max() < 0.25
+
+
+def trace_of(
+    bring_in: Callable[[str, str], Flight], profile: str, used: Sequence[str], held_out: str
+) -> tuple[Trace, dict[str, Named]]:
+    found = run([bring_in(profile, name) for name in used], [bring_in(profile, held_out)], load_effects())
+    assert found.drive == "inputs"
+    assert found.before_score is not None
+    assert found.after_score is not None
+    assert found.after_score["position_rmse_m"] < found.before_score["position_rmse_m"]
+    return found, {effect.name: effect for effect in found.effects}
+
+
+def test_standard_motors_show_their_thrust_over_the_declared_mass(
+    bring_in: Callable[[str, str], Flight],
+) -> None:
+    logs = "crazyswarm2_tools/logs/log"
+    found, named = trace_of(bring_in, "crazyflie-usd", [f"{logs}148"], f"{logs}153")
+    assert found.verdict == "traced"
+    assert named["thrust-gain"].parameters["gain"].value == pytest.approx(1.06, abs=0.05)
+    assert "mass" in named["thrust-gain"].aliases
+
+
+@pytest.mark.full
+def test_stronger_motors_show_their_thrust_and_the_drag(bring_in: Callable[[str, str], Flight]) -> None:
+    logs = "crazyswarm2_tools/logs/log"
+    found, named = trace_of(bring_in, "crazyflie-usd", [f"{logs}08", f"{logs}12"], f"{logs}15")
+    assert found.verdict == "traced"
+    assert named["thrust-gain"].parameters["gain"].value == pytest.approx(1.44, abs=0.05)
+    drag = named["linear-drag"].parameters["dy"]
+    assert abs(drag.value - 0.36) <= 2.0 * drag.sd
+
+
+@pytest.mark.full
+def test_nanobench_shows_the_drag_of_its_accelerometer(bring_in: Callable[[str, str], Flight]) -> None:
+    found, named = trace_of(bring_in, "nanobench", [f"nanobench/{NANOBENCH[1]}"], f"nanobench/{NANOBENCH[0]}")
+    assert found.verdict == "traced"
+    drag = named["linear-drag"].parameters
+    assert drag["dx"].value == pytest.approx(0.38, rel=0.1)
+    assert drag["dy"].value == pytest.approx(0.40, rel=0.1)

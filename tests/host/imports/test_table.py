@@ -1,0 +1,60 @@
+"""CSV columns by name: every problem has its line, column and remedy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from host.imports import ImportFormatError
+from host.imports.table import table
+
+
+def read(tmp_path: Path, text: str | bytes, *needed: str) -> dict[str, list[float]]:
+    path = tmp_path / "flight.csv"
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return {name: values.tolist() for name, values in table(path, needed or ("t", "x")).items()}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t,x\n1,2\n3,4\n",
+        "t,x\r\n1,2\r\n3,4\r\n",
+        "\ufefft, x\n1, 2\n\n3,4\n\n",
+        'more,"x",t\nword,2,1\n,4,3',
+    ],
+    ids=["plain", "crlf", "mark, blanks, empty lines", "quoted, other columns"],
+)
+def test_table_of_two_columns_reads(tmp_path: Path, text: str) -> None:
+    assert read(tmp_path, text) == {"t": [1.0, 3.0], "x": [2.0, 4.0]}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no column t, x; is it another format?"),
+        ("a,b\n1,2\n", "no column t, x"),
+        ("t,x,x\n1,2,3\n4,5,6\n", "two columns are named x"),
+        ("t,x\n1,2\n", "fewer than two rows"),
+        ("t,x\n1,2\n3,four\n", "line 3: x is no finite number"),
+        ("t,x\n1,2\n\n3,\n", "line 4: x is no finite number"),
+        ("t,x\n1,2\n3\n", "line 3: x is no finite number"),
+        ("t,x\n1,2\nnan,4\n", "line 3: t is no finite number"),
+        ("t,x\n1,2\n3,-inf\n", "line 3: x is no finite number"),
+        (b"t,x\n1,2\n3,\xff\n", "no text at byte"),
+        ("t,x\n1," + "2" * 200_000, "not a CSV file"),
+    ],
+)
+def test_table_with_a_problem_names_it_in_one_line(tmp_path: Path, text: str | bytes, said: str) -> None:
+    with pytest.raises(ImportFormatError) as caught:
+        read(tmp_path, text)
+    assert said in str(caught.value)
+    assert str(caught.value).startswith("flight.csv: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["absent.csv", "."])
+def test_table_that_cannot_be_opened_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ImportFormatError, match="cannot be read"):
+        table(tmp_path / name, ("t",))
