@@ -1,0 +1,136 @@
+"""Evidence, posterior and disturbances against dense linear algebra done the long way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from host.trace import evidence
+from host.trace.evidence import Linearisation, Prior, Process
+
+BINS, P, K, ROWS = 2, 3, 2, 40
+PROCESS = Process(log_lateral=np.log(0.5), log_axial=np.log(0.2), log_torque=np.log(2.0))
+PRIOR = Prior(groups={"a": (0, 1), "b": (2,)}, spike=np.array([0.1, 0.2, 0.05]), local=np.array([0.5, 1.5]))
+
+
+@dataclass
+class Dense:
+    """Segments as full matrices: r (S, n), S (S, n, P), L (S, n, K), Z (S, n, 6 bins)."""
+
+    r: np.ndarray
+    S: np.ndarray
+    L: np.ndarray
+    Z: np.ndarray
+    flight: np.ndarray
+    lin: Linearisation
+
+
+@pytest.fixture(scope="module")
+def dense() -> Dense:
+    rng = np.random.default_rng(5)
+    count = 4
+    r = rng.normal(size=(count, ROWS))
+    S, L = rng.normal(size=(count, ROWS, P)), rng.normal(size=(count, ROWS, K))
+    Z = 0.3 * rng.normal(size=(count, ROWS, 6 * BINS))
+    A = np.concatenate([r[:, :, None], S, L, Z], axis=2)
+    flight = np.array([0, 0, 1, 1])
+    z, local = np.array([0.3, -0.2, 0.1]), rng.normal(size=(2, K))
+    gram = np.swapaxes(A, 1, 2) @ A
+    return Dense(r, S, L, Z, flight, Linearisation(gram=gram, flight=flight, z=z, local=local))
+
+
+def stacked(d: Dense) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """All rows at once: r, [S | L of each flight], covariance of the noise, its prior mean offset."""
+    q = PROCESS.covariance(BINS)
+    n = len(d.r) * ROWS
+    covariance = np.zeros((n, n))
+    J = np.zeros((n, P + 2 * K))
+    for i, f in enumerate(d.flight):
+        rows = slice(i * ROWS, (i + 1) * ROWS)
+        covariance[rows, rows] = np.eye(ROWS) + d.Z[i] @ q @ d.Z[i].T
+        J[rows, :P] = d.S[i]
+        J[rows, P + K * f : P + K * (f + 1)] = d.L[i]
+    at = np.concatenate([d.lin.z, d.lin.local.ravel()])
+    return d.r.ravel(), J, covariance, at
+
+
+@pytest.mark.parametrize("chosen", [(), ("a",), ("a", "b")])
+def test_log_evidence_of_a_set_is_the_gaussian_marginal_likelihood_up_to_a_constant(
+    dense: Dense, chosen: tuple[str, ...]
+) -> None:
+    r, J, covariance, at = stacked(dense)
+    precision = PRIOR.precision(chosen)
+    spread = np.concatenate([1.0 / precision, np.tile(PRIOR.local**2, 2)])
+    # y = J (theta - at) + noise + r's zero point: marginally N(-J at, C + J V J').
+    total = covariance + (J * spread) @ J.T
+    error = r + J @ at
+    expected = -0.5 * (error @ np.linalg.solve(total, error) + np.linalg.slogdet(total)[1])
+    expected += evidence.LOG_ODDS * len(chosen)
+    white = evidence.whitened(dense.lin, PROCESS, PRIOR)
+    assert evidence.log_evidence(white, dense.lin.z, precision, len(chosen)) == pytest.approx(
+        expected, abs=1e-7
+    )
+
+
+def test_posterior_and_local_step_are_the_joint_ridge_solution(dense: Dense) -> None:
+    r, J, covariance, at = stacked(dense)
+    precision = PRIOR.precision(("a",))
+    ridge = np.concatenate([precision, np.tile(1.0 / PRIOR.local**2, 2)])
+    inner = J.T @ np.linalg.solve(covariance, J) + np.diag(ridge)
+    expected = np.linalg.solve(inner, J.T @ np.linalg.solve(covariance, r) - ridge * at)
+    white = evidence.whitened(dense.lin, PROCESS, PRIOR)
+    step, spread = evidence.posterior(white.gram, dense.lin.z, precision)
+    local = evidence.local_step(dense.lin, white, PRIOR, step)
+    np.testing.assert_allclose(step, expected[:P], atol=1e-9)
+    np.testing.assert_allclose(local.ravel(), expected[P:], atol=1e-9)
+    np.testing.assert_allclose(spread, np.linalg.inv(inner)[:P, :P], atol=1e-10)
+
+
+def test_disturbances_are_the_best_linear_prediction(dense: Dense) -> None:
+    q = PROCESS.covariance(BINS)
+    step, local = np.array([0.1, -0.3, 0.2]), np.array([[0.2, -0.1], [0.0, 0.4]])
+    found = evidence.disturbances(dense.lin, PROCESS, step, local)
+    for i, f in enumerate(dense.flight):
+        rest = dense.r[i] - dense.S[i] @ step - dense.L[i] @ local[f]
+        total = np.eye(ROWS) + dense.Z[i] @ q @ dense.Z[i].T
+        expected = q @ dense.Z[i].T @ np.linalg.solve(total, rest)
+        np.testing.assert_allclose(found[i].ravel(), expected, atol=1e-9)
+
+
+def test_process_covariance_is_positive_definite_and_keeps_axes_apart() -> None:
+    q = PROCESS.covariance(3)
+    assert np.linalg.eigvalsh(q).min() > 0
+    assert q[0, 0] == pytest.approx(0.5)
+    assert q[2, 2] == pytest.approx(0.2)
+    assert q[5, 5] == pytest.approx(2.0)
+    assert q[0, 6] == pytest.approx(0.5 * evidence.CORRELATION)
+    assert q[0, 1] == 0.0
+
+
+def test_prior_precision_frees_only_the_selected_columns() -> None:
+    precision = PRIOR.precision(("b",))
+    np.testing.assert_allclose(precision, [100.0, 25.0, 1.0 / evidence.SLAB**2])
+
+
+def test_fit_process_finds_the_variances_the_data_were_made_with() -> None:
+    rng = np.random.default_rng(11)
+    count, truth = 60, Process(log_lateral=np.log(0.4), log_axial=np.log(0.05), log_torque=np.log(3.0))
+    root = np.linalg.cholesky(truth.covariance(BINS))
+    Z = rng.normal(size=(count, ROWS, 6 * BINS))
+    w = rng.normal(size=(count, 6 * BINS)) @ root.T
+    r = rng.normal(size=(count, ROWS)) + np.einsum("snz,sz->sn", Z, w)
+    S, L = np.zeros((count, ROWS, P)), np.zeros((count, ROWS, K))
+    A = np.concatenate([r[:, :, None], S, L, Z], axis=2)
+    lin = Linearisation(
+        gram=np.swapaxes(A, 1, 2) @ A,
+        flight=np.zeros(count, dtype=int),
+        z=np.zeros(P),
+        local=np.zeros((1, K)),
+    )
+    start = Process(log_lateral=0.0, log_axial=0.0, log_torque=0.0)
+    found = evidence.fit_process(lin, PRIOR, (), start)
+    assert found.log_lateral == pytest.approx(truth.log_lateral, abs=0.5)
+    assert found.log_axial == pytest.approx(truth.log_axial, abs=0.6)
+    assert found.log_torque == pytest.approx(truth.log_torque, abs=0.4)

@@ -1,0 +1,55 @@
+"""The space that tracing searches: columns, tolerances, what a log's unknowns take out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from host.effects import load_effects
+from host.trace.parameters import REPLACES, UNKNOWN, space
+from host.vehicle import load_vehicle
+
+VEHICLE = load_vehicle("research")
+EFFECTS = load_effects()
+
+
+def test_space_holds_every_candidate_but_mass_and_the_adjustments() -> None:
+    found = space(VEHICLE, EFFECTS)
+    assert set(found.candidates) == set(EFFECTS) - {"mass"}
+    assert {"inertia", "frame-tilt"} <= set(found.groups)
+    assert "thrust-curve" not in found.groups
+    assert len(found.prior.spike) == len(found.columns)
+
+
+def test_space_takes_the_vehicle_files_tolerances() -> None:
+    found = space(VEHICLE, EFFECTS)
+    column = next(c for c in found.columns if (c.owner, c.key) == ("thrust-gain", "gain"))
+    assert column.tolerance == VEHICLE.tolerances["thrust-gain.gain"]
+
+
+@pytest.mark.parametrize("unknown", UNKNOWN)
+def test_space_with_something_unknown_replaces_the_effects_it_explains(unknown: str) -> None:
+    found = space(VEHICLE, EFFECTS, [unknown])
+    assert not set(REPLACES[unknown]) & set(found.candidates)
+
+
+def test_space_with_an_unheard_of_unknown_is_refused() -> None:
+    with pytest.raises(ValueError, match="weather"):
+        space(VEHICLE, EFFECTS, ["weather"])
+
+
+def test_space_values_and_clipping_go_through_the_scales() -> None:
+    found = space(VEHICLE, EFFECTS)
+    index = found.groups["thrust-gain"][0]
+    z = np.zeros(len(found.columns))
+    z[index] = -1.0
+    assert found.values(z)[index] == pytest.approx(1.0 - EFFECTS["thrust-gain"].parameters[0].typical)
+    z[index] = -1e6
+    assert found.values(found.clipped(z))[index] == pytest.approx(EFFECTS["thrust-gain"].parameters[0].lower)
+
+
+def test_space_admits_wind_only_with_a_drag() -> None:
+    found = space(VEHICLE, EFFECTS)
+    assert not found.admissible(["wind"])
+    assert found.admissible(["wind", "linear-drag"])
+    assert found.admissible(["wind", "quadratic-drag", "motor-lag"])

@@ -1,0 +1,148 @@
+"""Roll-outs of segments: against closed forms, and their Jacobian against larger central differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from firmware_model.law.constants import GRAVITY
+from host.effects import load_effects
+from host.trace import segments
+from host.trace.parameters import space
+from host.trace.segments import Segments
+from host.vehicle import load_vehicle
+
+VEHICLE = load_vehicle("research")
+SPACE = space(VEHICLE, load_effects())
+STEPS, PRE, DT = 60, 17, 0.01
+HOVER = np.sqrt(VEHICLE.mass_kg * GRAVITY / 4.0 / VEHICLE.thrust_max_n)
+
+
+def make(command: np.ndarray, x0: np.ndarray) -> Segments:
+    count = len(x0)
+    n = (count, STEPS)
+    return Segments(
+        dt_s=DT,
+        flight=np.zeros(count, dtype=int),
+        start_s=np.zeros(count),
+        x0=x0,
+        position=np.zeros((*n, 3)),
+        attitude=np.tile(np.eye(3).ravel(), (*n, 1)),
+        shift_s=np.zeros(n),
+        pose_weight=np.ones(n),
+        rate=np.zeros((*n, 3)),
+        rate_weight=np.ones(n),
+        force=np.zeros((*n, 3)),
+        force_weight=np.ones(n),
+        command=command,
+        voltage_ratio=np.ones(n),
+        sigma=np.ones((count, 4)),
+        w=np.zeros((count, 6, 6)),
+        in_newton=False,
+        rate_driven=False,
+    )
+
+
+def lanes(data: Segments, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return data.x0.T[:, None, :], z[:, None], np.zeros((segments.LOCALS, 1, len(data.flight)))
+
+
+def test_roll_out_of_hover_at_a_velocity_moves_straight_on() -> None:
+    x0 = np.zeros((1, 12))
+    x0[0, 0:6] = [1.0, 2.0, -3.0, 0.5, -0.25, 0.1]
+    data = make(np.full((1, PRE + STEPS, 4), HOVER), x0)
+    position, matrix, rate, force = segments.roll_out(
+        VEHICLE, SPACE, data, *lanes(data, np.zeros(len(SPACE.columns)))
+    )
+    t = DT * np.arange(STEPS)
+    expected = x0[0, :3, None] + x0[0, 3:6, None] * t
+    np.testing.assert_allclose(position[:, :, 0, 0].T, expected, atol=1e-9)
+    np.testing.assert_allclose(matrix[-1, :, 0, 0], np.eye(3).ravel(), atol=1e-12)
+    np.testing.assert_allclose(rate, 0.0, atol=1e-12)
+    np.testing.assert_allclose(force[:, :, 0, 0], np.tile([0.0, 0.0, -GRAVITY], (STEPS, 1)), atol=1e-9)
+
+
+def test_roll_out_with_linear_drag_decays_exponentially() -> None:
+    x0 = np.zeros((1, 12))
+    x0[0, 3] = 2.0
+    data = make(np.full((1, PRE + STEPS, 4), HOVER), x0)
+    z = np.zeros(len(SPACE.columns))
+    z[SPACE.groups["linear-drag"][0]] = 1.0
+    d = SPACE.values(z)[SPACE.groups["linear-drag"][0]]
+    position = segments.roll_out(VEHICLE, SPACE, data, *lanes(data, z))[0]
+    t = DT * np.arange(STEPS)
+    np.testing.assert_allclose(position[:, 0, 0, 0], 2.0 / d * (1.0 - np.exp(-d * t)), atol=5e-6)
+
+
+def test_roll_out_answers_a_thrust_step_with_the_rotors_lag() -> None:
+    command = np.full((1, PRE + STEPS, 4), HOVER)
+    command[:, PRE:] = np.sqrt(1.2) * HOVER
+    data = make(command, np.zeros((1, 12)))
+    force = segments.roll_out(VEHICLE, SPACE, data, *lanes(data, np.zeros(len(SPACE.columns))))[3]
+    t = DT * (np.arange(STEPS) + 0.5)
+    expected = -GRAVITY * (1.0 + 0.2 * (1.0 - np.exp(-t / VEHICLE.motor_lag_s)))
+    np.testing.assert_allclose(force[:, 2, 0, 0], expected, atol=1e-9)
+
+
+def test_columns_of_small_steps_equal_central_differences() -> None:
+    rng = np.random.default_rng(3)
+    x0 = 0.2 * rng.normal(size=(2, 12))
+    command = HOVER * (1.0 + 0.02 * rng.normal(size=(2, PRE + STEPS, 4)))
+    data = make(command, x0)
+    z = 0.1 * rng.normal(size=len(SPACE.columns))
+    local = np.zeros((1, segments.LOCALS))
+    kept = segments.basis(VEHICLE, SPACE, data, z, local)
+
+    def residual(x0: np.ndarray, w: np.ndarray) -> np.ndarray:
+        at = replace(data, x0=x0, w=w)
+        lane = (at.x0.T[:, None, :], z[:, None], np.zeros((segments.LOCALS, 1, 2)))
+        return segments.residuals(at, *segments.roll_out(VEHICLE, SPACE, at, *lane))[0]
+
+    h = 1e-4
+    for column in (0, 4, 7, 10):
+        up, down = x0.copy(), x0.copy()
+        up[:, column] += h
+        down[:, column] -= h
+        slope = (residual(down, data.w) - residual(up, data.w)) / (2 * h)
+        np.testing.assert_allclose(kept.x[:, column], slope, atol=2e-4 * max(1.0, np.abs(slope).max()))
+    w = np.zeros((2, 6, 6))
+    w[:, 2, 4] = h
+    slope = (residual(x0, -w) - residual(x0, w)) / (2 * h)
+    np.testing.assert_allclose(kept.bins[:, 6 * 2 + 4], slope, atol=2e-4 * max(1.0, np.abs(slope).max()))
+
+
+def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
+    rng = np.random.default_rng(8)
+    truth = 0.2 * rng.normal(size=(3, 12))
+    data = make(np.full((3, PRE + STEPS, 4), HOVER), truth)
+    z, local = np.zeros(len(SPACE.columns)), np.zeros((1, segments.LOCALS))
+    position, matrix, rate, force = segments.roll_out(VEHICLE, SPACE, data, *lanes(data, z))
+    measured = replace(
+        data,
+        x0=truth + 0.02 * rng.normal(size=truth.shape),
+        position=np.transpose(position[:, :, 0], (2, 0, 1)),
+        attitude=np.transpose(matrix[:, :, 0], (2, 0, 1)),
+        rate=np.transpose(rate[:, :, 0], (2, 0, 1)),
+        force=np.transpose(force[:, :, 0], (2, 0, 1)),
+    )
+    kept = segments.basis(VEHICLE, SPACE, measured, z, local)
+    found = segments.fitted_x0(VEHICLE, SPACE, measured, z, local, kept, iterations=5)
+    np.testing.assert_allclose(found, truth, atol=1e-6)
+
+
+def test_measured_turn_reads_a_constant_torque_off_the_gyro() -> None:
+    data = make(np.full((1, PRE + STEPS, 4), HOVER), np.zeros((1, 12)))
+    ramp = 3.0 * DT * (np.arange(STEPS) + 0.5)
+    rate = np.zeros((1, STEPS, 3))
+    rate[0, :, 1] = ramp
+    w = segments.measured_turn(VEHICLE, SPACE, replace(data, rate=rate))
+    np.testing.assert_allclose(w[0, :, 4], 3.0, atol=1e-9)
+    np.testing.assert_allclose(w[0, :, [0, 1, 2]], 0.0)
+
+
+def test_segments_refuse_steps_that_do_not_fill_bins() -> None:
+    data = make(np.full((1, PRE + STEPS, 4), HOVER), np.zeros((1, 12)))
+    with pytest.raises(ValueError, match="bins"):
+        replace(data, dt_s=0.03)

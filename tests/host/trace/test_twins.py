@@ -1,0 +1,99 @@
+"""Abstention: repeatable leftovers and ringing ones stand out, noise and driven frequencies do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from host.trace.segments import BIN_S, Segments
+from host.trace.twins import leftover
+
+BINS, STEPS, SEGMENTS, FLIGHTS = 6, 60, 20, 4
+PAIRS = [(0, 1), (2, 3)]
+
+
+def data(motion_hz: float = 0.0) -> Segments:
+    """Segments of four flights that swing slowly, and at `motion_hz`; everything else plays no part here."""
+    count = SEGMENTS * FLIGHTS
+    flight = np.repeat(np.arange(FLIGHTS), SEGMENTS)
+    start = np.tile(np.arange(SEGMENTS) * STEPS * 0.01, FLIGHTS)
+    t = start[:, None] + 0.01 * np.arange(STEPS)
+    position = np.zeros((count, STEPS, 3))
+    position[:, :, 0] = np.sin(2 * np.pi * motion_hz * t)
+    position[:, :, 1] = np.sin(2 * np.pi * 0.15 * t)
+    n = (count, STEPS)
+    return Segments(
+        dt_s=0.01,
+        flight=flight,
+        start_s=start,
+        x0=np.zeros((count, 12)),
+        position=position,
+        attitude=np.tile(np.eye(3).ravel(), (*n, 1)),
+        shift_s=np.zeros(n),
+        pose_weight=np.ones(n),
+        rate=np.zeros((*n, 3)),
+        rate_weight=np.ones(n),
+        force=np.zeros((*n, 3)),
+        force_weight=np.ones(n),
+        command=np.zeros((count, STEPS + 5, 4)),
+        voltage_ratio=np.ones(n),
+        sigma=np.ones((count, 4)),
+        w=np.zeros((count, BINS, 6)),
+        in_newton=False,
+        rate_driven=False,
+    )
+
+
+def noise(seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    w = rng.normal(size=(SEGMENTS * FLIGHTS, BINS, 6))
+    return w * np.array([0.05] * 3 + [0.5] * 3)
+
+
+def series(hz: float, phase: np.ndarray) -> np.ndarray:
+    """(segments, bins) of a sine over each flight, with a phase for each flight."""
+    t = BIN_S * np.arange(SEGMENTS * BINS)
+    rows = [np.sin(2 * np.pi * hz * t + p).reshape(SEGMENTS, BINS) for p in phase]
+    return np.concatenate(rows)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_leftover_of_noise_gives_no_reason(seed: int) -> None:
+    assert leftover(noise(seed), data(), PAIRS).reasons == ()
+
+
+def test_leftover_of_a_repeatable_force_names_it() -> None:
+    w = noise(1)
+    field = np.random.default_rng(9).normal(size=(SEGMENTS, BINS)) * 0.2
+    w[:, :, 0] += np.tile(field, (FLIGHTS, 1))
+    found = leftover(w, data(), PAIRS)
+    assert found.force_repeat == pytest.approx(0.2, rel=0.25)
+    assert any("force" in reason and "repeats" in reason for reason in found.reasons)
+    assert not any("angular" in reason for reason in found.reasons)
+
+
+def test_leftover_of_a_force_that_does_not_repeat_stays_silent() -> None:
+    w = noise(2)
+    w[:, :, 0] += np.random.default_rng(4).normal(size=(SEGMENTS * FLIGHTS, BINS)) * 0.2
+    assert leftover(w, data(), PAIRS).reasons == ()
+
+
+def test_leftover_of_a_line_of_random_phase_rings() -> None:
+    w = noise(3)
+    w[:, :, 1] += 0.15 * series(0.8, np.array([0.0, 2.0, 4.0, 1.0]))
+    found = leftover(w, data(), PAIRS)
+    assert found.force_line_hz == pytest.approx(0.8, abs=0.08)
+    assert any("rings" in reason for reason in found.reasons)
+
+
+def test_leftover_of_a_line_at_the_motions_own_frequency_is_no_ringing() -> None:
+    w = noise(3)
+    w[:, :, 1] += 0.15 * series(0.8, np.array([0.0, 2.0, 4.0, 1.0]))
+    found = leftover(w, data(motion_hz=0.8), PAIRS)
+    assert not any("rings" in reason for reason in found.reasons)
+
+
+def test_leftover_without_twins_says_so() -> None:
+    found = leftover(noise(0), data(), [])
+    assert found.pairs == 0
+    assert found.force_z == 0.0
