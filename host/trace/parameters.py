@@ -22,6 +22,11 @@ UNKNOWN = ("thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia"
 effect.
 """
 
+MASS = "mass"
+"""Never a candidate: exactly thrust's alias. It moves within its tolerance, so that a gain's interval holds
+it.
+"""
+
 REPLACES = {
     "thrust-curve": ("thrust-gain", "mass"),
     "motor-lag": ("motor-lag",),
@@ -70,6 +75,11 @@ class Space:
         for index, column in enumerate(self.columns):
             groups[column.owner] = (*groups.get(column.owner, ()), index)
         return groups
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Effects that act in the roll-outs: the candidates, and mass, which only thrust over mass shows."""
+        return tuple(name for name in self.groups if name in self.effects)
 
     @property
     def scale(self) -> np.ndarray:
@@ -131,7 +141,7 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
     if strange:
         raise ValueError(f"unknown to tracing: {sorted(strange)}; a log may declare {UNKNOWN}")
     replaced = {name for item in unknown for name in REPLACES[item]}
-    candidates = tuple(name for name in effects if name not in replaced and name != "mass")
+    candidates = tuple(name for name in effects if name not in replaced and name != MASS)
     columns = [
         Column(
             owner=name,
@@ -143,7 +153,7 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
             lower=p.lower,
             upper=p.upper,
         )
-        for name in candidates
+        for name in (*candidates, *(name for name in (MASS,) if name in effects))
         for p in effects[name].parameters
     ]
     for owner, rows in _ADJUSTMENTS.items():

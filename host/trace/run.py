@@ -15,7 +15,7 @@ from host.models.model import Covariance, Model, Region
 from host.trace import evidence
 from host.trace.data import SEGMENT_S, segments_of, unknowns
 from host.trace.diagnose import ALIAS_PROBABILITY, Diagnosis, Fit, diagnose
-from host.trace.parameters import Space, space, tolerance_of
+from host.trace.parameters import MASS, Space, space, tolerance_of
 from host.trace.result import Named, Trace, Value, Verdict
 from host.trace.score import (
     Errors,
@@ -170,8 +170,8 @@ def _named(
         }
         others = dict(aliases[name])
         sentence = None
-        if name == "thrust-gain" and tolerance_of(vehicle, "mass", "factor", 0.01) >= WEIGHED:
-            others["mass"] = diagnosis.inclusion[name]
+        if name == "thrust-gain" and tolerance_of(vehicle, MASS, "factor", 0.01) >= WEIGHED:
+            others[MASS] = diagnosis.inclusion[name]
             gain = parameters["gain"]
             sentence = (
                 f"only thrust over mass shows: {gain.value:.3f} +- {gain.sd:.3f} times the nominal ratio; "
@@ -220,7 +220,7 @@ def _model(
             names=tuple(f"{c.owner}.{c.key}" for c in chosen.columns),
             matrix=tuple(tuple(float(x) for x in row) for row in symmetric),
         ),
-        sources={name: chosen.effects[name].source_id for name in chosen.candidates},
+        sources={name: chosen.effects[name].source_id for name in chosen.parts},
         region=Region(
             speed_max_m_s=float(np.quantile(speed[seen], 0.99)),
             tilt_max_deg=float(np.rad2deg(np.quantile(tilt[data.pose_weight > 0], 0.999))),
@@ -260,7 +260,7 @@ def _errors(
             predict_flights(held_out, model, effects),
             predict_flights(held_out, bare, effects),
         )
-    unknown = [i for i, c in enumerate(chosen.columns) if c.owner not in chosen.candidates]
+    unknown = [i for i, c in enumerate(chosen.columns) if c.owner not in chosen.parts]
     before = np.zeros(len(chosen.columns))
     before[unknown] = diagnosis.nothing.z[unknown]
     middle = diagnosis.best.z.copy()

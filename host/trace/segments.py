@@ -146,7 +146,7 @@ def roll_out(
     """
     dt, steps, pre = data.dt_s, data.steps, data.command.shape[1] - data.steps
     theta = space.theta(list(space.values(z)[:, :, None]))
-    effects = [(space.effects[name], theta[name]) for name in space.candidates]
+    effects = [(space.effects[name], theta[name]) for name in space.parts]
     airframe = Airframe(vehicle, theta)
     lag = dynamics.motor_lag_s(NUMPY, airframe, effects)
     full, half = np.exp(-dt / lag), np.exp(-0.5 * dt / lag)
