@@ -70,11 +70,11 @@ def page(
 
 def sentence(result: Trace) -> str:
     """The verdict in one sentence."""
-    names = " and ".join(e.title.lower() for e in result.effects)
+    names = _listed([e.title.lower() for e in result.effects])
     if result.verdict == "traced":
-        text = f"The flights are missing {names}."
+        text = f"The model is missing {names}."
     elif result.verdict == "undecided":
-        text = f"The flights may be missing {names}; another explanation cannot be excluded."
+        text = f"The model may be missing {names}; another explanation cannot be excluded."
     elif result.verdict == "nothing-missing":
         text = "Nothing beyond the vehicle's tolerances stands out."
     else:
@@ -87,6 +87,11 @@ def sentence(result: Trace) -> str:
             f" On {n} held-out {flights} the prediction error went from {1e3 * b:.0f} to {1e3 * a:.0f} mm."
         )
     return text
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names as in a sentence: a, b and c."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def _table(result: Trace) -> list[dict[str, Any]]:
