@@ -19,6 +19,9 @@ Values = Mapping[str, Mapping[str, float]]
 """Effect name -> parameter key -> value."""
 Use = Literal["both", "effects", "adjustments", "none"]
 
+NUISANCES = frozenset({"inertia", "frame-tilt", "thrust-curve", "motor-lag-unknown", "pose-latency"})
+"""Adjustments that are no effects: the vehicle's inertia, and what only the reading of a log needs."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Covariance:
@@ -137,7 +140,8 @@ class Model:
     def parts(self, effects: Mapping[str, Effect], use: Use = "both") -> list[Part]:
         """Effects with values for `host.models`, sorted by name; keys the file leaves out are neutral.
 
-        "after" of a report uses both, "before" none. Raises ValueError for an effect or key nobody defines.
+        "after" of a report uses both, "before" none. Nuisances are left out. Raises ValueError for an effect
+        or key nobody defines.
         """
         chosen: dict[str, Mapping[str, float]] = {}
         if use in ("both", "effects"):
@@ -145,7 +149,7 @@ class Model:
         if use in ("both", "adjustments"):
             chosen.update(self.adjustments)
         parts: list[Part] = []
-        for name in sorted(chosen):
+        for name in sorted(set(chosen) - NUISANCES):
             effect = effects.get(name)
             if effect is None:
                 raise ValueError(

@@ -16,7 +16,6 @@ import numpy as np
 from host.codegen.ops import NUMPY
 from host.effects import Effect
 from host.log import Flight
-from host.models.dynamics import Part
 from host.models.dynamics import mocap_latency_s as latency_of
 from host.models.model import Model
 from host.models.phi import Phi, flight_constants
@@ -91,14 +90,6 @@ def adjusted(vehicle: Vehicle, model: Model | None) -> Vehicle:
     return vehicle.model_copy(update={"inertia_kg_m2": inertia})
 
 
-def effect_parts(model: Model | None, effects: Mapping[str, Effect]) -> list[Part]:
-    """The model's effects and those of its adjustments that are effects, with their values."""
-    if model is None:
-        return []
-    named = {name: v for name, v in model.adjustments.items() if name in effects}
-    return replace(model, adjustments=named, covariance=None).parts(effects)
-
-
 def predict_flights(
     flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect]
 ) -> tuple[Errors, ...]:
@@ -109,7 +100,7 @@ def predict_flights(
 def _predict(flight: Flight, model: Model | None, effects: Mapping[str, Effect]) -> Errors:
     assert flight.reference is not None
     assert flight.tracking is not None
-    parts = effect_parts(model, effects)
+    parts = [] if model is None else model.parts(effects)
     phi = Phi(
         vehicle=adjusted(flight.vehicle, model),
         effects=tuple(effect for effect, _ in parts),
