@@ -38,6 +38,22 @@ def check_output(path: str | Path, force: bool = False) -> Path:
     return target
 
 
+def check_folder(path: str | Path, names: Sequence[str], force: bool = False) -> Path:
+    """`path` as a folder that `names` may be written in; it is made when there is something to write.
+
+    Raises UsageError where its own folder is missing, it is a file, or a name exists and `force` is not set.
+    """
+    folder = Path(path)
+    if folder.is_dir():
+        for name in names:
+            check_output(folder / name, force)
+    elif folder.exists():
+        raise UsageError(f"{path}: is a file, give a folder's name")
+    elif not folder.parent.is_dir():
+        raise UsageError(f"{path}: its folder does not exist, make it or choose another name")
+    return folder
+
+
 @contextlib.contextmanager
 def open_atomic(path: str | Path, force: bool = False) -> Iterator[BinaryIO]:
     """A binary file that appears under `path` when the block ends, and never where the block raises.

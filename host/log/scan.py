@@ -85,7 +85,7 @@ def scan(path: Path) -> Scan:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror or error})") from error
+        raise LogError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     if not content.startswith(MAGIC):
         what = "is empty" if not content else "is no MCAP file"
         raise LogError(f"{path}: {what}; give a flight log written by trimtab fly or trimtab import")

@@ -94,6 +94,11 @@ def signals(flight: Flight) -> Signals:
             assert r.thrust_n is not None
             assert r.torque_n_m is not None
             command, in_newton = _rotor_thrusts(vehicle, r.thrust_n, r.torque_n_m), True
+    elif flight.recorded_inputs is not None:
+        raise TooLittleData(
+            f"{flight.path}: holds the reference only, and not the law that flew it; "
+            "record motor commands or thrust and torque too"
+        )
     else:
         raise TooLittleData(
             f"{flight.path}: no motor command and no thrust recorded; trace logs that hold one"
@@ -223,6 +228,10 @@ def _cut(
     flight: Flight, index: int, segment_s: float, rate_driven: bool
 ) -> tuple[list[dict[str, Any]], Audit]:
     s = signals(flight)
+    if rate_driven and not len(s.gyro):
+        raise TooLittleData(
+            f"{flight.path}: the torque is unknown and there is no gyro to follow instead; log either"
+        )
     sigma = noise(s)
     steps = round(segment_s / DT_S)
     pre = max(1, int(np.ceil(LAGS * flight.vehicle.motor_lag_s / DT_S)))

@@ -189,4 +189,4 @@ def tolerance_of(vehicle: Vehicle, owner: str, key: str, default: float) -> floa
     """One sigma of "effect.parameter": the vehicle file's where it gives one, else the candidate's
     default.
     """
-    return float(vehicle.tolerances.get(f"{owner}.{key}", default))
+    return float(vehicle.tolerance(owner, key, default))

@@ -56,9 +56,7 @@ def command(
     space = open_workspace(workspace)
     wanted = None if vehicle is None else space.vehicle(vehicle)
     if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
-        for name in (MODEL_NAME, REPORT_NAME, JSON_NAME):
-            artefacts.check_output(output / name, force)
+        artefacts.check_folder(output, (MODEL_NAME, REPORT_NAME, JSON_NAME), force)
     flights = [read_flight(path) for path in logs]
     held_out = [read_flight(path) for path in hold_out or ()]
     airframe = wanted or flights[0].vehicle
@@ -77,10 +75,12 @@ def command(
         from host.models.file import write_model
         from host.report.trace import page
 
-        model_path = str(write_model(result.model, output / MODEL_NAME, force=force))
-        report_path = str(output / REPORT_NAME)
+        model_path, report_path = str(output / MODEL_NAME), str(output / REPORT_NAME)
         answer = result.to_json(model_path=model_path, report_path=report_path)
-        artefacts.write_atomic(output / REPORT_NAME, page(result, flights, held_out, answer), force)
+        report = page(result, flights, held_out, answer)
+        output.mkdir(exist_ok=True)
+        write_model(result.model, output / MODEL_NAME, force=force)
+        artefacts.write_atomic(output / REPORT_NAME, report, force)
         artefacts.write_atomic(output / JSON_NAME, json_text(answer), force)
     say(*result.lines())
     emit(result.to_json(model_path=model_path, report_path=report_path), json)

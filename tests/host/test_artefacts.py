@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from host.artefacts import (
+    check_folder,
     check_output,
     content_id,
     git_state,
@@ -111,3 +112,18 @@ def test_git_state_names_the_commit(require: Callable[[str], None]) -> None:
     else:
         assert state is not None
         assert len(state.removesuffix("-dirty")) == 12
+
+
+def test_folder_is_checked_without_being_made(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    assert check_folder(folder, ("a.html", "b.json")) == folder
+    assert list(tmp_path.iterdir()) == []
+    folder.mkdir()
+    write_atomic(folder / "b.json", "mine")
+    with pytest.raises(UsageError, match=r"b\.json: exists, choose another name or add --force"):
+        check_folder(folder, ("a.html", "b.json"))
+    check_folder(folder, ("a.html", "b.json"), force=True)
+    with pytest.raises(UsageError, match="is a file"):
+        check_folder(folder / "b.json", ("a.html",))
+    with pytest.raises(UsageError, match="folder does not exist"):
+        check_folder(tmp_path / "no" / "out", ("a.html",))
