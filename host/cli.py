@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, Parameter
 
 from host import output
 from host.errors import BUG, INTERRUPTED
@@ -77,6 +77,7 @@ def build_app() -> App:
         help_format="plaintext",
         result_action="return_value",
         suppress_keyboard_interrupt=False,
+        default_parameter=Parameter(negative=""),
     )
     for verb in present_verbs():
         app.command(f"host.verbs.{verb.module}:command", name=verb.name, help=verb.help)

@@ -7,19 +7,21 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-Json = Annotated[bool, Parameter(name="--json", negative="")]
-"""Print one JSON object as the last line of stdout."""
+Json = Annotated[
+    bool, Parameter(name="--json", negative="", help="Print one JSON object as the last line of stdout.")
+]
 
-Force = Annotated[bool, Parameter(name="--force", negative="")]
-"""Overwrite the output file."""
+Force = Annotated[bool, Parameter(name="--force", negative="", help="Overwrite the output file.")]
 
-Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
-"""Where to write."""
+Output = Annotated[Path | None, Parameter(name=["-o", "--output"], help="Where to write.")]
 
-VehicleName = Annotated[str, Parameter(name="--vehicle")]
-"""Vehicle file, by name or path."""
+VehicleName = Annotated[str, Parameter(name="--vehicle", help="Vehicle file, by name or path.")]
 
-WorkspaceFolder = Annotated[Path | None, Parameter(name="--workspace")]
-"""Folder with vehicles/, routes/ and effects/; the current one by default."""
+WorkspaceFolder = Annotated[
+    Path | None,
+    Parameter(
+        name="--workspace", help="Folder with vehicles/, routes/ and effects/; the current one by default."
+    ),
+]
 
 DEFAULT_VEHICLE = "research"

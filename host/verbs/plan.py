@@ -30,13 +30,23 @@ def command(
 ) -> None:
     """Make a checked reference for a route.
 
-    Parameters ---------- route Route file, by name or path; NAME:SEED draws a random route anew. model Model
-    of what the nominal vehicle lacks, a .model.toml file. kind min-snap, min-control or min-residual; with a
-    star behind it the model is part of the dynamics. Without, min-residual where a model is given that
-    predicts a residual, else min-snap. nodes About how many shooting intervals, 20 to 200; one about every 70
-    ms by default. time_s Total time, in place of the route's. stretch Give a min-snap plan that breaks a
-    limit more time. headroom Least and greatest share of a rotor's thrust that the plan may use; tighter than
-    the vehicle's.
+    Parameters
+    ----------
+    route
+        Route file, by name or path; NAME:SEED draws a random route anew.
+    model
+        Model of what the nominal vehicle lacks, a .model.toml file.
+    kind
+        min-snap, min-control or min-residual; with a star behind it the model is part of the dynamics.
+        By default min-residual where a model is given that predicts a residual, else min-snap.
+    nodes
+        About how many shooting intervals, 20 to 200; one about every 70 ms by default.
+    time_s
+        Total time, in place of the route's.
+    stretch
+        Give a min-snap plan that breaks a limit more time.
+    headroom
+        Least and greatest share of a rotor's thrust that the plan may use; tighter than the vehicle's.
     """
     from host import artefacts
     from host.effects import load_effects
