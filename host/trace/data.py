@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from firmware_model.law.allocation import allocation_matrix, invert4
+from firmware_model.law.constants import GRAVITY
 from host.log import Flight
 from host.trace.segments import BIN_S, Segments
 from host.vehicle import Vehicle
@@ -27,6 +28,10 @@ quieter than they are.
 _TILT_LIMIT = np.deg2rad(75.0)
 _MISSING = 0.4
 """A segment that misses a greater share of its poses or commands is left out."""
+
+
+WITHOUT_INPUTS = frozenset({"thrust", "motor-lag", "inertia", "torque"})
+"""What a log of poses alone leaves unknown."""
 
 
 class TooLittleData(ValueError):
@@ -71,8 +76,10 @@ class Audit:
 
 
 def signals(flight: Flight) -> Signals:
-    """The flight's measurements and inputs. Raises TooLittleData when it has no poses or no recorded
-    inputs.
+    """The flight's measurements and inputs. Raises TooLittleData when it has no poses or no tracking phase.
+
+    Where nothing recorded drives the model, thrust is taken as hover's and what that gets wrong is left to
+    the nuisances; where torque is unknown and no gyro was logged, the body rate is that of the poses.
     """
     if flight.mocap is None or len(flight.mocap) < 100:
         raise TooLittleData(f"{flight.path}: fewer than 100 poses; log /mocap/pose in flight")
@@ -94,15 +101,14 @@ def signals(flight: Flight) -> Signals:
             assert r.thrust_n is not None
             assert r.torque_n_m is not None
             command, in_newton = _rotor_thrusts(vehicle, r.thrust_n, r.torque_n_m), True
-    elif flight.recorded_inputs is not None:
-        raise TooLittleData(
-            f"{flight.path}: holds the reference only, and not the law that flew it; "
-            "record motor commands or thrust and torque too"
-        )
     else:
-        raise TooLittleData(
-            f"{flight.path}: no motor command and no thrust recorded; trace logs that hold one"
-        )
+        # No input at all, or only a reference and not the law that flew it: the poses speak of lateral
+        # forces.
+        hover_n = vehicle.mass_kg * GRAVITY / 4.0
+        input_s, command, in_newton = pose_s[[0, -1]][None, :], np.full((1, 4), hover_n), True
+        imu_s, gyro, force = _recorded_imu(flight)
+    if "torque" in unknowns([flight]) and not len(gyro):
+        imu_s, gyro = _turned(pose_s, R)
     if flight.battery is not None and len(flight.battery):
         voltage_s, volts = flight.battery.t_us * 1e-6, flight.battery.battery_v
     else:
@@ -123,6 +129,14 @@ def signals(flight: Flight) -> Signals:
         voltage_ratio=volts / vehicle.battery.full_v,
         span_s=(flight.tracking[0] * 1e-6, flight.tracking[1] * 1e-6),
     )
+
+
+def _turned(pose_s: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Intervals (n - 1, 2) between poses and the body rate (n - 1, 3) that turns one into the next."""
+    turn = Rotation.from_matrix(R)
+    step = np.diff(pose_s)
+    rate = (turn[:-1].inv() * turn[1:]).as_rotvec() / step[:, None]
+    return np.column_stack([pose_s[:-1], pose_s[1:]]), rate
 
 
 def _recorded_imu(flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -220,18 +234,23 @@ def segments_of(
 
 
 def unknowns(flights: Sequence[Flight]) -> frozenset[str]:
-    """Everything that any of the logs declares unknown."""
-    return frozenset(word for flight in flights for word in flight.metadata.get("unknown", "").split())
+    """Everything that any of the logs declares unknown, or cannot know without recorded inputs."""
+    declared = {word for flight in flights for word in flight.metadata.get("unknown", "").split()}
+    if any(_without_inputs(flight) for flight in flights):
+        declared |= WITHOUT_INPUTS
+    return frozenset(declared)
+
+
+def _without_inputs(flight: Flight) -> bool:
+    """Whether nothing that was recorded says what the rotors did."""
+    recorded = flight.recorded_inputs
+    return flight.control is None and (recorded is None or recorded.level == "reference")
 
 
 def _cut(
     flight: Flight, index: int, segment_s: float, rate_driven: bool
 ) -> tuple[list[dict[str, Any]], Audit]:
     s = signals(flight)
-    if rate_driven and not len(s.gyro):
-        raise TooLittleData(
-            f"{flight.path}: the torque is unknown and there is no gyro to follow instead; log either"
-        )
     sigma = noise(s)
     steps = round(segment_s / DT_S)
     pre = max(1, int(np.ceil(LAGS * flight.vehicle.motor_lag_s / DT_S)))
@@ -292,6 +311,8 @@ def _cut(
         remarks.append(f"{out_tilt} segments beyond {np.rad2deg(_TILT_LIMIT):.0f} deg of tilt")
     if not len(s.gyro):
         remarks.append("no gyro: delay and latency are hard to tell apart")
+    if _without_inputs(flight):
+        remarks.append("no inputs recorded: only forces across the thrust show")
     inside = s.pose_s[(s.pose_s >= s.span_s[0]) & (s.pose_s <= s.span_s[1])]
     return found, Audit(
         log=str(flight.path),

@@ -17,7 +17,16 @@ from host.effects import Effect
 from host.trace.evidence import Prior
 from host.vehicle import Vehicle
 
-UNKNOWN = ("thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency")
+UNKNOWN = (
+    "thrust",
+    "thrust-curve",
+    "motor-lag",
+    "mounting-tilt",
+    "frame-tilt",
+    "inertia",
+    "torque",
+    "pose-latency",
+)
 """What an import profile may declare unknown; it is then estimated as nuisance and not counted as an
 effect.
 """
@@ -28,6 +37,7 @@ it.
 """
 
 REPLACES = {
+    "thrust": ("thrust-gain", "mass", "battery-sag", "motor-lag"),
     "thrust-curve": ("thrust-gain", "mass"),
     "motor-lag": ("motor-lag",),
     "mounting-tilt": (),

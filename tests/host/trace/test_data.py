@@ -1,0 +1,77 @@
+"""Segments from logs: averages over steps, what poses alone still tell, what is too little."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from host.log import Mocap, RecordedInputs, read_flight, write_imported
+from host.trace.data import TooLittleData, _averaged, segments_of, signals, unknowns
+from host.vehicle import load_vehicle
+
+VEHICLE = load_vehicle("research")
+
+
+def log(path: Path, *, seconds: float = 6.0, inputs: RecordedInputs | None = None, unknown: str = "") -> Path:
+    """A log of a vehicle that turns at 0.4 rad/s and swings north, poses at 100 Hz."""
+    t_us = np.arange(0, round(seconds * 1e6), 10_000)
+    t = t_us * 1e-6
+    p = np.column_stack([np.sin(t), np.zeros_like(t), np.full_like(t, -1.5)])
+    q = Rotation.from_euler("z", 0.4 * t).as_quat(scalar_first=True)
+    write_imported(
+        path,
+        vehicle=VEHICLE,
+        mocap=Mocap(t_us=t_us, t_arrival_us=t_us, p=p, q=q),
+        inputs=inputs,
+        session={"unknown": unknown},
+    )
+    return path
+
+
+def test_averages_over_steps_hold_the_area_under_intervals() -> None:
+    intervals = np.array([[0.0, 0.1], [0.1, 0.3], [0.5, 0.6]])
+    values = np.array([[1.0], [3.0], [5.0]])
+    means, share = _averaged(np.array([0.0, 0.2, 0.4, 0.6]), intervals, values)
+    np.testing.assert_allclose(means[:, 0], [2.0, 3.0, 5.0])
+    np.testing.assert_allclose(share, [1.0, 0.5, 0.5])
+
+
+def test_signals_of_poses_alone_take_hover_thrust_and_the_poses_body_rate(tmp_path: Path) -> None:
+    flight = read_flight(log(tmp_path / "poses.mcap"))
+    found = signals(flight)
+    assert found.in_newton
+    assert found.command.sum() == pytest.approx(VEHICLE.mass_kg * 9.81, rel=1e-3)
+    np.testing.assert_allclose(found.gyro, np.tile([0.0, 0.0, 0.4], (len(found.gyro), 1)), atol=1e-6)
+    assert {"thrust", "torque"} <= unknowns([flight])
+
+
+def test_signals_of_a_reference_alone_are_those_of_poses_alone(tmp_path: Path) -> None:
+    t_us = np.arange(0, 6_000_000, 10_000)
+    reference = RecordedInputs(t_us=t_us, level="reference", p_ref=np.zeros((len(t_us), 3)))
+    flight = read_flight(log(tmp_path / "reference.mcap", inputs=reference))
+    assert "thrust" in unknowns([flight])
+    data, (audit,) = segments_of([flight])
+    assert data.rate_driven
+    assert any("no inputs" in remark for remark in audit.remarks)
+
+
+def test_segments_of_a_short_log_are_too_little(tmp_path: Path) -> None:
+    flight = read_flight(log(tmp_path / "short.mcap", seconds=2.0))
+    with pytest.raises(TooLittleData, match="usable segments"):
+        segments_of([flight])
+
+
+def test_segments_leave_out_a_gap_and_say_so(tmp_path: Path) -> None:
+    t_us = np.arange(0, 8_000_000, 10_000)
+    t_us = t_us[(t_us < 3_000_000) | (t_us > 4_000_000)]
+    p = np.zeros((len(t_us), 3))
+    q = np.tile([1.0, 0.0, 0.0, 0.0], (len(t_us), 1))
+    path = tmp_path / "gap.mcap"
+    write_imported(path, vehicle=VEHICLE, mocap=Mocap(t_us=t_us, t_arrival_us=t_us, p=p, q=q))
+    _, (audit,) = segments_of([read_flight(path)])
+    assert audit.left_out >= 1
+    assert audit.largest_gap_s == pytest.approx(1.01, abs=0.02)
+    assert any("gaps" in remark for remark in audit.remarks)
