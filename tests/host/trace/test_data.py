@@ -20,7 +20,7 @@ def log(path: Path, *, seconds: float = 6.0, inputs: RecordedInputs | None = Non
     t_us = np.arange(0, round(seconds * 1e6), 10_000)
     t = t_us * 1e-6
     p = np.column_stack([np.sin(t), np.zeros_like(t), np.full_like(t, -1.5)])
-    q = Rotation.from_euler("z", 0.4 * t).as_quat(scalar_first=True)
+    q = Rotation.from_euler("z", 0.4 * t[:, None]).as_quat(scalar_first=True)
     write_imported(
         path,
         vehicle=VEHICLE,
