@@ -1,0 +1,64 @@
+"""The demo's plans: first with the nominal model, then one of the routes again with the traced one.
+
+Both kinds keep the same limits, and the second plan the first one's waypoints, headings and total time: they
+differ in the model alone. The second plan has nominal dynamics and the model in its cost, as the paper plans
+for a flatness-based law (section IV-C.4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from host.effects import Effect
+from host.errors import Refused
+from host.models.model import Model
+from host.plan import Plan, PlanRefused, plan
+from host.route import Route
+from host.vehicle import Vehicle
+
+FIRST_KIND, AGAIN_KIND = "min-control", "min-residual"
+MORE_TIME = 1.15
+TRIES = 4
+"""A first plan that is refused gets this much more time, this often; the last time it is the answer."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planned:
+    """A plan, the route it is for and the total time it was given."""
+
+    name: str
+    route: Route
+    time_s: float
+    plan: Plan
+
+
+def plan_first(route: Route, vehicle: Vehicle) -> Planned:
+    """A plan with the nominal model. Raises PlanRefused where more time does not help, PlanUnsolved."""
+    time_s = route.duration_s
+    for left in reversed(range(TRIES)):
+        try:
+            made = plan(route, vehicle, kind=FIRST_KIND, total_time_s=time_s)
+        except PlanRefused:
+            if not left:
+                raise
+            time_s = round(time_s * MORE_TIME, 2)
+        else:
+            return Planned(name=route.name, route=route, time_s=time_s, plan=made)
+    raise AssertionError("the last try returns or raises")
+
+
+def plan_again(first: Planned, vehicle: Vehicle, model: Model, effects: Mapping[str, Effect]) -> Planned:
+    """The same route in the same time, planned with the model. Raises Refused, PlanUnsolved."""
+    try:
+        made = plan(
+            first.route, vehicle, kind=AGAIN_KIND, model=model, effects=effects, total_time_s=first.time_s
+        )
+    except PlanRefused as error:
+        raise Refused(f"{first.name} planned again with the traced model: {error}") from error
+    return Planned(name=f"{first.name}-again", route=first.route, time_s=first.time_s, plan=made)
+
+
+def fastest(plans: Sequence[Planned]) -> Planned:
+    """The plan with the greatest mean speed; the first of equals."""
+    return max(plans, key=lambda planned: planned.plan.mean_speed_m_s)

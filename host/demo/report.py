@@ -1,0 +1,113 @@
+"""The demo's own sections of the report: the flown comparisons, and what got worse."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from host.demo.compare import AXES, Comparison, Tracked, what_got_worse
+from host.report import figures
+from host.trace.result import Trace
+from host.vehicle import Vehicle
+
+Section = dict[str, Any]
+
+
+def sections(comparison: Comparison, result: Trace, vehicle: Vehicle) -> dict[str, Any]:
+    """What `host.report.trace.page` takes as `extra`."""
+    return {
+        "sections": [_flown(comparison, vehicle), _worse(comparison, result)],
+        "data": comparison.to_json(),
+    }
+
+
+def _flown(comparison: Comparison, vehicle: Vehicle) -> Section:
+    flown = comparison.flown
+    head = [f"route {flown[0].planned.route.name}", *(flight.label for flight in flown)]
+    return {
+        "title": "Flown before and after",
+        "text": _text(comparison),
+        "table": [head, *_rows(flown, vehicle)],
+        "figures": [_paths(comparison)],
+    }
+
+
+def _text(comparison: Comparison) -> list[str]:
+    count = len(comparison.first)
+    how = (
+        f"The fastest of the first routes, flown {count} times with the nominal plan; these flights differ "
+        f"by {1e3 * comparison.spread_m:.1f} mm RMSE, and any smaller difference means nothing. "
+    )
+    if comparison.new_plan is None:
+        return [how + "Nothing was traced that a new plan could use, so there was no second plan to fly."]
+    lines = [
+        how + "Then the same law with the same constants flew a new plan, made with the traced model for the "
+        "same waypoints, headings, total time, limits and headroom; and once more with the traced effects "
+        "applied where the law can."
+    ]
+    if comparison.latency_s:
+        lines.append(
+            f"Poses were found to be {1e3 * comparison.latency_s:.1f} ms older than stamped. All flights are "
+            "measured with that correction; the last row of the table is without it."
+        )
+    return lines
+
+
+def _rows(flown: tuple[Tracked, ...], vehicle: Vehicle) -> list[list[str]]:
+    plans = [flight.planned.plan for flight in flown]
+    limits = vehicle.limits
+    speeds = [limits.speed_max_m_s - plan.margins["speed_m_s"] for plan in plans]
+    tilts = [limits.tilt_max_deg - plan.margins["tilt_deg"] for plan in plans]
+    tops = [limits.thrust_headroom[1] - plan.margins["thrust_high"] for plan in plans]
+    rows = [
+        ["tracking error RMSE, mm", *(_mm(f.rmse_m) for f in flown)],
+        *([f"{axis}, mm", *(_mm(f.axes_m[i]) for f in flown)] for i, axis in enumerate(AXES)),
+        ["greatest, mm", *(_mm(f.max_m) for f in flown)],
+        ["time at the motors' limits, %", *(f"{100 * f.clipped_share:.2f}" for f in flown)],
+        ["planned path, m", *(f"{plan.path_length_m:.2f}" for plan in plans)],
+        ["planned time, s", *(f"{plan.duration_s:.2f}" for plan in plans)],
+        ["planned mean speed, m/s", *(f"{plan.mean_speed_m_s:.2f}" for plan in plans)],
+        ["planned top speed, m/s", *(f"{speed:.2f}" for speed in speeds)],
+        ["planned greatest tilt, °", *(f"{tilt:.1f}" for tilt in tilts)],
+        ["planned greatest rotor thrust, % of its most", *(f"{100 * top:.0f}" for top in tops)],
+        ["error RMSE with poses as stamped, mm", *(_mm(f.stamped_rmse_m) for f in flown)],
+    ]
+    return rows
+
+
+def _paths(comparison: Comparison) -> figures.Figure:
+    shown = [comparison.first[0], *comparison.flown[len(comparison.first) :]]
+    panels = [
+        (f"{flight.label}: {1e3 * flight.rmse_m:.0f} mm", flight.p_ned, flight.norm_m) for flight in shown
+    ]
+    return figures.paths(
+        panels, "Paths flown, from above, coloured by distance from the reference; one scale for all."
+    )
+
+
+def _worse(comparison: Comparison, result: Trace) -> Section:
+    found = what_got_worse(comparison, result)
+    none = "Nothing of what was measured got worse: no error on any axis, flown or predicted."
+    return {"title": "What got worse", "text": found or [none], "table": None, "figures": []}
+
+
+def _mm(value_m: float) -> str:
+    return f"{1e3 * value_m:.1f}"
+
+
+def ratio(after: float | None, before: float) -> float | None:
+    """After over before, None where there is none."""
+    return None if after is None or not math.isfinite(after) or before <= 0.0 else after / before
+
+
+def summary(answer: Mapping[str, Any]) -> list[str]:
+    """The flown comparison for people, from the demo's JSON."""
+    first, again = answer["tracking_rmse_first_m"], answer["tracking_rmse_new_plan_m"]
+    applied = answer["tracking_rmse_applied_m"]
+    lines = [f"tracking error on route {answer['comparison']['route']}: {1e3 * first:.1f} mm as first flown"]
+    for what, value in (("new plan, same law", again), ("new plan, effects applied", applied)):
+        share = ratio(value, first)
+        if share is not None:
+            lines.append(f"  {what}: {1e3 * value:.1f} mm ({share:.2f} of it)")
+    return lines

@@ -1,0 +1,23 @@
+"""The two seeds of a demo: the host's own, which logs may hold, and the world's, which they may not.
+
+Each is a hash of its own of the demo's seed, so that neither tells the other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+
+def host_seed(seed: int) -> int:
+    """The seed of routes and plans, below 2^32."""
+    return _hash("host", seed, 4)
+
+
+def world_seed(seed: int) -> int:
+    """The seed of the simulated world, below 2^63."""
+    return _hash("world", seed, 8) >> 1
+
+
+def _hash(purpose: str, seed: int, size: int) -> int:
+    digest = hashlib.sha256(f"trimtab demo, {purpose} seed, {seed}".encode()).digest()
+    return int.from_bytes(digest[:size], "big")

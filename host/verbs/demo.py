@@ -1,0 +1,87 @@
+"""`trimtab demo`: one pass through the loop, with a report at the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
+
+FOLDER = "trimtab-demo"
+
+
+def command(
+    *,
+    seed: int = 1,
+    world: str | None = None,
+    vehicle: VehicleName = DEFAULT_VEHICLE,
+    output: Output = None,
+    workspace: WorkspaceFolder = None,
+    json: Json = False,
+    force: Force = False,
+) -> None:
+    """Plan, fly, trace what is missing, plan again; one report at the end.
+
+    Parameters
+    ----------
+    seed
+        Routes and the simulated world are drawn from it.
+    world
+        World to fly in, by name or path; without it one with two or three effects, drawn from the seed.
+    output
+        Folder for every file, made if missing; trimtab-demo in the workspace, or the next free name, by
+        default.
+    """
+    import time
+
+    from host.demo import report
+    from host.demo.session import WORLD, DemoOrder, run_demo
+    from host.effects import load_effects
+    from host.errors import UsageError
+    from host.output import emit, say
+    from host.verbs.trace import manoeuvres
+    from host.workspace import open_workspace
+
+    begin_s = time.perf_counter()
+    if seed < 0:
+        raise UsageError(f"--seed {seed} is negative, give 0 or more")
+    space = open_workspace(workspace)
+    airframe = space.vehicle(vehicle)
+    folder = _folder(space.root, output, force)
+    say(f"demo with seed {seed}, vehicle {airframe.name}; every file goes to {folder}")
+    outcome = run_demo(
+        DemoOrder(vehicle=airframe, folder=folder, seed=seed, world=world or WORLD, force=force),
+        load_effects(space.root),
+        say=say,
+        manoeuvres=lambda: manoeuvres(space, airframe),
+    )
+    seconds = time.perf_counter() - begin_s
+    say(
+        *outcome.result.lines(),
+        *report.summary(outcome.answer),
+        f"done in {seconds:.0f} s; the report is {outcome.answer['report']}",
+    )
+    emit(
+        {
+            **outcome.answer,
+            "seconds": round(seconds, 3),
+            "steps": [{"step": title, "seconds": round(spent, 3)} for title, spent in outcome.steps],
+        },
+        json,
+    )
+
+
+def _folder(root: Path, output: Path | None, force: bool) -> Path:
+    """An empty folder, or with `force` any. Raises UsageError."""
+    from host.errors import UsageError
+
+    if output is None:
+        output, number = root / FOLDER, 1
+        while output.exists() and not force:
+            number += 1
+            output = root / f"{FOLDER}-{number}"
+    if output.exists() and not output.is_dir():
+        raise UsageError(f"{output}: is a file, give a folder")
+    if output.is_dir() and any(output.iterdir()) and not force:
+        raise UsageError(f"{output}: holds files, choose another folder or add --force")
+    output.mkdir(parents=True, exist_ok=True)
+    return output
