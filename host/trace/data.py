@@ -315,7 +315,7 @@ def _cut(
         remarks.append("no inputs recorded: only forces across the thrust show")
     inside = s.pose_s[(s.pose_s >= s.span_s[0]) & (s.pose_s <= s.span_s[1])]
     return found, Audit(
-        log=str(flight.path),
+        log=flight.path.name,
         used_s=len(found) * segment_s,
         segments=len(found),
         left_out=out_gap + out_tilt,
