@@ -54,7 +54,7 @@ class ColumnMap(Strict):
     thrust_n: str | None = None
     """Commanded collective thrust."""
     torque_n_m: Three | None = None
-    """Commanded torque; without it the torque is unknown and the gyro drives the attitude."""
+    """Commanded torque; without it the torque counts as unknown and the measured body rate stands in."""
     gyro: Three | None = None
     gyro_unit: Literal["rad/s", "deg/s"] = "rad/s"
     specific_force: Three | None = None
@@ -95,12 +95,6 @@ def _contradictions(data: Mapping[str, Any]) -> list[str]:
         found.append("inputs: give either motor_command or thrust_n")
     if "torque_n_m" in there and "thrust_n" not in there:
         found.append("torque_n_m: means nothing without thrust_n, add that")
-    unknown = data.get("unknown")
-    torque_unknown = isinstance(unknown, list) and "torque" in unknown
-    if "gyro" not in there and "thrust_n" in there and (torque_unknown or "torque_n_m" not in there):
-        found.append("gyro: without it and without torque_n_m nothing drives the attitude, add one")
-    elif "gyro" not in there and torque_unknown:
-        found.append("gyro: with the torque unknown nothing else drives the attitude, add it")
     for unit, owner in (
         ("quaternion_order", "quaternion"),
         ("euler_unit", "euler"),

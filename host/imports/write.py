@@ -21,6 +21,11 @@ _SIDES: dict[Corner, tuple[bool, bool]] = {
 }
 """Corner of a quadrotor to whether it lies forward and right."""
 
+DECLARED_MASS_SIGMA = 0.005
+"""Share to which a mass that a recording declares is taken to be known. Not a weighing of this very flight:
+mass stays an alias of thrust.
+"""
+
 
 def write(
     recording: Recording,
@@ -57,11 +62,12 @@ def write(
 
 
 def _as_declared(vehicle: Vehicle, r: Recording) -> Vehicle:
-    """The vehicle with the mass that the recording declares."""
-    if r.mass_kg is None or r.mass_kg == vehicle.mass_kg:
+    """The vehicle with the mass that the recording declares, and what that is worth."""
+    if r.mass_kg is None:
         return vehicle
+    sigma = min(DECLARED_MASS_SIGMA, vehicle.tolerance("mass", "factor", DECLARED_MASS_SIGMA))
     try:
-        return vehicle.replace(mass_kg=r.mass_kg)
+        return vehicle.replace(mass_kg=r.mass_kg, tolerances={**vehicle.tolerances, "mass.factor": sigma})
     except ConfigurationError as error:
         problems = [f"{r.source} declares {r.mass_kg:g} kg: {problem}" for problem in error.problems]
         raise ConfigurationError(problems) from None

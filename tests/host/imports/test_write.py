@@ -96,6 +96,7 @@ def test_declared_mass_becomes_the_vehicles(tmp_path: Path, recording: Recording
     write(replace(recording, mass_kg=0.0345), nano, tmp_path / "f.mcap", profile="nanobench")
     flown = read_flight(tmp_path / "f.mcap").vehicle
     assert flown.mass_kg == 0.0345
+    assert flown.tolerances["mass.factor"] == 0.005  # better known than the file's, and still not weighed
     assert flown.id != nano.id
     with pytest.raises(ConfigurationError, match=r"flight.csv declares 3 kg: nano: cannot hover"):
         write(replace(recording, mass_kg=3.0), nano, tmp_path / "g.mcap", profile="nanobench")

@@ -1,0 +1,499 @@
+"""Bad input of every kind through the command line: one line a problem, the documented code, nothing left.
+
+`refused` holds all of it for each case: the exit code, one line for each thing to mend, the same words in
+the JSON object that ends stdout, and a folder that holds what it held before.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import math
+import os
+import random
+import select
+import signal
+import subprocess
+import sys
+import termios
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from host import cli, output
+from host.errors import EXIT_CODES
+from host.log import LogError, read_flight
+from host.models.file import write_model
+from host.models.model import Model
+from host.vehicle import load_vehicle
+from protocol import messages as m
+from protocol.blobs import Reference
+from protocol.codec import Codec
+
+Refused = Callable[..., str]
+HERE = Path(__file__).parent
+
+BAD_TOML = {
+    "syntax": ("name = \n", ["not valid TOML"]),
+    "unknown key": ("wings = 2\n", ["wings: unknown key"]),
+    "binary": ("\x00\x01", ["not valid TOML"]),
+}
+
+MAP = """
+world = "nwu"
+body = "flu"
+time = "t"
+position_m = ["x", "y", "z"]
+quaternion = ["qw", "qx", "qy", "qz"]
+"""
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Every file and folder below `folder` by name, with what it holds."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+        for path in folder.rglob("*")
+    }
+
+
+@pytest.fixture
+def run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, dict[str, Any], str]]:
+    """Runs the command line in the test's folder: exit code, the JSON of the last line, stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: str) -> tuple[int, dict[str, Any], str]:
+        monkeypatch.setattr(output, "_emitted", False)
+        monkeypatch.setattr("sys.argv", ["trimtab", *words, "--json"])
+        capsys.readouterr()
+        code = cli.main([*words, "--json"])
+        told = capsys.readouterr()
+        return code, json.loads(told.out.strip().splitlines()[-1]), told.err
+
+    return call
+
+
+@pytest.fixture
+def refused(run: Callable[..., tuple[int, dict[str, Any], str]], tmp_path: Path) -> Refused:
+    """Runs a verb that must fail with `code` and `parts` in its words, one line a problem; returns them."""
+
+    def call(*words: str, code: int, parts: list[str], problems: int | None = 1) -> str:
+        before = contents(tmp_path)
+        got, told, complaint = run(*words)
+        assert got == code, complaint
+        assert code in EXIT_CODES
+        for part in parts:
+            assert part in complaint
+        lines = complaint.splitlines()
+        assert all(line.startswith("trimtab: ") for line in lines)
+        assert problems is None or len(lines) == problems
+        assert told == {
+            "error": "\n".join(line.removeprefix("trimtab: ") for line in lines),
+            "exit_code": code,
+        }
+        assert contents(tmp_path) == before
+        return complaint
+
+    return call
+
+
+@pytest.fixture
+def ref(tmp_path: Path, reference: Reference) -> str:
+    (tmp_path / "eight.ref").write_bytes(reference.to_bytes())
+    return "eight.ref"
+
+
+@pytest.fixture
+def log(tmp_path: Path, flown: Any) -> str:
+    (tmp_path / "flight.mcap").write_bytes(flown[0].log.read_bytes())
+    return "flight.mcap"
+
+
+def hover_csv(path: Path, *, seconds: float = 8.0) -> None:
+    """A nano quadrotor that drifts to and fro: poses, gyro, a collective, a reference."""
+    rows = ["t,x,y,z,qw,qx,qy,qz,wx,wy,wz,m,rx,ry,rz"]
+    noise = random.Random(4)
+    for k in range(round(100 * seconds)):
+        p = [noise.gauss(0.0, 1e-3) + x for x in (0.3 * math.sin(0.005 * k), 0.0, 1.0)]
+        rate = [noise.gauss(0.0, 0.01) for _ in range(3)]
+        row = [0.01 * k, *p, 1.0, 0.0, 0.0, 0.0, *rate, 0.6, 0.0, 0.0, 1.0]
+        rows.append(",".join(f"{value:.6f}" for value in row))
+    path.write_text("\n".join(rows))
+
+
+@pytest.fixture
+def foreign(tmp_path: Path, run: Callable[..., tuple[int, dict[str, Any], str]]) -> Callable[..., str]:
+    """Imports a hover of the nano with more keys in its column map; the log's name."""
+
+    def bring_in(more: str, *, name: str = "foreign.mcap", seconds: float = 8.0) -> str:
+        hover_csv(tmp_path / "hover.csv", seconds=seconds)
+        (tmp_path / "map.toml").write_text(MAP + more)
+        code, _, complaint = run("import", "csv", "hover.csv", "--columns", "map.toml", "-o", name, "--force")
+        assert code == 0, complaint
+        return name
+
+    return bring_in
+
+
+THRUST = 'thrust_n = "m"\ngyro = ["wx", "wy", "wz"]\n'
+REFERENCE = 'reference_position_m = ["rx", "ry", "rz"]\n'
+
+
+# Malformed TOML.
+
+
+@pytest.mark.parametrize("kind", BAD_TOML)
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("plan", "figure-eight", "--vehicle", "bad.toml"),
+        ("plan", "bad.toml"),
+        ("fly", "eight.ref", "--world", "bad.toml"),
+        ("fly", "eight.ref", "--vehicle", "bad.toml"),
+        ("import", "csv", "eight.ref", "--columns", "bad.toml", "-o", "x.mcap"),
+        ("plan", "figure-eight", "--model", "bad.toml"),
+    ],
+    ids=["vehicle", "route", "world", "vehicle of a flight", "columns", "model"],
+)
+def test_malformed_toml_is_told_by_file_and_key(
+    refused: Refused, ref: str, tmp_path: Path, words: tuple[str, ...], kind: str
+) -> None:
+    text, parts = BAD_TOML[kind]
+    (tmp_path / "bad.toml").write_text(text)
+    complaint = refused(*words, code=2, parts=["bad.toml", *parts], problems=None)
+    assert all(line.startswith("trimtab: bad.toml: ") for line in complaint.splitlines())
+
+
+def test_vehicle_with_many_problems_tells_them_all_at_once(refused: Refused, tmp_path: Path) -> None:
+    (tmp_path / "v.toml").write_text('name = "v"\nmass_kg = "heavy"\nwings = 2\nthrust_curve = [0.5, 0.9]\n')
+    parts = [
+        "v.toml: mass_kg: 'heavy' is not a number",
+        "wings: unknown key",
+        "c1 + c2 is 1.4",
+        "rotors: miss",
+    ]
+    refused("plan", "figure-eight", "--vehicle", "v.toml", code=2, parts=parts, problems=None)
+
+
+def test_world_with_an_unknown_effect_is_refused(refused: Refused, ref: str, tmp_path: Path) -> None:
+    (tmp_path / "w.toml").write_text('description = "x"\ntolerances = true\n[effects.magnetism]\nb = 1.0\n')
+    refused("fly", ref, "--world", "w.toml", code=2, parts=["w.toml", "magnetism"], problems=None)
+
+
+# Waypoints that cannot be reached.
+
+
+def route(tmp_path: Path, waypoints: str, total_time_s: float, more: str = "") -> str:
+    text = f'name = "r"\ntotal_time_s = {total_time_s}\nwaypoints_m = {waypoints}\n{more}'
+    (tmp_path / "r.toml").write_text(text)
+    return "r.toml"
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "time_s", "more", "parts"),
+    [
+        ("[[0.0, 0.0, -1.0], [50.0, 0.0, -1.0]]", 30.0, "", ["waypoints_m[1]: north 50 m is outside"]),
+        ("[[0.0, 0.0, -1.0], [9.0, 0.0, -1.0]]", 0.5, "", ["needs 18.0 m/s, the limit is 10; give it more"]),
+        (
+            "[[0.0, 0.0, -1.0], [3.0, 0.0, -1.0]]",
+            5.0,
+            '[[keep_out]]\nkind = "sphere"\ncentre_m = [3.0, 0.0, -1.0]\nradius_m = 0.5\n',
+            ["waypoints_m[1]", "keep_out[0]"],
+        ),
+    ],
+    ids=["outside the fence", "too fast", "inside a shape"],
+)
+def test_route_that_contradicts_itself_is_refused_before_solving(
+    refused: Refused, tmp_path: Path, waypoints: str, time_s: float, more: str, parts: list[str]
+) -> None:
+    refused("plan", route(tmp_path, waypoints, time_s, more), code=2, parts=parts)
+
+
+def test_waypoints_out_of_reach_in_time_name_node_and_reason(refused: Refused, tmp_path: Path) -> None:
+    quick = route(tmp_path, "[[0.0, 0.0, -1.0], [4.0, 0.0, -1.0], [0.0, 3.0, -1.5]]", 1.6)
+    complaint = refused("plan", quick, "--kind", "min-snap", code=1, parts=["node 0 at 0.000 s", "rotor"])
+    assert "give it more time" in complaint
+
+
+# Logs: cut anywhere, of another vehicle, mixed, with too little in them.
+
+
+@pytest.mark.parametrize("share", [0.0, 1e-5, 0.02, 0.5, 0.999])
+@pytest.mark.parametrize(
+    "verb", [("trace",), ("learn",), ("log", "info"), ("trace", "flight.mcap", "--hold-out")]
+)
+def test_log_cut_anywhere_names_the_way_out(
+    refused: Refused, log: str, tmp_path: Path, verb: tuple[str, ...], share: float
+) -> None:
+    content = (tmp_path / log).read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: int(share * len(content))])
+    way_out = (
+        "run `trimtab log recover cut.mcap`" if share > 1e-3 else "give a flight log written by trimtab fly"
+    )
+    refused(*verb, "cut.mcap", code=5, parts=["cut.mcap: ", way_out])
+
+
+def test_log_cut_at_any_byte_is_never_read_as_a_flight(log: str, tmp_path: Path) -> None:
+    content = (tmp_path / log).read_bytes()
+    cuts = [*range(40), *random.Random(7).sample(range(40, len(content)), 60), len(content) - 1]
+    path = tmp_path / "cut.mcap"
+    for length in cuts:
+        path.write_bytes(content[:length])
+        with pytest.raises(LogError) as caught:
+            read_flight(path)
+        assert caught.value.exit_code == 5
+        assert "\n" not in str(caught.value)
+
+
+def test_cut_log_that_is_recovered_can_be_read(
+    run: Callable[..., tuple[int, dict[str, Any], str]], refused: Refused, log: str, tmp_path: Path
+) -> None:
+    content = (tmp_path / log).read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: len(content) // 2])
+    assert run("log", "recover", "cut.mcap")[0] == 0
+    assert run("log", "info", "cut.recovered.mcap")[1]["recovered"]
+    (tmp_path / "stub.mcap").write_bytes(content[:3000])
+    refused("log", "recover", "stub.mcap", code=5, parts=["nothing is left to recover; fly again"])
+
+
+def test_file_that_is_no_log_is_unreadable(refused: Refused, ref: str) -> None:
+    for verb in (("trace",), ("learn",), ("log", "info"), ("log", "recover")):
+        refused(*verb, ref, code=5, parts=["eight.ref: is no MCAP file"])
+        refused(*verb, "nowhere.mcap", code=5, parts=["nowhere.mcap: cannot be read", "check the path"])
+
+
+def test_log_of_another_vehicle_is_refused(refused: Refused, log: str) -> None:
+    parts = ["flight.mcap: a log of vehicle research", "not of nano"]
+    refused("trace", log, "--vehicle", "nano", code=2, parts=parts)
+    refused("trace", log, "--vehicle", "nano", "-o", "out", code=2, parts=parts)
+
+
+def test_reference_and_model_of_another_vehicle_are_refused(
+    refused: Refused, ref: str, tmp_path: Path
+) -> None:
+    refused("fly", ref, "--vehicle", "nano", code=2, parts=["was made for vehicle", "--vehicle"])
+    nano = load_vehicle("nano")
+    write_model(Model(vehicle_id=nano.id, vehicle_name="nano"), tmp_path / "m.model.toml")
+    refused("plan", "figure-eight", "--model", "m.model.toml", code=2, parts=["m.model.toml", nano.id])
+
+
+def test_logs_of_several_vehicles_are_refused_together(
+    refused: Refused, log: str, foreign: Callable[..., str]
+) -> None:
+    other = foreign(THRUST)
+    refused("trace", log, other, code=2, parts=["foreign.mcap: a log of vehicle nano", "apart"])
+    refused("trace", log, "--hold-out", other, code=2, parts=["foreign.mcap: a log of vehicle nano"])
+    refused("learn", log, other, code=2, parts=["foreign.mcap"])
+
+
+def test_log_held_out_and_used_is_refused(refused: Refused, log: str) -> None:
+    refused("trace", log, "--hold-out", log, code=2, parts=["is among the flights used; hold out"])
+
+
+@pytest.mark.parametrize("more", ["", REFERENCE], ids=["no inputs", "reference only"])
+def test_log_without_inputs_is_an_answer_with_what_poses_tell(
+    run: Callable[..., tuple[int, dict[str, Any], str]], foreign: Callable[..., str], more: str
+) -> None:
+    code, told, complaint = run("trace", foreign(more))
+    assert (code, complaint) == (0, "")
+    assert told["drive"] == "inputs"
+    assert "thrust-gain" not in {effect["name"] for effect in told["effects"]}
+
+
+def test_flight_of_a_few_segments_is_too_little(refused: Refused, foreign: Callable[..., str]) -> None:
+    refused("trace", foreign(THRUST, seconds=2.5), code=2, parts=["usable segments of 0.6 s; fly longer"])
+    refused("trace", foreign("", seconds=2.5), code=2, parts=["usable segments of 0.6 s; fly longer"])
+    refused("learn", "foreign.mcap", code=2, parts=["foreign.mcap: no control telemetry"])
+
+
+def test_verbs_without_a_log_say_so(refused: Refused) -> None:
+    for verb in ("trace", "learn"):
+        refused(verb, code=2, parts=["no log given, name one or more"])
+
+
+# Outputs that are there already.
+
+
+def test_output_that_exists_is_kept_unless_forced(
+    refused: Refused, ref: str, log: str, tmp_path: Path
+) -> None:
+    for name in ("a.ref", "b.mcap", "c.model.toml", "truth.json"):
+        (tmp_path / name).write_text("mine")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "trace.html").write_text("mine")
+    (tmp_path / "cut.mcap").write_bytes((tmp_path / log).read_bytes()[:200_000])
+    hover_csv(tmp_path / "hover.csv")
+    (tmp_path / "map.toml").write_text(MAP)
+    for words in (
+        ("plan", "figure-eight", "-o", "a.ref"),
+        ("fly", ref, "-o", "b.mcap"),
+        ("learn", log, "-o", "c.model.toml"),
+        ("trace", log, "-o", "out"),
+        ("import", "csv", "hover.csv", "--columns", "map.toml", "-o", "b.mcap"),
+        ("log", "recover", "cut.mcap", "-o", "b.mcap"),
+        ("sitl", "--port", "pty", "--truth", "truth.json"),
+    ):
+        refused(*words, code=2, parts=["exists, choose another name or add --force"])
+        refused(
+            *(word.replace(".", "/no/", 1) if word == words[-1] else word for word in words), code=2, parts=[]
+        )
+
+
+# Ports.
+
+
+@pytest.fixture
+def terminal(require: Callable[[str], None]) -> Iterator[tuple[int, str]]:
+    """A pseudo terminal without echo: the descriptor of our end, and the name of the other."""
+    require("pty")
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    name = os.ttyname(theirs)
+    try:
+        yield ours, name
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+@contextlib.contextmanager
+def speaking(terminal: int, speech: Callable[[], bytes]) -> Iterator[None]:
+    """Says `speech` at the terminal ten times a second and takes what is written there."""
+    stop = threading.Event()
+
+    def speak() -> None:
+        while not stop.is_set():
+            with contextlib.suppress(OSError):
+                if select.select([terminal], [], [], 0.1)[0]:
+                    os.read(terminal, 65536)
+                if select.select([], [terminal], [], 0.0)[1]:
+                    os.write(terminal, speech())
+
+    thread = threading.Thread(target=speak)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def fly_words(ref: str, port: str) -> tuple[str, ...]:
+    return ("fly", ref, "--port", port, "--mocap", "udp://127.0.0.1:47123", "-o", "x.mcap")
+
+
+@pytest.mark.xdist_group("serial")
+def test_port_in_silence_is_no_vehicle(refused: Refused, ref: str, terminal: tuple[int, str]) -> None:
+    with speaking(terminal[0], bytes):
+        refused(
+            "upload", ref, "--port", terminal[1], code=3, parts=[terminal[1], "nothing was received in 5 s"]
+        )
+
+
+@pytest.mark.xdist_group("serial")
+def test_port_with_something_else_is_no_vehicle(
+    refused: Refused, ref: str, terminal: tuple[int, str]
+) -> None:
+    noise = random.Random(3)
+    with speaking(terminal[0], lambda: noise.randbytes(200)):
+        refused(
+            *fly_words(ref, terminal[1]), code=3, parts=["bytes of something else", "check port and baud"]
+        )
+
+
+def heartbeat(autopilot: int, custom_mode: int) -> bytes:
+    codec = Codec(*m.VEHICLE)
+    return codec.encode(m.Heartbeat(m.mavlink.MAV_TYPE_QUADROTOR, autopilot, 1, custom_mode, 3, 3))
+
+
+@pytest.mark.xdist_group("serial")
+@pytest.mark.parametrize(
+    ("answer", "parts"),
+    [
+        (
+            heartbeat(
+                m.mavlink.MAV_AUTOPILOT_GENERIC,
+                m.vehicle_heartbeat(1, armed=False).custom_mode + (1 << 16),
+            ),
+            [f"speaks version {m.DIALECT_VERSION + 1} of the dialect", "bring both to the same release"],
+        ),
+        (heartbeat(3, 0), ["a MAVLink vehicle, but none that speaks Trimtab's dialect"]),
+    ],
+    ids=["another version", "another make"],
+)
+def test_port_with_another_dialect_is_refused_at_once(
+    refused: Refused, ref: str, terminal: tuple[int, str], answer: bytes, parts: list[str]
+) -> None:
+    with speaking(terminal[0], lambda: answer):
+        refused("upload", ref, "--port", terminal[1], code=3, parts=[terminal[1], *parts])
+        refused(*fly_words(ref, terminal[1]), code=3, parts=[terminal[1], *parts])
+
+
+def test_port_that_cannot_be_opened_is_a_link_error(refused: Refused, ref: str) -> None:
+    for port, part in (
+        ("/dev/null", "serial port"),
+        ("no-device", "serial port"),
+        ("tcp:127.0.0.1:1", "reached"),
+    ):
+        refused("upload", ref, "--port", port, code=3, parts=[port, part])
+        refused(*fly_words(ref, port), code=3, parts=[port, part])
+
+
+# Ctrl-C.
+
+
+@pytest.mark.xdist_group("serial")
+@pytest.mark.parametrize("realtime", [False, True], ids=["lock-step", "real time"])
+def test_flight_interrupted_in_the_air_leaves_a_readable_log(
+    require: Callable[[str], None],
+    figure_eight: Callable[..., Reference],
+    vehicle: Any,
+    tmp_path: Path,
+    realtime: bool,
+) -> None:
+    require("pty")
+    slow = figure_eight(vehicle, duration_s=10.0 if realtime else 120.0)
+    (tmp_path / "slow.ref").write_bytes(slow.to_bytes())
+    words = ["fly", "slow.ref", "-o", "x.mcap", "--json", *(["--realtime"] if realtime else [])]
+    ours, theirs = os.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, b"\x20\x00\xc8\x00" + bytes(4))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "host.cli", *words],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=theirs,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(HERE.parent.parent)},
+    )
+    os.close(theirs)
+    shown = b""
+    try:
+        # The progress bar says when the flight has come to its tracking phase.
+        while b"tracking" not in shown:
+            assert select.select([ours], [], [], 60.0)[0], shown
+            shown += os.read(ours, 65536)
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(OSError):  # the terminal ends with the process
+            while part := os.read(ours, 65536):
+                shown += part
+        said, _ = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        os.close(ours)
+    assert process.returncode == 130
+    assert json.loads(said.strip().splitlines()[-1]) == {"error": "interrupted", "exit_code": 130}
+    assert b"trimtab: interrupted" in shown
+    flight = read_flight(tmp_path / "x.mcap")
+    assert flight.tracking is not None
+    assert not flight.tracking_whole
+    assert flight.mocap is not None
+    if realtime:  # the vehicle was told to land first
+        assert abs(flight.mocap.p[-1, 2]) < 0.1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["slow.ref", "x.mcap", "x.mcap.truth.json"]
