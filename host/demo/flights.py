@@ -36,6 +36,10 @@ class Airfield:
     world_seed: int
     session: Mapping[str, str]
 
+    def check(self) -> None:
+        """Nothing comes back. Raises ConfigurationError where there is no such world."""
+        vehicle_class().create(self.vehicle, world=self.world, world_seed=self.world_seed).close()
+
     def power_up(self, reference: Reference, flight: int) -> Any:
         """A simulated vehicle below the reference's first node."""
         north, east = reference.nodes_ned()[0].state[:2]

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from host.effects import Effect
 from host.errors import Refused
 from host.models.model import Model
-from host.plan import Plan, PlanRefused, plan
+from host.plan import Plan, PlanRefused, PlanUnsolved, plan
 from host.route import Route
 from host.vehicle import Vehicle
 
 FIRST_KIND, AGAIN_KIND = "min-control", "min-residual"
 MORE_TIME = 1.15
 TRIES = 4
-"""A first plan that is refused gets this much more time, this often; the last time it is the answer."""
+"""A first plan that fails gets this much more time for the next try, and so many tries."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +34,12 @@ class Planned:
 
 
 def plan_first(route: Route, vehicle: Vehicle) -> Planned:
-    """A plan with the nominal model. Raises PlanRefused where more time does not help, PlanUnsolved."""
+    """A plan with the nominal model. Raises PlanRefused or PlanUnsolved where more time does not help."""
     time_s = route.duration_s
     for left in reversed(range(TRIES)):
         try:
             made = plan(route, vehicle, kind=FIRST_KIND, total_time_s=time_s)
-        except PlanRefused:
+        except (PlanRefused, PlanUnsolved):
             if not left:
                 raise
             time_s = round(time_s * MORE_TIME, 2)

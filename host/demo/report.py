@@ -28,7 +28,7 @@ def _flown(comparison: Comparison, vehicle: Vehicle) -> Section:
     return {
         "title": "Flown before and after",
         "text": _text(comparison),
-        "table": [head, *_rows(flown, vehicle)],
+        "table": [head, *_rows(flown, vehicle, comparison.latency_s)],
         "figures": [_paths(comparison)],
     }
 
@@ -54,7 +54,7 @@ def _text(comparison: Comparison) -> list[str]:
     return lines
 
 
-def _rows(flown: tuple[Tracked, ...], vehicle: Vehicle) -> list[list[str]]:
+def _rows(flown: tuple[Tracked, ...], vehicle: Vehicle, latency_s: float) -> list[list[str]]:
     plans = [flight.planned.plan for flight in flown]
     limits = vehicle.limits
     speeds = [limits.speed_max_m_s - plan.margins["speed_m_s"] for plan in plans]
@@ -71,8 +71,9 @@ def _rows(flown: tuple[Tracked, ...], vehicle: Vehicle) -> list[list[str]]:
         ["planned top speed, m/s", *(f"{speed:.2f}" for speed in speeds)],
         ["planned greatest tilt, °", *(f"{tilt:.1f}" for tilt in tilts)],
         ["planned greatest rotor thrust, % of its most", *(f"{100 * top:.0f}" for top in tops)],
-        ["error RMSE with poses as stamped, mm", *(_mm(f.stamped_rmse_m) for f in flown)],
     ]
+    if latency_s:
+        rows.append(["error RMSE with poses as stamped, mm", *(_mm(f.stamped_rmse_m) for f in flown)])
     return rows
 
 

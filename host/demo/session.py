@@ -47,8 +47,8 @@ Say = Callable[[str], None]
 class DemoOrder:
     """What to show, and where to leave it.
 
-    folder: gets every file; `force` overwrites. routes: drawn from the seed where None. twins: flights of
-    each reference to learn from.
+    folder: gets every file, made if missing; `force` overwrites. routes: drawn from the seed where None.
+    twins: flights of each reference to learn from.
     """
 
     vehicle: Vehicle
@@ -79,8 +79,8 @@ def run_demo(
 ) -> Outcome:
     """The outcome of a demo; files are in the folder.
 
-    Raises Refused or PlanUnsolved (a plan), FlightFailed (a failsafe), or what tracing raises; flights
-    finished by then have left readable logs.
+    Raises ConfigurationError (no such world), Refused or PlanUnsolved (a plan), FlightFailed (a failsafe), or
+    what tracing raises; flights finished by then have left readable logs.
     """
     return _Demo(order, effects, say, manoeuvres).run()
 
@@ -105,6 +105,8 @@ class _Demo:
         self._steps: list[tuple[str, float]] = []
 
     def run(self) -> Outcome:
+        self._field.check()
+        self._order.folder.mkdir(parents=True, exist_ok=True)
         learning, held_out = self._plan()
         used, unseen = self._fly(learning, held_out)
         result = self._trace([flight for _, flight in used], [flight for _, flight in unseen])

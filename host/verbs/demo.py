@@ -71,7 +71,7 @@ def command(
 
 
 def _folder(root: Path, output: Path | None, force: bool) -> Path:
-    """An empty folder, or with `force` any. Raises UsageError."""
+    """A folder that is empty or yet to be made; with `force` any. Raises UsageError."""
     from host.errors import UsageError
 
     if output is None:
@@ -83,5 +83,4 @@ def _folder(root: Path, output: Path | None, force: bool) -> Path:
         raise UsageError(f"{output}: is a file, give a folder")
     if output.is_dir() and any(output.iterdir()) and not force:
         raise UsageError(f"{output}: holds files, choose another folder or add --force")
-    output.mkdir(parents=True, exist_ok=True)
     return output
