@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,12 +23,14 @@ class Settings:
     """How to train. `rate` decays to a hundredth over `epochs`; `l2` is on the weights, per segment."""
 
     hidden: tuple[int, ...] = (32, 32)
-    epochs: int = 100
+    epochs: int = 120
     batch: int = 16
     rate: float = 1e-2
     l2: float = 1e-3
-    patience: int = 30
+    patience: int = 40
     """Epochs without a better validation loss before training ends."""
+    any_heading: bool = True
+    """Turn every segment about the vertical by a drawn angle at each use: flights see few headings."""
 
     def __post_init__(self) -> None:
         if min(self.epochs, self.batch, self.patience) < 1 or not (self.rate > 0.0 and self.l2 >= 0.0):
@@ -81,8 +83,10 @@ def train(
             x0 = _filled(part.x0 + shift[chosen] * starts.sigma[chosen], batch)
             states = rollouts.roll_out(part, x0, adam.x)[1:, : len(chosen), :12].transpose(1, 0, 2)
             shift[chosen] = starts.refine(chosen, shift[chosen], part.measured[:, 1:] - states)
-            x0 = _filled(part.x0 + shift[chosen] * starts.sigma[chosen], batch)
-            found = rollouts.gradient(part, x0, adam.x, use)
+            part = replace(part, x0=part.x0 + shift[chosen] * starts.sigma[chosen])
+            if settings.any_heading:
+                part = part.turned(rng.uniform(-np.pi, np.pi, len(chosen)))
+            found = rollouts.gradient(part, _filled(part.x0, batch), adam.x, use)
             total += found.loss
             adam.step(found.xi / len(chosen) + 2.0 * settings.l2 * adam.x)
         losses.append(total / segments.count)

@@ -24,6 +24,8 @@ from firmware_model.law.ops import Ops
 class Layout:
     """The shape of a network: widths of the hidden layers between 6 inputs and 3 outputs.
 
+    The inputs are v_ned, roll, pitch and yaw; whole turns of yaw do not count: the network sees -pi..pi.
+
     Raises ValueError beyond three layers of 32: a network must fit the vehicle.
     """
 
@@ -58,14 +60,16 @@ class Layout:
 
     def scalars(self, ops: Ops, xi: Sequence[Any], inputs: Sequence[Any]) -> Sequence[Any]:
         """The 3 outputs for 6 scalar inputs, by the law's own form."""
-        return network(ops, xi, self.hidden, inputs[0:3], inputs[3:6])
+        yaw = ops.atan2(ops.sin(inputs[5]), ops.cos(inputs[5]))
+        return network(ops, xi, self.hidden, inputs[0:3], [*inputs[3:5], yaw])
 
     def matrices(self, xi: Any, inputs: Any) -> Any:
         """Outputs (3, n) for inputs (6, n) as CasADi matrix products; `xi` and `inputs` are MX or SX."""
-        values = inputs
+        yaw = inputs[5, :]
+        values = casadi.vertcat(inputs[:5, :], casadi.atan2(casadi.sin(yaw), casadi.cos(yaw)))
         ones = casadi.DM.ones(1, inputs.shape[1])
-        for layer in self._layers():
-            if values is not inputs:
+        for k, layer in enumerate(self._layers()):
+            if k:
                 values = casadi.tanh(values)
             weights = casadi.reshape(xi[layer.where], layer.columns, layer.rows).T  # CasADi: columns first
             values = casadi.mtimes(weights, casadi.vertcat(values, ones))
@@ -73,9 +77,10 @@ class Layout:
 
     def arrays(self, xi: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         """Outputs (3, n) for inputs (6, n) on numpy."""
-        values = inputs
-        for layer in self._layers():
-            if values is not inputs:
+        yaw = inputs[5:6]
+        values = np.concatenate([inputs[:5], np.arctan2(np.sin(yaw), np.cos(yaw))])
+        for k, layer in enumerate(self._layers()):
+            if k:
                 values = np.tanh(values)
             weights = xi[layer.where].reshape(layer.rows, layer.columns)
             values = weights[:, :-1] @ values + weights[:, -1:]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,6 +54,26 @@ class Segments:
             constants=self.constants[k],
             flight=self.flight[k],
         )
+
+    def turned(self, angles: np.ndarray) -> Segments:
+        """The segments turned about the vertical by angles (S,), rad: flights as good as those flown.
+
+        True of everything but what is fixed to the world, such as wind.
+        """
+        c, s = np.cos(angles), np.sin(angles)
+        x0, measured, drive = self.x0.copy(), self.measured.copy(), self.drive.copy()
+        for array, vectors, yaw in (
+            (x0, (0, 3), 8),
+            (measured, (0, 3), 8),
+            (drive, (0, 3, 6, 9, 14, 17), 12),
+        ):
+            shape = (-1,) + (1,) * (array.ndim - 2)
+            for k in vectors:
+                north, east = array[..., k].copy(), array[..., k + 1].copy()
+                array[..., k] = c.reshape(shape) * north - s.reshape(shape) * east
+                array[..., k + 1] = s.reshape(shape) * north + c.reshape(shape) * east
+            array[..., yaw] += angles.reshape(shape)
+        return replace(self, x0=x0, measured=measured, drive=drive)
 
 
 def cut(flights: Sequence[States], phi: Phi, *, steps: int) -> Segments:

@@ -21,7 +21,8 @@ def command(
     output: Annotated[Path, Parameter(name=["-o", "--output"])] = Path(DEFAULT_OUTPUT),
     model: Annotated[Path | None, Parameter(name="--model")] = None,
     hidden: Annotated[list[int] | None, Parameter(name="--hidden", consume_multiple=True)] = None,
-    epochs: int = 60,
+    epochs: int = 120,
+    any_heading: bool = True,
     seed: int = 0,
     workspace: WorkspaceFolder = None,
     json: Json = False,
@@ -43,6 +44,8 @@ def command(
         Widths of the hidden layers, at most three of 32.
     epochs
         Passes over the segments, at most.
+    any_heading
+        Take every flight as good in any heading: false where the world has a direction, as with wind.
     seed
         Seed of the first weights, the order and the split.
     """
@@ -64,7 +67,7 @@ def command(
         raise UsageError(f"{output}: a model's name ends in {SUFFIX}")
     artefacts.check_output(output, force)
     try:
-        settings = Settings(hidden=tuple(hidden or (32, 32)), epochs=epochs)
+        settings = Settings(hidden=tuple(hidden or (32, 32)), epochs=epochs, any_heading=any_heading)
     except ValueError as error:
         raise UsageError(str(error)) from None
     began = monotonic()

@@ -45,15 +45,15 @@ def logs(tmp_path_factory, make_states) -> list[Path]:
 
 def test_learn_verb_drag_lowers_the_error_on_a_reference_held_out(logs, tmp_path, capsys):
     output = tmp_path / "out.model.toml"
-    words = ["learn", *map(str, logs), "-o", str(output), "--epochs", "20", "--hidden", "16", "--json"]
+    words = ["learn", *map(str, logs), "-o", str(output), "--epochs", "40", "--hidden", "16", "--json"]
     assert main(words) == 0
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert set(answer) >= {"model", "train", "test", "epochs", "seconds"}
     test = answer["test"]
     assert not set(test["references"]) & set(answer["train"]["references"])
-    assert test["position_rmse_m"] < 0.8 * test["nominal"]["position_rmse_m"]
+    assert test["position_rmse_m"] < 0.7 * test["nominal"]["position_rmse_m"]
     train = answer["train"]
-    assert train["position_rmse_m"] < 0.4 * train["nominal"]["position_rmse_m"]
+    assert train["position_rmse_m"] < 0.6 * train["nominal"]["position_rmse_m"]
     model = read_model(output, vehicle_id=load_vehicle("research").id)
     assert model.id == answer["model_id"]
     assert model.network is not None
@@ -75,8 +75,8 @@ def test_learn_verb_writes_nothing_where_it_cannot_learn(logs, tmp_path, capsys)
 
 
 def test_learn_same_seed_gives_the_same_model(logs):
-    flights = [read_flight(path) for path in logs]
-    settings = Settings(hidden=(8,), epochs=2)
+    flights = [read_flight(path) for path in logs[:2]]
+    settings = Settings(hidden=(8,), epochs=1)
     ids = {learn(flights, settings=settings, seed=3).model.id for _ in range(2)}
     assert len(ids) == 1
     assert learn(flights, settings=settings, seed=4).model.id not in ids

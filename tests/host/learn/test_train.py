@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -111,3 +113,25 @@ def test_region_covers_the_flights(make_states):
     assert covered.speed_max_m_s == np.linalg.norm(states.x[:, 3:6], axis=1).max()
     assert 0.0 < covered.tilt_max_deg < 80.0
     assert covered.thrust_min_n < 0.752 * 9.81 < covered.thrust_max_n
+
+
+def test_segments_turned_are_flights_of_the_same_vehicle(make_states):
+    """Rolled out from a turned start along a turned reference, the states are the turned states."""
+    segments = cut([make_states(1, drag=False)], PHI, steps=25)
+    angles = np.linspace(-3.0, 3.0, segments.count)
+
+    def predicted(of):
+        return roll_out(
+            PHI,
+            x0=of.x0.T,
+            drive=of.drive.transpose(1, 2, 0),
+            flight=of.constants.T,
+            theta=NONE,
+            step_s=0.02,
+        ).transpose(2, 0, 1)
+
+    straight = predicted(segments)
+    expected = dataclasses.replace(segments, measured=straight).turned(angles)
+    np.testing.assert_allclose(predicted(segments.turned(angles)), expected.measured, atol=1e-9)
+    back = segments.turned(angles).turned(-angles)
+    np.testing.assert_allclose(back.drive, segments.drive, atol=1e-12)

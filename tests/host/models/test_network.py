@@ -47,3 +47,11 @@ def test_network_wrong_or_infinite_weights_are_refused():
     network = Network(layout=layout, xi=np.zeros(layout.size))
     with pytest.raises(ValueError, match="read-only"):
         network.xi[0] = 1.0
+
+
+def test_network_whole_turns_of_yaw_do_not_count():
+    layout = Layout(hidden=(6,))
+    xi = layout.initial(np.random.default_rng(3)) * 10.0
+    inputs = np.random.default_rng(4).standard_normal((6, 5))
+    turned = inputs + np.array([[0.0], [0.0], [0.0], [0.0], [0.0], [2.0 * np.pi]])
+    np.testing.assert_allclose(layout.arrays(xi, turned), layout.arrays(xi, inputs), atol=1e-12)
