@@ -27,7 +27,7 @@ class Tracked:
     """A flight against its reference over the tracking phase.
 
     p_ned: (n, 3) where it was. error_m: (n, 3) from the reference, NED. stamped_rmse_m: without the
-    correction. clipped_share: of the ticks in flight at the motors' limits.
+    correction. clipped_share: of the ticks in flight at the motors' limits. battery_v: as tracking began.
     """
 
     label: str
@@ -37,6 +37,7 @@ class Tracked:
     error_m: Array
     stamped_rmse_m: float
     clipped_share: float
+    battery_v: float | None
 
     @property
     def norm_m(self) -> Array:
@@ -104,6 +105,7 @@ class Comparison:
                         "tracking_max_m": flight.max_m,
                         "tracking_rmse_as_stamped_m": flight.stamped_rmse_m,
                         "clipped_share": flight.clipped_share,
+                        "battery_v": flight.battery_v,
                         "path_length_m": flight.planned.plan.path_length_m,
                         "mean_speed_m_s": flight.planned.plan.mean_speed_m_s,
                     }
@@ -120,8 +122,11 @@ def tracked(label: str, flight: Flight, planned: Planned, *, latency_s: float) -
     stamps_us, p = flight.mocap.t_us, flight.mocap.p
     stamped, _ = _errors(flight, stamps_us, p)
     error, inside = _errors(flight, stamps_us - round(1e6 * latency_s), p)
-    status = flight.status
-    clipped = 0.0 if status is None else status.saturated_ticks[-1] / max(1, status.flight_ticks[-1])
+    clipped, battery_v = 0.0, None
+    if (status := flight.status) is not None:
+        clipped = status.saturated_ticks[-1] / max(1, status.flight_ticks[-1])
+        began = min(int(np.searchsorted(status.t_us, flight.tracking[0])), len(status) - 1)
+        battery_v = float(status.battery_v[began])
     return Tracked(
         label=label,
         log=flight.path.name,
@@ -130,6 +135,7 @@ def tracked(label: str, flight: Flight, planned: Planned, *, latency_s: float) -
         error_m=error,
         stamped_rmse_m=float(np.sqrt((stamped**2).sum(axis=1).mean())),
         clipped_share=float(clipped),
+        battery_v=battery_v,
     )
 
 

@@ -65,6 +65,7 @@ def _rows(flown: tuple[Tracked, ...], vehicle: Vehicle, latency_s: float) -> lis
         *([f"{axis}, mm", *(_mm(f.axes_m[i]) for f in flown)] for i, axis in enumerate(AXES)),
         ["greatest, mm", *(_mm(f.max_m) for f in flown)],
         ["time at the motors' limits, %", *(f"{100 * f.clipped_share:.2f}" for f in flown)],
+        ["battery as tracking began, V", *(_volts(f.battery_v) for f in flown)],
         ["planned path, m", *(f"{plan.path_length_m:.2f}" for plan in plans)],
         ["planned time, s", *(f"{plan.duration_s:.2f}" for plan in plans)],
         ["planned mean speed, m/s", *(f"{plan.mean_speed_m_s:.2f}" for plan in plans)],
@@ -95,6 +96,10 @@ def _worse(comparison: Comparison, result: Trace) -> Section:
 
 def _mm(value_m: float) -> str:
     return f"{1e3 * value_m:.1f}"
+
+
+def _volts(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.2f}"
 
 
 def ratio(after: float | None, before: float) -> float | None:

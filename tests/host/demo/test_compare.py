@@ -54,6 +54,7 @@ def made(planned: Planned, label: str, scale_m: float, *, clipped: float = 0.0) 
         error_m=np.full((5, 3), scale_m),
         stamped_rmse_m=scale_m,
         clipped_share=clipped,
+        battery_v=None,
     )
 
 
