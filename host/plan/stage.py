@@ -83,7 +83,9 @@ class _NetworkTerms:
 def _network(network: Layers, inputs: ca.SX) -> _NetworkTerms:
     """Output (3), Jacobian (3, 6), gradient (6) and Hessian (6, 6) of the network, all by formula."""
     layers = [(ca.DM(weight), ca.DM(bias)) for weight, bias in network]
-    value, slope = inputs, ca.SX.eye(6)
+    # Whole turns of yaw do not count (`host.models.network`); the derivatives do not see them.
+    yaw = ca.atan2(ca.sin(inputs[5]), ca.cos(inputs[5]))
+    value, slope = ca.vertcat(inputs[:5], yaw), ca.SX.eye(6)
     hidden: list[tuple[ca.SX, ca.SX]] = []  # (activation, Jacobian of what it is applied to)
     for weight, bias in layers[:-1]:
         before = weight @ slope
