@@ -1,0 +1,125 @@
+"""Demos on seeds drawn from a commit's hash, each verdict set against its sealed world. Run by hand:
+
+    python tests/sessions/demo_seeds.py OUT [--count 10] [--commit HEAD] [--world WORLD]
+
+Every demo runs through the command line in a process of its own; its truth is opened when its answer is
+there. Prints a row a seed, the bad ones too, then the counts and medians. OUT gets the demos' folders and
+table.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+DRAGS = {"linear-drag", "quadratic-drag"}
+
+
+def drawn_seeds(commit: str, count: int) -> list[int]:
+    """`count` seeds from a commit's hash: the same commit gives the same seeds."""
+    digests = (hashlib.sha256(f"{commit} demo {i}".encode()).digest() for i in range(count))
+    return [int.from_bytes(digest[:4], "big") % 1_000_000 for digest in digests]
+
+
+def run(seed: int, folder: Path, world: str | None) -> dict[str, Any]:
+    """The answer of one demo; an error object where it failed."""
+    command = [
+        sys.executable,
+        "-m",
+        "host.cli",
+        "demo",
+        "--seed",
+        str(seed),
+        "-o",
+        str(folder),
+        "--json",
+        "--force",
+    ]
+    done = subprocess.run(
+        command + (["--world", world] if world else []), capture_output=True, text=True, check=False
+    )
+    lines = done.stdout.splitlines()
+    return json.loads(lines[-1]) if lines else {"error": done.stderr, "exit_code": done.returncode}
+
+
+def opened_truth(folder: Path, answer: dict[str, Any]) -> dict[str, dict[str, float]]:
+    """The sealed effects of a finished demo."""
+    assert "verdict" in answer
+    return json.loads(next(iter(sorted(folder.glob("*.truth.json")))).read_text())["effects"]
+
+
+def row(seed: int, answer: dict[str, Any], truth: dict[str, dict[str, float]]) -> dict[str, Any]:
+    """What the table says of one demo."""
+    found = {effect["name"] for effect in answer["effects"]}
+    aliases = {alias["name"] for effect in answer["effects"] for alias in effect["aliases"]}
+    before, after = answer["before"]["position_rmse_m"], answer["after"]["position_rmse_m"]
+    first = answer["tracking_rmse_first_m"]
+    new, applied = answer["tracking_rmse_new_plan_m"], answer["tracking_rmse_applied_m"]
+    return {
+        "seed": seed,
+        "truth": truth,
+        "verdict": answer["verdict"],
+        "found": {e["name"]: {k: v["value"] for k, v in e["parameters"].items()} for e in answer["effects"]},
+        "exact": found == set(truth),
+        "in_alias_set": set(truth) <= found | aliases,
+        "held_out_ratio": after / before if before and after else None,
+        "new_plan_ratio": new / first if new and first else None,
+        "applied_ratio": applied / first if applied and first else None,
+        "drag": bool(DRAGS & set(truth)),
+        "seconds": answer["seconds"],
+    }
+
+
+def median(rows: list[dict[str, Any]], key: str) -> float | None:
+    """Median of what the rows have of a key."""
+    values = [r[key] for r in rows if r.get(key) is not None]
+    return statistics.median(values) if values else None
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--count", type=int, default=10)
+    parser.add_argument("--commit", default="HEAD")
+    parser.add_argument("--world")
+    given = parser.parse_args()
+    commit = subprocess.run(
+        ["git", "rev-parse", given.commit], capture_output=True, text=True, check=True
+    ).stdout.strip()
+    given.out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    print(f"commit {commit}")
+    for seed in drawn_seeds(commit, given.count):
+        folder = given.out / f"{given.world or 'default'}-{seed}"
+        answer = run(seed, folder, given.world)
+        if "verdict" not in answer:
+            rows.append({"seed": seed, "error": answer})
+            print(json.dumps(rows[-1]), flush=True)
+            continue
+        rows.append(row(seed, answer, opened_truth(folder, answer)))
+        print(json.dumps(rows[-1]), flush=True)
+    judged = [r for r in rows if "error" not in r]
+    summary = {
+        "demos": len(rows),
+        "failed": len(rows) - len(judged),
+        "exact": sum(r["exact"] for r in judged),
+        "in_alias_set": sum(r["in_alias_set"] for r in judged),
+        "held_out_ratio_median": median(judged, "held_out_ratio"),
+        "new_plan_ratio_median_with_drag": median([r for r in judged if r["drag"]], "new_plan_ratio"),
+        "applied_ratio_median_with_drag": median([r for r in judged if r["drag"]], "applied_ratio"),
+        "seconds_median": median(judged, "seconds"),
+    }
+    (given.out / "table.json").write_text(
+        json.dumps({"commit": commit, "rows": rows, "summary": summary}, indent=1)
+    )
+    print(json.dumps(summary))
+
+
+if __name__ == "__main__":
+    main()
