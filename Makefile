@@ -10,7 +10,7 @@ TESTS ?=
 PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
 export TRIMTAB_PYTHON
 
-.PHONY: venv demo test test-all lint style types generate
+.PHONY: venv demo test test-all lint style types generate docs
 
 venv: $(READY)
 
@@ -39,3 +39,6 @@ types: $(READY_ALL)
 
 generate: $(READY_ALL)
 	$(PYTHON) -m protocol.generate
+
+docs: $(READY)
+	$(PYTHON) -m host.report.effects_page docs/effects.md

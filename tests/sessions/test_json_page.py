@@ -1,0 +1,169 @@
+"""docs/json.md names every key that the verbs really print, and no other."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from host import cli, output
+from host.demo.compare import Comparison
+from host.link.upload import UploadResult
+from protocol.blobs import Reference
+
+ROOT = Path(__file__).parent.parent.parent
+MADE = ROOT / "tests" / "data"
+PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
+Steps = tuple[str, ...]
+
+
+def documented(verb: str) -> list[Steps]:
+    """Every key of a verb's table as steps, `[]` a step of its own."""
+    (section,) = re.findall(rf"^## {verb}\n(.*?)(?=^## |\Z)", PAGE, flags=re.MULTILINE | re.DOTALL)
+    keys = re.findall(r"^\| `([^`]+)` \| ([^|]*)\|", section, flags=re.MULTILINE)
+    return [tuple(key.replace("[]", ".[]").split(".")) for key, _ in keys]
+
+
+def leaves(value: Any, at: Steps = ()) -> Iterator[tuple[Steps, Any]]:
+    """Every number, text, null or empty container with the steps to it."""
+    if isinstance(value, dict) and value:
+        for key, inner in value.items():
+            yield from leaves(inner, (*at, key))
+    elif isinstance(value, list) and value:
+        for inner in value:
+            yield from leaves(inner, (*at, "[]"))
+    else:
+        yield at, value
+
+
+def fits(steps: Steps, key: Steps) -> bool:
+    """Whether steps that were printed are those of a documented key, or lead towards it."""
+    return len(steps) <= len(key) and all(
+        wanted == step or wanted.isupper() for step, wanted in zip(steps, key, strict=False)
+    )
+
+
+def check(verb: str, told: dict[str, Any], *more: Steps) -> None:
+    """Holds the page against what was printed."""
+    keys = [*documented(verb), *more]
+    found = list(leaves(told))
+    for steps, value in found:
+        whole = [key for key in keys if fits(steps, key)]
+        assert whole, f"{verb} prints {'.'.join(steps)}, which the page does not name"
+        # Only what is absent may end before the key does.
+        assert any(len(key) == len(steps) for key in whole) or value in (None, [], {}), steps
+    for key in keys:
+        assert any(fits(steps, key) for steps, _ in found), f"{verb} prints no {'.'.join(key)}"
+
+
+@pytest.fixture
+def run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., dict[str, Any]]:
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: str) -> dict[str, Any]:
+        monkeypatch.setattr(output, "_emitted", False)
+        monkeypatch.setattr("sys.argv", ["trimtab", *words, "--json"])
+        capsys.readouterr()
+        assert cli.main([*words, "--json"]) == 0, capsys.readouterr().err
+        return json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+
+    return call
+
+
+@pytest.fixture
+def log(tmp_path: Path, flown: Any) -> str:
+    (tmp_path / "flight.mcap").write_bytes(flown[0].log.read_bytes())
+    return "flight.mcap"
+
+
+def test_page_has_a_table_for_every_verb() -> None:
+    titles = re.findall(r"^## (\w+)", PAGE, flags=re.MULTILINE)
+    assert set(titles) == {verb.name for verb in cli.present_verbs()}
+
+
+def test_plan_and_fly_print_what_the_page_says(run: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
+    (tmp_path / "hop.toml").write_text(
+        'name = "hop"\ntotal_time_s = 2.0\nwaypoints_m = [[0.0, 0.0, -1.0], [1.0, 0.0, -1.2]]\n'
+    )
+    check("plan", run("plan", "hop.toml", "-o", "hop.ref"))
+    check("fly", run("fly", "hop.ref", "-o", "hop.mcap"))
+
+
+def test_log_prints_what_the_page_says(run: Callable[..., dict[str, Any]], log: str, tmp_path: Path) -> None:
+    check("log info", run("log", "info", log))
+    check("log export", run("log", "export", log))
+    check("log recover", run("log", "recover", log))
+    (tmp_path / "cut.mcap").write_bytes((tmp_path / log).read_bytes()[:200_000])
+    check("log recover", run("log", "recover", "cut.mcap"))
+
+
+def test_trace_prints_what_the_page_says(run: Callable[..., dict[str, Any]]) -> None:
+    found = run("trace", str(MADE / "b1.mcap"), "-o", "out")
+    assert found["effects"]
+    check("trace", found)
+
+
+def test_learn_prints_what_the_page_says(run: Callable[..., dict[str, Any]]) -> None:
+    logs = (str(MADE / "a1.mcap"), "--hold-out", str(MADE / "b1.mcap"))
+    check("learn", run("learn", *logs, "-o", "x.model.toml", "--epochs", "1", "--hidden", "2"))
+
+
+def test_import_prints_what_the_page_says(run: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
+    rows = [f"{0.01 * k},{0.3 * k / 400:.4f},0,1,1,0,0,0,0.3" for k in range(400)]
+    (tmp_path / "f.csv").write_text("\n".join(["t,x,y,z,qw,qx,qy,qz,T", *rows]))
+    (tmp_path / "m.toml").write_text(
+        'world = "nwu"\nbody = "flu"\ntime = "t"\nposition_m = ["x", "y", "z"]\n'
+        'quaternion = ["qw", "qx", "qy", "qz"]\nthrust_n = "T"\n'
+    )
+    check("import", run("import", "csv", "f.csv", "--columns", "m.toml", "-o", "f.mcap"))
+
+
+def test_upload_prints_what_the_page_says(reference: Reference) -> None:
+    result = UploadResult(kind="reference", id=reference.id, seconds=0.1, frames_sent=9, frames_repeated=0)
+    check("upload", result.to_json())
+
+
+def test_sitl_prints_what_the_page_says(require: Callable[[str], None]) -> None:
+    require("pty")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "host.cli", "sitl", "--port", "pty", "--json"],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
+    assert process.stdout is not None
+    try:
+        assert process.stdout.readline().startswith("/dev/")
+        process.send_signal(signal.SIGTERM)
+        said, _ = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    check("sitl", json.loads(said.strip().splitlines()[-1]))
+
+
+def test_demo_prints_what_the_page_says(run: Callable[..., dict[str, Any]], log: str) -> None:
+    plan = SimpleNamespace(path_length_m=1.0, mean_speed_m_s=1.0)
+    planned = SimpleNamespace(plan=plan, route=SimpleNamespace(name="r"))
+    flight: Any = SimpleNamespace(
+        label="first",
+        log="1.mcap",
+        rmse_m=0.1,
+        max_m=0.2,
+        stamped_rmse_m=0.1,
+        clipped_share=0.0,
+        battery_v=16.8,
+        planned=planned,
+    )
+    compared = Comparison(first=(flight,), new_plan=None, applied=None, latency_s=0.0).to_json()
+    told = {**run("trace", log), **compared, "seconds": 1.0, "steps": [{"step": "plan", "seconds": 1.0}]}
+    check("demo", told, *documented("trace"))

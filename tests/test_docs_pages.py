@@ -1,0 +1,152 @@
+"""The pages on effects, imports, the link and flight logs say what the code does."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from google.protobuf.message import Message
+
+from host.effects import load_effects
+from host.imports import crazyflie_usd, nanobench
+from host.imports.airborne import CLEAR_M, EDGE_US, SHORTEST_US
+from host.imports.columns import ColumnMap, read_map
+from host.imports.profiles import PROFILES
+from host.imports.recording import Unknown
+from host.imports.write import DECLARED_MASS_SIGMA
+from host.link.client import TIMESYNC_FIRST_US, TIMESYNC_US
+from host.link.flight import SILENCE_US
+from host.link.tasks import PATIENCE_US
+from host.log import FLIGHT_TOPICS, IMPORTED_TOPICS
+from host.report.effects_page import page
+from host.trace.parameters import REPLACES
+from protocol.generated import flight_pb2
+from protocol.generated.frames import MESSAGES
+from protocol.messages import UploadState
+from protocol.upload import CHUNK_BYTES, SenderState
+from protocol.uwb import FRAME_BYTES
+from sitl.world import RadioSettings
+
+DOCS = Path(__file__).parent.parent / "docs"
+
+
+def text_of(name: str) -> str:
+    return (DOCS / name).read_text(encoding="utf-8")
+
+
+def table(text: str, heading: str) -> list[list[str]]:
+    """The cells of the first table below a heading, without its head."""
+    part = text.split(f"## {heading}\n", 1)[1]
+    rows = re.search(r"(?:^\|.*\n)+", part, flags=re.MULTILINE)
+    assert rows is not None
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows[0].splitlines()[2:]]
+
+
+def test_effects_page_is_the_one_the_code_makes() -> None:
+    assert text_of("effects.md") == page(load_effects()), "run `make docs`"
+
+
+def test_imports_page_names_every_profile_and_every_unknown() -> None:
+    text = text_of("imports.md")
+    named = re.findall(r"^\| `([a-z-]+)` \|", text.split("## What comes in")[0], flags=re.MULTILINE)
+    assert tuple(named) == PROFILES
+    rows = table(text, "What is declared unknown")
+    assert [row[0].strip("`") for row in rows] == list(get_args(Unknown))
+    for name, of_nanobench, of_usd, leaves in rows:
+        word = name.strip("`")
+        assert (word in nanobench.UNKNOWN) == (not of_nanobench.startswith("known")), word
+        assert (word in crazyflie_usd.UNKNOWN) == (not of_usd.startswith("known")), word
+        # Mass is never named by itself.
+        assert [effect for effect in leaves.split(", ") if effect] == [
+            effect for effect in REPLACES[word] if effect != "mass"
+        ]
+    for figure in (f"{CLEAR_M:g} m", f"known to {100 * DECLARED_MASS_SIGMA:g} %"):
+        assert figure in text
+    assert (EDGE_US, SHORTEST_US) == (500_000, 2_000_000)  # "half a second", "less than two seconds"
+
+
+def test_imports_page_names_every_key_of_a_column_map(tmp_path: Path) -> None:
+    text = text_of("imports.md")
+    named = {key for row in table(text, "Column maps") for key in re.findall(r"`([a-z0-9_]+)`", row[0])}
+    assert named == set(ColumnMap.model_fields)
+    (example,) = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
+    (tmp_path / "map.toml").write_text(example)
+    assert read_map(tmp_path / "map.toml").motor_command_full == 65535
+
+
+def test_link_page_budget_adds_up() -> None:
+    text = text_of("link.md")
+    for name, size in re.findall(r"([A-Z_]{4,}) (\d+) B", text):
+        (longest,) = [length for known, _, length in MESSAGES.values() if known == name]
+        # A pose without its covariance, which is an extension, has 36 B.
+        assert int(size) == (36 if name == "ATT_POS_MOCAP" else longest) + 12, name
+    rows = table(text, "Air budget")
+    frames = [int(row[3].strip("*").partition(" ")[0]) for row in rows]
+    assert sum(frames[:4]) == frames[4]
+    assert frames[4] + frames[5] == 1_000_000 // RadioSettings().slot_us == 500
+    for row in rows[:3]:
+        assert int(row[2].rpartition("-")[2]) <= FRAME_BYTES
+    left = frames[5] * CHUNK_BYTES
+    assert (
+        f"of {CHUNK_BYTES} B chunks are {left / 1000:.2f} kB/s, {0.9 * left / 1000:.1f} kB/s where a tenth"
+        in text
+    )
+
+
+def test_link_page_has_the_simulators_defaults() -> None:
+    text, chosen = text_of("link.md"), RadioSettings()
+    told = dict(row[:2] for row in table(text, "Design choices"))
+    assert told["frame"].startswith(f"{FRAME_BYTES} B")
+    assert f"slots of {chosen.slot_us / 1000:g} ms" in told["channel"]
+    assert (
+        told["delay"]
+        == f"{chosen.latency_us / 1000:g} ms after the slot, up to {chosen.jitter_us / 1000:g} ms more"
+    )
+    assert told["loss"].startswith(
+        f"{100 * chosen.loss:g} % of full frames in spells of {chosen.burst_frames:g}"
+    )
+    assert (
+        told["duplicates, damage"] == f"{100 * chosen.duplicate:g} % and {100 * chosen.corrupt:g} % of frames"
+    )
+
+
+def test_link_page_names_every_state_message_and_time() -> None:
+    text = text_of("link.md")
+    states = [row[0] for row in re.findall(r"^\| ([A-Z]+) \|(.*)$", text, flags=re.MULTILINE)]
+    # LIVE is what is answered about a blob in use, never a state of the receiver.
+    assert set(states) == {s.name for s in UploadState if s is not UploadState.LIVE} | {
+        s.name for s in SenderState
+    }
+    for name, _, _ in MESSAGES.values():
+        if name.startswith("UPLOAD_"):
+            assert f"| {name} |" in text
+    assert f"gives a port {PATIENCE_US / 1e6:g} s" in text
+    assert f"silent for {SILENCE_US / 1e6:g} s in flight" in text
+    assert f"at {1e6 / TIMESYNC_US:g} Hz ({1e6 / TIMESYNC_FIRST_US:g} Hz until" in text
+
+
+OURS = [
+    topic.message
+    for topic in (*FLIGHT_TOPICS, *IMPORTED_TOPICS)
+    if hasattr(flight_pb2, topic.message.__name__)
+]
+
+
+@pytest.mark.parametrize("message", dict.fromkeys(OURS), ids=lambda message: message.__name__)
+def test_flight_log_page_names_every_field(message: type[Message]) -> None:
+    name, found, fields = message.DESCRIPTOR.name, "", set[str]()
+    for row in table(text_of("flight-log.md"), "Fields"):
+        found = row[0] or found
+        if found == name:
+            fields |= set(re.findall(r"`([a-z0-9_]+)`", row[1]))
+    assert fields == {field.name for field in message.DESCRIPTOR.fields}
+
+
+def test_flight_log_page_names_every_topic_and_how_it_is_sampled() -> None:
+    text = text_of("flight-log.md")
+    for topic in (*FLIGHT_TOPICS, *IMPORTED_TOPICS):
+        assert f"`{topic.name}`" in text
+        for field in topic.averaged:
+            assert re.search(rf"`{field}`.*\*\*means over the interval\*\*", text)
