@@ -1,5 +1,4 @@
 """Between byte streams and radio frames: MAVLink 2 messages found in bytes and packed into frames of 116 B.
-116 B.
 
 A message never crosses a frame. Nothing here decodes payloads; an id, a length and a checksum are all it
 takes.

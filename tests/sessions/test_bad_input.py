@@ -227,7 +227,8 @@ def test_waypoints_out_of_reach_in_time_name_node_and_reason(refused: Refused, t
 
 @pytest.mark.parametrize("share", [0.0, 1e-5, 0.02, 0.5, 0.999])
 @pytest.mark.parametrize(
-    "verb", [("trace",), ("learn",), ("log", "info"), ("trace", "flight.mcap", "--hold-out")]
+    "verb",
+    [("trace",), ("learn",), ("log", "info"), ("log", "export"), ("trace", "flight.mcap", "--hold-out")],
 )
 def test_log_cut_anywhere_names_the_way_out(
     refused: Refused, log: str, tmp_path: Path, verb: tuple[str, ...], share: float
@@ -346,6 +347,14 @@ def test_output_that_exists_is_kept_unless_forced(
         )
 
 
+def test_demo_refused_makes_no_folder(refused: Refused, ref: str) -> None:
+    refused("demo", "--world", "atlantis", code=2, parts=["atlantis: no such world"])
+    refused("demo", "--seed", "-1", code=2, parts=["--seed -1 is negative"])
+    refused("demo", "-o", ref, code=2, parts=["eight.ref: is a file, give a folder"])
+    refused("demo", "-o", ".", code=2, parts=["holds files, choose another folder or add --force"])
+    refused("demo", "--vehicle", "none", code=2, parts=["none: no such vehicle"])
+
+
 # Ports.
 
 
@@ -434,6 +443,22 @@ def test_port_with_another_dialect_is_refused_at_once(
     with speaking(terminal[0], lambda: answer):
         refused("upload", ref, "--port", terminal[1], code=3, parts=[terminal[1], *parts])
         refused(*fly_words(ref, terminal[1]), code=3, parts=[terminal[1], *parts])
+
+
+@pytest.mark.xdist_group("serial")
+def test_blob_for_another_vehicle_than_the_ports_is_refused(
+    refused: Refused, ref: str, require: Callable[[str], None]
+) -> None:
+    require("pty")
+    words = [sys.executable, "-m", "host.cli", "sitl", "--port", "pty", "--vehicle", "nano"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=HERE.parent.parent)
+    assert process.stdout is not None
+    try:
+        port = process.stdout.readline().strip()
+        refused("upload", ref, "--port", port, code=2, parts=[port, "is there, the reference is for"])
+    finally:
+        process.terminate()
+        process.communicate(timeout=60)
 
 
 def test_port_that_cannot_be_opened_is_a_link_error(refused: Refused, ref: str) -> None:
