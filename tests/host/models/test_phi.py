@@ -10,7 +10,7 @@ from firmware_model.law.ops import FLOAT
 from host.effects import load_effects
 from host.models.network import Layout, Network
 from host.models.phi import DRIVE_ROWS, Phi, flight_constants
-from host.models.reference import flat_outputs
+from host.models.reference import feedforward_rows, flat_outputs
 from host.models.rollout import half_steps, reference_drive, roll_out
 from protocol.blobs import FeedForward
 
@@ -248,3 +248,59 @@ def test_phi_wrong_arguments_are_refused(vehicle):
         roll_out(phi, x0=np.zeros((19, 1)), drive=drive, flight=flight, theta=theta, step_s=0.01)
     with pytest.raises(ValueError, match="x0 must have 19 rows"):
         roll_out(phi, x0=np.zeros((16, 1)), drive=drive[:3], flight=flight, theta=theta, step_s=0.01)
+
+
+@pytest.mark.parametrize(("delay_ms", "bound_m"), [(10, 0.5e-3), (20, 1.5e-3)])
+def test_phi_feedback_delay_equals_a_loop_fed_from_its_history(vehicle, make_reference, delay_ms, bound_m):
+    """The delayed system itself, position and velocity out of a history, at 1 ms."""
+    reference = make_reference(duration_s=4.0)
+    fed = Phi(vehicle=vehicle, drive="estimate")
+    bound = fed.program.bind(1)
+    bound.inputs["flight"][:, 0] = flight_constants()
+    x = fed.hover(reference.nodes_ned()[0].state[:3], 0.0)
+    steps = 4000
+    drive = reference_drive(reference, half_steps(0.0, steps, 1e-3))
+    past = [x[:6].copy() for _ in range(delay_ms + 1)]
+    exact = [x[:12].copy()]
+
+    def rate(state, k, seen):
+        bound.inputs["x"][:, 0] = state
+        bound.inputs["drive"][:, 0] = [*drive[k], *seen, *state[6:12]]
+        bound()
+        return bound.outputs["xdot"][:, 0].copy()
+
+    for k in range(steps):
+        begin, end = past[0], past[1]
+        middle = 0.5 * (begin + end)
+        k1 = rate(x, 2 * k, begin)
+        k2 = rate(x + 0.5e-3 * k1, 2 * k + 1, middle)
+        k3 = rate(x + 0.5e-3 * k2, 2 * k + 1, middle)
+        k4 = rate(x + 1e-3 * k3, 2 * k + 2, end)
+        x = x + 1e-3 / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        past = [*past[1:], x[:6].copy()]
+        if (k + 1) % 20 == 0:
+            exact.append(x[:12].copy())
+    phi = Phi(vehicle=vehicle, estimator=False)
+    delayed = predict(phi, reference, step_s=0.02, feedback_delay_s=delay_ms * 1e-3)
+    ignored = predict(phi, reference, step_s=0.02)
+    assert rmse(delayed, np.array(exact)) < bound_m
+    assert rmse(ignored, np.array(exact)) > 5.0 * rmse(delayed, np.array(exact))
+
+
+def test_feedforward_rows_of_a_network_are_its_output_at_the_flat_attitude(vehicle, make_reference):
+    reference = make_reference(turning=True)
+    layout = Layout(hidden=(4,))
+    xi = layout.initial(np.random.default_rng(2)) * 5.0
+    fed = FeedForward(vehicle_id=vehicle.id, model_id="0" * 12, layers=(4,), weights=tuple(xi))
+    flat = flat_outputs(reference, np.linspace(0.5, 5.0, 20))
+    rows = feedforward_rows(flat, fed)
+    f = np.array([[0.0], [0.0], [9.81]]) - flat[6:9]
+    yaw = flat[12]
+    forward = f[0] * np.cos(yaw) + f[1] * np.sin(yaw)
+    side = f[1] * np.cos(yaw) - f[0] * np.sin(yaw)
+    pitch = np.arctan2(forward, f[2])
+    roll = -np.arcsin(side / np.linalg.norm(f, axis=0))
+    weights = np.array(fed.weights)
+    expected = layout.arrays(weights, np.concatenate([flat[3:6], [roll], [pitch], [yaw]]))
+    np.testing.assert_allclose(rows[:3], expected, atol=1e-9)
+    assert not rows[3:].any()
