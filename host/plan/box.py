@@ -56,6 +56,19 @@ class SolverBox:
             keep_out_m=0.03,
         )
 
+    def excess(self, margins: Mapping[str, float]) -> float:
+        """The largest negative margin as a share of its limit; metres count as they are."""
+        low, high = self.thrust_share
+        scale = {
+            "thrust_low": high - low,
+            "thrust_high": high - low,
+            "body_rate_rad_s": max(self.body_rate_rad_s),
+            "tilt_deg": self.tilt_deg,
+            "speed_m_s": self.speed_m_s,
+            "jerk_m_s3": self.jerk_m_s3,
+        }
+        return max((-margin / scale.get(name, 1.0) for name, margin in margins.items()), default=0.0)
+
     def tightened(self, margins: Mapping[str, float]) -> SolverBox:
         """The box with the finished reference's negative margins taken off its bounds, and a little more."""
 

@@ -48,8 +48,8 @@ class Settings:
     step_penalty: float = 0.0
     total_time_box: tuple[float, float] = (1.0, 1.0)
     tolerance: float = 1e-6
-    iterations_max: int = 400
-    rounds: int = 8
+    iterations_max: int = 100
+    rounds: int = 12
 
     def __post_init__(self) -> None:
         for name in ("step_box", "total_time_box"):

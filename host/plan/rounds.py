@@ -1,9 +1,16 @@
-"""Rounds of solving and judging: each in a box tightened by what the reference before it exceeded."""
+"""Rounds of solving and judging.
+
+A reference that leaves the limits between nodes is solved again, warm, in a box tightened by the excess. Where
+it leaves them by much, or the solver keeps wandering, the path ripples as fast as its nodes allow: then the
+weight of the thrust rates doubles too. A solve that fails starts anew: on the straight lines, then along the
+min-snap path.
+"""
 
 from __future__ import annotations
 
 import time
 from dataclasses import replace
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +20,7 @@ from host.plan.job import Effort, Job
 from host.plan.judge import Judged, measure
 from host.plan.result import Plan, PlanRefused, PlanUnsolved
 from host.plan.shooting import (
+    NODE_S,
     Grid,
     deviation_m,
     linear_start,
@@ -32,9 +40,13 @@ _YAW_SETTLED = np.radians(2.0)
 """How far the heading at the nodes may move because their times did, without another round to use it."""
 _LEAST_RESIDUAL = 0.6
 """m/s^2: below, a residual is not worth a wilder path."""
+_RIPPLE = 0.1
+"""Excess, as a share of the limit, beyond which a path is made smoother and not only its box tighter."""
 _PATIENCE = 4
-"""Rounds after which a path that sticks out is made smoother, twice as much each round, and one that does not
-is taken although its heading moved."""
+"""Rounds after which a path that sticks out is made smoother, and one that does not is taken although its
+heading moved."""
+_NEARLY_FEASIBLE = 0.05
+"""Constraint violation up to which an unfinished iterate is worth going on from."""
 _REMEDY = "give it more time, headroom or nodes"
 _SEARCH = (SolveStatus.INFEASIBLE, SolveStatus.RESTORATION)
 
@@ -46,17 +58,17 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
     PlanUnsolved where the solver gave up otherwise.
     """
     started = time.process_time()
-    durations = job.durations()
-    grid = make_grid(durations, nodes, times_fixed=job.route.times_s is not None)
+    grid = make_grid(job.durations(), nodes, times_fixed=job.route.times_s is not None)
     run = _Run(job, grid)
-    judged: Judged | None = None
-    for _ in range(job.settings.rounds):
-        solution = run.solve(judged)
-        table = smooth(solution, grid, job.waypoints_ned)
-        yaws = job.yaws(solution.t_s[-1] / job.route.duration_s)
-        judged = job.judge(table, yaws)
-        moved = np.abs(yaw_profile(yaws, solution.t_s) - run.yaw).max()
-        if judged.ok and (moved <= _YAW_SETTLED or run.rounds >= _PATIENCE):
+    while run.rounds < job.settings.rounds:
+        solution = run.solve()
+        if not solution.status.usable:
+            run.recover(solution)
+            continue
+        judged = job.judge(
+            smooth(solution, grid, job.waypoints_ned), job.yaws(solution.t_s[-1] / job.route.duration_s)
+        )
+        if run.settled(solution, judged):
             effort = Effort(
                 status=solution.status.name.lower(),
                 solve_s=time.process_time() - started,
@@ -66,13 +78,7 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
                 deviation_m=deviation_m(run.stage, run.problem, solution, judged.table),
             )
             return job.finish(judged, solution.t_s[grid.waypoints], effort)
-        run.box = run.box.tightened(judged.margins)
-        run.yaw = yaw_profile(yaws, solution.t_s)
-    assert judged is not None
-    raise PlanRefused(
-        f"the {job.label} plan is refused after {run.rounds} rounds: {judged.message}; {_REMEDY}",
-        judged.verdict,
-    )
+    raise run.failure()
 
 
 def _scale(job: Job, grid: Grid) -> float:
@@ -82,6 +88,13 @@ def _scale(job: Job, grid: Grid) -> float:
     path = snap_table(job.waypoints_ned, grid.counts * grid.h0_s)
     rms = measure(job.dynamics.vehicle, job.dynamics.model, path, job.yaws()).residual_rms_m_s2
     return max(_LEAST_RESIDUAL, rms or 0.0) ** 2
+
+
+class _Start(IntEnum):
+    """Where a solve without a predecessor begins, in the order they are tried."""
+
+    LINEAR = 0
+    SNAP = 1
 
 
 class _Run:
@@ -101,52 +114,73 @@ class _Run:
         self.yaw = yaw_profile(job.yaws(), grid.times_s)
         self.problem: Problem
         self.rounds = self.iterations = 0
-        self._from_snap = False
+        # A coarse grid lets faster ripples through its spline's knots.
+        self._smoothing = max(1.0, float(grid.times_s[-1]) / len(grid.leg_of) / NODE_S) ** 2
+        self._start = _Start.LINEAR
         self._last: Solution | None = None
+        self._near: Judged | None = None
 
-    def solve(self, near: Judged | None) -> Solution:
-        """The round's solution; `near` is the reference of the round before, for the message of a refusal."""
-        while True:
-            self.problem = self._make_problem()
-            solution = solve(
-                self.model,
-                self.stage,
-                self.problem,
-                tolerance=self.job.settings.tolerance,
-                max_iterations=self.job.settings.iterations_max,
-            )
-            self.rounds += 1
-            self.iterations += solution.iterations
-            if solution.status.usable:
-                self._last = solution
-                return solution
-            if self._last is not None:
-                self._last = None
-            elif not self._from_snap:
-                self._from_snap = True
-            else:
-                self._fail(solution, near)
-
-    def _fail(self, solution: Solution, near: Judged | None) -> None:
-        label = self.job.label
-        if near is not None and not near.ok:
-            raise PlanRefused(
-                f"the {label} plan is refused: {near.message}, and tighter bounds leave no way; {_REMEDY}",
-                near.verdict,
-            )
-        if solution.status in _SEARCH:
-            raise PlanRefused(f"no {label} plan: {solution.status.value}; {_REMEDY}")
-        raise PlanUnsolved(
-            f"no {label} plan: {solution.status.value} ({solution.iterations} iterations); {_REMEDY}",
-            solution.status,
+    def solve(self) -> Solution:
+        """The round's last iterate."""
+        self.problem = self._make_problem()
+        settings = self.job.settings
+        solution = solve(
+            self.model,
+            self.stage,
+            self.problem,
+            tolerance=settings.tolerance,
+            max_iterations=settings.iterations_max,
         )
+        self.rounds += 1
+        self.iterations += solution.iterations
+        return solution
+
+    def settled(self, solution: Solution, judged: Judged) -> bool:
+        """Whether this is the plan; else what the next round does differently is set."""
+        self._last, self._near = solution, judged
+        yaw = yaw_profile(judged.reference.yaw_nodes(), solution.t_s)
+        moved = np.abs(yaw - self.yaw).max()
+        if judged.ok and (moved <= _YAW_SETTLED or self.rounds >= _PATIENCE):
+            return True
+        self.yaw = yaw
+        if not judged.ok:
+            worst = self.box.excess(judged.margins)
+            self.box = self.box.tightened(judged.margins)
+            if worst > _RIPPLE or self.rounds >= _PATIENCE:
+                self._smoothing *= 2.0
+        return False
+
+    def recover(self, solution: Solution) -> None:
+        """Set how the next round starts after a solve that failed. Raises PlanRefused or PlanUnsolved."""
+        if solution.status is SolveStatus.ITERATIONS and solution.violation <= _NEARLY_FEASIBLE:
+            self._last = solution
+            self._smoothing *= 2.0
+        elif self._last is not None:
+            self._last = None
+        elif self._start is _Start.LINEAR:
+            self._start = _Start.SNAP
+        else:
+            raise self.failure(solution)
+
+    def failure(self, solution: Solution | None = None) -> PlanRefused | PlanUnsolved:
+        """What to say when there is no way on; `solution` is the last solve's, None after the last round."""
+        label = self.job.label
+        if self._near is not None and not self._near.ok:
+            return PlanRefused(
+                f"the {label} plan is refused after {self.rounds} rounds: {self._near.message}; {_REMEDY}",
+                self._near.verdict,
+            )
+        status = SolveStatus.ITERATIONS if solution is None else solution.status
+        if status in _SEARCH:
+            return PlanRefused(f"no {label} plan: {status.value}; {_REMEDY}")
+        text = f"no {label} plan: {status.value} ({self.iterations} iterations in {self.rounds} rounds)"
+        return PlanUnsolved(f"{text}; {_REMEDY}", status)
 
     def _make_problem(self) -> Problem:
         job, grid, settings = self.job, self.grid, self.job.settings
-        if self._from_snap:
-            start = table_start(
-                job.dynamics, snap_table(job.waypoints_ned, grid.counts * grid.h0_s), grid, job.yaws()
-            )
+        if self._start is _Start.SNAP:
+            path = snap_table(job.waypoints_ned, grid.counts * grid.h0_s)
+            start = table_start(job.dynamics, path, grid, job.yaws())
         else:
             start = linear_start(job.dynamics, job.waypoints_ned, grid, self.yaw)
         low, high = settings.total_time_box
@@ -158,7 +192,7 @@ class _Run:
             job.limits,
             self.box,
             yaw=self.yaw,
-            smoothing=2.0 ** max(0, self.rounds - _PATIENCE),
+            smoothing=self._smoothing,
             start=start,
             h_bounds=settings.step_box,
             total_bounds_s=(-np.inf, np.inf) if grid.times_fixed else (low * total_s, high * total_s),

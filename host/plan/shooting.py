@@ -29,7 +29,7 @@ from protocol.blobs import YawNode
 Array = NDArray[np.float64]
 
 NODES_MAX = 200
-_NODE_S = 0.07
+NODE_S = 0.07
 _LEG_NODES_MIN = 4
 _YAW_SLACK = 0.3  # rad, around the heading asked for; the cost keeps it two orders of magnitude closer
 
@@ -68,7 +68,7 @@ def make_grid(durations_s: Array, nodes: int | None, *, times_fixed: bool) -> Gr
     Without a number a step takes about 70 ms, within 60 to 200 intervals.
     """
     total_s = float(durations_s.sum())
-    wanted = nodes or int(np.clip(np.ceil(total_s / _NODE_S), 60, NODES_MAX))
+    wanted = nodes or int(np.clip(np.ceil(total_s / NODE_S), 60, NODES_MAX))
     counts = np.maximum(_LEG_NODES_MIN, np.rint(durations_s / total_s * wanted).astype(np.int64))
     return Grid(counts=counts, h0_s=durations_s / counts, times_fixed=times_fixed)
 

@@ -60,12 +60,14 @@ class StageModel:
 class Stage:
     """CasADi functions of one interval of h * h0_s seconds, z = (x, u, h).
 
-    value(x, u, h, h0_s, p) -> x_next, cost, path. slopes(same) -> d x_next/dz, d cost/dz, d path/d(x, u).
+    value(x, u, h, h0_s, p) -> x_next, cost, path. gradient(same) -> d cost/dz. slopes(same) -> d x_next/dz, d
+    path/d(x, u).
     hessian(same, sigma, lam_x, lam_path) -> upper triangle of the Hessian in z of sigma cost + lam_x' x_next
     + lam_path' path.
     """
 
     value: ca.Function
+    gradient: ca.Function
     slopes: ca.Function
     hessian: ca.Function
 
@@ -247,12 +249,9 @@ class _Builder:
             value=ca.Function(
                 "value", arguments, [self.x_next, cost, path], names, ["x_next", "cost", "path"]
             ),
+            gradient=ca.Function("gradient", arguments, [ca.densify(cost_slope)], names, ["cost_slope"]),
             slopes=ca.Function(
-                "slopes",
-                arguments,
-                [ca.sparsify(x_slope), ca.densify(cost_slope), path_slope],
-                names,
-                ["x_slope", "cost_slope", "path_slope"],
+                "slopes", arguments, [ca.sparsify(x_slope), path_slope], names, ["x_slope", "path_slope"]
             ),
             hessian=ca.Function(
                 "hessian",

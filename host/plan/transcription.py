@@ -128,7 +128,10 @@ _STATUS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """The last iterate. x: (nx, N + 1); u: (nu, N); h: (steps,) in units of h0; t_s: (N + 1,) node times."""
+    """The last iterate. x: (nx, N + 1); u: (nu, N); h: (steps,) in units of h0; t_s: (N + 1,) node times.
+
+    violation: by how much it misses the constraint rows at most.
+    """
 
     status: SolveStatus
     x: Array
@@ -139,6 +142,7 @@ class Solution:
     iterations: int
     solve_s: float
     multipliers: Multipliers
+    violation: float
 
 
 def solve(
@@ -180,7 +184,14 @@ def solve(
         multipliers=Multipliers(
             bounds=np.asarray(found["lam_x"]).ravel(), rows=np.asarray(found["lam_g"]).ravel()
         ),
+        violation=_violation(np.asarray(found["g"]).ravel(), g_low, g_high),
     )
+
+
+def _violation(rows: Array, low: Array, high: Array) -> float:
+    """Largest distance of a row from its bounds; infinity where one is not a number."""
+    missed = float(np.maximum(low - rows, rows - high).max())
+    return max(0.0, missed) if np.isfinite(rows).all() else float("inf")
 
 
 class Assembly:
@@ -240,7 +251,7 @@ class Assembly:
 
     def _gradient(self, w: ca.MX, none: ca.MX, stage: Stage, f: ca.MX) -> ca.Function:
         """Gradients of the intervals, scattered: step sizes are shared, everything else stands alone."""
-        _, cost_slope, _ = stage.slopes.map(self.count)(*self._arguments)
+        cost_slope = stage.gradient.map(self.count)(*self._arguments)
         columns = self._columns().ravel()
         scatter = ca.DM.triplet(
             columns.tolist(), list(range(len(columns))), ca.DM.ones(len(columns)), self.width, len(columns)
@@ -253,7 +264,7 @@ class Assembly:
         return ca.Function("nlp_grad_f", [w, none], [f, gradient], ["x", "p"], ["f", "grad:f:x"])
 
     def _jacobian(self, w: ca.MX, none: ca.MX, stage: Stage, g: ca.MX) -> ca.Function:
-        x_slope, _, path_slope = stage.slopes.map(self.count)(*self._arguments)
+        x_slope, path_slope = stage.slopes.map(self.count)(*self._arguments)
         columns = self._columns()
         intervals = np.arange(self.count)[:, None]
         parts: list[tuple[NDArray[np.int64], NDArray[np.int64], ca.MX | ca.DM]] = []

@@ -101,7 +101,7 @@ def test_stage_derivatives_equal_those_of_the_unrolled_step(
         "oracle",
         [*arguments, sigma, lam_x, lam_path],
         [
-            x_next, cost, path, ca.jacobian(x_next, z), ca.gradient(cost, z), ca.jacobian(path, xu),
+            x_next, cost, path, ca.gradient(cost, z), ca.jacobian(x_next, z), ca.jacobian(path, xu),
             ca.triu(ca.hessian(lagrangian, z)[0]),
         ],
     )  # fmt: skip
@@ -109,7 +109,12 @@ def test_stage_derivatives_equal_those_of_the_unrolled_step(
     for seed in range(3):
         point = _point(seed)
         weights = [np.array(1.3), rng.standard_normal(model.nx), rng.standard_normal(path.shape[0])]
-        found = [*stage.value(*point), *stage.slopes(*point), stage.hessian(*point, *weights)]
+        found = [
+            *stage.value(*point),
+            stage.gradient(*point),
+            *stage.slopes(*point),
+            stage.hessian(*point, *weights),
+        ]
         for value, expected in zip(found, oracle(*point, *weights), strict=True):
             scale = max(1.0, np.abs(np.array(expected)).max())
             np.testing.assert_allclose(np.array(value), np.array(expected), atol=1e-11 * scale)
