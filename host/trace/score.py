@@ -18,9 +18,9 @@ from host.effects import Effect
 from host.log import Flight
 from host.models.dynamics import mocap_latency_s as latency_of
 from host.models.model import Model
-from host.models.phi import Phi, flight_constants
-from host.models.reference import block
+from host.models.phi import Phi
 from host.models.rollout import half_steps, reference_drive, roll_out
+from host.models.states import flight_states
 from host.trace import evidence, segments
 from host.trace.data import DT_S, SEGMENT_S, noise, segments_of, signals
 from host.trace.diagnose import starting_process
@@ -106,28 +106,27 @@ def _predict(flight: Flight, model: Model | None, effects: Mapping[str, Effect])
         effects=tuple(effect for effect, _ in parts),
         parameters=flight.firmware_parameters,
     )
+    latency = float(latency_of(NUMPY, parts))
+    known = flight_states(flight, latency_s=latency)
     start = flight.tracking[0] * 1e-6
     duration = flight.reference.nodes[-1].t_us * 1e-6
     steps = round(duration / _STEP_S)
     fine = phi.substeps(_STEP_S)
     stages = half_steps(0.0, steps * fine, _STEP_S / fine)
-    voltage = np.ones(1)
-    if flight.battery is not None and len(flight.battery):
-        ratio = flight.battery.battery_v / flight.vehicle.battery.full_v
-        voltage = np.interp(stages + start, flight.battery.t_us * 1e-6, ratio)
-    age = 0.0 if flight.estimate is None else float(np.median(flight.estimate.mocap_age_s))
     states = roll_out(
         phi,
-        x0=initial_state(flight, phi)[:, None],
+        x0=known.initial(phi)[:, None],
         drive=reference_drive(
-            flight.reference, stages, feedforward=flight.feedforward, voltage_ratio=voltage
+            flight.reference,
+            stages,
+            feedforward=flight.feedforward,
+            voltage_ratio=np.interp(stages, known.t_s, known.voltage_ratio),
         ),
-        flight=flight_constants(block(flight.feedforward), mocap_age_s=age),
+        flight=known.constants,
         theta=phi.theta(parts),
         step_s=_STEP_S / fine,
         every=fine,
     )[:, :, 0]
-    latency = float(latency_of(NUMPY, parts))
     t, p, v = motion(flight)
     t = t - start
     inside = (t > 0.1) & (t < duration)
@@ -143,31 +142,6 @@ def _predict(flight: Flight, model: Model | None, effects: Mapping[str, Effect])
         predicted=at[:, :3],
         measured=p,
     )
-
-
-def initial_state(flight: Flight, phi: Phi) -> np.ndarray:
-    """phi's state (size,) when tracking begins: measured pose and velocity, rotor thrust and controller
-    memory.
-    """
-    assert flight.tracking is not None
-    start = flight.tracking[0] * 1e-6
-    s = signals(flight)
-    near = np.abs(s.pose_s - start) < 0.25
-    fit = np.polynomial.polynomial.polyfit(s.pose_s[near] - start, s.p[near], 2)
-    x = phi.hover(fit[0], 0.0)
-    x[3:6] = fit[1]
-    R = s.R[near].mean(0)
-    x[6] = np.arctan2(R[2, 1], R[2, 2])
-    x[7] = -np.arcsin(np.clip(R[2, 0], -1.0, 1.0))
-    x[8] = np.arctan2(R[1, 0], R[0, 0])
-    if flight.control is not None:
-        c = flight.control
-        lately = (c.t1_us * 1e-6 > start - 0.3) & (c.t1_us * 1e-6 <= start + 0.02)
-        u = c.motor_mean[lately].mean(0)
-        c1, c2 = flight.vehicle.thrust_curve
-        x[12:16] = flight.vehicle.thrust_max_n * u * (c1 + c2 * u)
-        x[16:19] = c.rate_integral[lately].mean(0)
-    return x
 
 
 def predict_segments(
