@@ -13,6 +13,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.xdist_group("sealed")
+
 DATA = Path(__file__).parent / "data"
 USED = ("a1.mcap", "a2.mcap", "b1.mcap", "b2.mcap")
 
