@@ -142,9 +142,11 @@ class Dynamics:
         value = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
         for _ in range(20):
             error, slope = (np.array(part) for part in step(value))
+            if not np.isfinite(slope).all():
+                break
             if np.abs(error).max() < 1e-10:
                 return np.concatenate([np.zeros(6), value[:2], [yaw], np.zeros(3), value[2:]])
-            value = value - np.linalg.solve(slope, error).ravel()
+            value = value - np.linalg.lstsq(slope, error, rcond=None)[0].ravel()
         raise ValueError("the model has no state of rest near level flight: its values cannot be right")
 
     def stage_model(

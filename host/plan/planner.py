@@ -64,6 +64,8 @@ def plan(
     dynamics = Dynamics(
         vehicle=vehicle, model=_residual_model(model, effects, vehicle, name, augmented), augmented=augmented
     )
+    if augmented:
+        _check_rest(dynamics)
     if dynamics.model.network is not None and dynamics.model.region is not None and name == "min-residual":
         limits = within_region(limits, dynamics.model.region, dynamics)
     job = Job(kind=name, route=route, dynamics=dynamics, limits=limits, settings=settings or Settings())
@@ -95,6 +97,14 @@ def _residual_model(
     if kind == "min-residual" and not model.has_residual:
         raise UsageError("the model has neither drag nor network: no residual acceleration to minimise")
     return model
+
+
+def _check_rest(dynamics: Dynamics) -> None:
+    """Raises UsageError for a model under which the vehicle cannot hover: paths start and end at rest."""
+    try:
+        dynamics.hover(0.0)
+    except (ValueError, ArithmeticError) as error:
+        raise UsageError(f"{error}; plan without the star") from None
 
 
 def _timed(route: Route, total_time_s: float | None) -> Route:

@@ -1,9 +1,9 @@
 """Rounds of solving and judging.
 
-A reference that leaves the limits between nodes is solved again, warm, in a box tightened by the excess. Where
-it leaves them by much, or the solver keeps wandering, the path ripples as fast as its nodes allow: then the
-weight of the thrust rates doubles too. A solve that fails starts anew: on the straight lines, then along the
-min-snap path.
+A reference that leaves the limits between nodes is solved again, warm, in a box tightened by the excess.
+Where it leaves them by much, or the solver keeps wandering, the path ripples as fast as its nodes allow: then
+the weight of the thrust rates doubles too. A solve that fails starts anew: on the straight lines, then along
+the min-snap path.
 """
 
 from __future__ import annotations
@@ -48,7 +48,9 @@ heading moved."""
 _NEARLY_FEASIBLE = 0.05
 """Constraint violation up to which an unfinished iterate is worth going on from."""
 _REMEDY = "give it more time, headroom or nodes"
-_SEARCH = (SolveStatus.INFEASIBLE, SolveStatus.RESTORATION)
+_NO_WAY = (SolveStatus.INFEASIBLE, SolveStatus.RESTORATION)
+_LAST_TRY = 3
+"""How many times the iterations the last start may take: time to find that there is no way."""
 
 
 def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
@@ -129,7 +131,7 @@ class _Run:
             self.stage,
             self.problem,
             tolerance=settings.tolerance,
-            max_iterations=settings.iterations_max,
+            max_iterations=settings.iterations_max * (_LAST_TRY if self._start is _Start.SNAP else 1),
         )
         self.rounds += 1
         self.iterations += solution.iterations
@@ -170,11 +172,11 @@ class _Run:
                 f"the {label} plan is refused after {self.rounds} rounds: {self._near.message}; {_REMEDY}",
                 self._near.verdict,
             )
+        tries = f"{self.iterations} iterations in {self.rounds} rounds"
         status = SolveStatus.ITERATIONS if solution is None else solution.status
-        if status in _SEARCH:
-            return PlanRefused(f"no {label} plan: {status.value}; {_REMEDY}")
-        text = f"no {label} plan: {status.value} ({self.iterations} iterations in {self.rounds} rounds)"
-        return PlanUnsolved(f"{text}; {_REMEDY}", status)
+        if status in _NO_WAY or (solution is not None and solution.violation > _NEARLY_FEASIBLE):
+            return PlanRefused(f"no {label} plan: no way within the limits was found ({tries}); {_REMEDY}")
+        return PlanUnsolved(f"no {label} plan: {status.value} ({tries}); {_REMEDY}", status)
 
     def _make_problem(self) -> Problem:
         job, grid, settings = self.job, self.grid, self.job.settings

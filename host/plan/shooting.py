@@ -135,15 +135,17 @@ def make_problem(
     path_high[JERK_ROW] = (box.jerk_m_s3 / limits.jerk_max_m_s3) ** 2
     path_low[FIRST_SHAPE_ROW:] = box.keep_out_m
 
+    # The reference starts and ends with no jerk: the first and the last interval change no thrust.
+    change = np.full((INPUTS, count), np.inf)
+    change[:, [0, -1]] = 0.0
     steps = len(grid.counts) if shared_steps else count
-    free = np.full((INPUTS, count), np.inf)
     return Problem(
         leg_of=grid.leg_of,
         shared_steps=shared_steps,
         h0_s=grid.h0_s[grid.leg_of],
         parameters=np.stack([yaw[:-1], np.full(count, smoothing)]),
         x_bounds=(low, high),
-        u_bounds=(-free, free),
+        u_bounds=(-change, change),
         path_bounds=(path_low, path_high),
         h_bounds=(1.0, 1.0) if grid.times_fixed else h_bounds,
         total_bounds_s=total_bounds_s,

@@ -1,0 +1,94 @@
+"""The planner's dynamics: units, rest, jerk, and the model it takes from a file."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from host.effects import load_effects
+from host.models.model import Model
+from host.models.network import Layout, Network
+from host.plan.dynamics import Dynamics, ResidualModel, Weights
+from host.vehicle import load_vehicle
+
+EFFECTS = load_effects()
+VEHICLE = load_vehicle("research")
+
+
+def _evaluate(expression: ca.SX, *pairs: tuple[ca.SX, np.ndarray]) -> np.ndarray:
+    function = ca.Function("f", [symbol for symbol, _ in pairs], [expression])
+    return np.array(function(*[value for _, value in pairs])).ravel()
+
+
+@pytest.mark.parametrize("augmented", [True, False])
+def test_hover_state_does_not_move(augmented: bool) -> None:
+    layout = Layout(hidden=(6,))
+    network = Network(layout=layout, xi=0.2 * np.random.default_rng(0).standard_normal(layout.size))
+    parts = (
+        (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)),
+        (EFFECTS["wind"], (2.0, -1.0)),
+        (EFFECTS["thrust-gain"], (0.93,)),
+        (EFFECTS["com-offset"], (0.003, -0.002)),
+    )
+    dynamics = Dynamics(
+        vehicle=VEHICLE, model=ResidualModel(parts=parts, network=network), augmented=augmented
+    )
+    rest = dynamics.hover(0.7)
+    x, u = ca.SX.sym("x", 16), ca.SX.sym("u", 4)
+    slope = _evaluate(dynamics.derivative(x, u), (x, rest), (u, np.zeros(4)))
+    if augmented:
+        slope[3:6] += network.acceleration_ned(rest[3:6, None], rest[6:9, None]).ravel()
+        assert np.abs(rest[6:8]).max() > 0.01
+    else:
+        np.testing.assert_allclose(rest[12:], 1.0)
+    assert np.abs(slope).max() < 1e-9
+    assert rest[8] == 0.7
+
+
+def test_hover_with_a_model_that_cannot_rest_raises() -> None:
+    parts = ((EFFECTS["linear-drag"], (3.0, 3.0, 3.0)), (EFFECTS["wind"], (1e3, 1e3)))
+    dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts), augmented=True)
+    with pytest.raises(ValueError, match="no state of rest"):
+        dynamics.hover(0.0)
+
+
+def test_jerk_equals_the_acceleration_s_finite_difference() -> None:
+    dynamics = Dynamics(vehicle=VEHICLE)
+    x, u = ca.SX.sym("x", 16), ca.SX.sym("u", 4)
+    derivative = ca.Function("f", [x, u], [dynamics.derivative(x, u)])
+    squared = ca.Function("j", [x, u], [dynamics.jerk_squared(x, u)])
+    rng = np.random.default_rng(1)
+    state = np.concatenate([rng.standard_normal(6), 0.3 * rng.standard_normal(6), rng.uniform(0.5, 1.5, 4)])
+    rates = rng.standard_normal(4)
+    slope = np.array(derivative(state, rates)).ravel()
+    step = 1e-6
+    after, before = (np.array(derivative(state + s * step * slope, rates)).ravel()[3:6] for s in (1, -1))
+    jerk = (after - before) / (2 * step)
+    assert float(squared(state, rates)) == pytest.approx(float(jerk @ jerk), rel=1e-6)
+
+
+def test_residual_of_a_model_without_a_force_is_nothing_to_minimise() -> None:
+    assert not ResidualModel(parts=((EFFECTS["motor-lag"], (0.01,)),)).has_residual
+    assert ResidualModel(parts=((EFFECTS["quadratic-drag"], (0.02,)),)).has_residual
+
+
+def test_residual_model_of_a_file_holds_effects_and_adjustments() -> None:
+    model = Model(
+        vehicle_id=VEHICLE.id,
+        vehicle_name=VEHICLE.name,
+        effects={"linear-drag": {"dx": 0.4}},
+        adjustments={"mass": {"factor": 1.01}},
+    )
+    taken = ResidualModel.of(model, EFFECTS)
+    assert [(effect.name, theta) for effect, theta in taken.parts] == [
+        ("linear-drag", (0.4, 0.0, 0.0)),
+        ("mass", (1.01,)),
+    ]
+    assert taken.id == model.id
+
+
+def test_weights_that_are_not_positive_raise() -> None:
+    with pytest.raises(ValueError, match="thrust_rate"):
+        Weights(thrust_rate=0.0)
+    assert Weights().scaled(2.0).control == 2.0 * Weights().control

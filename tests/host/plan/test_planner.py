@@ -1,0 +1,304 @@
+"""Plans: every kind within every limit, refusals with node and reason, the same reference every time."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_model.law.checks import check_reference, from_parameters
+from host.effects import load_effects
+from host.errors import UsageError
+from host.models.model import Model, Region
+from host.models.network import Layout, Network
+from host.plan import Plan, PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
+from host.plan.judge import measure
+from host.plan.table import evaluate, from_reference
+from host.route import LimitsOverride, Route, YawProfile, load_route, random_route
+from host.route.shapes import Cylinder
+from host.vehicle import ConfigurationError, load_vehicle, to_parameters
+
+EFFECTS = load_effects()
+VEHICLE = load_vehicle("research")
+DRAG = ResidualModel(parts=((EFFECTS["linear-drag"], (0.5, 0.4, 0.1)),))
+ROUTE = Route(
+    name="short",
+    waypoints_m=((-1.6, -0.9, -1.2), (1.7, 1.2, -1.6), (0.0, 2.4, -2.0), (-2.0, 0.0, -1.4)),
+    total_time_s=4.6,
+)
+ALL_KINDS = ("min-snap", "min-control", "min-control*", "min-residual", "min-residual*")
+
+
+@functools.cache
+def _planned(kind: str) -> Plan:
+    return plan(ROUTE, VEHICLE, kind=kind, model=DRAG)
+
+
+def _assert_flyable(made: Plan, **limits: Any) -> None:
+    airframe, on_board = from_parameters(to_parameters(VEHICLE))
+    reference = made.reference
+    verdict = check_reference(
+        reference.nodes, reference.yaw_nodes(), airframe, on_board, origin=reference.origin_ned
+    )
+    assert verdict.ok, verdict.message
+    assert all(margin >= 0.0 for margin in made.margins.values())
+    for name, least in limits.items():
+        assert verdict.margins[name] >= least
+
+
+@pytest.mark.parametrize("kind", ALL_KINDS)
+def test_plan_of_any_kind_is_within_limits_and_passes_its_waypoints(kind: str) -> None:
+    made = _planned(kind)
+    _assert_flyable(made)
+    assert made.duration_s == pytest.approx(4.6, abs=2e-6)
+    assert (made.kind, made.augmented) == (kind.removesuffix("*"), kind.endswith("*"))
+    table = from_reference(made.reference)
+    at = np.rint(np.array(made.waypoint_times_s) * 1e6)
+    np.testing.assert_allclose(evaluate(table, at)[0].T, ROUTE.waypoints_m, atol=2e-5)
+    assert np.abs(table.states_ned[[0, -1], 3:]).max() == 0.0
+    spacing = np.diff(table.times_us)
+    assert spacing.min() >= 50_000
+    assert spacing.max() <= 200_000
+    assert made.residual_rms_m_s2 is not None
+    assert made.mean_speed_m_s == pytest.approx(made.path_length_m / made.duration_s)
+
+
+@pytest.mark.parametrize("kind", ALL_KINDS[1:])
+def test_plan_by_shooting_stays_within_two_millimetres_of_the_solver(kind: str) -> None:
+    made = _planned(kind)
+    assert made.deviation_m is not None
+    assert made.deviation_m < 2e-3
+    assert made.status in ("solved", "acceptable")
+    assert made.iterations < 300
+
+
+@pytest.mark.parametrize("kind", ALL_KINDS)
+def test_plan_does_not_ripple_between_nodes(kind: str) -> None:
+    table = from_reference(_planned(kind).reference)
+    at = np.linspace(0.0, float(table.times_us[-1]), 4001)
+    jerk = np.linalg.norm(evaluate(table, at)[3], axis=0)
+    at_nodes = np.linalg.norm(table.states_ned[:, 9:], axis=1)
+    assert jerk.max() <= 1.2 * at_nodes.max() + 1.0
+
+
+@pytest.mark.parametrize("kind", ["min-snap", "min-residual"])
+def test_plan_repeated_is_the_same_bytes(kind: str) -> None:
+    again = plan(ROUTE, VEHICLE, kind=kind, model=DRAG)
+    assert again.reference.to_bytes() == _planned(kind).reference.to_bytes()
+
+
+def test_min_residual_predicts_less_residual_than_the_others() -> None:
+    rms = {kind: _planned(kind).residual_rms_m_s2 or math.inf for kind in ALL_KINDS}
+    assert rms["min-residual"] < 0.85 * rms["min-snap"]
+    assert rms["min-residual*"] < 0.9 * rms["min-snap"]
+    assert rms["min-residual"] < rms["min-control"]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_min_residual_is_tracked_better_under_drag_than_min_snap(seed: int) -> None:
+    # The closed loop of the nominal law with drag, integrated: whole flights in phi.
+    route = random_route(seed, count=4, total_time_s=5.0)
+    errors = [
+        _tracking_rmse(plan(route, VEHICLE, kind=kind, model=DRAG)) for kind in ("min-snap", "min-residual")
+    ]
+    assert errors[1] < 0.8 * errors[0]
+
+
+def _tracking_rmse(made: Plan) -> float:
+    """RMSE of position in m, by RK4 at 2 ms."""
+    from host.models.phi import Phi, flight_constants
+    from host.models.reference import flat_outputs
+
+    phi = Phi(
+        vehicle=VEHICLE, effects=tuple(effect for effect, _ in DRAG.parts), drive="reference", estimator=False
+    )
+    theta, constants, step_s = phi.theta(DRAG.parts), flight_constants(), 2e-3
+    times = np.arange(0.0, made.duration_s, step_s / 2)
+    flat = flat_outputs(made.reference, times)
+    drive = np.vstack([flat, np.zeros((6, len(times))), np.ones(len(times)), times])
+    x = phi.hover(flat[:3, 0], float(flat[12, 0]))
+    errors = []
+    for k in range(0, len(times) - 2, 2):
+        errors.append(x[:3] - flat[:3, k])
+
+        def slope(state: np.ndarray, column: int) -> np.ndarray:
+            return np.array(phi.function(state, drive[:, column], constants, theta, np.zeros(3))).ravel()
+
+        k1 = slope(x, k)
+        k2 = slope(x + step_s / 2 * k1, k + 1)
+        k3 = slope(x + step_s / 2 * k2, k + 1)
+        k4 = slope(x + step_s * k3, k + 2)
+        x = x + step_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return float(np.sqrt((np.array(errors) ** 2).sum(axis=1).mean()))
+
+
+def test_plan_with_headroom_keeps_it() -> None:
+    tight = LimitsOverride(
+        thrust_headroom=(0.12, 0.4), tilt_max_deg=35.0, body_rate_max_rad_s=(3.0, 3.0, 2.0)
+    )
+    made = plan(ROUTE, VEHICLE, kind="min-residual", model=DRAG, headroom=tight)
+    _assert_flyable(made, tilt_deg=25.0, thrust_low=0.04, thrust_high=0.25)
+    with pytest.raises(ConfigurationError, match="thrust_headroom"):
+        plan(ROUTE, VEHICLE, headroom=LimitsOverride(thrust_headroom=(0.0, 0.4)))
+
+
+def test_plan_with_a_turning_heading_follows_it() -> None:
+    yaw = YawProfile(yaw_deg=(-30.0, 120.0), times_s=(0.0, 4.6))
+    route = ROUTE.model_copy(update={"yaw": yaw})
+    made = plan(route, VEHICLE, kind="min-residual", model=DRAG)
+    _assert_flyable(made)
+    rows = made.reference.yaw_nodes()
+    assert [row.t_us for row in rows] == [0, 4_600_000]
+    assert [row.yaw for row in rows] == pytest.approx(np.radians([-30.0, 120.0]), abs=1e-6)
+
+
+def test_plan_with_waypoint_times_keeps_them() -> None:
+    times = (0.0, 2.1, 3.0, 4.6)
+    route = Route(name="timed", waypoints_m=ROUTE.waypoints_m, times_s=times)
+    for kind in ("min-snap", "min-control"):
+        assert plan(route, VEHICLE, kind=kind).waypoint_times_s == pytest.approx(times, abs=1e-6)
+
+
+def test_plan_in_another_total_time_scales_the_heading_along() -> None:
+    route = ROUTE.model_copy(update={"yaw": YawProfile(yaw_deg=(0.0, 90.0), times_s=(0.0, 4.6))})
+    made = plan(route, VEHICLE, total_time_s=9.2)
+    assert made.duration_s == pytest.approx(9.2)
+    assert made.reference.yaw_nodes()[-1].t_us == 9_200_000
+
+
+def test_plan_with_free_total_time_stays_in_its_box() -> None:
+    made = plan(ROUTE, VEHICLE, kind="min-control", settings=Settings(total_time_box=(0.9, 1.2)))
+    assert 0.9 * 4.6 - 1e-5 <= made.duration_s <= 1.2 * 4.6 + 1e-5
+    assert made.duration_s < 4.55  # effort is an integral over time: less time, less hovering
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        Settings(shared_steps=False, step_penalty=0.05),
+        Settings(weigh_time=False),
+        Settings(relative_weights=False, weights=Weights(control=0.34, thrust_rate=0.02)),
+    ],
+)
+def test_plan_with_other_settings_is_flyable(settings: Settings) -> None:
+    _assert_flyable(plan(ROUTE, VEHICLE, kind="min-residual", model=DRAG, settings=settings))
+
+
+def test_min_snap_too_fast_is_refused_with_node_and_reason() -> None:
+    with pytest.raises(
+        PlanRefused, match=r"node \d+ at .* s: .* (above|below) .*; give it more time"
+    ) as caught:
+        plan(ROUTE, VEHICLE, total_time_s=1.9)
+    assert caught.value.exit_code == 1
+    assert caught.value.verdict is not None
+    assert caught.value.verdict.reason_code
+
+
+def test_min_snap_too_fast_may_stretch_by_what_it_needs() -> None:
+    made = plan(ROUTE, VEHICLE, total_time_s=1.9, stretch=True)
+    _assert_flyable(made)
+    assert made.stretch > 1.2
+    assert made.duration_s == pytest.approx(1.9 * made.stretch, abs=1e-5)
+    with pytest.raises(PlanRefused):
+        plan(ROUTE, VEHICLE, total_time_s=1.9 * made.stretch * 0.99)
+
+
+def test_min_control_without_a_way_is_refused() -> None:
+    settings = Settings(iterations_max=40)
+    with pytest.raises(PlanRefused, match="no way within the limits was found") as caught:
+        plan(ROUTE, VEHICLE, kind="min-control", total_time_s=1.4, nodes=30, settings=settings)
+    assert caught.value.exit_code == 1
+
+
+def test_plan_out_of_iterations_is_a_solver_failure() -> None:
+    with pytest.raises(PlanUnsolved, match="limit of iterations") as caught:
+        plan(ROUTE, VEHICLE, kind="min-control", settings=Settings(iterations_max=2, rounds=1))
+    assert caught.value.exit_code == 4
+
+
+def test_min_residual_goes_round_a_keep_out_shape_that_min_snap_hits() -> None:
+    table = from_reference(_planned("min-snap").reference)
+    middle = evaluate(table, np.array([0.5 * table.times_us[-1]]))[0][:, 0]
+    post = Cylinder(
+        kind="cylinder", centre_m=(float(middle[0]), float(middle[1])), radius_m=0.25, down_m=(-5.0, 0.0)
+    )
+    route = ROUTE.model_copy(update={"keep_out": (post,)})
+    with pytest.raises(PlanRefused, match=r"node \d+ .* inside keep_out\[0\] \(cylinder\)"):
+        plan(route, VEHICLE)
+    made = plan(route, VEHICLE, kind="min-residual", model=DRAG)
+    assert made.margins["keep_out_m"] >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        ({"kind": "min-time"}, "no such kind"),
+        ({"kind": "min-snap*"}, "no such kind"),
+        ({"kind": "min-residual"}, "needs a model"),
+        ({"kind": "min-control*"}, "needs a model"),
+        ({"kind": "min-residual", "model": ResidualModel()}, "neither drag nor network"),
+        ({"kind": "min-control", "nodes": 5}, "nodes"),
+        ({"total_time_s": -1.0}, "total time"),
+        (
+            {"kind": "min-residual", "model": Model(vehicle_id="0" * 12, vehicle_name="other")},
+            "of vehicle other",
+        ),
+        (
+            {
+                "kind": "min-residual",
+                "model": Model(
+                    vehicle_id=VEHICLE.id, vehicle_name=VEHICLE.name, effects={"gremlins": {"n": 1.0}}
+                ),
+            },
+            "gremlins",
+        ),
+    ],
+)
+def test_plan_of_bad_arguments_is_a_usage_error(arguments: dict[str, Any], match: str) -> None:
+    with pytest.raises(UsageError, match=match) as caught:
+        plan(ROUTE, VEHICLE, **arguments)
+    assert caught.value.exit_code == 2
+
+
+def test_augmented_plan_with_a_model_that_cannot_hover_is_a_usage_error() -> None:
+    parts = ((EFFECTS["linear-drag"], (3.0, 3.0, 3.0)), (EFFECTS["wind"], (1e3, 1e3)))
+    with pytest.raises(UsageError, match="no state of rest"):
+        plan(ROUTE, VEHICLE, kind="min-control*", model=ResidualModel(parts=parts))
+
+
+def test_plan_of_a_contradictory_route_is_refused_before_solving() -> None:
+    with pytest.raises(ConfigurationError, match=r"needs .* m/s") as caught:
+        plan(ROUTE, VEHICLE, kind="min-control", total_time_s=0.5)
+    assert caught.value.exit_code == 2
+
+
+def test_plan_with_a_network_stays_where_it_was_trained() -> None:
+    layout = Layout(hidden=(8,))
+    network = Network(layout=layout, xi=0.3 * np.random.default_rng(2).standard_normal(layout.size))
+    region = Region(speed_max_m_s=3.2, tilt_max_deg=30.0, thrust_min_n=5.0, thrust_max_n=10.0)
+    model = ResidualModel(parts=DRAG.parts, network=network, region=region)
+    made = plan(ROUTE, VEHICLE, kind="min-residual", model=model)
+    assert made.margins["speed_m_s"] >= 0.0
+    speed = np.linalg.norm(evaluate(from_reference(made.reference), np.linspace(0, 4.6e6, 500))[1], axis=0)
+    assert speed.max() <= 1.1 * 3.2 + 1e-6
+
+
+def test_measured_residual_is_that_of_the_drag() -> None:
+    made = _planned("min-snap")
+    table = from_reference(made.reference)
+    isotropic = ResidualModel(parts=((EFFECTS["linear-drag"], (0.5, 0.5, 0.5)),))
+    figures = measure(VEHICLE, isotropic, table, made.reference.yaw_nodes())
+    at = np.linspace(0.0, float(table.times_us[-1]), 4001)
+    speed = np.linalg.norm(evaluate(table, at)[1], axis=0)
+    assert figures.residual_rms_m_s2 == pytest.approx(0.5 * np.sqrt((speed**2).mean()), rel=2e-3)
+    assert figures.path_length_m == pytest.approx(np.trapezoid(speed, at * 1e-6), rel=1e-4)
+
+
+@pytest.mark.parametrize("vehicle", ["research", "nano"])
+@pytest.mark.parametrize("route", ["pretzel", "figure-eight", "random"])
+def test_shipped_routes_can_be_planned_for_every_vehicle(route: str, vehicle: str) -> None:
+    made = plan(load_route(route), load_vehicle(vehicle), stretch=True)
+    assert made.stretch < (1.0 + 1e-9 if vehicle == "research" else 1.4)
