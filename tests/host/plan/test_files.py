@@ -1,4 +1,4 @@
-"""References on disk and the verb: both files or none, the same bytes each time, one line for what is wrong."""
+"""References on disk and the verb: both files or none, the same bytes, one line for what is wrong."""
 
 from __future__ import annotations
 
