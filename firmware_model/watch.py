@@ -9,6 +9,10 @@ from firmware_model.parameters import ParameterValues
 
 TOUCH_HEIGHT = 0.25
 """m above the floor below which a descent may have ended."""
+FLOOR_HEIGHT = 0.03
+"""m above the floor it took off from below which a descent is over at once. Against wind a vehicle comes down
+leaning: what levels and holds it in the air tips it over on the floor, in a quarter of a second.
+"""
 TOUCH_SPEED = 0.15
 """m/s below which a descending vehicle has been stopped by something."""
 TOUCH_FORCE = 1.0
@@ -54,7 +58,8 @@ class Watch:
 
     def landed(self, now_us: int, *, height: float, speed: float, descending: bool) -> bool:
         """Whether a vehicle that knows its height (m) and speed (m/s) has come down."""
-        return self._lasting(now_us, descending and height < TOUCH_HEIGHT and speed < TOUCH_SPEED)
+        stopped = self._lasting(now_us, descending and height < TOUCH_HEIGHT and speed < TOUCH_SPEED)
+        return stopped or height < FLOOR_HEIGHT
 
     def aloft(self, *, force: float, thrust: float) -> None:
         """Nothing comes back; in normal flight this force went with this thrust, over mass (m/s^2, up)."""

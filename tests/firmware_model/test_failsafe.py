@@ -98,6 +98,11 @@ def test_landed_needs_all_signs_for_their_time(watch):
     assert not watch.landed(1_600_000, **{**signs, "descending": False})
 
 
+def test_landed_on_the_floor_it_took_off_from_is_at_once(watch):
+    assert watch.landed(1_000_000, height=0.02, speed=0.5, descending=False)
+    assert not watch.landed(1_010_000, height=0.035, speed=0.5, descending=True)
+
+
 def test_carried_allows_for_the_thrust_seen_aloft(watch):
     for _ in range(1_000):
         watch.aloft(force=9.81, thrust=7.0)

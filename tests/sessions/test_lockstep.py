@@ -155,6 +155,18 @@ def test_session_after_a_power_cycle_equals_one_that_began_so(
     assert logs[0] == logs[1]
 
 
+@pytest.mark.parametrize("wind", [(3.0, 0.0), (-2.1, 2.1)])
+def test_session_in_a_strong_wind_lands_upright(
+    fly: Fly, simulate: Simulate, world_file: Callable[[str], str], wind: tuple[float, float]
+) -> None:
+    # The worst that a drawn world holds, twice the typical wind on twice the drag. It comes down leaning.
+    drag = "[effects.linear-drag]\ndx = 0.8\ndy = 0.7\ndz = 0.4\n"
+    world = world_file(f"{drag}[effects.wind]\nwx = {wind[0]}\nwy = {wind[1]}\n")
+    result = fly(simulate(world=world))
+    assert result.end is not None
+    assert result.end.failsafe is None
+
+
 @pytest.mark.parametrize(("loss", "burst"), [(0.2, 5.0), (0.3, 20.0)])
 def test_session_over_a_lossy_radio_flies_all_the_same(
     fly: Fly, simulate: Simulate, loss: float, burst: float
