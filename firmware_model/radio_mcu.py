@@ -52,13 +52,13 @@ class RadioMcu:
         self._air: deque[bytes] = deque()
         self._air_bytes = 0
         self._stats_us = STATS_US
+        self._own_due_us = STATS_US
 
     @property
     def due_us(self) -> int:
         """When the next tick has something to do."""
-        if self._air:
-            return 0
-        return min(self.uart.due_us, self._stats_us)
+        line_us, own_us = self.uart.due_us, self._own_due_us
+        return line_us if line_us < own_us else own_us
 
     @property
     def pending(self) -> bool:
@@ -69,14 +69,14 @@ class RadioMcu:
         """Whether something waits for the air; moves what line and air have brought since the last tick."""
         if self._air:
             self._pass_down(now_us)
-        uart = self.uart
+        uart, packer = self.uart, self.packer
         if now_us >= uart.due_us:
-            offer = self.packer.offer
             for message in self._splitter.feed(uart.read(now_us)):
-                offer(message)
+                packer.offer(message)
         if now_us >= self._stats_us:
             self._report(now_us)
-        return self.packer.waiting > 0
+        self._own_due_us = 0 if self._air else self._stats_us
+        return packer.waiting > 0
 
     def air_send(self, now_us: int, limit: int = FRAME_BYTES) -> bytes | None:
         """The next frame for the air, at most `limit` bytes of whole messages; None where nothing waits."""
@@ -93,6 +93,7 @@ class RadioMcu:
             return
         self._air.append(frame)
         self._air_bytes += len(frame)
+        self._own_due_us = 0
 
     def _pass_down(self, now_us: int) -> None:
         """Frames go out on the line as they came; those that find no room wait."""

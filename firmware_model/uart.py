@@ -43,47 +43,47 @@ class UartPort:
         self.refused = 0
         self.received = 0
         self.sent = 0
+        self._half = max(1, rx_bytes // 2)
         self._peer: UartPort | None = None
         self._busy_until = 0  # end of the last byte written, in units of 1/baud us
         self._incoming: deque[tuple[int, bytes]] = deque()  # (start in peer units, bytes)
         self._taken = 0  # bytes of the first incoming segment that have arrived
-        self._buffer = bytearray()
+        self._buffer = b""
 
     def write(self, data: bytes, now_us: int) -> bool:
         """True where all of `data` was queued for the line; False where the transmit buffer had no room.
 
         An unconnected port sends into the air: the bytes take their time and are gone.
         """
-        now = now_us * self.baud
-        start = max(now, self._busy_until)
-        waiting = -((now - start) // _BYTE_UNITS)  # rounded up
-        if waiting + len(data) > self.tx_bytes:
+        size = len(data)
+        if size > self.tx_free(now_us):
             self.refused += 1
             return False
-        if data:
-            self._busy_until = start + len(data) * _BYTE_UNITS
-            self.sent += len(data)
+        if size:
+            now = now_us * self.baud
+            start = now if now > self._busy_until else self._busy_until
+            self._busy_until = start + size * _BYTE_UNITS
+            self.sent += size
             if self._peer is not None:
                 self._peer._carry(start, bytes(data))
         return True
 
     def tx_free(self, now_us: int) -> int:
         """Bytes that a write at `now_us` may have without being refused."""
-        backlog = max(0, self._busy_until - now_us * self.baud)
-        return self.tx_bytes + (-backlog // _BYTE_UNITS)
+        backlog = self._busy_until - now_us * self.baud
+        return self.tx_bytes if backlog <= 0 else self.tx_bytes + (-backlog // _BYTE_UNITS)
 
     def read(self, now_us: int) -> bytes:
         """All bytes that arrived up to `now_us` and found room, oldest first; empties the receive buffer."""
         self._arrive(now_us)
-        data = bytes(self._buffer)
-        self._buffer.clear()
+        data, self._buffer = self._buffer, b""
         self._plan_due()
         return data
 
     def reset(self) -> None:
         """Nothing comes back; both directions of this port are emptied, as by a power cycle."""
         self._incoming.clear()
-        self._buffer.clear()
+        self._buffer = b""
         self._taken = 0
         self._busy_until = 0
         self.due_us = NEVER_US
@@ -95,23 +95,25 @@ class UartPort:
         self._plan_due()
 
     def _arrive(self, now_us: int) -> None:
-        peer = self._peer
-        if peer is None:
+        peer, incoming = self._peer, self._incoming
+        if peer is None or not incoming:
             return
         now = now_us * peer.baud
-        while self._incoming:
-            start, data = self._incoming[0]
-            arrived = min(len(data), max(0, (now - start) // _BYTE_UNITS))
-            fresh = arrived - self._taken
-            if fresh > 0:
-                room = self.rx_bytes - len(self._buffer)
-                self._buffer += data[self._taken : self._taken + min(fresh, room)]
-                self.overruns += max(0, fresh - room)
-                self.received += fresh
-            if arrived < len(data):
-                self._taken = max(arrived, self._taken)
+        while incoming:
+            start, data = incoming[0]
+            arrived = (now - start) // _BYTE_UNITS
+            if arrived <= self._taken:
                 return
-            self._incoming.popleft()
+            fresh = data[self._taken : arrived]
+            room = self.rx_bytes - len(self._buffer)
+            if len(fresh) > room:
+                self.overruns += len(fresh) - room
+            self._buffer += fresh[:room]
+            self.received += len(fresh)
+            if arrived < len(data):
+                self._taken = arrived
+                return
+            incoming.popleft()
             self._taken = 0
 
     def _plan_due(self) -> None:
@@ -120,17 +122,18 @@ class UartPort:
         if self._buffer or peer is None or not self._incoming:
             self.due_us = 0 if self._buffer else NEVER_US
             return
-        half = max(1, self.rx_bytes // 2)
+        half = self._half
         count = -self._taken
         end = 0
         for start, data in self._incoming:
             if count > 0 and start > end:
                 break  # the line was idle in between
-            if count + len(data) >= half:
+            size = len(data)
+            if count + size >= half:
                 end = start + (half - count) * _BYTE_UNITS
                 break
-            count += len(data)
-            end = start + len(data) * _BYTE_UNITS
+            count += size
+            end = start + size * _BYTE_UNITS
         self.due_us = -(-end // peer.baud)
 
 

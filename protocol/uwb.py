@@ -121,6 +121,7 @@ def _priority(name: str) -> Priority:
 
 PRIORITIES: dict[int, Priority] = {number: _priority(name) for number, (name, _, _) in MESSAGES.items()}
 """Class of each message by id."""
+_UNKNOWN = Priority.STATUS
 
 CAPACITY_BYTES: Mapping[Priority, int] = {
     Priority.URGENT: 1024,
@@ -143,7 +144,7 @@ class FramePacker:
         poses: poses that may wait; with 1 a frame holds the newest, with 2 two travel together.
         capacity: room of each queue in bytes.
 
-    Attributes, all counts since construction:
+    `waiting` is how many messages wait. Other attributes, all counts since construction:
         refused: messages dropped for lack of room, control telemetry included.
         replaced: poses dropped for a newer one.
         oversize: messages that fit no frame.
@@ -159,15 +160,10 @@ class FramePacker:
         self.packed = 0
         self._most_poses = poses
         self._capacity = [capacity[priority] for priority in Priority]
+        self.waiting = 0
         self._poses: deque[bytes] = deque()
         self._queues: list[deque[bytes]] = [deque() for _ in Priority]
         self._bytes = [0 for _ in Priority]
-        self._waiting = 0
-
-    @property
-    def waiting(self) -> int:
-        """Messages that wait."""
-        return self._waiting
 
     def waiting_bytes(self, priority: Priority) -> int:
         """Bytes that wait in this class, poses not counted."""
@@ -182,13 +178,13 @@ class FramePacker:
         number = message[7] | message[8] << 8 | message[9] << 16
         if number == _POSE:
             self._poses.append(message)
-            self._waiting += 1
+            self.waiting += 1
             if len(self._poses) > self._most_poses:
                 self._poses.popleft()
-                self._waiting -= 1
+                self.waiting -= 1
                 self.replaced += 1
             return True
-        priority = PRIORITIES.get(number, Priority.STATUS)
+        priority = PRIORITIES.get(number, _UNKNOWN)
         queue = self._queues[priority]
         used = self._bytes[priority] + size
         room = self._capacity[priority]
@@ -197,10 +193,10 @@ class FramePacker:
             if priority is not Priority.CONTROL or not queue:
                 return False
             used -= len(queue.popleft())
-            self._waiting -= 1
+            self.waiting -= 1
         queue.append(message)
         self._bytes[priority] = used
-        self._waiting += 1
+        self.waiting += 1
         return True
 
     def take(self, limit: int = FRAME_BYTES, *, lowest: Priority = Priority.UPLOAD) -> bytes | None:
@@ -208,7 +204,7 @@ class FramePacker:
 
         `lowest` is the least urgent class that may go: a radio that rations uploads passes STATUS.
         """
-        if not self._waiting:
+        if not self.waiting:
             return None
         parts: list[bytes] = []
         room = limit
@@ -217,8 +213,9 @@ class FramePacker:
             message = poses.popleft()
             room -= len(message)
             parts.append(message)
-        for priority in range(lowest + 1):
-            queue = self._queues[priority]
+        for priority, queue in enumerate(self._queues):
+            if priority > lowest:
+                break
             while queue and len(queue[0]) <= room:
                 message = queue.popleft()
                 size = len(message)
@@ -227,6 +224,6 @@ class FramePacker:
                 parts.append(message)
         if not parts:
             return None
-        self._waiting -= len(parts)
+        self.waiting -= len(parts)
         self.packed += len(parts)
         return parts[0] if len(parts) == 1 else b"".join(parts)

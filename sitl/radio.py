@@ -67,8 +67,11 @@ class BurstLoss:
 class _Direction:
     """Frames from one radio to the other: where they come from, where they go, and the chance they meet."""
 
-    def __init__(self, source: Radio, settings: RadioSettings, rng: np.random.Generator) -> None:
+    def __init__(
+        self, source: Radio, target: Radio, settings: RadioSettings, rng: np.random.Generator
+    ) -> None:
         self.source = source
+        self.target = target
         self.draw = _uniforms(rng).__next__
         self.loss = BurstLoss(settings.loss, settings.burst_frames, self.draw)
         self.counts = DirectionCounts()
@@ -95,8 +98,8 @@ class RadioChannel:
         down_rng: np.random.Generator,
     ) -> None:
         self._settings = settings
-        self._up = _Direction(ground, settings, up_rng)
-        self._down = _Direction(vehicle, settings, down_rng)
+        self._up = _Direction(ground, vehicle, settings, up_rng)
+        self._down = _Direction(vehicle, ground, settings, down_rng)
         self._turn, self._other = self._up, self._down
         self._slot_us = 0
         self._air: list[tuple[int, int, _Direction, bytes]] = []
@@ -119,29 +122,27 @@ class RadioChannel:
     def wake(self, now_us: int, *, ground: bool) -> None:
         """Nothing comes back; a radio may have something to send from now on."""
         (self._up if ground else self._down).may_have = True
-        self.due_us = min(self.due_us, max(self._slot_us, now_us))
+        soonest_us = self._slot_us if self._slot_us > now_us else now_us
+        if soonest_us < self.due_us:
+            self.due_us = soonest_us
 
-    def tick(self, now_us: int) -> list[Radio]:
-        """The radios that have just received frames; frames due are delivered, a slot due is given away."""
-        woken: list[Radio] = []
-        while self._air and self._air[0][0] <= now_us:
-            _, _, direction, frame = heapq.heappop(self._air)
-            target = self._down.source if direction is self._up else self._up.source
+    def tick(self, now_us: int) -> None:
+        """Nothing comes back; frames due are delivered, a slot due is given away."""
+        air = self._air
+        while air and air[0][0] <= now_us:
+            _, _, direction, frame = heapq.heappop(air)
             direction.counts.delivered += 1
-            target.air_receive(frame, now_us)
-            if target not in woken:
-                woken.append(target)
-        if now_us >= self._slot_us and (self._turn.may_have or self._other.may_have):
+            direction.target.air_receive(frame, now_us)
+        if now_us >= self._slot_us:
             self._give_slot(now_us)
-        wants = self._turn.may_have or self._other.may_have
-        self.due_us = max(self._slot_us, now_us + 1) if wants else NEVER_US
-        if self._air:
-            self.due_us = min(self.due_us, self._air[0][0])
-        return woken
+        due_us = NEVER_US
+        if self._turn.may_have or self._other.may_have:
+            due_us = self._slot_us if self._slot_us > now_us else now_us + 1
+        self.due_us = air[0][0] if air and air[0][0] < due_us else due_us
 
     def _give_slot(self, now_us: int) -> None:
         """The slot goes to the side whose turn it is, else to the other; the turn then passes on."""
-        for direction, other in ((self._turn, self._other), (self._other, self._turn)):
+        for direction in (self._turn, self._other):
             if not direction.may_have:
                 continue
             frame = direction.source.air_send(now_us, FRAME_BYTES)
@@ -149,7 +150,8 @@ class RadioChannel:
                 direction.may_have = False
                 continue
             self._slot_us = now_us + self._settings.slot_us
-            self._turn, self._other = other, direction
+            if direction is self._turn:
+                self._turn, self._other = self._other, direction
             self._transmit(direction, frame, now_us)
             return
 
@@ -157,7 +159,7 @@ class RadioChannel:
         settings, counts, draw = self._settings, direction.counts, direction.draw
         counts.sent += 1
         lost = direction.loss.lost(len(frame))
-        if any(start <= now_us < end for start, end in self._cuts_us):
+        if self._cuts_us and any(start <= now_us < end for start, end in self._cuts_us):
             counts.cut += 1
             return
         if lost:
@@ -170,10 +172,11 @@ class RadioChannel:
         if draw() < settings.duplicate:
             counts.duplicated += 1
             copies = 2
+        arrival_us = now_us + settings.slot_us + settings.latency_us
         for _ in range(copies):
-            delay = settings.slot_us + settings.latency_us + int(draw() * settings.jitter_us)
             self._serial += 1
-            heapq.heappush(self._air, (now_us + delay, self._serial, direction, frame))
+            late_us = int(draw() * settings.jitter_us)
+            heapq.heappush(self._air, (arrival_us + late_us, self._serial, direction, frame))
 
 
 def _flip(frame: bytes, draw: Callable[[], float]) -> bytes:
