@@ -65,7 +65,7 @@ class Plant:
         if values["battery"][0]:
             depth = flight_generator(world.seed, flight, Purpose.BATTERY).uniform(0.0, _SAG_START_DEPTH)
             self._charge_used_c = depth * values["battery"][4]
-        self._com_frd = values["com_frd"]
+        self._com_frd = (*values["com_frd"], 0.0)
         self._gust_sd = (world.turbulence.force_m_s2, world.turbulence.torque_rad_s2)
         self._block = memoryview(b"")
         self._at = self._end = 0
@@ -132,7 +132,7 @@ def plant_parameters(vehicle: Vehicle, world: World) -> dict[str, list[float]]:
     Where the centre of mass is off the origin, the battery has slid there: the inertia follows.
     """
     mass = vehicle.mass_kg * world.build_factor("mass", "factor")
-    com = [world.value("com-offset", "x"), world.value("com-offset", "y"), 0.0]
+    com = np.array([world.value("com-offset", "x"), world.value("com-offset", "y"), 0.0])
     inertia = np.diag(
         [
             j * world.build_factor("inertia", axis)
@@ -140,7 +140,7 @@ def plant_parameters(vehicle: Vehicle, world: World) -> dict[str, list[float]]:
         ]
     )
     slide = mass * (1.0 / _BATTERY_SHARE - 1.0)
-    inertia += slide * (np.dot(com, com) * np.eye(3) - np.outer(com, com))
+    inertia += slide * (com @ com * np.eye(3) - np.outer(com, com))
     lag = vehicle.motor_lag_s + world.value("motor-lag", "extra_s")
     uneven = _LAG_UNEVEN if "motor-lag" in world.effects else 0.0
     tether = world.effects.get("elastic-tether", {})
@@ -150,9 +150,9 @@ def plant_parameters(vehicle: Vehicle, world: World) -> dict[str, list[float]]:
     fresh = math.sqrt(1.0 - keep * keep)
     return {
         "mass_kg": [mass],
-        "inertia": _six(inertia),
-        "inertia_inverse": _six(np.linalg.inv(inertia)),
-        "com_frd": com,
+        "inertia": _four(inertia),
+        "inertia_inverse": _four(np.linalg.inv(inertia)),
+        "com_frd": com[:2].tolist(),
         "rotors_frd": [c for rotor in vehicle.rotors for c in rotor.position_m],
         "spins": [1.0 if rotor.spin == "ccw" else -1.0 for rotor in vehicle.rotors],
         "thrust_max_n": [vehicle.thrust_max_n],
@@ -192,5 +192,5 @@ def pack(layout: Sequence[Block], values: Mapping[str, Sequence[float]]) -> memo
     return memoryview(array("d", [float(number) for name, _ in layout for number in values[name]]))
 
 
-def _six(tensor: np.ndarray) -> list[float]:
-    return [float(tensor[i, k]) for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+def _four(tensor: np.ndarray) -> list[float]:
+    return [float(tensor[i, k]) for i, k in ((0, 0), (1, 1), (2, 2), (0, 1))]

@@ -44,9 +44,9 @@ STATE = (
 
 PARAMETERS = (
     Block("mass_kg", 1),
-    Block("inertia", 6),  # xx yy zz xy xz yz of the tensor's elements, about the centre of mass
-    Block("inertia_inverse", 6),
-    Block("com_frd", 3),
+    Block("inertia", 4),  # xx yy zz xy of the tensor's elements, about the centre of mass; xz and yz are 0
+    Block("inertia_inverse", 4),
+    Block("com_frd", 2),  # x, y of the centre of mass: in the plane of the origin
     Block("rotors_frd", 12),
     Block("spins", 4),
     Block("thrust_max_n", 1),
@@ -114,7 +114,7 @@ def tick(ops: Any, inputs: Mapping[str, Vector]) -> dict[str, list[Scalar]]:
     p, v, w = _ahead(p, v_half, h), _ahead(v, a, h), _ahead(w, turning, h)
     q = _unit(ops, _ahead(q, _quaternion_rate(q_half, w_half), h))
 
-    com = P["com_frd"]
+    com = [*P["com_frd"], 0.0]
     carried = _add(_cross(turning, com), _cross(w_half, _cross(w_half, com)))
     force = _into_body(R_half, [a[0], a[1], a[2] - GRAVITY_M_S2])
     force = [f - c for f, c in zip(force, carried, strict=True)]
@@ -134,7 +134,7 @@ def _accelerations(
     gust: Vector,
 ) -> tuple[list[Scalar], list[Scalar]]:
     """Acceleration of the centre of mass in NED and angular acceleration in FRD."""
-    mass, com = P["mass_kg"][0], P["com_frd"]
+    mass, com = P["mass_kg"][0], [*P["com_frd"], 0.0]
     arms = [[P["rotors_frd"][3 * i + k] - com[k] for k in range(3)] for i in range(4)]
     wind = _wind(ops, P, p)
     air = _into_body(R, [v[0] - wind[0], v[1] - wind[1], v[2]])
@@ -307,12 +307,8 @@ def _into_body(R: Vector, u: Vector) -> list[Scalar]:
 
 
 def _symmetric(m: Vector, u: Vector) -> list[Scalar]:
-    xx, yy, zz, xy, xz, yz = m
-    return [
-        xx * u[0] + xy * u[1] + xz * u[2],
-        xy * u[0] + yy * u[1] + yz * u[2],
-        xz * u[0] + yz * u[1] + zz * u[2],
-    ]
+    xx, yy, zz, xy = m
+    return [xx * u[0] + xy * u[1], xy * u[0] + yy * u[1], zz * u[2]]
 
 
 def _cross(a: Vector, b: Vector) -> list[Scalar]:

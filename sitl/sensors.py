@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,13 +14,14 @@ from firmware_model.uart import NEVER_US
 from sitl.world import TICK_US, ImuSettings, MocapSettings
 
 _BLOCK = 1024
+_SEVEN = struct.Struct("7d")
 _STAMP_JITTER = (
     0.15  # of an undeclared latency: cameras stamped by a busy computer are late by varying amounts
 )
 
 
 class Imu:
-    """Noise and bias of gyro, accelerometer and voltage, a row of seven numbers a tick.
+    """Noise and bias of gyro, accelerometer and voltage, seven numbers a tick.
 
     Args:
         settings: standard deviations. rng: the flight's generator; the biases are its first draws.
@@ -34,9 +36,14 @@ class Imu:
         bias = np.array([s.gyro_bias_rad_s] * 3 + [s.accelerometer_bias_m_s2] * 3 + [0.0])
         self.bias = bias * rng.standard_normal(7)
 
-    def rows(self) -> list[list[float]]:
-        """The errors of the next ticks: rows of gyro 3, specific force 3, voltage 1."""
-        return (self._rng.standard_normal((_BLOCK, 7)) * self._noise + self.bias).tolist()
+    def errors(self) -> Iterator[tuple[float, ...]]:
+        """The errors of one tick after the other, without end: gyro 3, specific force 3, voltage 1.
+
+        Drawn in blocks, each used last row first.
+        """
+        while True:
+            block = self._rng.standard_normal((_BLOCK, 7)) * self._noise + self.bias
+            yield from _SEVEN.iter_unpack(block[::-1].tobytes())
 
 
 class Pose(NamedTuple):

@@ -202,7 +202,7 @@ class SimulatedVehicle:
         self._sensed: Any = self._step_owner.sensed
 
         self._imu = Imu(world.imu, flight_generator(seed, flight, Purpose.IMU))
-        self._imu_rows: list[list[float]] = []
+        self._imu_errors = self._imu.errors()
         latency_s = world.value("mocap-latency", "latency_s") if setting.plant is None else 0.0
         self._camera = Mocap(world.mocap, latency_s, flight_generator(seed, flight, Purpose.MOCAP))
         self._camera_codec = Codec(*CAMERAS)
@@ -251,16 +251,9 @@ class SimulatedVehicle:
             channel.wake(now_us, ground=True)
         if now_us >= air.due_us and air.tick(now_us):
             channel.wake(now_us, ground=False)
-        rows = self._imu_rows
-        if not rows:
-            rows = self._imu_rows = self._imu.rows()
-        e, s = rows.pop(), self._sensed
-        self._flight_tick(
-            now_us,
-            (s[0] + e[0], s[1] + e[1], s[2] + e[2]),
-            (s[3] + e[3], s[4] + e[4], s[5] + e[5]),
-            s[6] + e[6],
-        )
+        p, q, r, x, y, z, volts = self._sensed
+        dp, dq, dr, dx, dy, dz, dv = next(self._imu_errors)
+        self._flight_tick(now_us, (p + dp, q + dq, r + dr), (x + dx, y + dy, z + dz), volts + dv)
 
     # Measuring where the time goes.
 
