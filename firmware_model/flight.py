@@ -146,8 +146,8 @@ class Flight:
         view[0], view[1], view[2] = gyro
         view = self._force
         view[0], view[1], view[2] = force
-        player.piece[1] = (now_us - player.piece_us) * 1e-6
-        player.yaw[1] = (now_us - player.yaw_us) * 1e-6
+        player.piece[0] = (now_us - player.piece_us) * 1e-6
+        player.yaw[0] = (now_us - player.yaw_us) * 1e-6
         self._engine()
         self._memory[:] = self._memory_out
         if fresh:
@@ -207,8 +207,7 @@ class Flight:
         elif state is State.HOLD:
             end = (reference[0], reference[1], reference[2])
             if self.reference is not None:
-                block = self.reference.blocks[-1]
-                end, yaw = (block[14], block[15], block[16]), self.reference.yaw_blocks[-1][4]
+                end, yaw = self.reference.end_ned, self.reference.end_yaw
             duration_us = max(TICK_US, track.seconds_us(values["HOLD_S"]))
             self._player.start(track.hold(end, yaw, duration_us), now_us)
         elif state is State.LANDING:
@@ -223,8 +222,8 @@ class Flight:
         climb = track.climb(
             p,
             math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-            tuple(self.reference.blocks[0][2:14]),
-            self.reference.yaw_blocks[0][2],
+            self.reference.start_ned,
+            self.reference.start_yaw,
             speed=values["TAKEOFF_SPEED"],
             clear=values["TAKEOFF_CLEAR"],
             hover_us=max(TICK_US, track.seconds_us(values["HOVER_S"])),

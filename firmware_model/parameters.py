@@ -15,7 +15,7 @@ from protocol.parameters import BY_NAME, INDEX, PARAMETERS, complete
 class ParameterValues(Mapping[str, float]):
     """Values by name, in the table's order.
 
-    `vector` is the law's block `parameters`: values and the inverse allocation derived from them.
+    `vector` is the law's block `parameters`: values and the allocation derived from them.
     Raises ValueError where a name is unknown, a value out of bounds, or a torque beyond the rotors' geometry.
     """
 

@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from firmware_model.law.reference import CUBIC_SIZE, SEPTIC_SIZE, cubic_coefficients, septic_coefficients
+
 Vector = tuple[float, float, float]
 Node = tuple[float, ...]
 
@@ -31,8 +33,8 @@ _ZERO: Vector = (0.0, 0.0, 0.0)
 class Track:
     """A timeline from 0 to `end_us`: piece k holds from starts_us[k] until the next one starts.
 
-    blocks[k] is what the law's `piece` input takes (26 doubles: duration, time inside, node, node);
-    yaw_blocks[k] likewise (6 doubles: duration, time inside, yaw, rate, yaw, rate).
+    blocks[k] is what the law's `piece` input takes: the time inside, 0 here, and the coefficients;
+    yaw_blocks[k] likewise. Position and yaw at both ends stand beside them.
     """
 
     starts_us: tuple[int, ...]
@@ -40,16 +42,20 @@ class Track:
     yaw_starts_us: tuple[int, ...]
     yaw_blocks: tuple[memoryview, ...]
     end_us: int
+    start_ned: Vector
+    end_ned: Vector
+    start_yaw: float
+    end_yaw: float
 
     def __post_init__(self) -> None:
         for starts, blocks, size in (
-            (self.starts_us, self.blocks, 26),
-            (self.yaw_starts_us, self.yaw_blocks, 6),
+            (self.starts_us, self.blocks, 1 + SEPTIC_SIZE),
+            (self.yaw_starts_us, self.yaw_blocks, 1 + CUBIC_SIZE),
         ):
             if not starts or starts[0] != 0 or len(starts) != len(blocks):
                 raise ValueError("a track begins with a piece at 0 and has as many starts as pieces")
-            if any(b <= a for a, b in zip(starts, (*starts[1:], self.end_us), strict=True)):
-                raise ValueError("pieces must start one after the other, before the end")
+            for start_us, end_us in pairwise((*starts, self.end_us)):
+                _duration_s(start_us, end_us)
             if any(len(block) != size for block in blocks):
                 raise ValueError(f"a block must have {size} values")
 
@@ -62,35 +68,42 @@ def track(
 
     The track lasts as long as the nodes do. Before its first and after its last node yaw is held.
     """
+    if len(nodes) < 2:
+        raise ValueError("a track begins with a piece, from one node to another")
     first_us, end_us = nodes[0][0], nodes[-1][0]
     starts = []
     blocks = []
     for (t0, node0), (t1, node1) in pairwise(nodes):
         starts.append(t0 - first_us)
-        blocks.append(_block([(t1 - t0) * 1e-6, 0.0, *node0, *node1]))
+        blocks.append(_block(septic_coefficients(_duration_s(t0, t1), node0, node1)))
     yaw_starts: list[int] = []
     yaw_blocks: list[memoryview] = []
-    for t0, t1, *values in _yaw_pieces(yaw_nodes, first_us, end_us):
+    pieces = _yaw_pieces(yaw_nodes, first_us, end_us)
+    for t0, t1, *values in pieces:
         yaw_starts.append(int(t0) - first_us)
-        yaw_blocks.append(_block([(t1 - t0) * 1e-6, 0.0, *values]))
+        yaw_blocks.append(_block(cubic_coefficients(_duration_s(t0, t1), *values)))
     return Track(
         starts_us=tuple(starts),
         blocks=tuple(blocks),
         yaw_starts_us=tuple(yaw_starts),
         yaw_blocks=tuple(yaw_blocks),
         end_us=end_us - first_us,
+        start_ned=_position(nodes[0][1]),
+        end_ned=_position(nodes[-1][1]),
+        start_yaw=pieces[0][2],
+        end_yaw=pieces[-1][4],
     )
 
 
 def climb(
-    p: Vector, yaw: float, node: Node, yaw_end: float, *, speed: float, clear: float, hover_us: int
+    p: Vector, yaw: float, target: Vector, yaw_end: float, *, speed: float, clear: float, hover_us: int
 ) -> Track:
-    """From rest at `p` to rest at the node's position by septic pieces, then `hover_us` of hover.
+    """From rest at `p` to rest at `target` by septic pieces, then `hover_us` of hover.
 
-    Where the node lies further than `clear` to the side, the vehicle first climbs straight up to its height.
-    Peak speed is `speed`, but no piece is shorter than a second and a half. Yaw turns the short way round.
+    Where the target lies further than `clear` to the side, the vehicle first climbs straight up to its
+    height. Peak speed is `speed`, but no piece is shorter than a second and a half. Yaw turns the short way
+    round.
     """
-    target: Vector = (node[0], node[1], node[2])
     corners = [p]
     if math.hypot(target[0] - p[0], target[1] - p[1]) > clear:
         corners.append((p[0], p[1], target[2]))
@@ -117,7 +130,7 @@ def land(state: Node, yaw: float, *, floor: float, speed: float, deceleration: f
     """
     t_us = 0
     nodes: list[tuple[int, Node]] = [(0, state)]
-    p: Vector = (state[0], state[1], state[2])
+    p = _position(state)
     velocity: Vector = (state[3], state[4], state[5])
     if math.hypot(*velocity) > 0.05 or math.hypot(*state[6:9]) > 0.05:
         t_us = seconds_us(max(0.8, QUINTIC_PEAK * math.hypot(*velocity) / deceleration))
@@ -183,6 +196,10 @@ def _coast(state: Node, velocity: Vector, dt_s: float) -> Vector:
     return (x, y, z)
 
 
+def _position(node: Node) -> Vector:
+    return (node[0], node[1], node[2])
+
+
 def _below(p: Vector, depth: float) -> Vector:
     return (p[0], p[1], p[2] + depth)
 
@@ -191,8 +208,15 @@ def _rest(p: Vector) -> Node:
     return (*p, *_ZERO, *_ZERO, *_ZERO)
 
 
-def _block(values: list[float]) -> memoryview:
-    return memoryview(array("d", values))
+def _block(coefficients: Sequence[float]) -> memoryview:
+    return memoryview(array("d", [0.0, *coefficients]))
+
+
+def _duration_s(start_us: int, end_us: int) -> float:
+    """Length of a piece. Raises ValueError where there is none."""
+    if end_us <= start_us:
+        raise ValueError("pieces must start one after the other, before the end")
+    return (end_us - start_us) * 1e-6
 
 
 def _yaw_pieces(

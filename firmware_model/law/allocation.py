@@ -12,6 +12,9 @@ from itertools import combinations
 
 from firmware_model.law.ops import Ops, Scalar, Vector
 
+TABLE_SIZE = 32
+"""Numbers in an `allocation_table`."""
+
 
 def allocation_matrix(
     rotor_positions: Sequence[Sequence[float]], spins: Sequence[float], kappa: float
@@ -49,8 +52,24 @@ def invert4(m16: Sequence[float]) -> tuple[float, ...]:
     return tuple(value for row in rows for value in row[4:])
 
 
+def allocation_table(inverse16: Sequence[float]) -> tuple[float, ...]:
+    """The constants of `allocate`, from C^-1 (16, row-major; floats only).
+
+    Four each, rotor by rotor: its share of the collective thrust; 1 over that; its part in roll, pitch and
+    yaw torque, over its share. Then two weights for each pair of rotors, see `_lowest_above`. A rotor without
+    a share counts as one with next to none: such a vehicle cannot fly, but its numbers stay finite.
+    """
+    share = [max(inverse16[4 * i], 1e-6) for i in range(4)]
+    per = [1.0 / part for part in share]
+    roll, pitch, yaw = ([per[i] * inverse16[4 * i + k] for i in range(4)] for k in (1, 2, 3))
+    weights: list[float] = []
+    for a, b in combinations(yaw, 2):
+        weights += (b / (b - a), a / (a - b)) if a * b < 0.0 else (0.0, 0.0)
+    return (*share, *per, *roll, *pitch, *yaw, *weights)
+
+
 def allocate(
-    ops: Ops, inverse16: Vector, collective_n: Scalar, torque3: Vector, t_min: Scalar, t_max: Scalar
+    ops: Ops, table: Vector, collective_n: Scalar, torque3: Vector, t_min: Scalar, t_max: Scalar
 ) -> tuple[tuple[Scalar, ...], Scalar]:
     """Thrust of the four rotors (N, within t_min..t_max) and 1 where something was given up, else 0.
 
@@ -59,59 +78,56 @@ def allocate(
     Where rotors do not share thrust equally, roll and pitch are scaled somewhat before they must be.
 
     Args:
-        inverse16: C^-1, row-major; its first column (how rotors share thrust) must be positive.
+        table: `allocation_table` of the rotors.
         collective_n, torque3: what is wanted; N and N m about x, y, z of FRD.
+        t_min, t_max: N, not negative.
     """
-    share = (inverse16[0], inverse16[4], inverse16[8], inverse16[12])
-    turn = (inverse16[3], inverse16[7], inverse16[11], inverse16[15])
-    per = [1.0 / part for part in share]
-    tilt = [inverse16[4 * i + 1] * torque3[0] + inverse16[4 * i + 2] * torque3[1] for i in range(4)]
-    yaw = [part * torque3[2] for part in turn]
+    share, per, roll, pitch, yaw = (table[4 * k : 4 * k + 4] for k in range(5))
 
-    # In units of collective thrust: rotor i stands at its bound for collective = bound_i - yaw_scale yaw_i.
-    need = [t * k for t, k in zip(tilt, per, strict=True)]
+    # In units of collective thrust: a rotor's thrust over its share, rotor i between low_i and high_i.
     low, high = [t_min * k for k in per], [t_max * k for k in per]
-    spread = ops.maximum(_greatest(ops, need) - _least(ops, need), 1e-9)
+    tilt = [r * torque3[0] + p * torque3[1] for r, p in zip(roll, pitch, strict=True)]
+    turn = [y * torque3[2] for y in yaw]
+    spread = ops.maximum(_greatest(ops, tilt) - _least(ops, tilt), 1e-9)
     tilt_scale = ops.minimum((_least(ops, high) - _greatest(ops, low)) / spread, 1.0)
-    low = [bound - tilt_scale * t for bound, t in zip(low, need, strict=True)]
-    high = [bound - tilt_scale * t for bound, t in zip(high, need, strict=True)]
-    turned = [y * k for y, k in zip(yaw, per, strict=True)]
-    floor, ceiling = _collective_range(ops, low, high, turn, turned, per)
-    collective = ops.minimum(ops.maximum(collective_n, floor), ceiling)
-    thrust = [part * collective + tilt_scale * t for part, t in zip(share, tilt, strict=True)]
+    tilt = [tilt_scale * t for t in tilt]
 
+    # low_i <= collective + tilt_i + k turn_i <= high_i at some part k of the yaw demand. The mean over shares
+    # of low is four times t_min, of high four times t_max: no floor is below 0, no ceiling above `top`.
+    top = 4.0 * t_max
+    weights = table[20:]
+    floor = _lowest_above(ops, [a - t for a, t in zip(low, tilt, strict=True)], turn, weights)
+    room = _lowest_above(
+        ops, [top - b + t for b, t in zip(high, tilt, strict=True)], [-y for y in turn], weights
+    )
+    collective = ops.minimum(ops.maximum(collective_n, floor), top - room)
+
+    level = [collective + t for t in tilt]
     yaw_scale = 1.0
-    for t, y in zip(thrust, yaw, strict=True):
-        room = ops.where(y > 0.0, t_max - t, t - t_min)
-        yaw_scale = ops.minimum(yaw_scale, room / ops.maximum(ops.fabs(y), 1e-9))
+    for a, x, b, y in zip(low, level, high, turn, strict=True):
+        way = ops.where(y > 0.0, b - x, x - a)
+        yaw_scale = ops.minimum(yaw_scale, way / ops.maximum(ops.fabs(y), 1e-9))
     yaw_scale = ops.maximum(yaw_scale, 0.0)
-    thrust = [ops.clip(t + yaw_scale * y, t_min, t_max) for t, y in zip(thrust, yaw, strict=True)]
+    thrust = [
+        ops.clip(part * (x + yaw_scale * y), t_min, t_max)
+        for part, x, y in zip(share, level, turn, strict=True)
+    ]
 
     # Shifts of rounding's size are no saturation.
     lost = (1.0 - tilt_scale) + (1.0 - yaw_scale) + ops.fabs(collective - collective_n) / t_max
     return tuple(thrust), ops.where(lost > 1e-9, 1.0, 0.0)
 
 
-def _collective_range(
-    ops: Ops, low: Sequence[Scalar], high: Sequence[Scalar], turn: Vector, yaw: Sequence[Scalar], per: Vector
-) -> tuple[Scalar, Scalar]:
-    """Least and greatest collective thrust at which some part k of the yaw demand keeps rotors in range.
+def _lowest_above(ops: Ops, lines: Vector, fall: Vector, weights: Vector) -> Scalar:
+    """The lowest point, for k in 0..1, that is above the four lines `lines_i - k fall_i`; it must not be < 0.
 
-    low_i - k yaw_i <= collective <= high_i - k yaw_i are lines over k in 0..1. The lowest point above four
-    lines is the end of one of them or where a falling one meets a rising one: rotors that turn opposite ways.
+    It is the end of one of them or where a falling one meets a rising one: rotors that turn opposite ways.
+    Their weighted mean is level, so it is that height; pairs that turn alike have weights 0 and do not count.
     """
-    ends_low = [ops.minimum(bound, bound - y) for bound, y in zip(low, yaw, strict=True)]
-    ends_high = [ops.maximum(bound, bound - y) for bound, y in zip(high, yaw, strict=True)]
-    floor, ceiling = _greatest(ops, ends_low), _least(ops, ends_high)
-    slope = [ops.fabs(part) * k for part, k in zip(turn, per, strict=True)]
-    for i, j in combinations(range(4), 2):
-        part = slope[j] / (slope[i] + slope[j])
-        opposite = turn[i] * turn[j] < 0.0
-        floor = ops.maximum(floor, ops.where(opposite, low[j] + part * (low[i] - low[j]), ends_low[i]))
-        ceiling = ops.minimum(
-            ceiling, ops.where(opposite, high[j] + part * (high[i] - high[j]), ends_high[i])
-        )
-    return floor, ceiling
+    found = _greatest(ops, [ops.minimum(line, line - f) for line, f in zip(lines, fall, strict=True)])
+    for pair, (i, j) in enumerate(combinations(range(4), 2)):
+        found = ops.maximum(found, weights[2 * pair] * lines[i] + weights[2 * pair + 1] * lines[j])
+    return found
 
 
 def thrust_to_command(ops: Ops, thrust_n: Scalar, t_max: Scalar, c1: Scalar, c2: Scalar) -> Scalar:

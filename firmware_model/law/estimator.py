@@ -75,7 +75,8 @@ def correct(
     """The estimate drawn towards a pose measured `age_s` ago; unchanged where `dt_s_since_last` is 0.
 
     Position is compared `age_s` back, p - v age + a age^2 / 2 (exact for constant acceleration); attitude by
-    turning the measured one forward by exp(rate age). The sign of either quaternion does not matter.
+    turning the measured one forward by exp(rate age). The sign of either quaternion does not matter. The
+    next prediction takes rounding out of the quaternion's length.
     """
     dt = ops.minimum(dt_s_since_last, LONGEST_INTERVAL_S)
     half = 0.5 * age_s
@@ -97,4 +98,4 @@ def correct(
     k_q, k_b = dt * gains.attitude, dt * gains.bias
     q = quat_multiply(est.q, quat_exp(ops, [k_q * e for e in error]))
     bias = tuple(b - k_b * e for b, e in zip(est.bias, error, strict=True))
-    return Estimate(tuple(p), tuple(v), quat_normalize(ops, q), bias)
+    return Estimate(tuple(p), tuple(v), q, bias)

@@ -50,12 +50,10 @@ def quat_normalize(ops: Ops, q: Vector) -> tuple[Scalar, ...]:
 def quat_exp(ops: Ops, rotvec: Vector) -> tuple[Scalar, ...]:
     """The unit quaternion that turns by the rotation vector (axis times angle, rad)."""
     x, y, z = rotvec
-    square = x * x + y * y + z * z
-    angle = ops.sqrt(ops.maximum(square, 1e-8))
-    # sin(a/2)/a: below 1e-4 rad its series is exact to rounding, and its derivative finite.
-    scale = ops.where(square < 1e-8, 0.5 - square * (1.0 / 48.0), ops.sin(0.5 * angle) / angle)
-    w = ops.where(square < 1e-8, 1.0 - square * 0.125, ops.cos(0.5 * angle))
-    return (w, x * scale, y * scale, z * scale)
+    # The addition keeps the quotient and its derivatives finite at 0; elsewhere it is below rounding.
+    angle = ops.sqrt(x * x + y * y + z * z + 1e-20)
+    scale = ops.sin(0.5 * angle) / angle
+    return (ops.cos(0.5 * angle), x * scale, y * scale, z * scale)
 
 
 def quat_from_euler(ops: Ops, roll: Scalar, pitch: Scalar, yaw: Scalar) -> tuple[Scalar, ...]:

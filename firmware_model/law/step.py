@@ -10,12 +10,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from firmware_model.law import feedforward
-from firmware_model.law.allocation import allocate, allocation_matrix, invert4, thrust_to_command
+from firmware_model.law.allocation import (
+    TABLE_SIZE,
+    allocate,
+    allocation_matrix,
+    allocation_table,
+    invert4,
+    thrust_to_command,
+)
 from firmware_model.law.dfbc import Gains, Reference, control
 from firmware_model.law.estimator import Estimate, EstimatorGains, correct, predict
 from firmware_model.law.flatness import Body, flat_attitude, flat_rates
 from firmware_model.law.ops import Ops, Scalar, Vector
-from firmware_model.law.reference import hermite_yaw, septic
+from firmware_model.law.reference import CUBIC_SIZE, SEPTIC_SIZE, cubic_at, septic_at
 from firmware_model.law.rotations import quat_to_matrix
 
 TICK_S = 0.001
@@ -72,10 +79,10 @@ _DIRECT = (
 _ROTORS = tuple(f"ROTOR{i}_{what}" for i in (1, 2, 3, 4) for what in ("X", "Y", "SPIN"))
 SOURCES: tuple[str, ...] = (*_DIRECT, *_ROTORS, "TORQUE_PER_N")
 """Names of the parameter table that the law reads; meaning and unit are the table's."""
-PARAMETERS: tuple[str, ...] = (*_DIRECT, *(f"ALLOCATION_{k}" for k in range(16)))
-"""Layout of the block `parameters`: values from the table, then the inverse allocation, row-major."""
+PARAMETERS: tuple[str, ...] = (*_DIRECT, *(f"ALLOCATION_{k}" for k in range(TABLE_SIZE)))
+"""Layout of the block `parameters`: values from the table, then `allocation_table` of its rotors."""
 _AT = {name: k for k, name in enumerate(PARAMETERS)}
-_ALLOCATION = slice(_AT["ALLOCATION_0"], _AT["ALLOCATION_0"] + 16)
+_ALLOCATION = slice(_AT["ALLOCATION_0"], None)
 
 INPUTS: tuple[Block, ...] = (
     Block(name="memory", size=MEMORY_SIZE),
@@ -88,8 +95,8 @@ INPUTS: tuple[Block, ...] = (
     Block(name="mocap_interval_s", size=1),
     Block(name="armed", size=1),
     Block(name="feedback_weights", size=2),
-    Block(name="piece", size=26),
-    Block(name="yaw_piece", size=6),
+    Block(name="piece", size=1 + SEPTIC_SIZE),  # time inside (s), coefficients
+    Block(name="yaw_piece", size=1 + CUBIC_SIZE),
     Block(name="feedforward", size=feedforward.FF_SIZE),
     Block(name="ff_accel_ned", size=3),
     Block(name="parameters", size=len(PARAMETERS)),
@@ -115,7 +122,7 @@ def parameter_vector(table: Mapping[str, float]) -> tuple[float, ...]:
     positions = [(table[f"ROTOR{i}_X"], table[f"ROTOR{i}_Y"]) for i in (1, 2, 3, 4)]
     spins = [table[f"ROTOR{i}_SPIN"] for i in (1, 2, 3, 4)]
     inverse = invert4(allocation_matrix(positions, spins, table["TORQUE_PER_N"]))
-    return (*(float(table[name]) for name in _DIRECT), *inverse)
+    return (*(float(table[name]) for name in _DIRECT), *allocation_table(inverse))
 
 
 def initial_memory(
@@ -203,8 +210,8 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
 
     # Reference and what is known of the residual along it.
     piece, yaw_piece = inputs["piece"], inputs["yaw_piece"]
-    p_r, v_r, a_r, j_r, _ = septic(piece[0], piece[1], piece[2:14], piece[14:26])
-    yaw, yaw_rate = hermite_yaw(*(yaw_piece[k] for k in range(6)))
+    p_r, v_r, a_r, j_r, _ = septic_at(piece[1:], piece[0])
+    yaw, yaw_rate = cubic_at(yaw_piece[1:], yaw_piece[0])
     ref = Reference(p_r, v_r, a_r, j_r, yaw, yaw_rate)
     ff_accel, ff_jerk = feedforward_terms(ops, block, ref, inputs["ff_accel_ned"])
 

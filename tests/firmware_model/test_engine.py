@@ -10,7 +10,7 @@ from firmware_model.law.ops import FLOAT
 def test_float_engine_keeps_its_views():
     engine = FloatEngine(law.step, FLOAT, law.INPUTS, law.OUTPUTS)
     before = engine.outputs["motor_command"]
-    engine.inputs["memory"][6] = engine.inputs["piece"][0] = engine.inputs["yaw_piece"][0] = 1.0
+    engine.inputs["memory"][6] = 1.0
     engine.inputs["feedforward"][0] = 1.0
     for k in range(len(law.PARAMETERS)):
         engine.inputs["parameters"][k] = 1.0

@@ -15,7 +15,7 @@ def node(x):
 
 @pytest.fixture
 def player():
-    return Player(memoryview(array("d", bytes(8 * 26))), memoryview(array("d", bytes(8 * 6))))
+    return Player(memoryview(array("d", bytes(8 * 25))), memoryview(array("d", bytes(8 * 5))))
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def walk(player, start_us, count):
         if now_us >= player.switch_us and player.switch(now_us):
             return rows, now_us
         piece_us, yaw_us = now_us - player.piece_us, now_us - player.yaw_us
-        rows.append((now_us - start_us, player.piece[2], piece_us, player.yaw[2], yaw_us))
+        rows.append((now_us - start_us, player.piece[1], piece_us, player.yaw[1], yaw_us))
     return rows, None
 
 
@@ -53,14 +53,14 @@ def test_player_switches_at_the_first_tick_of_a_piece_and_ends_at_the_end(player
 def test_player_late_skips_pieces_it_missed(player, pieces):
     player.start(pieces, 0)
     assert not player.switch(6_000)
-    assert (player.piece[2], player.piece_us) == (2.0, 4_000)
+    assert (player.piece[1], player.piece_us) == (2.0, 4_000)
     assert player.switch(99_000)
 
 
 def test_player_at_rest_never_ends(player, pieces):
     player.rest(pieces, 1_000)
     assert player.switch_us == NEVER_US
-    assert player.piece[2] == 0.0
+    assert player.piece[1] == 0.0
 
 
 def test_player_without_a_track_has_ended(player):

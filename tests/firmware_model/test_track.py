@@ -1,4 +1,4 @@
-"""Tracks: continuity, limits and timing, by polynomials fitted here and not by the law's septic."""
+"""Tracks: continuity, limits and timing, by polynomials evaluated here and not by the law."""
 
 import math
 from itertools import pairwise
@@ -12,68 +12,60 @@ REST = (0.0,) * 9
 
 
 def septic(block, s):
-    """p, v, a at `s` seconds into the block, from a linear solve of the eight end conditions per axis."""
-    h = block[0]
-    node0, node1 = np.array(block[2:14]), np.array(block[14:26])
-    rows = []
-    for time in (0.0, h):
-        for order in range(4):
-            rows.append([math.perm(k, order) * time ** (k - order) if k >= order else 0.0 for k in range(8)])
-    out = []
-    coefficients = [
-        np.linalg.solve(np.array(rows), np.concatenate([node0[axis::3], node1[axis::3]])) for axis in range(3)
+    """p, v, a, j at `s` seconds into the block: its polynomials, term by term."""
+    coefficients = np.array(block[1:]).reshape(8, 3)
+    return [
+        sum(math.perm(k, order) * s ** (k - order) * coefficients[k] for k in range(order, 8))
+        for order in range(4)
     ]
-    for order in range(3):
-        row = np.array([math.perm(k, order) * s ** (k - order) if k >= order else 0.0 for k in range(8)])
-        out.append(np.array([row @ c for c in coefficients]))
-    return out
+
+
+def durations(t: Track):
+    return [1e-6 * (end - start) for start, end in pairwise((*t.starts_us, t.end_us))]
 
 
 def sampled(t: Track, count=40):
-    for block in t.blocks:
-        for s in np.linspace(0.0, block[0], count):
+    for block, duration in zip(t.blocks, durations(t), strict=True):
+        for s in np.linspace(0.0, duration, count):
             yield septic(block, s)
 
 
 def assert_pieces_join(t: Track):
-    for a, b in pairwise(t.blocks):
-        np.testing.assert_allclose(a[14:26], b[2:14], atol=1e-12)
-    durations = [round(1e6 * block[0]) for block in t.blocks]
-    assert list(t.starts_us) == [sum(durations[:k]) for k in range(len(durations))]
-    assert t.end_us == sum(durations)
-    assert sum(round(1e6 * block[0]) for block in t.yaw_blocks) >= t.end_us
+    for (a, b), duration in zip(pairwise(t.blocks), durations(t), strict=False):
+        np.testing.assert_allclose(septic(a, duration), septic(b, 0.0), atol=1e-10)
+    np.testing.assert_allclose(septic(t.blocks[0], 0.0)[0], t.start_ned, atol=1e-12)
+    np.testing.assert_allclose(septic(t.blocks[-1], durations(t)[-1])[0], t.end_ned, atol=1e-12)
 
 
 def test_climb_straight_up_reaches_the_node_within_the_speed():
-    t = climb((1.0, 2.0, 0.0), 0.1, (1.1, 2.0, -1.5, *REST), 0.1, speed=1.0, clear=0.5, hover_us=1_000_000)
+    t = climb((1.0, 2.0, 0.0), 0.1, (1.1, 2.0, -1.5), 0.1, speed=1.0, clear=0.5, hover_us=1_000_000)
     assert_pieces_join(t)
     assert len(t.blocks) == 2
-    assert max(np.linalg.norm(v) for _, v, _ in sampled(t)) == pytest.approx(1.0, rel=5e-3)
-    p, v, _ = septic(t.blocks[-1], 0.5)
+    assert max(np.linalg.norm(v) for _, v, *_ in sampled(t)) == pytest.approx(1.0, rel=5e-3)
+    p, v, *_ = septic(t.blocks[-1], 0.5)
     np.testing.assert_allclose(p, [1.1, 2.0, -1.5], atol=1e-12)
     np.testing.assert_allclose(v, 0.0, atol=1e-12)
 
 
 def test_climb_to_a_far_node_goes_up_before_it_goes_aside():
-    t = climb((0.0, 0.0, 0.0), 0.0, (3.0, 0.0, -1.0, *REST), 0.0, speed=1.0, clear=0.5, hover_us=1_000_000)
+    t = climb((0.0, 0.0, 0.0), 0.0, (3.0, 0.0, -1.0), 0.0, speed=1.0, clear=0.5, hover_us=1_000_000)
     assert_pieces_join(t)
-    assert tuple(t.blocks[0][14:17]) == (0.0, 0.0, -1.0)
-    assert tuple(t.blocks[1][14:17]) == (3.0, 0.0, -1.0)
-    assert t.blocks[0][0] == pytest.approx(35 / 16, abs=1e-3)
+    assert tuple(t.blocks[1][1:4]) == (0.0, 0.0, -1.0)
+    assert tuple(t.blocks[2][1:4]) == (3.0, 0.0, -1.0)
+    assert durations(t)[0] == pytest.approx(35 / 16, abs=1e-3)
 
 
 def test_climb_turns_the_short_way_and_ends_at_the_yaw_of_the_reference():
-    t = climb((0.0, 0.0, 0.0), -3.0, (0.0, 0.0, -1.0, *REST), 3.0, speed=1.0, clear=0.5, hover_us=1_000_000)
-    start, end = t.yaw_blocks[0][2], t.yaw_blocks[0][4]
-    assert end == 3.0
-    assert start == pytest.approx(2.0 * math.pi - 3.0)
-    assert tuple(t.yaw_blocks[-1][2:]) == (3.0, 0.0, 3.0, 0.0)
+    t = climb((0.0, 0.0, 0.0), -3.0, (0.0, 0.0, -1.0), 3.0, speed=1.0, clear=0.5, hover_us=1_000_000)
+    assert (t.start_yaw, t.end_yaw) == (pytest.approx(2.0 * math.pi - 3.0), 3.0)
+    assert t.yaw_blocks[0][1] == t.start_yaw
+    assert tuple(t.yaw_blocks[-1]) == (0.0, 3.0, 0.0, 0.0, 0.0)
 
 
 def test_hold_stays():
     t = hold((1.0, 2.0, -3.0), 0.4, 1_000_000)
     assert t.end_us == 1_000_000
-    for p, v, _ in sampled(t):
+    for p, v, *_ in sampled(t):
         np.testing.assert_allclose(p, [1.0, 2.0, -3.0])
         np.testing.assert_allclose(v, 0.0, atol=1e-12)
 
@@ -81,10 +73,10 @@ def test_hold_stays():
 def test_land_from_rest_goes_straight_down_through_the_floor():
     t = land((1.0, 2.0, -1.5, *REST), 0.3, floor=0.0, speed=0.5, deceleration=5.0)
     assert_pieces_join(t)
-    end, v, _ = septic(t.blocks[-1], t.blocks[-1][0])
+    end, v, *_ = septic(t.blocks[-1], durations(t)[-1])
     np.testing.assert_allclose(end, [1.0, 2.0, 1.0], atol=1e-3)
     np.testing.assert_allclose(v, [0.0, 0.0, 0.5], atol=1e-9)
-    heights = [p[2] for p, _, _ in sampled(t)]
+    heights = [p[2] for p, *_ in sampled(t)]
     assert heights == sorted(heights)
 
 
@@ -92,10 +84,11 @@ def test_land_at_speed_brakes_within_its_deceleration_first():
     state = (0.0, 0.0, -2.0, 5.0, 0.0, 0.0, *(0.0,) * 6)
     t = land(state, 0.0, floor=0.0, speed=0.5, deceleration=5.0)
     assert_pieces_join(t)
-    accelerations = [np.linalg.norm(a) for _, _, a in sampled(t)]
+    accelerations = [np.linalg.norm(a) for _, _, a, _ in sampled(t)]
     assert max(accelerations) == pytest.approx(5.0, rel=1e-2)
-    x = septic(t.blocks[0], t.blocks[0][0])[0][0]
-    assert x == pytest.approx(5.0 * t.blocks[0][0] / 2.0)
+    braking_s = durations(t)[0]
+    x = septic(t.blocks[0], braking_s)[0][0]
+    assert x == pytest.approx(5.0 * braking_s / 2.0)
 
 
 def test_level_descent_is_smooth_down_to_the_open_loop_part():
@@ -105,11 +98,11 @@ def test_level_descent_is_smooth_down_to_the_open_loop_part():
     assert_pieces_join(t)
     assert t.end_us == 8_000_000
     states = list(sampled(t))
-    assert max(np.linalg.norm(a) for _, _, a in states) < 5.1
-    _, v, a = septic(t.blocks[-1], 1.0)
+    assert max(np.linalg.norm(a) for _, _, a, _ in states) < 5.1
+    _, v, a, _ = septic(t.blocks[-1], 1.0)
     np.testing.assert_allclose(a, [0.0, 0.0, 1.5], atol=1e-6)
     assert v[2] == pytest.approx(0.8 + 1.5 * 1.5, abs=1e-6)
-    speeds = [v[2] for _, v, _ in sampled(t) if v[0] < 1e-9]
+    speeds = [v[2] for _, v, *_ in sampled(t) if v[0] < 1e-9]
     assert all(b >= a - 1e-9 for a, b in pairwise(speeds))
 
 
@@ -117,11 +110,10 @@ def test_track_holds_yaw_outside_its_nodes():
     nodes = [(0, (0.0,) * 12), (1_000_000, (0.0,) * 12), (3_000_000, (0.0,) * 12)]
     t = track(nodes, [(500_000, 1.0, 0.2), (2_000_000, 2.0, -0.1)])
     assert t.yaw_starts_us == (0, 500_000, 2_000_000)
-    assert [tuple(block) for block in t.yaw_blocks] == [
-        (0.5, 0.0, 1.0, 0.0, 1.0, 0.0),
-        (1.5, 0.0, 1.0, 0.2, 2.0, -0.1),
-        (1.0, 0.0, 2.0, 0.0, 2.0, 0.0),
-    ]
+    first, middle, last = (tuple(block) for block in t.yaw_blocks)
+    assert (first, last) == ((0.0, 1.0, 0.0, 0.0, 0.0), (0.0, 2.0, 0.0, 0.0, 0.0))
+    assert np.polyval(middle[:0:-1], 1.5) == pytest.approx(2.0)
+    assert middle[1:3] == (1.0, 0.2)
 
 
 def test_track_with_pieces_out_of_order_raises():

@@ -9,6 +9,7 @@ import pytest
 from firmware_model.law import feedforward
 from firmware_model.law import step as law
 from firmware_model.law.ops import FLOAT
+from firmware_model.law.reference import cubic_coefficients, septic_coefficients
 from host.codegen.ops import CASADI, NUMPY
 from protocol.parameters import DEFAULTS
 
@@ -93,8 +94,8 @@ def _random_steps(seed, lanes):
     block[feedforward.PREDICTION_TIME] = rng.uniform(0, 0.02, lanes)
     table = law.parameter_vector(DEFAULTS)
     parameters = np.tile(np.array(table)[:, None], lanes) * rng.uniform(0.9, 1.1, (1, lanes))
-    inverse = slice(len(law.PARAMETERS) - 16, None)
-    parameters[inverse] = np.array(table)[inverse, None]
+    allocation = slice(law.PARAMETERS.index("ALLOCATION_0"), None)
+    parameters[allocation] = np.array(table)[allocation, None]
     return {
         "memory": memory,
         "gyro": normal(3, 8.0),
@@ -106,8 +107,10 @@ def _random_steps(seed, lanes):
         "mocap_interval_s": rng.uniform(0.001, 0.2, (1, lanes)),
         "armed": (rng.uniform(size=(1, lanes)) > 0.1).astype(float),
         "feedback_weights": rng.uniform(0, 1, (2, lanes)),
-        "piece": np.vstack([dt, dt * rng.uniform(0, 1, (1, lanes)), *nodes]),
-        "yaw_piece": np.vstack([dt, dt * rng.uniform(0, 1, (1, lanes)), normal(4, 2.0)]),
+        "piece": np.vstack([dt * rng.uniform(0, 1, (1, lanes)), *septic_coefficients(dt[0], *nodes)]),
+        "yaw_piece": np.vstack(
+            [dt * rng.uniform(0, 1, (1, lanes)), *cubic_coefficients(dt[0], *normal(4, 2.0))]
+        ),
         "feedforward": block,
         "ff_accel_ned": normal(3, 2.0),
         "parameters": parameters,

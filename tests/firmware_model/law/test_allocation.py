@@ -11,6 +11,7 @@ from scipy.optimize import linprog
 from firmware_model.law.allocation import (
     allocate,
     allocation_matrix,
+    allocation_table,
     command_to_thrust,
     invert4,
     thrust_to_command,
@@ -28,7 +29,7 @@ demand = st.tuples(st.floats(-10.0, 50.0), st.floats(-3.0, 3.0), st.floats(-3.0,
 
 
 def _allocate(wanted, inverse=INVERSE):
-    thrust, flag = allocate(FLOAT, inverse, wanted[0], wanted[1:], LOW, HIGH)
+    thrust, flag = allocate(FLOAT, allocation_table(inverse), wanted[0], wanted[1:], LOW, HIGH)
     return np.array(thrust), flag
 
 

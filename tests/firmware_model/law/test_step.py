@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from firmware_model.law import step as law
-from firmware_model.law.allocation import command_to_thrust
+from firmware_model.law.allocation import allocation_matrix, command_to_thrust
 from firmware_model.law.constants import GRAVITY
 from firmware_model.law.feedforward import GAIN, NEUTRAL, PREDICTION_TIME
 from firmware_model.law.flatness import flat_attitude
 from firmware_model.law.ops import FLOAT
+from firmware_model.law.reference import septic_coefficients
 from firmware_model.law.rotations import (
     mat_t_vec,
     mat_vec,
@@ -26,6 +27,9 @@ from protocol.parameters import DEFAULTS, complete
 
 TABLE = complete({})
 PARAMETERS = law.parameter_vector(TABLE)
+ROTORS = [[TABLE[f"ROTOR{i}_{axis}"] for axis in "XY"] for i in (1, 2, 3, 4)]
+SPINS = [TABLE[f"ROTOR{i}_SPIN"] for i in (1, 2, 3, 4)]
+MATRIX = np.reshape(allocation_matrix(ROTORS, SPINS, TABLE["TORQUE_PER_N"]), (4, 4))
 
 
 def _hover_inputs(**changes):
@@ -41,8 +45,8 @@ def _hover_inputs(**changes):
         "mocap_interval_s": (0.01,),
         "armed": (1.0,),
         "feedback_weights": (1.0, 1.0),
-        "piece": (1.0, 0.5, *node, *node),
-        "yaw_piece": (1.0, 0.5, 0.0, 0.0, 0.0, 0.0),
+        "piece": (0.5, *septic_coefficients(1.0, node, node)),
+        "yaw_piece": (0.5, 0.0, 0.0, 0.0, 0.0),
         "feedforward": NEUTRAL,
         "ff_accel_ned": (0.0, 0.0, 0.0),
         "parameters": PARAMETERS,
@@ -169,8 +173,8 @@ def test_step_in_a_turned_world_gives_the_same_commands(random_steps):
     memory[law.EST_Q] = quat_multiply(half, memory[law.EST_Q])
     turned["mocap_p"], turned["ff_accel_ned"] = turn(inputs["mocap_p"]), turn(inputs["ff_accel_ned"])
     turned["mocap_q"] = np.array(quat_multiply(half, inputs["mocap_q"]))
-    turned["piece"][2:] = turn_all(inputs["piece"][2:])
-    turned["yaw_piece"][[2, 4]] += angle
+    turned["piece"][1:] = turn_all(inputs["piece"][1:])
+    turned["yaw_piece"][1] += angle
     turned["feedforward"][1:4] = turn(inputs["feedforward"][1:4])
 
     one, other = (law.step(NUMPY, {k: list(v) for k, v in x.items()}) for x in (inputs, turned))
@@ -228,15 +232,14 @@ class _Flight:
             **_hover_inputs(memory=self.memory, gyro=self.rate, specific_force=force),
             "mocap_new": (float(k % 10 == 0),), "mocap_p": late[0], "mocap_q": late[1],
             "mocap_age_s": (self.AGE * 1e-3,),
-            "piece": (0.1, t - start, *self.node(start), *self.node(start + 0.1)),
+            "piece": (t - start, *septic_coefficients(0.1, self.node(start), self.node(start + 0.1))),
             "feedforward": self.feedforward,
         })  # fmt: skip
         self.memory = outputs["memory"]
         curve = (TABLE["THRUST_MAX"], TABLE["THRUST_C1"], TABLE["THRUST_C2"])
         asked = np.array([command_to_thrust(u, *curve) for u in outputs["motor_command"]])
         self.thrust = self.thrust + (asked - self.thrust) * (1e-3 / self.LAG_S)
-        inverse = np.reshape(PARAMETERS[-16:], (4, 4))
-        torque = np.linalg.solve(inverse, self.thrust)[1:]
+        torque = (MATRIX @ self.thrust)[1:]
         J = np.array(body.inertia)
         self.rate = self.rate + 1e-3 * (torque - np.cross(self.rate, J * self.rate)) / J
         self.q = quat_normalize(FLOAT, quat_multiply(self.q, quat_exp(FLOAT, 1e-3 * self.rate)))
@@ -264,7 +267,8 @@ def test_closed_loop_with_drag_follows_better_with_its_feedforward():
 def test_closed_loop_reference_is_what_flatness_says(random_steps):
     """The outputs' reference block is the septic and cubic at that time, as the flatness map takes it."""
     flight = _Flight()
-    outputs = law.step(FLOAT, _hover_inputs(piece=(0.1, 0.03, *flight.node(0.0), *flight.node(0.1))))
+    piece = (0.03, *septic_coefficients(0.1, flight.node(0.0), flight.node(0.1)))
+    outputs = law.step(FLOAT, _hover_inputs(piece=piece))
     expected = flight.node(0.03)
     assert outputs["reference"][:9] == pytest.approx(expected[:9], abs=1e-6)
     R, _ = flat_attitude(FLOAT, outputs["reference"][6:9], 0.0)

@@ -86,8 +86,7 @@ def _random_inputs(rng):
         values[name] = rng.uniform(0.0, 0.05, 1)
     values["mocap_new"], values["armed"] = rng.integers(0, 2, (2, 1)).astype(float)
     for name in ("piece", "yaw_piece"):
-        values[name][0] = rng.uniform(0.05, 0.5)
-        values[name][1] = values[name][0] * rng.uniform()
+        values[name][0] = rng.uniform(0.0, 0.5)
     values["feedforward"] *= 0.1 / size
     values["feedforward"][0] = rng.uniform(0.8, 1.25)
     values["parameters"] = np.array(law.parameter_vector(DEFAULTS)) * rng.uniform(0.9, 1.1)

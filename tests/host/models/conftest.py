@@ -12,6 +12,7 @@ import pytest
 from firmware_model.law import feedforward as law_feedforward
 from firmware_model.law import step as law_step
 from firmware_model.law.allocation import command_to_thrust
+from firmware_model.law.reference import cubic_coefficients, septic_coefficients
 from firmware_model.law.rotations import euler_to_matrix, mat_t_vec, quat_from_euler
 from host.codegen import Block, compile_blocks
 from host.models import dynamics
@@ -137,11 +138,12 @@ def fly_sampled(vehicle) -> Callable[..., np.ndarray]:
             while yaw_at < len(yaws) - 2 and yaws[yaw_at + 1].t_us <= t_us:
                 yaw_at += 1
             a, b = nodes[at], nodes[at + 1]
-            piece = [(b.t_us - a.t_us) * 1e-6, (t_us - a.t_us) * 1e-6, *a.state, *b.state]
-            law.inputs["piece"][:] = memoryview(np.array(piece))
+            septic = septic_coefficients((b.t_us - a.t_us) * 1e-6, a.state, b.state)
+            law.inputs["piece"][:] = memoryview(np.array([(t_us - a.t_us) * 1e-6, *septic]))
             c, d = (yaws[yaw_at], yaws[yaw_at + 1]) if len(yaws) > 1 else (yaws[0], yaws[0])
-            turn = [max(d.t_us - c.t_us, 1) * 1e-6, (t_us - c.t_us) * 1e-6 * (len(yaws) > 1), *c[1:], *d[1:]]
-            law.inputs["yaw_piece"][:] = memoryview(np.array(turn))
+            cubic = cubic_coefficients(max(d.t_us - c.t_us, 1) * 1e-6, *c[1:], *d[1:])
+            inside_s = (t_us - c.t_us) * 1e-6 * (len(yaws) > 1)
+            law.inputs["yaw_piece"][:] = memoryview(np.array([inside_s, *cubic]))
             law.inputs["gyro"][:] = memoryview(x[9:12].copy())
             law.inputs["specific_force"][:] = plant.outputs["force"]
             law.inputs["mocap_new"][0] = float(k % 10 == 0)
