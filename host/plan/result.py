@@ -32,7 +32,7 @@ class Settings:
     """How the shooting problem is set up; the defaults are the ones measured.
 
     relative_weights: weights are in units of the mean squared residual predicted along the min-snap path (not
-    below 0.6 m/s^2), so that a small drag is avoided as thoroughly as a large one; False takes them as they
+    below 0.5 m/s^2), so that a small drag is avoided as thoroughly as a large one; False takes them as they
     are. weigh_time: the cost is an integral; False is the paper's sum without steps (eq. 11), which rewards
     long ones. shared_steps: one step size a leg, else one an interval. step_box: bounds of a step in units of
     its nominal value. step_penalty: cost of (h/h0 - 1)^2 for each step size. total_time_box: bounds of the

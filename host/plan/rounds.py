@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 _YAW_SETTLED = np.radians(2.0)
 """How far the heading at the nodes may move because their times did, without another round to use it."""
-_LEAST_RESIDUAL = 0.6
+_LEAST_RESIDUAL = 0.5
 """m/s^2: below, a residual is not worth a wilder path."""
 _RIPPLE = 0.1
 """Excess, as a share of the limit, beyond which a path is made smoother and not only its box tighter."""
@@ -67,9 +67,8 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
         if not solution.status.usable:
             run.recover(solution)
             continue
-        judged = job.judge(
-            smooth(solution, grid, job.waypoints_ned), job.yaws(solution.t_s[-1] / job.route.duration_s)
-        )
+        table = smooth(run.stage, run.problem, solution, grid, job.waypoints_ned)
+        judged = job.judge(table, job.yaws(solution.t_s[-1] / job.route.duration_s))
         if run.settled(solution, judged):
             effort = Effort(
                 status=solution.status.name.lower(),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from host.models.dynamics import RATE, THETA, THRUST, P
+from host.models.dynamics import RATE, THETA, THRUST, P, V
 from host.plan.box import SolverBox
 from host.plan.dynamics import (
     FIRST_SHAPE_ROW,
@@ -30,6 +31,7 @@ Array = NDArray[np.float64]
 
 NODES_MAX = 200
 NODE_S = 0.07
+_DATA_S = 0.1
 _LEG_NODES_MIN = 4
 _YAW_SLACK = 0.3  # rad, around the heading asked for; the cost keeps it two orders of magnitude closer
 
@@ -161,22 +163,31 @@ def yaw_profile(yaws: Sequence[YawNode], times_s: Array) -> Array:
     return yaw_at(yaws, times_s * 1e6)[0]
 
 
-def smooth(solution: Solution, grid: Grid, waypoints_ned: Array) -> Table:
-    """The node table through a solution."""
-    return fit(solution.t_s, solution.x[:3], solution.x[3:6], grid.waypoints, waypoints_ned)
+def smooth(stage: Stage, problem: Problem, solution: Solution, grid: Grid, waypoints_ned: Array) -> Table:
+    """The node table through a solution, seen at points about as close as the table's own nodes."""
+    parts = math.ceil(float(np.diff(solution.t_s).max()) / _DATA_S)
+    times_s, x = _within(stage, problem, solution, tuple(k / parts for k in range(parts)))
+    return fit(times_s, x[P], x[V], parts * grid.waypoints, waypoints_ned)
 
 
 def deviation_m(stage: Stage, problem: Problem, solution: Solution, table: Table) -> float:
-    """Largest distance of the table from the solution, at its nodes and in the middle of its intervals."""
+    """Largest distance of the table from the solution, at eight points an interval."""
+    times_s, x = _within(stage, problem, solution, tuple(k / 8 for k in range(8)))
+    path = evaluate(table, np.minimum(times_s * 1e6, float(table.times_us[-1])))[0]
+    return float(np.linalg.norm(path - x[P], axis=0).max())
+
+
+def _within(
+    stage: Stage, problem: Problem, solution: Solution, shares: tuple[float, ...]
+) -> tuple[Array, Array]:
+    """Times and states at these shares of every interval, and at the end: (m,), (16, m)."""
     count = len(problem.leg_of)
-    half = 0.5 * solution.h[problem.step_of]
-    middle = stage.value.map(count)(
-        solution.x[:, :-1], solution.u, half[None, :], problem.h0_s[None, :], problem.parameters
-    )[0]
-    between = solution.t_s[:-1] + 0.5 * np.diff(solution.t_s)
-    end_us = float(table.times_us[-1])
-    worst = 0.0
-    for times_s, p in ((solution.t_s, solution.x[:3]), (between, np.asarray(middle)[:3])):
-        path = evaluate(table, np.minimum(times_s * 1e6, end_us))[0]
-        worst = max(worst, float(np.linalg.norm(path - p, axis=0).max()))
-    return worst
+    step = stage.value.map(count)
+    h = solution.h[problem.step_of]
+    rows = [
+        step(solution.x[:, :-1], solution.u, share * h[None, :], problem.h0_s[None, :], problem.parameters)[0]
+        for share in shares
+    ]
+    states = np.stack([np.asarray(row) for row in rows], axis=2).reshape(STATES, -1)
+    times = (solution.t_s[:-1, None] + np.array(shares) * np.diff(solution.t_s)[:, None]).ravel()
+    return np.append(times, solution.t_s[-1]), np.hstack([states, solution.x[:, -1:]])
