@@ -27,7 +27,8 @@ class Tracked:
     """A flight against its reference over the tracking phase.
 
     p_ned: (n, 3) where it was. error_m: (n, 3) from the reference, NED. stamped_rmse_m: without the
-    correction. clipped_share: of the ticks in flight at the motors' limits. battery_v: as tracking began.
+    correction. predicted_rmse_m: by the traced model before the flight, None where it came later.
+    clipped_share: of the ticks in flight at the motors' limits. battery_v: as tracking began.
     """
 
     label: str
@@ -36,6 +37,7 @@ class Tracked:
     p_ned: Array
     error_m: Array
     stamped_rmse_m: float
+    predicted_rmse_m: float | None
     clipped_share: float
     battery_v: float | None
 
@@ -103,6 +105,7 @@ class Comparison:
                         "log": flight.log,
                         "tracking_rmse_m": flight.rmse_m,
                         "tracking_max_m": flight.max_m,
+                        "predicted_rmse_m": flight.predicted_rmse_m,
                         "tracking_rmse_as_stamped_m": flight.stamped_rmse_m,
                         "clipped_share": flight.clipped_share,
                         "battery_v": flight.battery_v,
@@ -115,7 +118,9 @@ class Comparison:
         }
 
 
-def tracked(label: str, flight: Flight, planned: Planned, *, latency_s: float) -> Tracked:
+def tracked(
+    label: str, flight: Flight, planned: Planned, *, latency_s: float, predicted_rmse_m: float | None = None
+) -> Tracked:
     """The flight against its reference, its poses taken to be `latency_s` older than stamped."""
     assert flight.mocap is not None
     assert flight.tracking is not None
@@ -134,6 +139,7 @@ def tracked(label: str, flight: Flight, planned: Planned, *, latency_s: float) -
         p_ned=p[inside],
         error_m=error,
         stamped_rmse_m=float(np.sqrt((stamped**2).sum(axis=1).mean())),
+        predicted_rmse_m=predicted_rmse_m,
         clipped_share=float(clipped),
         battery_v=battery_v,
     )

@@ -3,17 +3,20 @@
 Both kinds keep the same limits, and the second plan the first one's waypoints, headings and total time: they
 differ in the model alone. The second plan has nominal dynamics and the model in its cost, as the paper plans
 for a flatness-based law (section IV-C.4).
+
+How much effort a smaller residual is worth depends on the vehicle: with slow motors a wild path of little
+drag is followed worse than a calm one of more. The traced model of the closed loop tells before any flight.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from host.effects import Effect
-from host.errors import Refused
+from host.errors import Refused, SolverError
 from host.models.model import Model
-from host.plan import Plan, PlanRefused, PlanUnsolved, plan
+from host.plan import Plan, PlanRefused, PlanUnsolved, Settings, Weights, plan
 from host.route import Route
 from host.vehicle import Vehicle
 
@@ -21,6 +24,9 @@ FIRST_KIND, AGAIN_KIND = "min-control", "min-residual"
 MORE_TIME = 1.15
 TRIES = 4
 """A first plan that fails gets this much more time for the next try, and so many tries."""
+CALM = (1.0, 4.0, 16.0)
+"""Weights of effort that second plans are tried with, in units of the planner's own."""
+_WEIGHTS = Weights()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +37,15 @@ class Planned:
     route: Route
     time_s: float
     plan: Plan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """The plan that is predicted to fly best, with that prediction, out of `plans`."""
+
+    planned: Planned
+    predicted_rmse_m: float
+    plans: int
 
 
 def plan_first(route: Route, vehicle: Vehicle) -> Planned:
@@ -48,15 +63,43 @@ def plan_first(route: Route, vehicle: Vehicle) -> Planned:
     raise AssertionError("the last try returns or raises")
 
 
-def plan_again(first: Planned, vehicle: Vehicle, model: Model, effects: Mapping[str, Effect]) -> Planned:
-    """The same route in the same time, planned with the model. Raises Refused, PlanUnsolved."""
-    try:
-        made = plan(
-            first.route, vehicle, kind=AGAIN_KIND, model=model, effects=effects, total_time_s=first.time_s
-        )
-    except PlanRefused as error:
-        raise Refused(f"{first.name} planned again with the traced model: {error}") from error
-    return Planned(name=f"{first.name}-again", route=first.route, time_s=first.time_s, plan=made)
+def plan_again(
+    first: Planned,
+    vehicle: Vehicle,
+    model: Model,
+    effects: Mapping[str, Effect],
+    predict: Callable[[Plan], float],
+) -> Choice:
+    """The same route in the same time, planned with the model: the best by prediction of several efforts.
+
+    predict: the tracking error (m) of a plan that has not been flown. Raises Refused or PlanUnsolved where no
+    plan succeeds.
+    """
+    tried: list[tuple[float, Plan]] = []
+    failed: PlanRefused | PlanUnsolved | None = None
+    for calm in CALM:
+        weights = Weights(control=calm * _WEIGHTS.control, thrust_rate=calm * _WEIGHTS.thrust_rate)
+        try:
+            made = plan(
+                first.route,
+                vehicle,
+                kind=AGAIN_KIND,
+                model=model,
+                effects=effects,
+                total_time_s=first.time_s,
+                settings=Settings(weights=weights),
+            )
+        except (PlanRefused, PlanUnsolved) as error:
+            failed = error
+        else:
+            tried.append((predict(made), made))
+    if not tried:
+        assert failed is not None
+        what = f"{first.name} planned again with the traced model: {failed}"
+        raise (Refused(what) if isinstance(failed, PlanRefused) else SolverError(what)) from failed
+    predicted_m, best = min(tried, key=lambda pair: pair[0])
+    planned = Planned(name=f"{first.name}-again", route=first.route, time_s=first.time_s, plan=best)
+    return Choice(planned=planned, predicted_rmse_m=predicted_m, plans=len(tried))
 
 
 def fastest(plans: Sequence[Planned]) -> Planned:

@@ -43,8 +43,9 @@ def _text(comparison: Comparison) -> list[str]:
         return [how + "Nothing was traced that a new plan could use, so there was no second plan to fly."]
     lines = [
         how + "Then the same law with the same constants flew a new plan, made with the traced model for the "
-        "same waypoints, headings, total time, limits and headroom; and once more with the traced effects "
-        "applied where the law can."
+        "same waypoints, headings, total time, limits and headroom (of several such plans the one that the "
+        "model predicts to be followed best); and once more with the traced effects applied where the law "
+        "can."
     ]
     if comparison.latency_s:
         lines.append(
@@ -62,6 +63,7 @@ def _rows(flown: tuple[Tracked, ...], vehicle: Vehicle, latency_s: float) -> lis
     tops = [limits.thrust_headroom[1] - plan.margins["thrust_high"] for plan in plans]
     rows = [
         ["tracking error RMSE, mm", *(_mm(f.rmse_m) for f in flown)],
+        ["predicted before the flight, mm", *(_mm(f.predicted_rmse_m) for f in flown)],
         *([f"{axis}, mm", *(_mm(f.axes_m[i]) for f in flown)] for i, axis in enumerate(AXES)),
         ["greatest, mm", *(_mm(f.max_m) for f in flown)],
         ["time at the motors' limits, %", *(f"{100 * f.clipped_share:.2f}" for f in flown)],
@@ -94,8 +96,8 @@ def _worse(comparison: Comparison, result: Trace) -> Section:
     return {"title": "What got worse", "text": found or [none], "table": None, "figures": []}
 
 
-def _mm(value_m: float) -> str:
-    return f"{1e3 * value_m:.1f}"
+def _mm(value_m: float | None) -> str:
+    return "" if value_m is None else f"{1e3 * value_m:.1f}"
 
 
 def _volts(value: float | None) -> str:

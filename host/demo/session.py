@@ -13,9 +13,10 @@ import numpy as np
 
 from host import artefacts
 from host.demo import report
-from host.demo.compare import Comparison, Tracked, latency_of, tracked
+from host.demo.compare import Comparison, latency_of, tracked
 from host.demo.flights import Airfield, upload_through_pty
 from host.demo.plans import Planned, fastest, plan_again, plan_first
+from host.demo.predict import predicted_rmse_m
 from host.demo.routes import DemoRoutes, draw_routes
 from host.demo.seeds import host_seed, world_seed
 from host.effects import Effect, compose_feedforward
@@ -23,7 +24,7 @@ from host.log import Flight, read_flight
 from host.models.file import write_model
 from host.models.model import Model
 from host.output import json_text
-from host.plan import write_plan
+from host.plan import Plan, write_plan
 from host.progress import Progress
 from host.report.trace import page
 from host.trace.result import Trace
@@ -203,36 +204,35 @@ class _Demo:
         if not result.effects:
             return comparison
         model = result.model
+        like = next(flight for planned, flight in used if planned is route)
+
+        def predict(plan: Plan, feedforward: FeedForward | None = None) -> float:
+            return predicted_rmse_m(like, plan.reference, model, self._effects, feedforward)
+
         with self._step("plan again") as (_, done):
-            planned = plan_again(route, self._order.vehicle, model, self._effects)
+            choice = plan_again(route, self._order.vehicle, model, self._effects, predict)
+            planned = choice.planned
             self._write_plan(planned, model)
+            before_mm, after_mm = 1e3 * predict(route.plan), 1e3 * choice.predicted_rmse_m
             done(
-                f"route {route.name} with the traced model: path {route.plan.path_length_m:.1f} to "
-                f"{planned.plan.path_length_m:.1f} m in the same {planned.plan.duration_s:.1f} s"
+                f"route {route.name} with the traced model, the best of {choice.plans} plans in the same "
+                f"{planned.plan.duration_s:.1f} s; predicted tracking error {before_mm:.1f} to "
+                f"{after_mm:.1f} mm RMSE"
             )
         feedforward = feedforward_of(model, self._order.vehicle, self._effects)
         artefacts.write_atomic(
             self._order.folder / FEEDFORWARD_NAME, feedforward.to_bytes(), self._order.force
         )
-        first_mm = 1e3 * comparison.first_rmse_m
-        new_plan = self._second(planned, "new plan", None, model, latency_s, first_mm)
-        applied = self._second(planned, "new plan, effects applied", feedforward, model, latency_s, first_mm)
-        return replace(comparison, new_plan=new_plan, applied=applied)
-
-    def _second(
-        self,
-        planned: Planned,
-        label: str,
-        feedforward: FeedForward | None,
-        model: Model,
-        latency_s: float,
-        first_mm: float,
-    ) -> Tracked:
-        with self._step("fly again") as (_, done):
-            flight = self._flight(planned, feedforward, model.id)
-            found = tracked(label, flight, planned, latency_s=latency_s)
-            done(f"{label}: tracking error {first_mm:.1f} to {1e3 * found.rmse_m:.1f} mm RMSE")
-        return found
+        flown = []
+        for label, addition in (("new plan", None), ("new plan, effects applied", feedforward)):
+            with self._step("fly again") as (_, done):
+                predicted_m = predict(planned.plan, addition)
+                flight = self._flight(planned, addition, model.id)
+                found = tracked(label, flight, planned, latency_s=latency_s, predicted_rmse_m=predicted_m)
+                flown.append(found)
+                before_mm, after_mm = 1e3 * comparison.first_rmse_m, 1e3 * found.rmse_m
+                done(f"{label}: tracking error {before_mm:.1f} to {after_mm:.1f} mm RMSE")
+        return replace(comparison, new_plan=flown[0], applied=flown[1])
 
     def _report(
         self,

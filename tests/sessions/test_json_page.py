@@ -160,6 +160,7 @@ def test_demo_prints_what_the_page_says(run: Callable[..., dict[str, Any]], log:
         rmse_m=0.1,
         max_m=0.2,
         stamped_rmse_m=0.1,
+        predicted_rmse_m=None,
         clipped_share=0.0,
         battery_v=16.8,
         planned=planned,

@@ -53,6 +53,7 @@ def made(planned: Planned, label: str, scale_m: float, *, clipped: float = 0.0) 
         p_ned=np.zeros((5, 3)),
         error_m=np.full((5, 3), scale_m),
         stamped_rmse_m=scale_m,
+        predicted_rmse_m=None,
         clipped_share=clipped,
         battery_v=None,
     )

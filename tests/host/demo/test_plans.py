@@ -11,7 +11,7 @@ import pytest
 from host.demo import plans
 from host.demo.plans import Planned, fastest, plan_again, plan_first
 from host.errors import Refused
-from host.plan import PlanRefused
+from host.plan import PlanRefused, Weights
 from host.route import Route
 from host.vehicle import Vehicle
 
@@ -49,18 +49,37 @@ def test_first_plan_that_stays_refused_ends_with_its_last_reason(
     assert caught.value.exit_code == 1
 
 
+FIRST = Planned(name="hop", route=ROUTE, time_s=2.3, plan=SimpleNamespace())  # type: ignore[arg-type]
+MODEL: Any = object()
+
+
 def test_second_plan_gets_the_first_ones_time_and_no_more(
     vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = Planned(name="hop", route=ROUTE, time_s=2.3, plan=SimpleNamespace())  # type: ignore[arg-type]
-    model: Any = object()
     asked = planner(monkeypatch, refusals=0)
-    again = plan_again(first, vehicle, model, {})
+    again = plan_again(FIRST, vehicle, MODEL, {}, lambda plan: 0.1).planned
     assert (again.name, again.time_s, again.route) == ("hop-again", 2.3, ROUTE)
-    assert asked == [{"kind": "min-residual", "model": model, "effects": {}, "total_time_s": 2.3}]
+    weights = [call.pop("settings").weights.control / Weights().control for call in asked]
+    assert weights == pytest.approx([1.0, 4.0, 16.0])
+    assert asked == 3 * [{"kind": "min-residual", "model": MODEL, "effects": {}, "total_time_s": 2.3}]
+
+
+def test_second_plan_is_the_one_predicted_to_fly_best(
+    vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
+) -> None:
     planner(monkeypatch, refusals=1)
+    predictions = iter([0.03, 0.02])
+    choice = plan_again(FIRST, vehicle, MODEL, {}, lambda plan: next(predictions))
+    assert choice.predicted_rmse_m == 0.02
+    assert choice.plans == 2
+
+
+def test_second_plan_that_no_effort_makes_possible_is_refused(
+    vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planner(monkeypatch, refusals=3)
     with pytest.raises(Refused, match="hop planned again with the traced model: node 3") as caught:
-        plan_again(first, vehicle, model, {})
+        plan_again(FIRST, vehicle, MODEL, {}, lambda plan: 0.1)
     assert caught.value.exit_code == 1
 
 

@@ -123,6 +123,13 @@ def test_demo_flies_better_with_the_effects_applied(demo: Demo) -> None:
     assert answer["tracking_rmse_new_plan_m"] < 1.05 * answer["tracking_rmse_first_m"]
 
 
+def test_demo_predicts_its_own_second_flights_before_it_flies_them(demo: Demo) -> None:
+    flights = demo[1].answer["comparison"]["flights"]
+    assert [flight["predicted_rmse_m"] is None for flight in flights] == [True, True, False, False]
+    for flight in flights[2:]:
+        assert flight["tracking_rmse_m"] == pytest.approx(flight["predicted_rmse_m"], rel=0.3, abs=0.003)
+
+
 def test_demo_compares_plans_that_differ_in_the_model_alone(demo: Demo) -> None:
     folder, outcome, _ = demo
     comparison = outcome.comparison

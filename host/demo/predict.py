@@ -1,0 +1,38 @@
+"""How closely the law would follow a reference that was never flown: phi with the model, rolled out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from host.codegen import NUMPY
+from host.effects import Effect
+from host.log import Flight
+from host.log.tracking import reference_at
+from host.models.dynamics import mocap_latency_s
+from host.models.model import Model
+from host.trace.score import predict_flights
+from protocol.blobs import FeedForward, Reference
+
+
+def predicted_rmse_m(
+    flight: Flight,
+    reference: Reference,
+    model: Model,
+    effects: Mapping[str, Effect],
+    feedforward: FeedForward | None = None,
+) -> float:
+    """Tracking error RMSE with the model, for a flight like this one: its start, its link and its battery.
+
+    `reference` starts where the flight's own did and lasts as long.
+    """
+    (found,) = predict_flights(
+        [replace(flight, reference=reference, feedforward=feedforward)], model, effects
+    )
+    # A prediction is of what a late camera shows; where the vehicle is at that time is on the reference then.
+    latency_s = float(mocap_latency_s(NUMPY, model.parts(effects)))
+    t_us = np.rint(1e6 * (found.t_s - latency_s)).astype(np.int64)
+    error = found.predicted - reference_at(reference, t_us)[:, :3]
+    return float(np.sqrt((error**2).sum(axis=1).mean()))
