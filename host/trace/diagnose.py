@@ -24,6 +24,9 @@ BEAM = 25
 WITHIN_NATS = 5.0
 """The smallest set whose evidence is this close to the best one is kept."""
 
+BEARS = 4.0
+"""Tolerances beyond which an effect is there for another to act through it."""
+
 ALIAS_PROBABILITY = 0.05
 
 Report = Callable[[str], None]
@@ -183,8 +186,9 @@ def diagnose(vehicle: Vehicle, space: Space, data: Segments, report: Report = la
         if best.effects == current.effects:
             break
         current = best
-    kept = _smallest(fits)
-    weights = _weights(space, kept, fits)
+    borne = {names: fit for names, fit in fits.items() if _borne(space, fit)}
+    kept = _smallest(borne)
+    weights = _weights(space, kept, borne, frozenset(fits) - frozenset(borne))
     total = sum(weights.values())
     return Diagnosis(
         best=kept,
@@ -211,6 +215,17 @@ def _proposals(scores: dict[tuple[str, ...], float], current: tuple[str, ...]) -
     return [*order[:1], *more, *swapped, *fewer]
 
 
+def _borne(space: Space, fit: Fit) -> bool:
+    """Whether what an effect acts through was itself found: beyond BEARS times its tolerance.
+
+    Wind on a drag within tolerance is a force of some 0.01 m/s^2, as the slow part of turbulence is.
+    """
+    beyond = np.abs(fit.z) > BEARS * space.prior.spike
+    found = {name for name in fit.effects if beyond[list(space.groups[name])].any()}
+    needs = (space.effects[name].requires_any for name in fit.effects)
+    return all(not any_of or found & set(any_of) for any_of in needs)
+
+
 def _smallest(fits: dict[tuple[str, ...], Fit]) -> Fit:
     """The smallest set within WITHIN_NATS of the greatest evidence; of several, the most probable."""
     top = max(fit.log_evidence for fit in fits.values())
@@ -218,9 +233,12 @@ def _smallest(fits: dict[tuple[str, ...], Fit]) -> Fit:
     return min(close, key=lambda fit: (len(fit.effects), -fit.log_evidence, fit.effects))
 
 
-def _weights(space: Space, kept: Fit, fits: dict[tuple[str, ...], Fit]) -> dict[tuple[str, ...], float]:
+def _weights(
+    space: Space, kept: Fit, fits: dict[tuple[str, ...], Fit], left_out: frozenset[tuple[str, ...]]
+) -> dict[tuple[str, ...], float]:
     """Posterior weights, greatest 1, of the refitted sets and of the kept fit's linearised neighbours."""
     scores = screen(space, kept, kept.process, min(MAX_EFFECTS, len(kept.effects) + 1))
     scores.update({names: fit.log_evidence for names, fit in fits.items()})
+    scores = {names: score for names, score in scores.items() if names not in left_out}
     top = max(scores.values())
     return {names: float(np.exp(value - top)) for names, value in scores.items()}

@@ -100,6 +100,7 @@ class Trace:
                 f"prediction error on {len(self.before)} held-out flights ({how}): "
                 f"{1e3 * self.before_score['position_rmse_m']:.1f} mm before, "
                 f"{1e3 * self.after_score['position_rmse_m']:.1f} mm after"
+                f"{' (nothing was added)' if self.verdict == 'outside-library' else ''}"
             )
         else:
             out.append("no flight held out: no error before and after; add --hold-out LOG")

@@ -87,11 +87,12 @@ def run(
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
     verdict = _verdict(fit, rest, aliases)
     named = () if verdict == "outside-library" else _named(airframe, chosen, diagnosis, aliases)
-    model = _model(airframe, chosen, fit, flights, named, provenance)
+    z = _reading(chosen, diagnosis) if verdict == "outside-library" else fit.z
+    model = _model(airframe, chosen, fit, z, flights, named, provenance)
 
     report("predicting the held-out flights")
     drive = drive_of([*flights, *held_out])
-    before, after, middle = _errors(drive, airframe, chosen, diagnosis, model, held_out, effects)
+    before, after, middle = _errors(drive, airframe, chosen, diagnosis, z, model, held_out, effects)
     following: NextFlight | None = None
     if verdict == "undecided" and manoeuvres is not None:
         report("looking for the flight that decides")
@@ -149,6 +150,14 @@ def _verdict(fit: Fit, rest: Leftover, aliases: Mapping[str, Mapping[str, float]
     return "undecided" if any(aliases.values()) else "traced"
 
 
+def _reading(chosen: Space, diagnosis: Diagnosis) -> np.ndarray:
+    """Scaled values (P,) of a model that adds nothing: only what the reading of a log needs is fitted."""
+    unknown = [i for i, column in enumerate(chosen.columns) if column.owner not in chosen.parts]
+    z = np.zeros(len(chosen.columns))
+    z[unknown] = diagnosis.nothing.z[unknown]
+    return z
+
+
 def _closest(aliases: Mapping[str, Mapping[str, float]]) -> tuple[str, str]:
     """The effect and the alias that the data separates least."""
     pairs = [(p, name, other) for name, others in aliases.items() for other, p in others.items()]
@@ -194,18 +203,29 @@ def _model(
     vehicle: Vehicle,
     chosen: Space,
     fit: Fit,
+    z: np.ndarray,
     flights: Sequence[Flight],
     named: Sequence[Named],
     provenance: Mapping[str, object] | None,
 ) -> Model:
-    """The model file's content: named effects, everything else within tolerance as adjustments."""
-    values = chosen.values(fit.z)
-    scaled = fit.covariance * np.outer(chosen.scale, chosen.scale)
+    """The model file's content: named effects, everything else within tolerance as adjustments.
+
+    Where the values are not the fit's own, nothing is added: neither effects nor a covariance.
+    """
+    values = chosen.values(z)
     found = {effect.name for effect in named}
     tables: dict[bool, dict[str, dict[str, float]]] = {True: {}, False: {}}
-    for owner, indices in chosen.groups.items():
-        tables[owner in found][owner] = {chosen.columns[i].key: float(values[i]) for i in indices}
-    symmetric = 0.5 * (scaled + scaled.T)
+    kept = [owner for owner in chosen.groups if z is fit.z or owner not in chosen.parts]
+    for owner in kept:
+        table = {chosen.columns[i].key: float(values[i]) for i in chosen.groups[owner]}
+        tables[owner in found][owner] = table
+    covariance = None
+    if z is fit.z:
+        scaled = fit.covariance * np.outer(chosen.scale, chosen.scale)
+        covariance = Covariance(
+            names=tuple(f"{c.owner}.{c.key}" for c in chosen.columns),
+            matrix=tuple(tuple(float(x) for x in row) for row in 0.5 * (scaled + scaled.T)),
+        )
     data = fit.data
     tilt = np.arccos(np.clip(data.attitude[:, :, 8], -1.0, 1.0))
     speed = np.linalg.norm(np.diff(data.position, axis=1), axis=2) / data.dt_s
@@ -216,11 +236,8 @@ def _model(
         vehicle_name=vehicle.name,
         effects=tables[True],
         adjustments=tables[False],
-        covariance=Covariance(
-            names=tuple(f"{c.owner}.{c.key}" for c in chosen.columns),
-            matrix=tuple(tuple(float(x) for x in row) for row in symmetric),
-        ),
-        sources={name: chosen.effects[name].source_id for name in chosen.parts},
+        covariance=covariance,
+        sources={name: chosen.effects[name].source_id for name in chosen.parts if name in kept},
         region=Region(
             speed_max_m_s=float(np.quantile(speed[seen], 0.99)),
             tilt_max_deg=float(np.rad2deg(np.quantile(tilt[data.pose_weight > 0], 0.999))),
@@ -243,6 +260,7 @@ def _errors(
     vehicle: Vehicle,
     chosen: Space,
     diagnosis: Diagnosis,
+    z: np.ndarray,
     model: Model,
     held_out: Sequence[Flight],
     effects: Mapping[str, Effect],
@@ -251,22 +269,16 @@ def _errors(
     if not held_out:
         return (), (), ()
     named = [i for name in diagnosis.best.effects for i in chosen.groups[name]]
-    if drive == "reference":
-        bare = Model(
-            vehicle_id=model.vehicle_id, vehicle_name=model.vehicle_name, adjustments=model.adjustments
-        )
-        return (
-            predict_flights(held_out, None, effects),
-            predict_flights(held_out, model, effects),
-            predict_flights(held_out, bare, effects),
-        )
-    unknown = [i for i, c in enumerate(chosen.columns) if c.owner not in chosen.parts]
-    before = np.zeros(len(chosen.columns))
-    before[unknown] = diagnosis.nothing.z[unknown]
-    middle = diagnosis.best.z.copy()
+    bare = Model(vehicle_id=model.vehicle_id, vehicle_name=model.vehicle_name, adjustments=model.adjustments)
+
+    def predict(values: np.ndarray, whole: Model | None) -> tuple[Errors, ...]:
+        if drive == "reference":
+            return predict_flights(held_out, whole, effects)
+        return predict_segments(held_out, vehicle, chosen, values)
+
+    before = predict(_reading(chosen, diagnosis), None)
+    if z is not diagnosis.best.z:
+        return before, before, before
+    middle = z.copy()
     middle[named] = 0.0
-    return (
-        predict_segments(held_out, vehicle, chosen, before),
-        predict_segments(held_out, vehicle, chosen, diagnosis.best.z),
-        predict_segments(held_out, vehicle, chosen, middle),
-    )
+    return before, predict(z, model), predict(middle, bare)

@@ -24,7 +24,6 @@ from host.demo.session import JSON_NAME, MODEL_NAME, REPORT_NAME, DemoOrder, Out
 from host.effects import load_effects
 from host.log import read_flight
 from host.models.file import read_model
-from host.route import Route, YawProfile, random_route
 from host.vehicle import load_vehicle
 from protocol.blobs import FeedForward, Reference
 
@@ -32,27 +31,14 @@ pytestmark = pytest.mark.xdist_group("demo")
 
 SEED = 16_180_339
 NEUTRAL = {"gain": 1.0}
-BOX = ((-3.0, 3.0), (-3.0, 3.0), (-2.8, -1.0))
-
-
-def short_routes() -> DemoRoutes:
-    """Two routes of some seconds to learn from, one turning and one fast, and a third."""
-
-    def route(name: str, seed: int, time_s: float, turn_deg: float) -> Route:
-        yaw = YawProfile(yaw_deg=(0.0, turn_deg), times_s=(0.0, time_s)) if turn_deg else YawProfile()
-        drawn = random_route(seed, count=5, box_m=BOX, leg_min_m=2.5, yaw=yaw, total_time_s=time_s)
-        return drawn.model_copy(update={"name": name})
-
-    return DemoRoutes(
-        learning=(route("turning", 1, 7.0, 270.0), route("fast", 2, 5.0, 0.0)),
-        held_out=(route("unseen", 3, 6.0, 90.0),),
-    )
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome, list[str]]:
+def demo(
+    tmp_path_factory: pytest.TempPathFactory, short_routes: DemoRoutes
+) -> tuple[Path, Outcome, list[str]]:
     folder = tmp_path_factory.mktemp("demo")
-    order = DemoOrder(vehicle=load_vehicle("research"), folder=folder, seed=SEED, routes=short_routes())
+    order = DemoOrder(vehicle=load_vehicle("research"), folder=folder, seed=SEED, routes=short_routes)
     said: list[str] = []
     return folder, run_demo(order, load_effects(), say=said.append), said
 
