@@ -9,7 +9,8 @@ from __future__ import annotations
 import importlib.util
 import os
 import shutil
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +88,23 @@ def require() -> Callable[[str], None]:
             pytest.skip(f"{part}: {missing}")
 
     return check
+
+
+@pytest.fixture
+def full_disk() -> Callable[[int], AbstractContextManager[None]]:
+    """Inside the context it gives, no file of this process grows beyond that many bytes."""
+
+    @contextmanager
+    def limit(size: int) -> Iterator[None]:
+        resource = pytest.importorskip("resource", reason="no limits of file size here")
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    return limit
 
 
 @pytest.hookimpl(wrapper=True)

@@ -8,12 +8,13 @@ acknowledged.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from host.errors import FlightFailed, LinkError, Refused, UsageError
+from host.errors import FlightFailed, LinkError, Refused, TrimtabError, UsageError
 from host.link.client import Client
 from host.link.clock import CameraClock
 from host.link.recorder import Recorder
@@ -30,7 +31,7 @@ from host.link.tasks import (
     Task,
     check_same_vehicle,
 )
-from host.log import LogWriter, Provenance
+from host.log import LogError, LogWriter, Provenance
 from host.vehicle import Vehicle, to_parameters
 from protocol import messages as m
 from protocol.blobs import FeedForward, Kind, Reference
@@ -209,15 +210,16 @@ class FlightDirector:
 
     def abandon(self, error: BaseException) -> None:
         """Leaves a readable log that says why the world around the flight failed, even from before arm."""
-        if self._recorder is None and not self.log_open:
-            self._open_log(0)
-        if self._recorder is not None:
-            now_us = self.session.now_us
-            self._recorder.say(f"ended by {type(error).__name__}: {error}", now_us)
-        self.close()
+        with contextlib.suppress(LogError):  # a log that cannot be written is no news then
+            if self._recorder is None and not self.log_open:
+                self._open_log(0)
+            if self._recorder is not None:
+                now_us = self.session.now_us
+                self._recorder.say(f"ended by {type(error).__name__}: {error}", now_us)
+            self.close()
 
     def close(self) -> None:
-        """Closes the log."""
+        """Closes the log. Raises LogError where its end cannot be written."""
         if self._log is not None:
             self.session.listener = None
             self._log.close()
@@ -239,16 +241,33 @@ class FlightDirector:
         yield AwaitPoses(session, order.cameras)
         self._note("arming")
         yield from self._arm()
-        self._open_log(session.now_us)
-        try:
-            yield from self._command(mavlink.MAV_CMD_MISSION_START, "start")
-            status = yield FollowFlight(self._follow)
-        except Interrupted:
-            self._note("landing on request")
-            yield from self._command(mavlink.MAV_CMD_NAV_LAND, "land", must=False)
-            status = yield FollowFlight(self._follow)
+        failure: Exception | None = None
+        land = False
+        while True:
+            try:
+                if land:
+                    yield from self._command(mavlink.MAV_CMD_NAV_LAND, "land", must=False)
+                else:
+                    self._open_log(session.now_us)
+                    yield from self._command(mavlink.MAV_CMD_MISSION_START, "start")
+                status = yield FollowFlight(self._follow)
+                break
+            except TrimtabError:
+                raise
+            except Interrupted:
+                self._note("landing on request")
+            except Exception as error:  # whatever went wrong on this side, the vehicle lands first
+                if failure is not None:
+                    raise
+                failure = error
+                self._note("landing, the log cannot be written" if isinstance(error, LogError) else "landing")
+            land = True
         self.end = self._judge(status)
         self._note("landed")
+        if isinstance(failure, LogError):
+            raise LogError(f"{failure}; the flight was ended for that, the vehicle has landed") from failure
+        if failure is not None:
+            raise failure
         return self.end
 
     def _check_parameters(self, on_board: Mapping[str, float]) -> None:
@@ -316,8 +335,8 @@ class FlightDirector:
         self.log_open = True
         self._exchanges_before = len(client.clock.rtts_us)
         self._recorder = Recorder(self._log, client, self.session.camera, order.reference, now_us)
-        self.session.listener = self._recorder
         self._recorder.say("armed", now_us)
+        self.session.listener = self._recorder
 
     # Following.
 

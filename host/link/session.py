@@ -40,7 +40,8 @@ class Session:
         done: whether the script has ended. result: what it returned. error: what it raised instead.
         now_us: the time of the step under way.
         poses: poses that have arrived. forwarded: how many went on to the vehicle.
-        listener: who sees what passes, None for nobody.
+        listener: who sees what passes, None for nobody. One that raises sees no more, and what it raised is
+        raised in the script.
     """
 
     def __init__(self, script: Callable[[Session], Script], camera: CameraClock | None = None) -> None:
@@ -88,7 +89,7 @@ class Session:
             client.advance(now_us)
         listener = self.listener
         if listener is not None and now_us >= listener.deadline_us:
-            listener.link(now_us)
+            self._tell(listener.link, now_us)
         task = self._task
         if task is not None and now_us >= task.deadline_us:
             self._guard(task.advance, client, now_us)
@@ -104,11 +105,19 @@ class Session:
 
     def _dispatch(self, messages: Sequence[Message], now_us: int) -> None:
         if self.listener is not None:
-            self.listener.receive(messages, now_us)
+            self._tell(self.listener.receive, messages, now_us)
         for message in messages:
             task = self._task
             if task is not None and type(message) in task.wants:
                 self._guard(task.receive, self.client, message, now_us)
+
+    def _tell(self, act: Callable[..., None], *arguments: Any) -> None:
+        """Tells the listener; where it raises, the script decides how to go on without it."""
+        try:
+            act(*arguments)
+        except Exception as error:
+            self.listener = None
+            self.fail(error)
 
     def _guard(self, act: Callable[..., None], *arguments: Any) -> None:
         """Lets the task act; where it ends or raises, the script goes on."""
@@ -165,4 +174,4 @@ class Session:
                 self.client.send(forwarded)
                 self.forwarded += 1
             if self.listener is not None:
-                self.listener.pose(message, vehicle_us, now_us)
+                self._tell(self.listener.pose, message, vehicle_us, now_us)

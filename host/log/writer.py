@@ -23,7 +23,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from host.log import topics
 from host.log.errors import LogError
-from host.log.mcap_file import McapFile
+from host.log.mcap_file import McapFile, Sink
 from host.log.topics import Topic
 from host.vehicle import Vehicle
 from protocol.blobs import blob_id
@@ -82,19 +82,36 @@ def partial_path(path: Path) -> Path:
 
 
 class _Unbuffered:
-    """A file whose every write has reached the system when it returns."""
+    """A file whose every write has reached the system when it returns.
 
-    def __init__(self, raw: RawIOBase) -> None:
+    Once a write has failed (LogError) every later one fails alike: behind half a record nothing can be read.
+    """
+
+    def __init__(self, raw: RawIOBase, path: Path) -> None:
+        self.failed: LogError | None = None
         self._raw = raw
+        self._path = path
 
     def write(self, data: bytes, /) -> None:
+        if self.failed is not None:
+            raise self.failed
         view = memoryview(data)
-        while view:
-            view = view[self._raw.write(view) or 0 :]
+        try:
+            while view:
+                view = view[self._raw.write(view) or 0 :]
+        except OSError as error:
+            self.failed = LogError(
+                f"{self._path}: cannot be written any further ({error.strerror}); make room, "
+                f"`trimtab log recover {self._path}` reads what was written before"
+            )
+            raise self.failed from error
 
 
 class LogWriter:
-    """Writes one log to `output`, a path or a binary stream; use it as a context manager or call `close`.
+    """Writes one log to `output`, a path or a binary stream.
+
+    Call `close` at the end; as a context manager it leaves no file where the block raises. Raises LogError
+    where the file cannot be written, from any method; what was written before stays under `NAME.part` then.
 
     The methods named after topics take the arrival and the measurement, both in us from arm, then the topic's
     values; they return False for what belongs before arm. Message objects are reused: none of it is kept.
@@ -106,19 +123,27 @@ class LogWriter:
         provenance: Provenance,
         channels: Sequence[Topic] = topics.FLIGHT_TOPICS,
     ) -> None:
-        self.path = output if isinstance(output, Path) else None
+        self.path: Path | None = None
         self._file: RawIOBase | None = None
+        self._sink: _Unbuffered | None = None
+        self._closed = False
+        sink: Sink
         if isinstance(output, Path):
             try:
                 self._file = cast(RawIOBase, open(partial_path(output), "wb", buffering=0))  # noqa: SIM115
             except OSError as error:
                 raise LogError(f"{output}: cannot be written ({error.strerror}), give another -o") from error
-            self._mcap = McapFile(_Unbuffered(self._file))
+            self.path = output
+            sink = self._sink = _Unbuffered(self._file, output)
         else:
-            self._mcap = McapFile(output)
+            sink = output
+        try:
+            self._mcap = McapFile(sink)
+            self._write_provenance(provenance)
+        except BaseException:
+            self._discard()
+            raise
         self._add = self._mcap.add_message
-        self._closed = False
-        self._write_provenance(provenance)
         self._channels = {topic.name: self._register(topic) for topic in channels}
         self._messages = _Messages()
 
@@ -257,14 +282,25 @@ class LogWriter:
         return self.write(topic, message, log_us, publish_us)
 
     def close(self) -> None:
-        """Writes index and footer and gives the file its name; again: nothing."""
+        """Writes index and footer and gives the file its name; again, or after a failed write: nothing."""
         if self._closed:
             return
         self._closed = True
-        self._mcap.finish()
+        if self._file is None or self._sink is None or self.path is None:
+            self._mcap.finish()
+            return
+        with self._file:
+            if self._sink.failed is not None:
+                return
+            self._mcap.finish()
+        partial_path(self.path).replace(self.path)
+
+    def _discard(self) -> None:
+        """Leaves no file; a stream is left as it is."""
+        self._closed = True
         if self._file is not None and self.path is not None:
             self._file.close()
-            partial_path(self.path).replace(self.path)
+            partial_path(self.path).unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
         return self
@@ -272,7 +308,10 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        if error is None:
+            self.close()
+        else:
+            self._discard()
 
 
 class _Messages:

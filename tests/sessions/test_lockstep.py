@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from host.link.session import Session
 from host.link.summary import FlightResult
 from host.link.tasks import FreshStatus, SetParameter
 from host.link.upload import upload_lockstep
-from host.log import Flight, read_flight, topics
+from host.log import Flight, LogError, read_flight, recover, topics
 from host.log.scan import scan
 from host.log.tracking import reference_at
 from host.vehicle import Vehicle, load_vehicle
@@ -344,6 +345,35 @@ def test_session_interrupted_with_a_director_lands_first(
     assert flight.mocap is not None
     assert abs(flight.mocap.p[-1, 2]) < 0.1
     assert not flight.tracking_whole
+
+
+def test_session_whose_log_cannot_be_written_lands_and_leaves_what_was_written(
+    fly: Fly, simulate: Simulate, full_disk: Callable[[int], AbstractContextManager[None]], tmp_path: Path
+) -> None:
+    simulated = simulate()
+    phases: list[str] = []
+    with full_disk(200_000), pytest.raises(LogError, match=r"cannot be written.*the vehicle has landed"):
+        fly(simulated, on_phase=phases.append)
+    assert "tracking" in phases[: phases.index("landing, the log cannot be written")]
+    assert phases[-3:] == ["landing", "standby", "landed"]
+    assert "hold" not in phases
+    assert abs(simulated.true_position()[2]) < 0.1
+    assert [path.name for path in tmp_path.iterdir()] == ["flight.mcap.part"]
+    found = recover(tmp_path / "flight.mcap")
+    assert found.output is not None
+    assert read_flight(found.output).mocap is not None
+
+
+def test_session_whose_log_cannot_be_begun_stays_on_the_floor(
+    fly: Fly, simulate: Simulate, full_disk: Callable[[int], AbstractContextManager[None]], tmp_path: Path
+) -> None:
+    simulated = simulate()
+    phases: list[str] = []
+    with full_disk(100), pytest.raises(LogError, match="cannot be written"):
+        fly(simulated, on_phase=phases.append)
+    assert "takeoff" not in phases
+    assert phases[-1] == "landed"
+    assert not list(tmp_path.iterdir())
 
 
 def test_session_without_poses_is_refused(

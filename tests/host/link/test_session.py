@@ -65,6 +65,44 @@ def test_session_failed_from_outside_ends_unless_the_script_goes_on(run: Run) ->
     assert isinstance(session.error, KeyboardInterrupt)
 
 
+class FullDisk:
+    """A listener that cannot take anything in."""
+
+    deadline_us = 0
+
+    def receive(self, messages: Any, now_us: int) -> None:
+        raise OSError("receive")
+
+    def pose(self, message: Any, vehicle_us: int, now_us: int) -> None:
+        raise OSError("pose")
+
+    def link(self, now_us: int) -> None:
+        raise OSError("link")
+
+
+@pytest.mark.parametrize("told", ["receive", "pose", "link"])
+def test_session_whose_listener_raises_goes_on_without_it(told: str) -> None:
+    said: list[str] = []
+
+    def script(session: Session) -> Generator[Task, Any, Any]:
+        while True:
+            try:
+                yield Forever()
+            except OSError as error:
+                said.append(str(error))
+
+    session = Session(script)
+    session.step(0)
+    listener = session.listener = FullDisk()
+    listener.deadline_us = 0 if told == "link" else 1 << 62
+    heartbeat = Codec(*m.VEHICLE).encode(m.vehicle_heartbeat(1, armed=False))
+    for k in range(1, 4):
+        session.step(1000 * k, heartbeat if told == "receive" else b"", [pose(k)] if told == "pose" else [])
+    assert said == [told]
+    assert session.listener is None
+    assert not session.done
+
+
 def test_session_failed_before_its_first_step_ends() -> None:
     def script(session: Session) -> Generator[Task, Any, Any]:
         yield Forever()
