@@ -38,6 +38,21 @@ def check_output(path: str | Path, force: bool = False) -> Path:
     return target
 
 
+def check_log(path: str | Path, force: bool = False) -> Path:
+    """`path` as a flight log that may be written, as `check_output` says it.
+
+    Raises UsageError too where a killed flight left what can be recovered of it, and `force` is not set.
+    """
+    target = check_output(path, force)
+    partial = target.with_name(target.name + ".part")
+    if partial.exists() and not force:
+        raise UsageError(
+            f"{partial}: a flight was cut short there, run `trimtab log recover {path}` and remove it, "
+            "choose another name or add --force"
+        )
+    return target
+
+
 def check_folder(path: str | Path, names: Sequence[str], force: bool = False) -> Path:
     """`path` as a folder that `names` may be written in; it is made when there is something to write.
 

@@ -278,7 +278,7 @@ class _Demo:
         return read_flight(log)
 
     def _log(self, planned: Planned) -> Path:
-        return artefacts.check_output(
+        return artefacts.check_log(
             self._order.folder / f"{self._flights:02d}-{planned.name}.mcap", self._order.force
         )
 

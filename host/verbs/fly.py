@@ -94,7 +94,7 @@ def command(
     airframe = open_workspace(workspace).vehicle(vehicle)
     blob = read_reference(reference)
     addition = None if feedforward is None else read_feedforward(feedforward)
-    log = artefacts.check_output(output or Path(f"{reference.stem}-{flight}.mcap"), force)
+    log = artefacts.check_log(output or Path(f"{reference.stem}-{flight}.mcap"), force)
     order = FlightOrder(
         vehicle=airframe,
         reference=blob,
@@ -153,12 +153,18 @@ def _fly_simulated(
         start_ned=(first[0], first[1], 0.0),
         start_yaw=order.reference.yaw_nodes()[0].yaw,
     )
+    before = _file_number(order.log_path)
     with closing(simulated):
         try:
             return fly_lockstep(order, simulated, realtime=realtime, on_phase=on_phase)
         finally:
-            if order.log_path.exists():
+            if _file_number(order.log_path) not in (None, before):
                 _write_truth(order.log_path, simulated.truth())
+
+
+def _file_number(path: Path) -> int | None:
+    """What tells the file at `path` from one that replaces it while it is there; None for no file."""
+    return path.stat().st_ino if path.exists() else None
 
 
 def _write_truth(log: Path, truth: dict[str, object]) -> None:

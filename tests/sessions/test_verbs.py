@@ -79,6 +79,34 @@ def test_fly_again_does_not_overwrite_unless_forced(trimtab: Any, ref: str, tmp_
     assert log.read_bytes() == b"mine"
 
 
+def test_fly_forced_that_writes_no_log_leaves_the_truth_of_the_old_one(
+    trimtab: Any, ref: str, tmp_path: Path, world_file: Callable[[str], str]
+) -> None:
+    assert trimtab("fly", ref, "-o", "x.mcap")[0] == 0
+    before = {path.name: path.read_bytes() for path in tmp_path.glob("x.mcap*")}
+    assert len(before) == 2
+    world = world_file("[mocap]\ngaps_s = [[0.0, 60.0]]\n")
+    assert trimtab("fly", ref, "-o", "x.mcap", "--force", "--world", world, "--world-seed", "3")[0] == 3
+    assert {path.name: path.read_bytes() for path in tmp_path.glob("x.mcap*")} == before
+    assert trimtab("fly", ref, "-o", "x.mcap", "--force", "--world-seed", "3")[0] == 0
+    truth = json.loads((tmp_path / "x.mcap.truth.json").read_text())
+    assert truth["world_seed"] == 3
+    assert truth["log"] == trimtab("log", "info", "x.mcap", "--json")[1]["id"]
+
+
+def test_fly_over_what_a_killed_flight_left_is_refused_unless_forced(
+    trimtab: Any, ref: str, tmp_path: Path
+) -> None:
+    left = tmp_path / "x.mcap.part"
+    left.write_bytes(b"mine")
+    code, _, complaint = trimtab("fly", ref, "-o", "x.mcap")
+    assert code == 2
+    assert "trimtab log recover x.mcap" in complaint
+    assert left.read_bytes() == b"mine"
+    assert trimtab("fly", ref, "-o", "x.mcap", "--force")[0] == 0
+    assert not left.exists()
+
+
 def test_fly_log_tells_nothing_of_world_seed_or_drawn_values(trimtab: Any, ref: str, tmp_path: Path) -> None:
     seed = "918273645"
     code, told, _ = trimtab(
