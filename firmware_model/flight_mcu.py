@@ -40,7 +40,7 @@ class FlightMcu:
         baud, rx_bytes, tx_bytes: the line to the radio processor.
 
     `motor_command` is a view of four numbers in 0..1, fixed for life, new after each tick.
-    Raises ValueError for parameters that the table refuses.
+    Raises ValueError for parameters that the table refuses or that contradict each other.
     """
 
     def __init__(
@@ -75,6 +75,7 @@ class FlightMcu:
             send=self._queue,
             status=self._status,
             on_upload=self._uploaded,
+            on_limits=lambda: self._load(Kind.REFERENCE),
         )
         self._out: list[bytes] = []
         self._battery_v = 0.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator, Mapping
 
+from firmware_model.law import checks
 from firmware_model.law.step import parameter_vector
 from protocol.parameters import BY_NAME, INDEX, PARAMETERS, complete
 
@@ -15,13 +16,16 @@ from protocol.parameters import BY_NAME, INDEX, PARAMETERS, complete
 class ParameterValues(Mapping[str, float]):
     """Values by name, in the table's order.
 
-    `vector` is the law's block `parameters`: values and the allocation derived from them.
-    Raises ValueError where a name is unknown, a value out of bounds, or a torque beyond the rotors' geometry.
+    `vector` is the law's block `parameters`: values and the allocation derived from them; `airframe` and
+    `limits` are what references are checked by.
+    Raises ValueError where a name is unknown, a value out of bounds, a torque beyond the rotors' geometry, or
+    a lower limit not below its upper one.
     """
 
     def __init__(self, values: Mapping[str, float]) -> None:
         self._values = complete(values)
         self.vector = array("d", parameter_vector(self._values))
+        self.airframe, self.limits = checks.from_parameters(self._values)
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
@@ -39,8 +43,13 @@ class ParameterValues(Mapping[str, float]):
         """
         rounded = BY_NAME[name].check(value)
         changed = {**self._values, name: rounded}
-        self.vector = array("d", parameter_vector(changed))
-        self._values = changed
+        try:
+            vector = array("d", parameter_vector(changed))
+            judged_by = checks.from_parameters(changed)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+        self._values, self.vector = changed, vector
+        self.airframe, self.limits = judged_by
         return rounded
 
     def us(self, name: str) -> int:

@@ -56,7 +56,8 @@ class Services:
     """Handlers of what arrives.
 
     Args:
-        send: puts a message on the line. on_upload: is told what became of uploads.
+        send: puts a message on the line. on_upload: is told what became of uploads; on_limits: that what
+        references are checked by has changed.
         status: the present FC_STATUS.
     """
 
@@ -70,6 +71,7 @@ class Services:
         send: Callable[[Message], None],
         status: Callable[[int], Message],
         on_upload: Callable[[ReceiverEvent], None],
+        on_limits: Callable[[], None],
     ) -> None:
         self._flight = flight
         self._parameters = parameters
@@ -78,6 +80,7 @@ class Services:
         self._send = send
         self._status = status
         self._on_upload = on_upload
+        self._on_limits = on_limits
         self._listing: deque[int] = deque()
         self._handlers: dict[type, Callable[[Any, int], None]] = {
             m.Timesync: self._timesync,
@@ -175,13 +178,20 @@ class Services:
         if self._flight.state is not State.STANDBY:
             self.text(_WARNING, f"{name} kept: set in standby only")
         else:
-            try:
-                self._parameters.set(name, message.param_value)
-            except ValueError as error:
-                self.text(_WARNING, str(error))
-            else:
-                self._flight.configure()
+            self._set(name, message.param_value)
         self._send_value(index)
+
+    def _set(self, name: str, value: float) -> None:
+        parameters = self._parameters
+        before = (parameters.airframe, parameters.limits)
+        try:
+            parameters.set(name, value)
+        except ValueError as error:
+            self.text(_WARNING, str(error))
+            return
+        self._flight.configure()
+        if (parameters.airframe, parameters.limits) != before:
+            self._on_limits()
 
     def _send_value(self, index: int) -> None:
         name = name_at(index)

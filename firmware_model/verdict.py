@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import IntEnum
 
 from firmware_model.law import checks
+from firmware_model.parameters import ParameterValues
 from protocol.blobs import BlobError, FeedForward, Reference, from_bytes
 from protocol.upload import Verdict
 
@@ -30,7 +30,7 @@ OFFSET_MAX = 0.2
 PREDICTION_MAX_S = 0.1
 
 
-def check_blob(kind: int, data: bytes, *, parameters: Mapping[str, float], vehicle_id: str) -> Verdict:
+def check_blob(kind: int, data: bytes, *, parameters: ParameterValues, vehicle_id: str) -> Verdict:
     """Whether this vehicle may use the blob, and if not, why. Never raises."""
     try:
         blob = from_bytes(data)
@@ -46,13 +46,12 @@ def check_blob(kind: int, data: bytes, *, parameters: Mapping[str, float], vehic
     return _check_feedforward(blob)
 
 
-def _check_reference(blob: Reference, parameters: Mapping[str, float]) -> Verdict:
-    airframe, limits = checks.from_parameters(parameters)
+def _check_reference(blob: Reference, parameters: ParameterValues) -> Verdict:
     found = checks.check_reference(
         blob.nodes,
         blob.yaw_nodes(),
-        airframe,
-        limits,
+        parameters.airframe,
+        parameters.limits,
         origin=blob.origin_ned,
         ends_at_rest=not blob.free_ends,
     )

@@ -40,9 +40,7 @@ def invert4(m16: Sequence[float]) -> tuple[float, ...]:
     for i in range(4):
         pivot = max(range(i, 4), key=lambda k: abs(rows[k][i]))
         if not abs(rows[pivot][i]) > 1e-12:
-            raise ValueError(
-                "the rotors cannot produce thrust and all three torques: their matrix is singular"
-            )
+            raise ValueError("singular: the rotors cannot produce thrust and all three torques")
         rows[i], rows[pivot] = rows[pivot], rows[i]
         rows[i] = [value / rows[i][i] for value in rows[i]]
         for k in range(4):

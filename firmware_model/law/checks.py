@@ -88,9 +88,10 @@ class Limits:
     def __post_init__(self) -> None:
         if len(self.body_rate_max_rad_s) != 3 or len(self.geofence_m) != 3:
             raise ValueError("limits have 3 body rates and 3 geofence intervals")
-        for low, high in (self.thrust_headroom, *self.geofence_m):
-            if not low < high:
-                raise ValueError(f"({low!r}, {high!r}) is not an interval")
+        for name, intervals in (("thrust share", (self.thrust_headroom,)), ("geofence", self.geofence_m)):
+            for low, high in intervals:
+                if not low < high:
+                    raise ValueError(f"{name} {low:.6g} to {high:.6g} is no interval")
 
 
 @dataclass(frozen=True, kw_only=True)

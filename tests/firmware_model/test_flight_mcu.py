@@ -201,13 +201,40 @@ def test_param_set_refused_keeps_the_value_and_says_why(make_session, name, valu
 
 
 def test_param_set_that_makes_the_rotors_useless_is_refused(make_session):
+    session = make_session(parameters={f"ROTOR{k}_X": 0.0 for k in (1, 2, 3)})
+    session.run(0.3)
+    session.send(m.ParamSet(1, 1, b"ROTOR4_X", 0.0, 9))  # all rotors in a line: no pitch torque
+    session.run(0.2)
+    assert session.received(m.ParamValue)[-1].param_value == float32(DEFAULTS["ROTOR4_X"])
+    assert session.flight.parameters["ROTOR4_X"] == float32(DEFAULTS["ROTOR4_X"])
+    assert any(text.startswith("ROTOR4_X: singular") for text in session.texts())
+
+
+def test_param_set_that_contradicts_another_is_refused_and_the_next_check_works(make_session, make_blob):
     session = make_session()
     session.run(0.3)
-    session.send(m.ParamSet(1, 1, b"ROTOR1_SPIN", -1.0, 9))
+    session.send(m.ParamSet(1, 1, b"FENCE_N_MIN", 20.0, 9))  # north of FENCE_N_MAX
     session.run(0.2)
-    value = session.received(m.ParamValue)[-1].param_value
-    assert value in (1.0, -1.0)
-    assert session.flight.parameters["ROTOR1_SPIN"] == value
+    assert session.received(m.ParamValue)[-1].param_value == DEFAULTS["FENCE_N_MIN"]
+    assert "FENCE_N_MIN: geofence 20 to 10 is no interval" in session.texts()
+    assert session.put(make_blob()).state.name == "DONE"
+
+
+def test_param_set_of_a_limit_renews_the_verdict_on_the_live_reference(make_session, make_blob):
+    session = make_session()
+    session.run(0.5)
+    session.put(make_blob())
+    session.run(0.5)
+    session.send(m.ParamSet(1, 1, b"LIM_SPEED", 0.5, 9))
+    session.run(0.1)
+    assert any(text.startswith("live blob refused") for text in session.texts())
+    session.command(400, 1.0)
+    session.run(0.1)
+    assert "arm refused: no live reference: upload one" in session.texts()
+    session.send(m.ParamSet(1, 1, b"LIM_SPEED", 5.0, 9))
+    session.run(0.1)
+    session.command(400, 1.0)
+    session.run_to(State.ARMED, 1.0)
 
 
 def test_param_set_in_flight_is_refused(make_session, make_blob):

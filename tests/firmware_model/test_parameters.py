@@ -36,9 +36,31 @@ def test_set_refused_changes_nothing():
         values.set("POS_P_E", 1e6)
     with pytest.raises(KeyError):
         values.set("NO_SUCH", 1.0)
-    with pytest.raises(ValueError, match="singular"):
+    with pytest.raises(ValueError, match="ROTOR4_X: singular"):
         values.set("ROTOR4_X", 0.0)  # all rotors in a line
     assert (dict(values), list(values.vector)) == (before, vector)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("FENCE_N_MIN", 20.0), ("FENCE_D_MAX", -6.0), ("LIM_THR_LO", 0.65), ("LIM_THR_HI", 0.0)],
+)
+def test_limits_that_contradict_each_other_are_refused(name, value):
+    with pytest.raises(ValueError, match="is no interval"):
+        ParameterValues({name: value})
+    values = ParameterValues({})
+    before, limits = dict(values), values.limits
+    with pytest.raises(ValueError, match=f"{name}: .*is no interval"):
+        values.set(name, value)
+    assert (dict(values), values.limits) == (before, limits)
+
+
+def test_set_changes_what_references_are_checked_by():
+    values = ParameterValues({})
+    values.set("LIM_SPEED", 2.5)
+    values.set("MASS", 0.8)
+    assert values.limits.speed_max_m_s == 2.5
+    assert values.airframe.mass_kg == float32(0.8)
 
 
 def test_places_in_the_table_go_both_ways():

@@ -4,16 +4,16 @@ import random
 
 import pytest
 
+from firmware_model.parameters import ParameterValues
 from firmware_model.verdict import Reason, check_blob
 from protocol.blobs import FeedForward, Kind, Reference
-from protocol.parameters import complete
 
 VEHICLE_ID = "0123456789ab"
 BLOCK = (1.0, *(0.0,) * 12)
 
 
 def verdict(kind, data, **parameters):
-    return check_blob(kind, data, parameters=complete(parameters), vehicle_id=VEHICLE_ID)
+    return check_blob(kind, data, parameters=ParameterValues(parameters), vehicle_id=VEHICLE_ID)
 
 
 def feedforward(**changes):
