@@ -7,9 +7,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from host.vehicle.model import Vehicle
+from host.vehicle.model import Vehicle, hover_problem
 from host.vehicle.parameters import parameter_problems
-from host.vehicle.strict_toml import ConfigurationError, Strict, read_strict
+from host.vehicle.strict_toml import ConfigurationError, Strict, parse_toml, validate
 
 
 def parse_vehicle(text: str, source: str) -> Vehicle:
@@ -17,10 +17,22 @@ def parse_vehicle(text: str, source: str) -> Vehicle:
 
     Raises ConfigurationError with every problem.
     """
-    vehicle = read_strict(text, source, Vehicle)
-    problems = parameter_problems(vehicle)
-    if problems:
-        raise ConfigurationError([f"{source}: {problem}" for problem in problems])
+    data = parse_toml(text, source)
+    try:
+        vehicle, told = validate(data, source, Vehicle), ()
+    except ConfigurationError as error:
+        vehicle, told = None, error.problems
+    # What the board refuses and what lies between keys is told beside keys that are wrong by themselves.
+    wrong = {line.removeprefix(f"{source}: ").split(": ")[0] for line in told}
+    more = [
+        f"{source}: {key}: {what}"
+        for key, what in parameter_problems(data)
+        if wrong.isdisjoint((key, key.rpartition("[")[0]))
+    ]
+    if hover := hover_problem(data):
+        more.append(f"{source}: {hover}")
+    if vehicle is None or more:
+        raise ConfigurationError(list(dict.fromkeys([*told, *more])))
     return vehicle
 
 

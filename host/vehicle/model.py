@@ -12,9 +12,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from host.vehicle.strict_toml import Strict, validate
+from firmware_model.law.constants import GRAVITY
+from host.vehicle.strict_toml import Strict, number, validate, value_at
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
@@ -33,6 +34,9 @@ def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
 
 Interval = Annotated[tuple[float, float], AfterValidator(_ordered)]
 
+SPIN_SIGN = {"ccw": 1, "cw": -1}
+"""Sign of a rotor's reaction torque about +z_frd."""
+
 
 class Rotor(Strict):
     """One rotor: where it sits and which way it turns."""
@@ -45,7 +49,7 @@ class Rotor(Strict):
     @property
     def spin_sign(self) -> int:
         """+1 for ccw, -1 for cw: the sign of the reaction torque about +z_frd."""
-        return 1 if self.spin == "ccw" else -1
+        return SPIN_SIGN[self.spin]
 
 
 class Battery(Strict):
@@ -56,11 +60,13 @@ class Battery(Strict):
     empty_v: Positive
     capacity_ah: Positive
 
-    @model_validator(mode="after")
-    def _full_above_empty(self) -> Self:
-        if not self.full_v > self.empty_v:
-            raise ValueError(f"full_v {self.full_v:g} is not above empty_v {self.empty_v:g}, mend one")
-        return self
+    @field_validator("empty_v")
+    @classmethod
+    def _below_full(cls, value: float, info: ValidationInfo) -> float:
+        full_v = info.data.get("full_v")  # None where it is wrong itself
+        if full_v is not None and not value < full_v:
+            raise ValueError(f"{value:g} is not below full_v {full_v:g}, mend one")
+        return value
 
 
 class Limits(Strict):
@@ -159,13 +165,8 @@ class Vehicle(Strict):
 
     @model_validator(mode="after")
     def _can_hover(self) -> Self:
-        ceiling = 4.0 * self.thrust_max_n * self.limits.thrust_headroom[1]
-        weight = self.mass_kg * 9.81
-        if ceiling <= weight:
-            raise ValueError(
-                f"cannot hover: the rotors may give {ceiling:.3g} N in all, the weight is {weight:.3g} N; "
-                "raise thrust_max_n or limits.thrust_headroom, or lower mass_kg"
-            )
+        if problem := hover_problem(self.model_dump(exclude={"tolerances"})):
+            raise ValueError(problem)
         return self
 
     @property
@@ -201,6 +202,22 @@ class Vehicle(Strict):
         from host.vehicle.files import parse_vehicle
 
         return parse_vehicle, (self.to_toml(), self.name)
+
+
+def hover_problem(data: Mapping[str, Any]) -> str | None:
+    """Why the vehicle of this plain data cannot hover; None where it can, or where a number is no use."""
+    mass_kg = number(value_at(data, ("mass_kg",)))
+    thrust_max_n = number(value_at(data, ("thrust_max_n",)))
+    share = number(value_at(data, ("limits", "thrust_headroom", 1)))
+    if mass_kg is None or thrust_max_n is None or share is None:
+        return None
+    ceiling, weight = 4.0 * thrust_max_n * share, mass_kg * GRAVITY
+    if not 0.0 < ceiling <= weight:
+        return None
+    return (
+        f"cannot hover: the rotors may give {ceiling:.3g} N in all, the weight is {weight:.3g} N; "
+        "raise thrust_max_n or limits.thrust_headroom, or lower mass_kg"
+    )
 
 
 def _determinant(matrix: list[list[float]]) -> float:

@@ -78,7 +78,7 @@ def _field_names(model: type[BaseModel]) -> Iterator[str]:
         yield from part.get("properties", {})
 
 
-def _key_path(location: Sequence[int | str], data: Any) -> str:
+def key_path(location: Sequence[int | str], data: Any) -> str:
     """`rotors[1].spin` for ("rotors", 1, "spin"); tags that pydantic adds for unions are left out."""
     path = ""
     for position, item in enumerate(location):
@@ -94,6 +94,26 @@ def _key_path(location: Sequence[int | str], data: Any) -> str:
         path += f".{item}" if path else item
         data = data.get(item) if isinstance(data, dict) else None
     return path
+
+
+def value_at(data: Any, location: Sequence[int | str]) -> Any:
+    """What stands at a place of plain data; None where nothing does."""
+    for item in location:
+        try:
+            data = data[item]
+        except (LookupError, TypeError):
+            return None
+    return data
+
+
+def number(value: Any) -> float | None:
+    """The value as a float; None where it is no number, or too large for one."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        return float(value)
+    except OverflowError:
+        return None
 
 
 _KINDS = {
@@ -112,7 +132,7 @@ _KINDS = {
 def _problem(details: ErrorDetails, data: dict[str, Any], known: Sequence[str]) -> str:
     """One line, what is wrong and what to do, for one of pydantic's error records."""
     kind, location, context = details["type"], details["loc"], details.get("ctx", {})
-    path = _key_path(location, data)
+    path = key_path(location, data)
     name = str(location[-1]) if location else ""
     got = _shown(details.get("input"))
     if kind == "missing":

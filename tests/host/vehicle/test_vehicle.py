@@ -125,6 +125,33 @@ def test_bad_file_tells_every_problem_at_once(research: Vehicle) -> None:
     assert "bad.toml: rotors[2].spin: 'left' is not possible, choose 'cw' or 'ccw'" in lines
 
 
+def test_wrong_keys_hide_neither_the_boards_bounds_nor_what_lies_between_keys(research: Vehicle) -> None:
+    text = (
+        research.to_toml()
+        .replace("inertia_kg_m2 = [0.0025", "inertia_kg_m2 = [-0.0025")
+        .replace("mass_kg = 0.752", "mass_kg = 4.0")
+        .replace("thrust_curve = [0.0, 1.0]", "thrust_curve = [0.5, 1.0]")
+        .replace("velocity_d = [6.0", "velocity_d = [600.0")
+        .replace("rate_filter_hz = 40.0", "rate_filter_hz = 4000")
+        .replace("capacity_ah = 1.5", "capacity_ah = 0")
+        .replace("empty_v = 13.2", "empty_v = 17")
+    )
+    lines = problems(text)
+    starts = [line.removeprefix("bad.toml: ").split(":")[0] for line in lines]
+    assert sorted(starts) == sorted(
+        [
+            "inertia_kg_m2[0]",
+            "thrust_curve",
+            "battery.capacity_ah",
+            "battery.empty_v",
+            "gains.velocity_d[0]",
+            "gains.rate_filter_hz",
+            "cannot hover",
+        ]
+    )
+    assert any("VEL_D_N: 600 is outside" in line for line in lines)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -134,7 +161,7 @@ def test_bad_file_tells_every_problem_at_once(research: Vehicle) -> None:
         ("mass_kg = 0.752", "mass_kg = true", "mass_kg: True is not a number"),
         ("mass_kg = 0.752", "mass_kg = 5.0", "cannot hover"),
         ("mass_kg = 0.752", "mass_kg = 0.001", "mass_kg: cannot be set on board"),
-        ("empty_v = 13.2", "empty_v = 17.0", "battery: full_v 16.8 is not above empty_v 17"),
+        ("empty_v = 13.2", "empty_v = 17.0", "battery.empty_v: 17 is not below full_v 16.8"),
         ("cells = 4", "cells = 4.5", "battery.cells: 4.5 is not a whole number"),
         ('spin = "cw"', 'spin = "ccw"', "rotors: these rotors cannot turn"),
         ("thrust_headroom = [0.08, 0.65]", "thrust_headroom = [0.08, 1.65]", "limits.thrust_headroom"),
