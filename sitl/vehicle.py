@@ -37,6 +37,8 @@ from sitl.world import TICK_US, RadioSettings, load_world
 HOST_BAUD = 921_600
 HOST_RX_BYTES = 65_536
 HOST_TX_BYTES = 65_536
+TWO_POSES_HZ = 200
+"""From this rate on two poses may share a frame."""
 DEFAULT_WORLD = "empty"
 
 
@@ -82,10 +84,10 @@ class SimulatedVehicle:
         """A vehicle in a world, powered up for a flight.
 
         Args:
-            vehicle: the vehicle file. world: name or path of a world; `empty` without.
-            world_seed, flight: seeds: the world comes from the first alone.
             vehicle: the vehicle file. world: name or path of a world, `empty` where not given.
-            start_ned, start_yaw: where it stands; z 0 is the floor.
+            world_seed, flight: seeds, not negative; the world comes from the first alone.
+            plant: a foreign plant in place of a world, as path.py:Class. plant_options: path of its TOML.
+            start_ned, start_yaw: where it stands, m and rad; z 0 is the floor.
             radio: settings that override the world's, by the keys of its `[radio]` table.
 
         Raises ConfigurationError or ForeignPlantError (exit code 2).
@@ -217,7 +219,8 @@ class SimulatedVehicle:
         self._command: Any = self._flight_mcu.motor_command
         self._flight_tick = self._flight_mcu.tick
         self._air_radio = RadioMcu(address=VEHICLE_RADIO)
-        self._ground_radio = RadioMcu(address=HOST_RADIO)
+        poses = 2 if world.mocap.rate_hz >= TWO_POSES_HZ else 1
+        self._ground_radio = RadioMcu(address=HOST_RADIO, poses=poses)
         self._host_port = UartPort(baud=HOST_BAUD, rx_bytes=HOST_RX_BYTES, tx_bytes=HOST_TX_BYTES)
         connect(self._flight_mcu.uart, self._air_radio.uart)
         connect(self._host_port, self._ground_radio.uart)

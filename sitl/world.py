@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from pydantic import Field, create_model, field_validator, model_validator
+from pydantic import Field, ValidationInfo, create_model, field_validator, model_validator
 
 from host.vehicle import ConfigurationError
 from host.vehicle.strict_toml import Strict, read_strict
@@ -38,7 +38,8 @@ class Turbulence(Strict):
 class MocapSettings(Strict):
     """The camera system."""
 
-    rate_hz: Annotated[int, Field(ge=10, le=500)] = 100
+    rate_hz: Annotated[int, Field(ge=10, le=250)] = 100
+    """Faster ones would take every slot of the radio's way up."""
     position_noise_m: NonNegative = 0.001
     attitude_noise_deg: NonNegative = 0.3
     delay_us: MicrosecondsUp = 4000
@@ -74,7 +75,7 @@ class RadioSettings(Strict):
     """Half-duplex slot: one frame of one side."""
     loss: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.01
     """Share of full frames lost in the long run; shorter ones fare better."""
-    burst_frames: Annotated[float, Field(ge=1.0)] = 5.0
+    burst_frames: Annotated[float, Field(ge=1.0, validate_default=True)] = 5.0
     """Mean length of a spell of losses (Gilbert-Elliott)."""
     latency_us: MicrosecondsUp = 3000
     """From the end of the slot to delivery."""
@@ -85,6 +86,18 @@ class RadioSettings(Strict):
     """Share of frames delivered with flipped bits."""
     cuts_s: tuple[Spell, ...] = ()
     """[start, length] of spells in which nothing passes either way."""
+
+    @field_validator("burst_frames")
+    @classmethod
+    def _long_enough_for_loss(cls, value: float, info: ValidationInfo) -> float:
+        # Between two spells at least one frame passes, so spells of n lose at most n of n + 1 frames.
+        loss, most = info.data.get("loss", 0.0), value / (value + 1.0)
+        if loss > most:
+            raise ValueError(
+                f"spells of {value:g} frames lose at most {most:.4g} of all, lower loss {loss:g} "
+                f"or give at least {loss / (1.0 - loss):.4g}"
+            )
+        return value
 
     @field_validator("slot_us")
     @classmethod

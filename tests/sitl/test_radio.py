@@ -56,7 +56,7 @@ def uniforms(seed: int) -> Iterator[float]:
         yield from rng.random(4096).tolist()
 
 
-@pytest.mark.parametrize(("loss", "burst"), [(0.01, 5.0), (0.1, 5.0), (0.3, 20.0), (0.1, 1.0)])
+@pytest.mark.parametrize(("loss", "burst"), [(0.01, 5.0), (0.1, 5.0), (0.3, 20.0), (0.1, 1.0), (0.8, 4.0)])
 def test_burst_loss_has_the_share_and_burst_length_set(loss: float, burst: float) -> None:
     chain = BurstLoss(loss, burst, uniforms(3).__next__)
     lost = np.array([chain.lost(116) for _ in range(400_000)])

@@ -12,7 +12,8 @@ import pytest
 from firmware_model.law.reference import septic
 from host.vehicle import ConfigurationError, load_vehicle
 from protocol.blobs import Reference
-from protocol.messages import FcStatus
+from protocol.codec import Codec
+from protocol.messages import HOST, HOST_RADIO, FcStatus, RadioStats
 from sitl.foreign import ForeignPlantError
 from sitl.vehicle import SimulatedVehicle
 
@@ -98,6 +99,20 @@ def test_run_until_returns_as_soon_as_something_waits_for_the_host() -> None:
     assert len(stops) > 150
     assert stops[-1] == 1_000_000
     assert all(b > a for a, b in pairwise(stops))
+
+
+def test_fast_cameras_over_scarce_slots_lose_no_pose_to_a_newer_one(session_tools, tmp_path: Path) -> None:
+    _, _, fly = session_tools
+    world = tmp_path / "fast.toml"
+    world.write_text(
+        'description = "200 poses, 125 slots a second each way"\ntolerances = false\n'
+        "[mocap]\nrate_hz = 200\ndropout = 0.0\n[radio]\nslot_us = 4000\nloss = 0.0\ncorrupt = 0.0\n"
+    )
+    session = fly(SimulatedVehicle.create(load_vehicle("research"), world=str(world)), until_s=3.0)
+    messages = Codec(*HOST).decode(bytes(session.received))
+    stats = [m for m in messages if isinstance(m, RadioStats) and m.get_srcSystem() == HOST_RADIO[0]]
+    assert stats[-1].replaced == 0
+    assert stats[-1].messages_sent > 200 * 1.5
 
 
 def test_mocap_lost_in_flight_ends_in_a_controlled_descent(session_tools) -> None:

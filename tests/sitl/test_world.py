@@ -56,8 +56,11 @@ def test_world_with_many_mistakes_is_told_all_of_them(tmp_path: Path) -> None:
         ('[draw]\ncount = [1, 1]\nkinds = ["wind"]', "wind without a drag"),
         ('[draw]\ncount = [2, 3]\nkinds = ["motor-lag"]', "count"),
         ("[effects.motor-lag]\nextra_s = 0.01\n[draw]\ncount = [1, 1]", "both in effects and in draw.kinds"),
-        ("[mocap]\nrate_hz = 300", "does not divide"),
+        ("[mocap]\nrate_hz = 160", "does not divide"),
+        ("[mocap]\nrate_hz = 500", "rate_hz: 500 is out of range, give a value at most 250"),
         ("[radio]\nslot_us = 2500", "whole number"),
+        ("[radio]\nloss = 0.9", "burst_frames: spells of 5 frames lose at most 0.8333 .* at least 9"),
+        ("[radio]\nloss = 0.6\nburst_frames = 1.0", "burst_frames: spells of 1 frames .* at least 1.5"),
         ("[effects.linear-drag]\ndx = -1.0\ndy = 0.1\ndz = 0.1", "effects.linear-drag.dx"),
     ],
 )
