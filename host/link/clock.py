@@ -10,6 +10,12 @@ BUCKETS = 30
 """The least delay is looked for in the last so many seconds: drift stays below a microsecond a bucket."""
 STEP_US = 5_000
 """A delay so much below the least one seen is none: the other clock was set or stood still."""
+CAMERA_AHEAD_US = 50_000
+"""No pose arrives so much sooner than the soonest did: its stamp is wrong, or the cameras' clock was set."""
+CAMERA_AGREE_US = 1_000_000
+CAMERA_AGREEING = 5
+"""So many poses in a row whose stamps are wrong alike are a clock that was set."""
+_STAMP_MAX_US = 1 << 62
 _SETTLED = 20
 _BEST = 8
 
@@ -123,6 +129,9 @@ class CameraClock:
     def __init__(self, delay_us: int | None) -> None:
         self._delay_us = delay_us
         self._late = LeastDelay()
+        self._newest_us = -1
+        self._wrong = (0, 0)
+        self._agreeing = 0
 
     @property
     def offset_us(self) -> float:
@@ -131,11 +140,34 @@ class CameraClock:
             return 0.0
         return self._delay_us - self._late.value
 
-    def pose(self, stamp_us: int, now_us: int) -> None:
-        """Takes the stamp of a pose that has just arrived."""
+    def pose(self, stamp_us: int, now_us: int) -> bool:
+        """Whether the stamp of a pose that has just arrived is believed: newer than the last and possible.
+
+        Where a delay was stated, CAMERA_AGREEING poses in a row whose stamps are wrong alike say that the
+        cameras' clock was set: the comparison begins anew with the last of them.
+        """
+        late_us, newer = now_us - stamp_us, stamp_us > self._newest_us
+        least_us = 0 if self._delay_us is None else self._late.value if self._late.samples else -math.inf
+        if not newer or late_us < least_us - CAMERA_AHEAD_US or stamp_us > _STAMP_MAX_US:
+            if not self._was_set(stamp_us, late_us, least_us):
+                return False
+            self._late.clear()
+        self._newest_us = stamp_us
+        self._agreeing = 0
         if self._delay_us is not None:
-            self._late.add(now_us - stamp_us, now_us)
+            self._late.add(late_us, now_us)
+        return True
+
+    def _was_set(self, stamp_us: int, late_us: int, least_us: float) -> bool:
+        """Whether this wrong stamp is one too many for a mistake; a pose that came twice or late is none."""
+        if self._delay_us is None or stamp_us > _STAMP_MAX_US or abs(late_us - least_us) <= CAMERA_AHEAD_US:
+            return False
+        last_us, last_late_us = self._wrong
+        agrees = stamp_us > last_us and abs(late_us - last_late_us) <= CAMERA_AGREE_US
+        self._wrong = (stamp_us, late_us)
+        self._agreeing = self._agreeing + 1 if agrees else 1
+        return self._agreeing >= CAMERA_AGREEING
 
     def clear(self) -> None:
-        """Forgets everything: clocks have jumped."""
+        """Forgets the comparison: the host's clock against the vehicle's has jumped."""
         self._late.clear()

@@ -58,7 +58,6 @@ class Session:
         self._script: Script | None = None
         self._task: Task | None = None
         self._cameras = Codec(*m.HOST)
-        self._newest_pose_us = -1
         self._steps = 0
 
     @property
@@ -156,17 +155,17 @@ class Session:
             self.done, self.error = True, problem
 
     def _on_datagram(self, datagram: bytes, now_us: int) -> None:
-        """Forwards the poses in a datagram; what is no newer than the last one is dropped."""
+        """Forwards the poses in a datagram; one whose stamp the camera clock does not believe is dropped."""
+        clock, camera = self.client.clock, self.camera
         for message in self._cameras.decode(datagram):
-            if type(message) is not m.AttPosMocap or message.time_usec <= self._newest_pose_us:
+            if type(message) is not m.AttPosMocap:
                 continue
-            self._newest_pose_us = message.time_usec
-            self.poses += 1
-            clock, camera = self.client.clock, self.camera
             if clock.steps != self._steps:
                 self._steps = clock.steps
                 camera.clear()
-            camera.pose(message.time_usec, now_us)
+            if not camera.pose(message.time_usec, now_us):
+                continue
+            self.poses += 1
             vehicle_us = 0
             if clock.exchanges:
                 vehicle_us = max(0, round(message.time_usec - camera.offset_us + clock.offset_us))

@@ -43,6 +43,8 @@ from protocol.blobs import FeedForward, Reference, blob_id
 from protocol.generated import flight_pb2
 
 State = flight_pb2.Status.State
+CAMERAS_SET_US = 25_000
+"""Where the cameras' clock against the host's jumps by more, it was set."""
 
 
 def read_flight(path: Path | str) -> Flight:
@@ -171,9 +173,16 @@ def _read_mocap(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Mocap 
     if not pairs:
         return None
     messages = [message for _, message in pairs]
+    source_us = _counts(messages, "source_us")
+    shifts_us = source_us - _times([entry.publish_time_us for entry, _ in pairs])
+    start = 0
+    for end in np.flatnonzero(np.abs(np.diff(shifts_us)) > CAMERAS_SET_US) + 1:
+        shifts_us[start:end] = shifts_us[end - 1]  # how far a clock is, is known best at the end
+        start = end
+    shifts_us[start:] = shift_us
     return _finite(
         Mocap,
-        t_us=_counts(messages, "source_us") - shift_us,
+        t_us=source_us - shifts_us,
         t_arrival_us=_times([entry.log_time_us for entry, _ in pairs]),
         p=_columns(messages, lambda m: m.p_ned_m, 3),
         q=_columns(messages, lambda m: m.q_ned_frd, 4),

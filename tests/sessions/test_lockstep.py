@@ -24,7 +24,9 @@ from host.log import Flight, LogError, read_flight, recover, topics
 from host.log.scan import scan
 from host.log.tracking import reference_at
 from host.vehicle import Vehicle, load_vehicle
+from protocol import messages as m
 from protocol.blobs import NEUTRAL_BLOCK, FeedForward, Reference
+from protocol.codec import Codec
 from protocol.generated import flight_pb2
 
 Flown = tuple[FlightResult, Flight]
@@ -261,6 +263,56 @@ def test_session_that_loses_mocap_ends_in_failsafe_with_its_log_kept(
     assert flight.failsafe == "mocap-lost"
     assert not flight.tracking_whole
     assert result.to_json()["failsafe"] == "mocap lost"
+
+
+def restamped(simulated: Any, stamp: Callable[[int, int], list[int]]) -> Any:
+    """The vehicle, whose cameras send each pose with the stamps that `stamp` makes of (stamp, now), in us."""
+    read, codec = simulated.mocap_read, Codec(*m.CAMERAS)
+
+    def mocap_read() -> list[bytes]:
+        poses: list[Any] = [message for datagram in read() for message in Codec(*m.HOST).decode(datagram)]
+        return [
+            codec.encode(m.AttPosMocap(stamp_us, p.q, p.x, p.y, p.z))
+            for p in poses
+            for stamp_us in stamp(p.time_usec, simulated.now_us)
+        ]
+
+    simulated.mocap_read = mocap_read
+    return simulated
+
+
+@pytest.mark.parametrize("wrong_us", [2**64 - 1, 2**63 - 1, 60_000_000])
+@pytest.mark.parametrize("delay_us", [None, 4_000])
+def test_session_one_pose_with_a_wrong_stamp_does_not_end_the_flight(
+    fly: Fly, simulate: Simulate, wrong_us: int, delay_us: int | None
+) -> None:
+    sent: list[int] = []
+
+    def stamp(stamp_us: int, now_us: int) -> list[int]:
+        if now_us < 7_000_000 or sent:
+            return [stamp_us]
+        sent.append(wrong_us)
+        return [wrong_us, stamp_us]
+
+    result = fly(restamped(simulate(), stamp), camera_delay_us=delay_us)
+    assert sent
+    assert result.end is not None
+    assert result.end.whole
+    mocap = read_flight(result.log).mocap
+    assert mocap is not None
+    assert len(mocap) == pytest.approx(100 * result.duration_s, rel=0.02)
+
+
+@pytest.mark.parametrize("shift_us", [-3_000_000, 60_000_000])
+def test_session_whose_cameras_clock_is_set_flies_on(fly: Fly, simulate: Simulate, shift_us: int) -> None:
+    simulated = restamped(
+        simulate(), lambda stamp_us, now_us: [stamp_us + (shift_us if now_us > 7_000_000 else 0)]
+    )
+    result = fly(simulated, camera_delay_us=4_000)
+    assert result.end is not None
+    assert result.end.whole
+    assert result.tracking_rmse_m is not None
+    assert result.tracking_rmse_m < 0.05
 
 
 def test_session_that_loses_the_link_lands_and_says_so(

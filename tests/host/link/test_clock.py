@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from host.link.clock import BUCKETS, ClockSync, LeastDelay
+from host.link.clock import BUCKETS, CAMERA_AGREEING, CameraClock, ClockSync, LeastDelay
 
 
 def exchange(clock: ClockSync, now_us: int, offset_us: float, up_us: float, down_us: float) -> int:
@@ -58,6 +58,60 @@ def test_clock_sync_absurd_answers_are_left_out() -> None:
     assert clock.exchanges == 0
     assert clock.offset_us == 0.0
     assert not clock.settled
+
+
+def poses(camera: CameraClock, first: int, count: int, *, shift_us: int = 0) -> list[bool]:
+    """What becomes of poses 10 ms apart that arrive 4 to 4.5 ms late, from the host's `first` x 10 ms on."""
+    return [
+        camera.pose(10_000 * k + shift_us, 10_000 * k + 4_000 + (k * 37) % 500)
+        for k in range(first, first + count)
+    ]
+
+
+WRONG_STAMPS = [2**64 - 1, 2**63 - 1, 62_000_000, 2_060_000, 1_990_000, 0]
+
+
+@pytest.mark.parametrize("delay_us", [None, 4_000])
+@pytest.mark.parametrize("stamp_us", WRONG_STAMPS)
+def test_camera_clock_one_wrong_stamp_changes_nothing(delay_us: int | None, stamp_us: int) -> None:
+    camera = CameraClock(delay_us)
+    assert all(poses(camera, 0, 200))
+    assert not camera.pose(stamp_us, 2_001_000)
+    assert all(poses(camera, 200, 50))
+    assert camera.offset_us == 0.0
+
+
+@pytest.mark.parametrize("shift_us", [-60_000_000, -70_000, 70_000, 60_000_000, 2**61])
+def test_camera_clock_that_was_set_is_followed(shift_us: int) -> None:
+    camera = CameraClock(4_000)
+    assert all(poses(camera, 6_000, 200))
+    after = poses(camera, 6_200, 100, shift_us=shift_us)
+    assert after == [False] * (CAMERA_AGREEING - 1) + [True] * (101 - CAMERA_AGREEING)
+    assert camera.offset_us == pytest.approx(shift_us, abs=50)
+
+
+def test_camera_clock_after_a_wrong_first_stamp_finds_the_right_ones() -> None:
+    camera = CameraClock(4_000)
+    assert camera.pose(3_600_000_000, 1_000)
+    assert poses(camera, 1, 20)[CAMERA_AGREEING - 1 :] == [True] * (21 - CAMERA_AGREEING)
+    assert camera.offset_us == pytest.approx(0.0, abs=50)
+
+
+def test_camera_clock_on_the_hosts_own_time_is_never_set() -> None:
+    camera = CameraClock(None)
+    assert all(poses(camera, 0, 10))
+    assert not any(poses(camera, 10, 50, shift_us=60_000_000))
+
+
+def test_camera_clock_poses_that_come_twice_or_late_are_no_set_clock() -> None:
+    camera = CameraClock(4_000)
+    for k in range(100):
+        assert camera.pose(10_000 * k, 10_000 * k + 4_000)
+        assert not camera.pose(10_000 * k, 10_000 * k + 5_000)
+    # A second's silence, then all of it at once: late, and as it was.
+    late = [camera.pose(10_000 * k, 2_000_000 + k) for k in range(100, 200)]
+    assert all(late)
+    assert camera.offset_us == 0.0
 
 
 def test_least_delay_forgets_what_is_too_old() -> None:
