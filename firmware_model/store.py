@@ -10,8 +10,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 
-BANK_BYTES = 256 * 1024
-"""Room in each bank; 400 nodes of a reference take 21 kB."""
+from protocol.blobs import BLOB_BYTES_MAX
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +28,7 @@ class ReferenceStore:
         bank_bytes: size of one bank.
     """
 
-    def __init__(self, *, bank_bytes: int = BANK_BYTES) -> None:
+    def __init__(self, *, bank_bytes: int = BLOB_BYTES_MAX) -> None:
         if bank_bytes <= 0:
             raise ValueError(f"bank_bytes must be positive, not {bank_bytes}")
         self.bank_bytes = bank_bytes

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from host.errors import UsageError
 from host.plan.dynamics import Dynamics
 from host.plan.judge import Judged, judge, measure
 from host.plan.result import Kind, Plan, Settings
@@ -14,7 +15,7 @@ from host.plan.snap import optimise_durations
 from host.plan.table import Table
 from host.route import Route
 from host.vehicle import Limits
-from protocol.blobs import YawNode
+from protocol.blobs import BLOB_BYTES_MAX, YawNode
 
 Array = NDArray[np.float64]
 
@@ -69,7 +70,13 @@ class Job:
         return judge(table, yaws, self.dynamics.vehicle, self.limits, self.route.keep_out)
 
     def finish(self, judged: Judged, waypoint_times_s: Array, effort: Effort) -> Plan:
-        """The plan."""
+        """The plan. Raises UsageError where the vehicle has no room for its reference."""
+        size = len(judged.reference.to_bytes())
+        if size > BLOB_BYTES_MAX:
+            raise UsageError(
+                f"{self.route.name}: {len(judged.reference.nodes)} nodes take {size} bytes, the vehicle has "
+                f"room for {BLOB_BYTES_MAX}; give the route less time or fewer waypoints and headings"
+            )
         vehicle, model = self.dynamics.vehicle, self.dynamics.model
         figures = measure(vehicle, model, judged.table, judged.reference.yaw_nodes())
         return Plan(

@@ -16,7 +16,6 @@ excess.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from host.effects import Effect, load_effects
@@ -29,7 +28,7 @@ from host.plan.result import Kind, Plan, Settings, parse_kind
 from host.plan.rounds import plan_shooting
 from host.plan.shooting import NODES_MAX
 from host.plan.stretch import plan_snap
-from host.route import LimitsOverride, Route, check_route
+from host.route import TIME_MAX_S, LimitsOverride, Route, check_route
 from host.vehicle import Limits, Vehicle
 
 
@@ -45,22 +44,24 @@ def plan(
     stretch: bool = False,
     nodes: int | None = None,
     settings: Settings | None = None,
+    source: str | None = None,
 ) -> Plan:
     """A checked plan for the route. The same arguments give the same reference.
 
     kind: one of KINDS; a `*` behind it plans with the model in the dynamics. model: needed by min-residual
     and `*`; `effects` are those its names refer to, the shipped ones by default. headroom: limits tighter
     than the route's. total_time_s: instead of the route's. stretch: a min-snap plan that breaks a limit takes
-    more time. nodes: about how many shooting intervals, None for one about every 70 ms.
+    more time. nodes: about how many shooting intervals, None for one about every 70 ms. source: names
+    the route in errors, its name by default.
 
     Raises ConfigurationError or UsageError (exit code 2) for what contradicts itself before solving,
     PlanRefused (1) with node and reason, PlanUnsolved (4).
     """
     name, augmented = parse_kind(kind)
     if nodes is not None and not 20 <= nodes <= NODES_MAX:
-        raise UsageError(f"nodes must be within 20..{NODES_MAX}, not {nodes}")
+        raise UsageError(f"--nodes {nodes}: give a number within 20..{NODES_MAX}")
     route = _timed(route, total_time_s)
-    limits = _limits(route, vehicle, headroom)
+    limits = _limits(route, vehicle, headroom, source)
     dynamics = Dynamics(
         vehicle=vehicle, model=_residual_model(model, effects, vehicle, name, augmented), augmented=augmented
     )
@@ -111,8 +112,8 @@ def _timed(route: Route, total_time_s: float | None) -> Route:
     """The route in this total time; waypoint times and yaw profile are scaled along."""
     if total_time_s is None:
         return route
-    if not (math.isfinite(total_time_s) and total_time_s > 0.0):
-        raise UsageError(f"the total time must be positive, not {total_time_s!r} s")
+    if not 0.0 < total_time_s <= TIME_MAX_S:
+        raise UsageError(f"--time-s {total_time_s:g}: give a time above 0 and at most {TIME_MAX_S:g} s")
     scale = total_time_s / route.duration_s
     yaw = route.yaw.model_copy(update={"times_s": tuple(t * scale for t in route.yaw.times_s)})
     if route.times_s is not None:
@@ -120,9 +121,11 @@ def _timed(route: Route, total_time_s: float | None) -> Route:
     return route.model_copy(update={"total_time_s": total_time_s, "yaw": yaw})
 
 
-def _limits(route: Route, vehicle: Vehicle, headroom: LimitsOverride | None) -> Limits:
+def _limits(route: Route, vehicle: Vehicle, headroom: LimitsOverride | None, source: str | None) -> Limits:
     """The limits of vehicle, route and headroom together. Raises ConfigurationError."""
-    limits = check_route(route, vehicle)
+    limits = check_route(route, vehicle, source)
     if headroom is None:
         return limits
-    return check_route(route.model_copy(update={"limits": headroom}), vehicle.replace(limits=limits))
+    return check_route(
+        route.model_copy(update={"limits": headroom}), vehicle.replace(limits=limits), "--headroom"
+    )

@@ -1,12 +1,13 @@
 """Routes: waypoints, times, heading, limits and keep-out shapes, read strictly from TOML."""
 
-from host.route.checks import check_route
-from host.route.files import list_routes, load_route, parse_route
+from host.route.checks import TIME_MAX_S, check_route
+from host.route.files import list_routes, load_route, parse_route, route_file
 from host.route.generators import FigureEight, RandomWaypoints, random_route
 from host.route.model import LimitsOverride, Route, YawProfile
 from host.route.shapes import Box, Cylinder, Sphere
 
 __all__ = [
+    "TIME_MAX_S",
     "Box",
     "Cylinder",
     "FigureEight",
@@ -20,4 +21,5 @@ __all__ = [
     "load_route",
     "parse_route",
     "random_route",
+    "route_file",
 ]

@@ -13,9 +13,12 @@ from host.vehicle import ConfigurationError, Limits, Vehicle
 HEIGHT_MIN_M = 0.5
 """A reference starts and ends at rest at least this high."""
 
+TIME_MAX_S = 500.0
+"""With a node each 0.1 s more does not fit into the vehicle's memory."""
 
-def check_route(route: Route, vehicle: Vehicle) -> Limits:
-    """The limits a plan for this route must keep.
+
+def check_route(route: Route, vehicle: Vehicle, source: str | None = None) -> Limits:
+    """The limits a plan for this route must keep. `source` names the route in errors, its name by default.
 
     Raises ConfigurationError (exit code 2) with every contradiction.
     """
@@ -26,7 +29,7 @@ def check_route(route: Route, vehicle: Vehicle) -> Limits:
         *_too_fast(route, limits),
     ]
     if problems:
-        raise ConfigurationError([f"{route.name}: {problem}" for problem in problems])
+        raise ConfigurationError([f"{source or route.name}: {problem}" for problem in problems])
     return limits
 
 
@@ -75,7 +78,12 @@ def _misplaced(route: Route, limits: Limits) -> Iterator[str]:
 
 
 def _too_fast(route: Route, limits: Limits) -> Iterator[str]:
-    """Legs too long for their time even straight and at top speed, and a heading that turns too fast."""
+    """More time than the vehicle can hold, legs too long for theirs, a heading that turns too fast."""
+    if route.duration_s > TIME_MAX_S:
+        key = "times_s" if route.times_s is not None else "total_time_s"
+        yield (
+            f"{key}: {route.duration_s:g} s do not fit into the vehicle's memory, give at most {TIME_MAX_S:g}"
+        )
     legs = list(pairwise(route.waypoints_m))
     speed = limits.speed_max_m_s
     if route.times_s is not None:

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from host.route.generators import FigureEight, RandomWaypoints
 from host.route.model import LimitsOverride, Route, YawProfile
 from host.route.shapes import Shape
-from host.vehicle.files import find_file, list_files, read_text
+from host.vehicle.files import find_file, list_files, read_text, shown
 from host.vehicle.model import Name, Positive, Vector3
 from host.vehicle.strict_toml import ConfigurationError, Strict, read_strict, validate
 
@@ -58,21 +58,29 @@ def load_route(name_or_path: str | Path, workspace: Path | None = None) -> Route
     `NAME:SEED` draws a route with a [random] table anew with that seed.
     Raises ConfigurationError (exit code 2).
     """
-    text, _, seed = (
-        str(name_or_path).partition(":") if isinstance(name_or_path, str) else (name_or_path, "", "")
-    )
-    path = find_file(text, "routes", workspace, what="route")
+    path, seed = _place(name_or_path, workspace)
     if not seed:
-        return parse_route(read_text(path), str(text))
-    file = read_strict(read_text(path), str(text), RouteFile)
+        return parse_route(read_text(path), shown(path))
+    file = read_strict(read_text(path), shown(path), RouteFile)
     if file.random is None or not (seed.isascii() and seed.isdigit()):
         raise ConfigurationError(
             [f"{name_or_path}: :SEED is a whole number after a route with a [random] table"]
         )
     drawn = file.random.model_copy(update={"seed": int(seed)})
-    return file.model_copy(update={"random": drawn, "name": f"{file.name}-{int(seed)}"}).expanded(
-        str(name_or_path)
-    )
+    return file.model_copy(update={"random": drawn, "name": f"{file.name}-{int(seed)}"}).expanded(shown(path))
+
+
+def route_file(name_or_path: str | Path, workspace: Path | None = None) -> str:
+    """The file that `load_route` reads, as messages name it. Raises ConfigurationError."""
+    return shown(_place(name_or_path, workspace)[0])
+
+
+def _place(name_or_path: str | Path, workspace: Path | None) -> tuple[Path, str]:
+    """File and seed, an empty text without one, of a route's name or path."""
+    seed = ""
+    if isinstance(name_or_path, str):
+        name_or_path, _, seed = name_or_path.partition(":")
+    return find_file(name_or_path, "routes", workspace, what="route"), seed
 
 
 def list_routes(workspace: Path | None = None) -> dict[str, Path]:

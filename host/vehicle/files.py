@@ -42,7 +42,7 @@ def load_vehicle(name_or_path: str | Path, workspace: Path | None = None) -> Veh
     Raises ConfigurationError (exit code 2) where no such file is, or it has problems.
     """
     path = find_file(name_or_path, "vehicles", workspace, what="vehicle")
-    return parse_vehicle(read_text(path), _shown(path))
+    return parse_vehicle(read_text(path), shown(path))
 
 
 def list_vehicles(workspace: Path | None = None) -> dict[str, Path]:
@@ -83,11 +83,11 @@ def read_text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise ConfigurationError(
-            [f"{_shown(path)}: not UTF-8 text at byte {error.start}, save it as UTF-8"]
+            [f"{shown(path)}: not UTF-8 text at byte {error.start}, save it as UTF-8"]
         ) from None
     except OSError as error:
         raise ConfigurationError(
-            [f"{_shown(path)}: cannot be read ({error.strerror}), check the file"]
+            [f"{shown(path)}: cannot be read ({error.strerror}), check the file"]
         ) from None
 
 
@@ -140,7 +140,7 @@ def _value(value: Any) -> str:
     return "[" + ", ".join(_value(item) for item in value) + "]"
 
 
-def _shown(path: Path) -> str:
+def shown(path: Path) -> str:
     """A path as messages show it: relative where it lies below the current folder."""
     try:
         return str(path.resolve().relative_to(Path.cwd()))

@@ -53,7 +53,11 @@ def validate(data: dict[str, Any], source: str, model: type[ModelT]) -> ModelT:
         return model.model_validate(_tuples(data))
     except ValidationError as error:
         known = sorted(set(_field_names(model)))
-        lines = [f"{source}: {_problem(details, data, known)}" for details in error.errors(include_url=False)]
+        lines = [
+            f"{source}: {_problem(details, data, known)}"
+            for details in error.errors(include_url=False)
+            if not _only_short_of_bad_entries(details)
+        ]
         raise ConfigurationError(list(dict.fromkeys(lines))) from None
 
 
@@ -127,6 +131,12 @@ _KINDS = {
     "dict_type": "a table",
     "finite_number": "a finite number",
 }
+
+
+def _only_short_of_bad_entries(details: ErrorDetails) -> bool:
+    """Whether a list is called too short because pydantic counts only its good entries."""
+    wanted = details.get("ctx", {}).get("min_length", 0)
+    return details["type"] == "too_short" and len(details["input"]) >= wanted
 
 
 def _problem(details: ErrorDetails, data: dict[str, Any], known: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName
 
 if TYPE_CHECKING:
     from host.plan.result import Plan
+    from host.route import LimitsOverride
 
 
 def command(
@@ -33,7 +34,7 @@ def command(
     Parameters
     ----------
     route
-        Route file, by name or path; NAME:SEED draws a random route anew.
+        Route file, by name or path, at most 500 s long; NAME:SEED draws a random route anew.
     model
         Model of what the nominal vehicle lacks, a .model.toml file.
     kind
@@ -42,7 +43,7 @@ def command(
     nodes
         About how many shooting intervals, 20 to 200; one about every 70 ms by default.
     time_s
-        Total time, in place of the route's.
+        Total time, in place of the route's, at most 500 s.
     stretch
         Give a min-snap plan that breaks a limit more time.
     headroom
@@ -56,7 +57,7 @@ def command(
     from host.plan.dynamics import ResidualModel
     from host.plan.files import check_name, figures, write_plan
     from host.progress import Progress
-    from host.route import LimitsOverride
+    from host.route import route_file
     from host.workspace import open_workspace
 
     place = open_workspace(workspace)
@@ -67,6 +68,7 @@ def command(
         kind = "min-snap"
         if known is not None and ResidualModel.of(known, effects).has_residual:
             kind = "min-residual"
+    within = None if headroom is None else _headroom(*headroom)
     target = check_name(output or Path(f"{way.name}.ref"), force)
     with Progress(f"planning {way.name}"):
         made = make_plan(
@@ -75,10 +77,11 @@ def command(
             kind=kind,
             model=known,
             effects=effects,
-            headroom=None if headroom is None else LimitsOverride(thrust_headroom=headroom),
+            headroom=within,
             total_time_s=time_s,
             stretch=stretch,
             nodes=nodes,
+            source=route_file(route, place.root),
         )
     parents = {"vehicle": airframe.id, "route": way.id}
     if known is not None:
@@ -86,6 +89,16 @@ def command(
     write_plan(made, target, provenance=artefacts.provenance(parents=parents), force=force)
     say(*_lines(made, target))
     emit({"reference": str(target), "id": made.reference.id, **figures(made)}, json)
+
+
+def _headroom(low: float, high: float) -> LimitsOverride:
+    """These shares of a rotor's thrust as limits. Raises UsageError."""
+    from host.errors import UsageError
+    from host.route import LimitsOverride
+
+    if not 0.0 <= low < high <= 1.0:
+        raise UsageError(f"--headroom {low:g} {high:g}: give two shares within 0 to 1, the lower one first")
+    return LimitsOverride(thrust_headroom=(low, high))
 
 
 def _lines(plan: Plan, target: Path) -> list[str]:

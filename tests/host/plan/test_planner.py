@@ -17,9 +17,10 @@ from host.models.network import Layout, Network
 from host.plan import Plan, PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
 from host.plan.judge import measure
 from host.plan.table import evaluate, from_reference
-from host.route import LimitsOverride, Route, YawProfile, load_route, random_route
+from host.route import TIME_MAX_S, LimitsOverride, Route, YawProfile, load_route, random_route
 from host.route.shapes import Cylinder
 from host.vehicle import ConfigurationError, load_vehicle, to_parameters
+from protocol.blobs import BLOB_BYTES_MAX
 
 EFFECTS = load_effects()
 VEHICLE = load_vehicle("research")
@@ -240,8 +241,10 @@ def test_min_residual_goes_round_a_keep_out_shape_that_min_snap_hits() -> None:
         ({"kind": "min-residual"}, "needs a model"),
         ({"kind": "min-control*"}, "needs a model"),
         ({"kind": "min-residual", "model": ResidualModel()}, "neither drag nor network"),
-        ({"kind": "min-control", "nodes": 5}, "nodes"),
-        ({"total_time_s": -1.0}, "total time"),
+        ({"kind": "min-control", "nodes": 5}, "--nodes 5: give"),
+        ({"total_time_s": -1.0}, "--time-s -1: give a time above 0"),
+        ({"total_time_s": float("nan")}, "--time-s nan: give"),
+        ({"total_time_s": 1e9}, "--time-s 1e\\+09: .* at most 500 s"),
         (
             {"kind": "min-residual", "model": Model(vehicle_id="0" * 12, vehicle_name="other")},
             "of vehicle other",
@@ -261,6 +264,20 @@ def test_plan_of_bad_arguments_is_a_usage_error(arguments: dict[str, Any], match
     with pytest.raises(UsageError, match=match) as caught:
         plan(ROUTE, VEHICLE, **arguments)
     assert caught.value.exit_code == 2
+
+
+def test_plan_larger_than_the_vehicles_memory_is_refused() -> None:
+    # Each of 1,200 headings takes a row of its own beside the 5,001 nodes of 500 s.
+    yaw = YawProfile(
+        yaw_deg=tuple(0.1 * (k % 2) for k in range(1200)), times_s=tuple(0.4 * k for k in range(1200))
+    )
+    hover = Route(
+        name="long", waypoints_m=((0.0, 0.0, -1.0), (1.0, 0.0, -1.0)), total_time_s=TIME_MAX_S, yaw=yaw
+    )
+    with pytest.raises(UsageError, match=f"long: 5001 nodes take .* room for {BLOB_BYTES_MAX}; give"):
+        plan(hover, VEHICLE)
+    made = plan(hover.model_copy(update={"yaw": YawProfile()}), VEHICLE)
+    assert len(made.reference.to_bytes()) <= BLOB_BYTES_MAX
 
 
 def test_augmented_plan_with_a_model_that_cannot_hover_is_a_usage_error() -> None:

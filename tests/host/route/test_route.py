@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_model.law.ops import FLOAT
+from host.plan.table import SPACING_S
 from host.route import (
+    TIME_MAX_S,
     Box,
     Cylinder,
     Route,
@@ -21,8 +23,10 @@ from host.route import (
     load_route,
     parse_route,
     random_route,
+    route_file,
 )
 from host.vehicle import ConfigurationError, Vehicle, load_vehicle
+from protocol.blobs import BLOB_BYTES_MAX, HEADER_BYTES, NODE_BYTES
 
 SHIPPED = ("figure-eight", "pretzel", "random")
 GOOD = """
@@ -144,6 +148,42 @@ def test_bad_route_is_named_with_its_key(research: Vehicle, old: str, new: str, 
     assert old in GOOD
     lines = problems(GOOD.replace(old, new), research)
     assert any(said in line for line in lines), lines
+
+
+def test_malformed_waypoint_is_not_called_a_missing_one(research: Vehicle) -> None:
+    text = GOOD.replace("[3, 0, -1], [0, 3, -1]", "[0, 3]")
+    assert problems(text, research) == ["bad.toml: waypoints_m[1][2]: missing, add it"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("total_time_s = 6.0", "total_time_s = 1e9", "total_time_s"),
+        ("total_time_s = 6.0", "times_s = [0, 2, 501]", "times_s"),
+    ],
+)
+def test_route_longer_than_the_vehicle_can_hold_is_refused(
+    research: Vehicle, old: str, new: str, key: str
+) -> None:
+    (line,) = problems(GOOD.replace(old, new), research)
+    assert line.startswith(f"good: {key}: ")
+    assert line.endswith("give at most 500")
+
+
+def test_greatest_time_is_what_nodes_of_the_planners_spacing_leave_room_for() -> None:
+    nodes = round(TIME_MAX_S / SPACING_S) + 1
+    assert 0.99 * BLOB_BYTES_MAX < HEADER_BYTES + nodes * NODE_BYTES <= BLOB_BYTES_MAX
+
+
+def test_problem_names_the_file_it_was_read_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, research: Vehicle
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "routes").mkdir()
+    (tmp_path / "routes" / "mine.toml").write_text(GOOD.replace("[3, 0, -1]", "[3, 0]"))
+    with pytest.raises(ConfigurationError, match=r"^routes/mine\.toml: waypoints_m\[1\]"):
+        load_route("mine", tmp_path)
+    assert route_file("mine", tmp_path) == "routes/mine.toml"
 
 
 def test_two_sources_of_waypoints_are_refused(research: Vehicle) -> None:
