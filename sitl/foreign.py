@@ -55,7 +55,9 @@ class ForeignPlant:
     def _guard(self, method: str, *arguments: Any) -> Any:
         try:
             return getattr(self._body, method)(*arguments)
-        except Exception as error:  # whatever a foreign plant raises ends the session with its name
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # whatever a foreign plant raises, SystemExit too, ends the session
             raise ForeignPlantError(
                 f"plant {self.name}: {method} raised {type(error).__name__}: {error}"
             ) from error
@@ -67,7 +69,7 @@ class ForeignPlant:
             sizes = zip(parts, _PARTS, strict=True)
             numbers = [_vector(part, name, size) for part, (name, size) in sizes]
             battery_v = float(battery_v)
-        except (TypeError, ValueError) as error:
+        except Exception as error:  # reading a user's object may raise anything
             expected = ", ".join(name for name, _ in _PARTS)
             raise ForeignPlantError(
                 f"plant {self.name}: state must be {expected}, battery_v ({error})"
@@ -102,7 +104,9 @@ def load_foreign_plant(spec: str, vehicle: Vehicle, options: Mapping[str, Any], 
     try:
         module_spec.loader.exec_module(module)
         body = getattr(module, class_name)(vehicle, dict(options), seed)
-    except Exception as error:  # a user's file may raise anything
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a user's file may raise anything, SystemExit too
         raise ForeignPlantError(f"plant {name}: cannot be built, {type(error).__name__}: {error}") from error
     missing = [method for method in ("reset", "step", "state") if not callable(getattr(body, method, None))]
     if missing:

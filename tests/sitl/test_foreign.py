@@ -50,6 +50,47 @@ def test_plant_that_fails_in_flight_is_named(options: dict[str, object], told: s
     assert caught.value.exit_code == 2
 
 
+@pytest.mark.parametrize("stop", [SystemExit(3), GeneratorExit(), RuntimeError("no air")])
+@pytest.mark.parametrize("method", ["reset", "step", "state"])
+def test_plant_that_stops_the_program_is_named(
+    monkeypatch: pytest.MonkeyPatch, method: str, stop: BaseException
+) -> None:
+    plant = thermal()
+
+    def stopping(*arguments: object) -> None:
+        raise stop
+
+    monkeypatch.setattr(plant._body, method, stopping)
+    with pytest.raises(ForeignPlantError, match=rf"Thermal: {method} raised {type(stop).__name__}"):
+        plant.step((0.1,) * 4) if method != "reset" else plant.reset((0.0, 0.0, 0.0), LEVEL)
+
+
+def test_ctrl_c_in_a_plant_stays_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = thermal()
+
+    def interrupted(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(plant._body, "step", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        plant.step((0.1,) * 4)
+
+
+def test_plant_whose_numbers_are_too_large_to_read_is_named() -> None:
+    plant = thermal()
+    plant._body.p = [10**400, 0, 0]
+    with pytest.raises(ForeignPlantError, match="state must be"):
+        plant._take()
+
+
+@pytest.mark.parametrize("text", ["import sys\nsys.exit(3)", "class Plant:\n    def __init__(*a): exit(3)"])
+def test_file_that_stops_the_program_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "stops.py"
+    path.write_text(text + "\n")
+    with pytest.raises(ForeignPlantError, match=r"stops\.py:Plant: cannot be built, SystemExit: 3"):
+        load_foreign_plant(f"{path}:Plant", load_vehicle("research"), {}, 1)
+
+
 def test_plant_with_a_malformed_state_is_told_what_it_must_hold() -> None:
     with pytest.raises(ForeignPlantError, match="state must be p_ned, v_ned, q_ned_frd"):
         thermal(malformed=True)
