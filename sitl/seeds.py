@@ -47,6 +47,9 @@ def _generator(seed: int, key: tuple[int, ...]) -> np.random.Generator:
 
 
 def session_uid(world_seed: int, flight: int) -> int:
-    """64 bits that name a session and look random; the seed cannot be read off them."""
+    """64 bits, not 0, that name a session and look random.
+
+    They do not show the seed, but whoever tries seeds one by one finds a small one.
+    """
     digest = hashlib.sha256(f"trimtab session uid, seed {world_seed}, flight {flight}".encode()).digest()
     return int.from_bytes(digest[:8], "little") or 1
