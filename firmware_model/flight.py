@@ -22,8 +22,8 @@ from firmware_model.readiness import GyroCalibration, refusal
 from firmware_model.supervisor import FLYING, Event, State, update
 from firmware_model.uart import NEVER_US
 from firmware_model.watch import TOUCH_HEIGHT, Watch
+from protocol.telemetry import TICK_US
 
-TICK_US = 1_000
 BOOT_US = 200_000
 """Time from power to standby."""
 LOOK_TICKS = 10

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from firmware_model import telemetry, track
 from firmware_model.engine import Engine
-from firmware_model.flight import LOOK_TICKS, TICK_US, Flight
+from firmware_model.flight import LOOK_TICKS, Flight
 from firmware_model.parameters import ParameterValues
 from firmware_model.services import Identity, Services
 from firmware_model.store import ReferenceStore
@@ -16,6 +16,7 @@ from firmware_model.verdict import check_blob
 from protocol.blobs import FeedForward, Kind, Reference, from_bytes
 from protocol.codec import Codec
 from protocol.messages import DIALECT_VERSION, VEHICLE, AttPosMocap, Message, mavlink
+from protocol.telemetry import TICK_US
 from protocol.upload import ReceiverEvent, UploadEvent, UploadReceiver, Verdict
 
 BAUD = 921_600

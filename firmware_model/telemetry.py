@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from firmware_model.flight import TICK_US, Flight
+from firmware_model.flight import Flight
 from firmware_model.law import step as law
 from firmware_model.supervisor import State
 from protocol.messages import NO_TICK, FcStatus, Heartbeat, Message, vehicle_heartbeat
-from protocol.telemetry import control_message, estimate_message
+from protocol.telemetry import TICK_US, control_message, estimate_message
 
 STATUS_US = 100_000
 HEARTBEAT_US = 1_000_000

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from protocol.messages import FcControl, FcEstimate
 
 TICK_US = 1000
+"""Everybody's base tick: the law's step, the plant's, and the unit of ticks in messages."""
 MOTOR_COUNTS = 65536.0
 """Counts per unit of motor command and tick."""
 GYRO_COUNTS = 4096.0

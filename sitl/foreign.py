@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from host.vehicle import Vehicle
-from sitl.world import TICK_US
+from protocol.telemetry import TICK_US
 
 _PARTS = (("p_ned", 3), ("v_ned", 3), ("q_ned_frd", 4), ("rate_frd", 3), ("specific_force_frd", 3))
 _UNIT_TOLERANCE = 1e-3

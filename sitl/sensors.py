@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from firmware_model.uart import NEVER_US
-from sitl.world import TICK_US, ImuSettings, MocapSettings
+from protocol.telemetry import TICK_US
+from sitl.world import ImuSettings, MocapSettings
 
 _BLOCK = 1024
 _SEVEN = struct.Struct("7d")

@@ -24,6 +24,7 @@ from host.vehicle import ConfigurationError, Vehicle, to_parameters
 from host.vehicle.strict_toml import validate
 from protocol.codec import Codec
 from protocol.messages import CAMERAS, HOST_RADIO, VEHICLE_RADIO, AttPosMocap
+from protocol.telemetry import TICK_US
 from sitl.draw import World, draw_world
 from sitl.foreign import ForeignPlant, load_foreign_plant, read_plant_options
 from sitl.plant import Plant
@@ -32,7 +33,7 @@ from sitl.seeds import Purpose, flight_generator, session_uid
 from sitl.sensors import Imu, Mocap
 from sitl.serve import ServeStatistics, serve
 from sitl.truth import truth_record
-from sitl.world import TICK_US, RadioSettings, load_world
+from sitl.world import RadioSettings, load_world
 
 HOST_BAUD = 921_600
 HOST_RX_BYTES = 65_536

@@ -14,9 +14,8 @@ from pydantic import Field, ValidationInfo, create_model, field_validator, model
 
 from host.vehicle import ConfigurationError
 from host.vehicle.strict_toml import Strict, read_strict
+from protocol.telemetry import TICK_US
 from sitl.kinds import DRAG, KINDS
-
-TICK_US = 1000
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]

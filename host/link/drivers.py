@@ -17,8 +17,8 @@ from typing import Any, Self
 from host.link.ports import Cameras, Port
 from host.link.session import Session
 from host.link.vehicle import Vehicle
+from protocol.telemetry import TICK_US
 
-TICK_US = 1_000
 LATE_US = 20_000
 """Behind the wall clock by more than this, simulated time is stretched and an overrun counted."""
 READ_WAIT_US = 100_000

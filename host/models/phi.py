@@ -25,6 +25,7 @@ import casadi
 import numpy as np
 
 from firmware_model.law import step as law_step
+from firmware_model.law.constants import GRAVITY
 from firmware_model.law.dfbc import Reference, control
 from firmware_model.law.ops import Ops
 from firmware_model.law.rotations import euler_to_matrix, mat_vec
@@ -295,7 +296,7 @@ class Phi:
         """The state (size,) of the nominal vehicle at rest at p_ned."""
         x = np.zeros(self.size)
         x[0:3], x[8] = p_ned, yaw
-        x[THRUST] = self.vehicle.mass_kg * 9.81 / 4.0
+        x[THRUST] = self.vehicle.mass_kg * GRAVITY / 4.0
         return x
 
 
