@@ -57,6 +57,11 @@ class Learned:
     trained: Trained
     segments: int
 
+    @property
+    def improved(self) -> bool:
+        """Whether flights are predicted better with the network than without: those held out, if any were."""
+        return (self.test or self.train).ratio < 1.0
+
 
 def learn(
     flights: Sequence[Flight],

@@ -112,7 +112,9 @@ def read_model(path: Path | str, *, vehicle_id: str | None = None) -> Model:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise ModelFileError(f"{path}: cannot be read: {reason}") from error
+        raise ModelFileError(
+            f"{path}: cannot be read ({reason}); give a {SUFFIX} file that trace or learn wrote"
+        ) from error
     table = read_strict(text, path.name, _File)
     try:
         model = Model(
@@ -156,8 +158,14 @@ def _read_network(path: Path, table: _NetworkTable) -> Network:
     try:
         with np.load(weights, allow_pickle=False) as archive:
             xi = np.asarray(archive["xi"], dtype=float)
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise ModelFileError(f"{table.file}: the weights of {path.name} cannot be read: {error}") from error
+    except FileNotFoundError:
+        raise ModelFileError(
+            f"{weights}: missing, put the weights of {path.name} back beside it or learn it anew"
+        ) from None
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise ModelFileError(
+            f"{weights}: the weights of {path.name} cannot be read ({error}); learn it anew"
+        ) from error
     network = Network(layout=Layout(hidden=table.hidden), xi=xi)
     if network_digest(network) != table.sha256:
         raise ModelFileError(f"{table.file}: not the weights {path.name} was written with")

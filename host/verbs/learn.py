@@ -22,7 +22,7 @@ def command(
     model: Annotated[Path | None, Parameter(name="--model")] = None,
     hidden: Annotated[list[int] | None, Parameter(name="--hidden", consume_multiple=True)] = None,
     epochs: int = 120,
-    any_heading: bool = True,
+    any_heading: Annotated[bool, Parameter(negative="--no-any-heading")] = True,
     seed: int = 0,
     workspace: WorkspaceFolder = None,
     json: Json = False,
@@ -45,7 +45,7 @@ def command(
     epochs
         Passes over the segments, at most.
     any_heading
-        Take every flight as good in any heading: false where the world has a direction, as with wind.
+        Take every flight as good in any heading; not so where the world has a direction, as with wind.
     seed
         Seed of the first weights, the order and the split.
     """
@@ -57,19 +57,25 @@ def command(
     from host.learn import Settings, learn
     from host.log import read_flight
     from host.models.file import SUFFIX, read_model, write_model
-    from host.output import emit, say
+    from host.output import emit, say, warn
     from host.progress import Progress
     from host.workspace import open_workspace
+    from protocol.blobs import HIDDEN_MAX, WIDTH_MAX
 
     if not logs:
         raise UsageError("no log given, name one or more flight logs")
+    widths = (32, 32) if hidden is None else tuple(hidden)
+    if not 1 <= len(widths) <= HIDDEN_MAX or not all(1 <= width <= WIDTH_MAX for width in widths):
+        told = " ".join(map(str, widths))
+        raise UsageError(f"--hidden {told}: give 1 to {HIDDEN_MAX} widths of 1 to {WIDTH_MAX} each")
+    if epochs < 1:
+        raise UsageError(f"--epochs {epochs}: give 1 or more")
+    if seed < 0:
+        raise UsageError(f"--seed {seed}: give 0 or more")
     if not output.name.endswith(SUFFIX):
         raise UsageError(f"{output}: a model's name ends in {SUFFIX}")
     artefacts.check_output(output, force)
-    try:
-        settings = Settings(hidden=tuple(hidden or (32, 32)), epochs=epochs, any_heading=any_heading)
-    except ValueError as error:
-        raise UsageError(str(error)) from None
+    settings = Settings(hidden=widths, epochs=epochs, any_heading=any_heading)
     began = monotonic()
     effects = load_effects(open_workspace(workspace).root)
     flights = [read_flight(path) for path in logs]
@@ -95,6 +101,7 @@ def command(
         "model_id": learned.model.id,
         "train": learned.train.to_json(),
         "test": None if learned.test is None else learned.test.to_json(),
+        "improved": learned.improved,
         "epochs": learned.trained.epochs,
         "seconds": round(monotonic() - began, 3),
     }
@@ -102,6 +109,8 @@ def command(
         f"{output}  id {learned.model.id}  {learned.trained.epochs} epochs over {learned.segments} segments",
         *(_line(name, judged) for name, judged in (("used", learned.train), ("held out", learned.test))),
     )
+    if not learned.improved:
+        warn(f"{output}: predicts no better than without its network; learn from more flights or --epochs")
     emit(result, json)
 
 

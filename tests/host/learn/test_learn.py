@@ -7,19 +7,24 @@ import json
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from host.cli import main
-from host.learn import Settings, learn
+from host.learn import Judged, Learned, Settings, learn
+from host.learn.evaluate import Errors
+from host.learn.train import Trained
 from host.link.flight import FlightOrder
 from host.link.fly import fly_lockstep
 from host.log import read_flight
 from host.models.file import read_model
 from host.models.model import Model
+from host.models.network import Layout, Network
 from host.models.states import TooLittleData
 from host.vehicle import load_vehicle
 from sitl.vehicle import SimulatedVehicle
 
+MADE = Path(__file__).parents[2] / "data"
 WORLD = "[effects.linear-drag]\ndx = 0.8\ndy = 0.7\ndz = 0.3\n"
 
 
@@ -107,3 +112,62 @@ def test_learn_two_vehicles_or_a_shared_reference_are_refused(logs):
         learn([flights[0], other])
     with pytest.raises(TooLittleData, match="share the reference"):
         learn(flights[:1] + flights[2:], hold_out=flights[1:2])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--hidden", "64"], "--hidden 64: give 1 to 3 widths of 1 to 32 each"),
+        (["--hidden", "0"], "--hidden 0: give"),
+        (["--hidden", "8", "8", "8", "8"], "--hidden 8 8 8 8: give"),
+        (["--epochs", "0"], "--epochs 0: give 1 or more"),
+        (["--seed", "-1"], "--seed -1: give 0 or more"),
+        (["--model", "{folder}/nope.toml"], "nope.toml: cannot be read (No such file or directory); give a"),
+    ],
+)
+def test_learn_verb_with_an_impossible_option_names_it(logs, tmp_path, capsys, words, said):
+    output = tmp_path / "out.model.toml"
+    words = [word.format(folder=tmp_path) for word in words]
+    assert main(["learn", str(logs[0]), *words, "-o", str(output)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert not list(tmp_path.iterdir())
+
+
+def judged(nominal_m: float, learned_m: float) -> Judged:
+    errors = [Errors(position_rmse_m=value, velocity_rmse_m_s=0.1) for value in (nominal_m, learned_m)]
+    return Judged(flights=("a",), references=("b",), nominal=errors[0], learned=errors[1])
+
+
+@pytest.mark.parametrize(
+    ("train", "test", "improved"),
+    [
+        ((0.02, 0.01), None, True),
+        ((0.02, 0.02), None, False),
+        ((0.02, 0.01), (0.010, 0.012), False),
+        ((0.02, 0.03), (0.010, 0.009), True),
+        ((0.02, 0.01), (0.010, float("inf")), False),
+    ],
+)
+def test_model_that_predicts_flights_held_out_no_better_has_not_improved(train, test, improved):
+    losses = np.zeros(2)
+    network = Network(layout=Layout(hidden=(1,)), xi=np.zeros(Layout(hidden=(1,)).size))
+    learned = Learned(
+        model=Model(vehicle_id="0" * 12, vehicle_name="v", network=network),
+        train=judged(*train),
+        test=None if test is None else judged(*test),
+        trained=Trained(network=network, epochs=1, best_epoch=0, train_loss=losses, validation_loss=losses),
+        segments=8,
+    )
+    assert learned.improved is improved
+
+
+@pytest.mark.parametrize(("seed", "improved"), [("0", False), ("1", True)])
+def test_learn_verb_warns_of_a_model_that_is_no_better(tmp_path, capsys, seed, improved):
+    # One epoch of a single neuron: from the first of these seeds it finds nothing.
+    output = tmp_path / "out.model.toml"
+    words = ["--hold-out", str(MADE / "b1.mcap"), "-o", str(output), "--epochs", "1", "--hidden", "1"]
+    assert main(["learn", str(MADE / "a1.mcap"), "--no-any-heading", "--seed", seed, *words, "--json"]) == 0
+    told = capsys.readouterr()
+    assert json.loads(told.out.splitlines()[-1])["improved"] is improved
+    assert ("predicts no better than without its network; learn from more" in told.err) is not improved

@@ -136,7 +136,12 @@ def test_model_file_other_weights_are_noticed(tmp_path):
     with pytest.raises(ModelFileError, match=r"not the weights m\.model\.toml was written with"):
         read_model(path)
     (tmp_path / "m.model.npz").unlink()
-    with pytest.raises(ModelFileError, match=r"m\.model\.npz: the weights of m\.model\.toml cannot be read"):
+    with pytest.raises(ModelFileError, match=r"m\.model\.npz: missing, put the weights .* back beside it"):
+        read_model(path)
+    (tmp_path / "m.model.npz").write_bytes(b"")
+    with pytest.raises(
+        ModelFileError, match=r"the weights of m\.model\.toml cannot be read .*; learn it anew"
+    ):
         read_model(path)
 
 
@@ -149,7 +154,9 @@ def test_model_file_unknown_key_and_bad_value_are_both_told(tmp_path):
 
 
 def test_model_file_missing_or_misnamed_is_said(tmp_path):
-    with pytest.raises(ModelFileError, match="cannot be read"):
+    with pytest.raises(
+        ModelFileError, match=r"none\.model\.toml: cannot be read .*; give a \.model\.toml file"
+    ):
         read_model(tmp_path / "none.model.toml")
     with pytest.raises(ModelFileError, match=r"ends in \.model\.toml"):
         write_model(model(), tmp_path / "m.toml")
