@@ -24,6 +24,8 @@ from host.vehicle import Vehicle, to_parameters
 from protocol.blobs import FeedForward, Reference
 
 STEP_S = 0.02
+PLAUSIBLE_VOLTAGE = (0.5, 1.3)
+"""Of the full voltage: what lies outside is no measurement."""
 _JERK_DENSITY = 20.0
 """(m/s^3)^2/Hz: follows flights of some 20 m/s^3; 1 mm at 100 Hz becomes 0.3 mm and 7 mm/s."""
 _DRIFT_DENSITY = 0.1
@@ -35,7 +37,9 @@ _LEAST_SIGMA = (2e-4, 3e-3, 1e-3)
 
 
 class TooLittleData(ValueError):
-    """The log lacks what its closed loop is rebuilt from; the message says what."""
+    """A log lacks what its flight is rebuilt from, or the logs are too little to judge; the message says
+    what.
+    """
 
     exit_code = 2
 
@@ -154,7 +158,7 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 
         sigma=sigma,
         thrust=_thrusts(flight.vehicle, control, at),
         integral=integral,
-        voltage_ratio=_voltage(flight, at),
+        voltage_ratio=np.interp(at, *battery_of(flight)),
         constants=flight_constants(
             block(flight.feedforward),
             mocap_age_s=max(age_s, 0.0),
@@ -236,9 +240,13 @@ def _thrusts(vehicle: Vehicle, control: Control, at: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(at, edges, thrust[:, i]) for i in range(4)])
 
 
-def _voltage(flight: Flight, at: np.ndarray) -> np.ndarray:
-    """Battery voltage over full voltage (n,), 1 where not logged."""
-    if flight.battery is None or not len(flight.battery):
-        return np.ones(len(at))
-    volts = np.interp(at, flight.battery.t_us * 1e-6, flight.battery.battery_v)
-    return volts / flight.vehicle.battery.full_v
+def battery_of(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) s and battery voltage over full voltage (n,); what no battery of this vehicle can show is
+    left out. One pair of 0 s and 1 where nothing was logged.
+    """
+    if flight.battery is not None:
+        ratio = flight.battery.battery_v / flight.vehicle.battery.full_v
+        measured = (ratio > PLAUSIBLE_VOLTAGE[0]) & (ratio < PLAUSIBLE_VOLTAGE[1])
+        if measured.any():
+            return flight.battery.t_us[measured] * 1e-6, ratio[measured]
+    return np.zeros(1), np.ones(1)

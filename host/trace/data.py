@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from firmware_model.law.allocation import allocation_matrix, invert4
 from firmware_model.law.constants import GRAVITY
 from host.log import Flight
+from host.models.states import TooLittleData, battery_of
 from host.trace.segments import BIN_S, Segments
 from host.vehicle import Vehicle
 
@@ -27,17 +28,13 @@ quieter than they are.
 
 _TILT_LIMIT = np.deg2rad(75.0)
 _MISSING = 0.4
-"""A segment that misses a greater share of its poses or commands is left out."""
+"""A segment that misses a greater share of its commands, or of the poses its log's rate gives, is left
+out.
+"""
 
 
 WITHOUT_INPUTS = frozenset({"thrust", "motor-lag", "inertia", "torque"})
 """What a log of poses alone leaves unknown."""
-
-
-class TooLittleData(ValueError):
-    """The logs hold too few usable segments to judge anything."""
-
-    exit_code = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,12 +106,12 @@ def signals(flight: Flight) -> Signals:
         imu_s, gyro, force = _recorded_imu(flight)
     if "torque" in unknowns([flight]) and not len(gyro):
         imu_s, gyro = _turned(pose_s, R)
-    if flight.battery is not None and len(flight.battery):
-        voltage_s, volts = flight.battery.t_us * 1e-6, flight.battery.battery_v
-    else:
-        voltage_s, volts = pose_s[:1], np.array([vehicle.battery.full_v])
+    voltage_s, voltage_ratio = battery_of(flight)
     if flight.tracking is None:
         raise TooLittleData(f"{flight.path}: no tracking phase; the flight ended before its reference began")
+    span_s = (flight.tracking[0] * 1e-6, flight.tracking[1] * 1e-6)
+    if np.count_nonzero((pose_s >= span_s[0]) & (pose_s <= span_s[1])) < 10:
+        raise TooLittleData(f"{flight.path}: fewer than 10 poses in the tracking phase; fly or log longer")
     return Signals(
         pose_s=pose_s,
         p=flight.mocap.p,
@@ -126,8 +123,8 @@ def signals(flight: Flight) -> Signals:
         gyro=gyro,
         force=force,
         voltage_s=voltage_s,
-        voltage_ratio=volts / vehicle.battery.full_v,
-        span_s=(flight.tracking[0] * 1e-6, flight.tracking[1] * 1e-6),
+        voltage_ratio=voltage_ratio,
+        span_s=span_s,
     )
 
 
@@ -162,6 +159,11 @@ def _rotor_thrusts(vehicle: Vehicle, thrust_n: np.ndarray, torque: np.ndarray) -
     )
     inverse = np.array(invert4(matrix)).reshape(4, 4)
     return np.column_stack([thrust_n, torque]) @ inverse.T
+
+
+def pose_interval_s(s: Signals) -> float:
+    """Median time between poses."""
+    return float(np.median(np.diff(s.pose_s)))
 
 
 def noise(s: Signals) -> np.ndarray:
@@ -222,7 +224,10 @@ def segments_of(
         audits.append(audit)
         parts += part
     if len(parts) < 5:
-        raise TooLittleData(f"only {len(parts)} usable segments of {segment_s} s; fly longer or log more")
+        why = "; ".join(f"{audit.log}: {', '.join(audit.remarks)}" for audit in audits if audit.left_out)
+        raise TooLittleData(
+            f"only {len(parts)} usable segments of {segment_s} s; fly longer or log more{why and f' ({why})'}"
+        )
     if len({bool(p["in_newton"]) for p in parts}) > 1:
         raise TooLittleData(
             "the logs record inputs of different kinds; trace those with motor commands apart"
@@ -269,6 +274,7 @@ def _cut(
     keep = keep[(nearest[keep] >= 0) & (nearest[keep] < len(grid))]
     at = np.full(len(grid), -1)
     at[nearest[keep]] = keep
+    fewest = (1.0 - _MISSING) * min(1.0, DT_S / pose_interval_s(s))
 
     found: list[dict[str, Any]] = []
     out_gap = out_tilt = 0
@@ -277,7 +283,7 @@ def _cut(
         pick = at[a : a + steps]
         here = pick >= 0
         fed = covered[a - pre : a + steps] > 0.5
-        if here.mean() < 1 - _MISSING or fed.mean() < 1 - _MISSING or not here[: max(2, steps // 6)].any():
+        if here.mean() < fewest or fed.mean() < 1 - _MISSING or not here[: max(2, steps // 6)].any():
             out_gap += 1
             continue
         R = s.R[np.where(here, pick, 0)]

@@ -37,8 +37,8 @@ it.
 """
 
 REPLACES = {
-    "thrust": ("thrust-gain", "mass", "battery-sag", "motor-lag"),
-    "thrust-curve": ("thrust-gain", "mass"),
+    "thrust": ("thrust-gain", "battery-sag", "motor-lag"),
+    "thrust-curve": ("thrust-gain",),
     "motor-lag": ("motor-lag",),
     "mounting-tilt": (),
     "frame-tilt": ("wind",),
@@ -69,13 +69,15 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True)
 class Space:
-    """The columns of a trace and who owns them. `candidates` may be selected, the other owners are
-    adjustments.
+    """The columns of a trace and who owns them.
+
+    `candidates` may be selected, the other owners are adjustments; of these the logs declare `unknown` ones.
     """
 
     columns: tuple[Column, ...]
     effects: Mapping[str, Effect]
     candidates: tuple[str, ...]
+    unknown: tuple[str, ...]
     local_sigma: tuple[float, ...]
 
     @property
@@ -191,6 +193,7 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
         columns=tuple(columns),
         effects=dict(effects),
         candidates=candidates,
+        unknown=tuple(owner for owner in _ADJUSTMENTS if owner.removesuffix("-unknown") in unknown),
         local_sigma=(mounting,) * 3 + (torque,) * 3 + (accelerometer,) * 3,
     )
 

@@ -43,13 +43,16 @@ class Named:
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """The whole result. `before` and `after` hold one entry a held-out flight, empty where none was held
-    out.
+    """The whole result.
+
+    `possible` are effects beside the named ones that the data does not exclude, with their probability.
+    `before` and `after` hold one entry a held-out flight, empty where none was held out.
     """
 
     verdict: Verdict
     reasons: tuple[str, ...]
     effects: tuple[Named, ...]
+    possible: Mapping[str, float]
     drive: str
     horizon_s: float | None
     before: Sequence[Errors]
@@ -89,10 +92,16 @@ class Trace:
                 f"{key} {v.value:.4g} +- {2 * v.sd:.2g}{'' if v.unit == '1' else ' ' + v.unit}"
                 for key, v in effect.parameters.items()
             )
-            others = "".join(f"; or {name} ({p:.2f})" for name, p in effect.aliases.items())
+            exact = "mass" if effect.exact_alias else None
+            others = "".join(f"; or {name} ({p:.2f})" for name, p in effect.aliases.items() if name != exact)
             out.append(f"  {effect.name}: {values} (probability {effect.probability:.3f}{others})")
             if effect.exact_alias:
                 out.append(f"    {effect.exact_alias}")
+        if self.effects:
+            out.append("  (+- is two standard deviations)")
+        if self.possible:
+            names = ", ".join(f"{name} ({p:.2f})" for name, p in self.possible.items())
+            out.append(f"  not excluded beside them: {names}" if self.effects else f"  not excluded: {names}")
         out += [f"  {reason}" for reason in self.reasons]
         if self.before_score is not None and self.after_score is not None:
             how = "whole flights" if self.horizon_s is None else f"{self.horizon_s} s ahead"
@@ -142,4 +151,5 @@ class Trace:
             "model": model_path,
             "report": report_path,
             "reasons": list(self.reasons),
+            "possible": [{"name": name, "probability": p} for name, p in self.possible.items()],
         }

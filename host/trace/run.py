@@ -13,7 +13,7 @@ from host.errors import UsageError
 from host.log import Flight
 from host.models.model import Covariance, Model, Region
 from host.trace import evidence
-from host.trace.data import SEGMENT_S, segments_of, unknowns
+from host.trace.data import SEGMENT_S, segments_of, signals, unknowns
 from host.trace.diagnose import ALIAS_PROBABILITY, Diagnosis, Fit, diagnose
 from host.trace.parameters import MASS, Space, space, tolerance_of
 from host.trace.result import Named, Trace, Value, Verdict
@@ -40,16 +40,24 @@ Manoeuvres = Callable[[], Mapping[str, np.ndarray]]
 
 
 def check_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Vehicle | None) -> Vehicle:
-    """The one vehicle of all logs. Raises UsageError for a mixture, or for a held-out reference that was
-    used.
+    """The one vehicle of all logs.
+
+    Raises UsageError for a mixture, a log given twice or a held-out reference that was used, and
+    TooLittleData for a log without poses or tracking phase.
     """
     first = vehicle or flights[0].vehicle
+    seen: dict[str, Flight] = {}
     for flight in (*flights, *held_out):
         if flight.vehicle.id != first.id:
             raise UsageError(
                 f"{flight.path}: a log of vehicle {flight.vehicle.name} ({flight.vehicle.id}), "
-                f"not of {first.name} ({first.id}); trace each vehicle's logs apart"
+                f"not of {first.name} ({first.id}): {_differences(flight.vehicle, first)}; "
+                "trace each vehicle's logs apart"
             )
+        if flight.id in seen:
+            raise UsageError(f"{flight.path}: the same log as {seen[flight.id].path}; give it once")
+        seen[flight.id] = flight
+        signals(flight)
     used = {flight.reference_id for flight in flights if flight.reference_id is not None}
     for flight in held_out:
         if flight.reference_id in used:
@@ -57,9 +65,13 @@ def check_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: V
                 f"{flight.path}: flies reference {flight.reference_id}, which is among the flights used; "
                 "hold out flights of other references"
             )
-        if flight.id in {other.id for other in flights}:
-            raise UsageError(f"{flight.path}: is both used and held out; give it once")
     return first
+
+
+def _differences(one: Vehicle, other: Vehicle) -> str:
+    """Which entries of two vehicle files differ."""
+    keys = [key for key in Vehicle.model_fields if getattr(one, key) != getattr(other, key)]
+    return ", ".join(keys) + " differ"
 
 
 def run(
@@ -102,6 +114,7 @@ def run(
         verdict=verdict,
         reasons=rest.reasons,
         effects=named,
+        possible={} if verdict == "outside-library" else _possible(diagnosis, aliases),
         drive=drive,
         horizon_s=None if drive == "reference" else SEGMENT_S,
         before=before,
@@ -151,8 +164,8 @@ def _verdict(fit: Fit, rest: Leftover, aliases: Mapping[str, Mapping[str, float]
 
 
 def _reading(chosen: Space, diagnosis: Diagnosis) -> np.ndarray:
-    """Scaled values (P,) of a model that adds nothing: only what the reading of a log needs is fitted."""
-    unknown = [i for i, column in enumerate(chosen.columns) if column.owner not in chosen.parts]
+    """Scaled values (P,) of a model that adds nothing: only what the logs declare unknown is fitted."""
+    unknown = [i for i, column in enumerate(chosen.columns) if column.owner in chosen.unknown]
     z = np.zeros(len(chosen.columns))
     z[unknown] = diagnosis.nothing.z[unknown]
     return z
@@ -181,9 +194,9 @@ def _named(
         sentence = None
         if name == "thrust-gain" and tolerance_of(vehicle, MASS, "factor", 0.01) >= WEIGHED:
             others[MASS] = diagnosis.inclusion[name]
-            gain = parameters["gain"]
+            ratio, ratio_sd = _thrust_over_mass(chosen, fit)
             sentence = (
-                f"only thrust over mass shows: {gain.value:.3f} +- {gain.sd:.3f} times the nominal ratio; "
+                f"only thrust over mass shows: {ratio:.4f} +- {2 * ratio_sd:.4f} times the nominal ratio; "
                 "weigh the vehicle to tell mass from thrust"
             )
         out.append(
@@ -197,6 +210,26 @@ def _named(
             )
         )
     return tuple(out)
+
+
+def _thrust_over_mass(chosen: Space, fit: Fit) -> tuple[float, float]:
+    """The ratio of thrust gain to mass factor and its standard deviation, to first order."""
+    pair = [chosen.groups["thrust-gain"][0], chosen.groups[MASS][0]]
+    gain, mass = chosen.values(fit.z)[pair]
+    covariance = (fit.covariance * np.outer(chosen.scale, chosen.scale))[np.ix_(pair, pair)]
+    slope = np.array([1.0 / mass, -gain / mass**2])
+    return float(gain / mass), float(np.sqrt(slope @ covariance @ slope))
+
+
+def _possible(diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Probability of each effect beside the kept ones that the data does not exclude; substitutes apart."""
+    substitutes = {other for others in aliases.values() for other in others}
+    found = {
+        name: probability
+        for name, probability in diagnosis.inclusion.items()
+        if name not in diagnosis.best.effects and name not in substitutes and probability > ALIAS_PROBABILITY
+    }
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def _model(
@@ -215,7 +248,7 @@ def _model(
     values = chosen.values(z)
     found = {effect.name for effect in named}
     tables: dict[bool, dict[str, dict[str, float]]] = {True: {}, False: {}}
-    kept = [owner for owner in chosen.groups if z is fit.z or owner not in chosen.parts]
+    kept = [owner for owner in chosen.groups if z is fit.z or owner in chosen.unknown]
     for owner in kept:
         table = {chosen.columns[i].key: float(values[i]) for i in chosen.groups[owner]}
         tables[owner in found][owner] = table

@@ -22,11 +22,14 @@ from host.models.phi import Phi
 from host.models.rollout import half_steps, reference_drive, roll_out
 from host.models.states import flight_states
 from host.trace import evidence, segments
-from host.trace.data import DT_S, SEGMENT_S, noise, segments_of, signals
+from host.trace.data import DT_S, SEGMENT_S, TooLittleData, pose_interval_s, segments_of, signals
 from host.trace.diagnose import starting_process
 from host.trace.parameters import Space
 from host.trace.segments import Segments
 from host.vehicle import Vehicle
+
+CALIBRATION = 0.25
+"""Share of a held-out flight that its own nuisances are fitted to, where recorded inputs drive the model."""
 
 _LEAD_S = 0.3
 _STEP_S = 0.005
@@ -64,13 +67,14 @@ def drive_of(flights: Sequence[Flight]) -> str:
 
 
 def motion(flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Measured times (n,) s, positions and velocities (n, 3) in the used span, by local quadratics over 0.1
-    s.
+    """Measured times (n,) s, positions and velocities (n, 3) in the used span, by local quadratics over 0.1 s
+    or, where poses are rare, over seven of them.
     """
     s = signals(flight)
-    t = np.arange(s.span_s[0] + 0.06, s.span_s[1] - 0.06, DT_S)
+    half_s = max(0.055, 3.5 * pose_interval_s(s))
+    t = np.arange(s.span_s[0] + half_s + 0.005, s.span_s[1] - half_s - 0.005, DT_S)
     p, v = np.empty((len(t), 3)), np.empty((len(t), 3))
-    low, high = np.searchsorted(s.pose_s, t - 0.055), np.searchsorted(s.pose_s, t + 0.055)
+    low, high = np.searchsorted(s.pose_s, t - half_s), np.searchsorted(s.pose_s, t + half_s)
     good = high - low >= 6
     for k in np.flatnonzero(good):
         near = slice(low[k], high[k])
@@ -147,17 +151,28 @@ def _predict(flight: Flight, model: Model | None, effects: Mapping[str, Effect])
 def predict_segments(
     flights: Sequence[Flight], vehicle: Vehicle, space: Space, z: np.ndarray
 ) -> tuple[Errors, ...]:
-    """Errors over 0.6 s ahead from recorded inputs, each start fitted to the 0.3 s before it."""
+    """Errors over 0.6 s ahead from recorded inputs, each start fitted to the 0.3 s before it.
+
+    A flight's own nuisances come from its first quarter, and what is predicted lies behind that: nothing of a
+    prediction knows what is measured later. Raises TooLittleData where nothing lies behind.
+    """
     whole, _ = segments_of(flights, segment_s=SEGMENT_S)
-    local = _fitted_local(vehicle, space, whole, z)
     data, _ = segments_of(flights, segment_s=_LEAD_S + SEGMENT_S)
+    spans = np.array([signals(flight).span_s for flight in flights])
+    known_s = CALIBRATION * (spans[:, 1] - spans[:, 0])
+    early = whole.take(whole.start_s + SEGMENT_S <= known_s[whole.flight])
+    local = _fitted_local(vehicle, space, early, z, len(flights))
+    data = data.take(data.start_s >= known_s[data.flight])
+    for index, flight in enumerate(flights):
+        if not (data.flight == index).any():
+            raise TooLittleData(f"{flight.path}: too short to be held out; fly longer or hold out another")
     lead = round(_LEAD_S / DT_S)
-    early = (np.arange(data.steps) < lead).astype(float)
+    before = (np.arange(data.steps) < lead).astype(float)
     fit = replace(
         data,
-        pose_weight=data.pose_weight * early,
-        rate_weight=data.rate_weight * early,
-        force_weight=data.force_weight * early,
+        pose_weight=data.pose_weight * before,
+        rate_weight=data.rate_weight * before,
+        force_weight=data.force_weight * before,
     )
     kept = segments.basis(vehicle, space, fit, z, local)
     x0 = segments.fitted_x0(vehicle, space, fit, z, local, kept, iterations=4)
@@ -165,33 +180,37 @@ def predict_segments(
         vehicle, space, data, x0.T[:, None, :], z[:, None], local[data.flight].T[:, None, :]
     )[0]
     predicted = np.transpose(position[:, :, 0, :], (2, 0, 1))
+    speed = np.gradient(predicted, DT_S, axis=1)
+    seen = data.pose_weight > 0
+    seen[:, :lead] = False
     out = []
     for index, flight in enumerate(flights):
         t, p, v = motion(flight)
-        mine = np.flatnonzero(data.flight == index)
-        times = data.start_s[mine][:, None] + signals(flight).span_s[0] + DT_S * np.arange(data.steps)
-        speed = np.gradient(predicted[mine], DT_S, axis=1)
-        ahead = times[:, lead:].ravel()
+        mine = seen & (data.flight == index)[:, None]
+        grid = data.start_s[:, None] + spans[index, 0] + DT_S * np.arange(data.steps)
+        # A prediction is of its pose's own time; its slope along the grid is the speed at the grid's.
+        ahead, steps = (grid + data.shift_s)[mine], grid[mine]
         measured = np.column_stack([np.interp(ahead, t, p[:, i]) for i in range(3)])
-        velocity = np.column_stack([np.interp(ahead, t, v[:, i]) for i in range(3)])
-        at = predicted[mine][:, lead:].reshape(-1, 3)
+        velocity = np.column_stack([np.interp(steps, t, v[:, i]) for i in range(3)])
         out.append(
             Errors(
                 flight=flight.id,
                 reference_id=flight.reference_id,
                 t_s=ahead,
-                position=measured - at,
-                velocity=velocity - speed[:, lead:].reshape(-1, 3),
-                predicted=at,
+                position=measured - predicted[mine],
+                velocity=velocity - speed[mine],
+                predicted=predicted[mine],
                 measured=measured,
             )
         )
     return tuple(out)
 
 
-def _fitted_local(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray) -> np.ndarray:
-    """Nuisances (flights, 9) of flights that were not used, under given parameters."""
-    local = np.zeros((int(data.flight.max()) + 1, segments.LOCALS))
+def _fitted_local(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, flights: int) -> np.ndarray:
+    """Nuisances (flights, 9) of flights that were not used, under given parameters; 0 where no segment is."""
+    local = np.zeros((flights, segments.LOCALS))
+    if not len(data.flight):
+        return local
     process = starting_process(data)
     kept = segments.basis(vehicle, space, data, z, local)
     for _ in range(3):
@@ -205,26 +224,22 @@ def _fitted_local(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray)
 
 
 def noise_floor(flights: Sequence[Flight], errors: Sequence[Errors]) -> dict[str, float | None]:
-    """The error a perfect model would leave: what of the prediction's errors does not repeat between twins.
+    """An estimate of the error that a perfect model would leave: what of the prediction's errors does not
+    repeat between twins.
 
     `errors` are those of `flights`, whole flights predicted by one model; voltage and the like, which the
-    model follows, drop out. Without them or without twins only the scatter of the poses is known.
+    model follows, drop out. None where nothing was flown twice.
     """
-    position, velocity = [], []
+    squares: dict[str, list[np.ndarray]] = {"position": [], "velocity": []}
     for a, b in twins_of(flights) if errors else ():
         first, second = errors[a], errors[b]
         t = first.t_s[(first.t_s >= second.t_s[0]) & (first.t_s <= second.t_s[-1])]
-        for i in range(3):
-            for kind, found in (("position", position), ("velocity", velocity)):
+        for kind, found in squares.items():
+            for i in range(3):
                 x, y = (np.interp(t, e.t_s, getattr(e, kind)[:, i]) for e in (first, second))
                 found.append((x - y) ** 2)
-    if position:
-        return {
-            "position_rmse_m": float(np.sqrt(1.5 * np.mean(np.concatenate(position)))),
-            "velocity_rmse_m_s": float(np.sqrt(1.5 * np.mean(np.concatenate(velocity)))),
-        }
-    sigma = np.mean([noise(signals(flight))[0] for flight in flights])
-    return {"position_rmse_m": float(np.sqrt(3.0) * sigma), "velocity_rmse_m_s": None}
+    rms = {k: float(np.sqrt(1.5 * np.mean(np.concatenate(v)))) if v else None for k, v in squares.items()}
+    return {"position_rmse_m": rms["position"], "velocity_rmse_m_s": rms["velocity"]}
 
 
 def twins_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:

@@ -87,29 +87,46 @@ def leftover(w: np.ndarray, data: Segments, twins: Sequence[tuple[int, int]]) ->
     velocity = speed.reshape(len(w), w.shape[1], per_bin, 3).mean(2)
     found: dict[str, float] = {}
     for name, channel in (("force", slice(0, 3)), ("torque", slice(3, 6))):
-        products, count = [], 0
-        for a, b in twins:
-            for i, k in _matches(flight, start_s, a, b):
-                products.append(float((w[i][:, channel] * w[k][:, channel]).sum()))
-                count += w.shape[1]
-        power = sum(products) / count if count else 0.0
-        spread = float(np.sqrt(np.square(products).sum())) if products else 0.0
-        found[f"{name}_repeat"] = float(np.sign(power) * np.sqrt(abs(power)))
-        found[f"{name}_z"] = sum(products) / spread if spread > 0 else 0.0
+        found[f"{name}_repeat"], found[f"{name}_z"] = _repeat(w[:, :, channel], flight, start_s, twins)
         silent = name == "torque" and data.rate_driven
-        line = (1.0, 0.0, 1.0) if silent else _line(w[:, :, channel], velocity, flight)
+        line = (1.0, 0.0, 1.0) if silent else _line(w[:, :, channel], velocity, flight, start_s)
         found[f"{name}_line"], found[f"{name}_line_hz"], found[f"{name}_line_chance"] = line
     return Leftover(pairs=len(twins), **found)
 
 
-def _matches(flight: np.ndarray, start_s: np.ndarray, a: int, b: int) -> list[tuple[int, int]]:
-    """Segment indices of flights a and b that begin at the same time of the reference."""
-    of_b = {round(float(start_s[k]) / BIN_S): int(k) for k in np.flatnonzero(flight == b)}
-    pairs = ((int(i), of_b.get(round(float(start_s[i]) / BIN_S))) for i in np.flatnonzero(flight == a))
-    return [(i, k) for i, k in pairs if k is not None]
+def _repeat(
+    w: np.ndarray, flight: np.ndarray, start_s: np.ndarray, twins: Sequence[tuple[int, int]]
+) -> tuple[float, float]:
+    """The rms of w (segments, bins, 3) that repeats between twins, negative where it reverses, and its z
+    score.
+
+    Without repetition the product of two segments has a mean of 0 and a variance in proportion to their
+    powers; how great, segments of twins at different times of the reference say.
+    """
+    power = (w**2).sum((1, 2))
+    product, variance, cosine_squares = [0.0], [0.0], []
+    bins = 0
+    for a, b in twins:
+        mine, other = np.flatnonzero(flight == a), np.flatnonzero(flight == b)
+        if not len(mine) or not len(other):
+            continue
+        products = np.einsum("icj,kcj->ik", w[mine], w[other])
+        powers = np.maximum(np.outer(power[mine], power[other]), 1e-300)
+        matched = np.round(start_s[mine] / BIN_S)[:, None] == np.round(start_s[other] / BIN_S)
+        product.append(products[matched].sum())
+        variance.append(powers[matched].sum())
+        cosine_squares.append((products**2 / powers)[~matched])
+        bins += int(matched.sum()) * w.shape[1]
+    if not bins or not sum(len(c) for c in cosine_squares):
+        return 0.0, 0.0
+    total = float(sum(product))
+    spread = float(np.sqrt(sum(variance) * np.concatenate(cosine_squares).mean()))
+    return float(np.sign(total) * np.sqrt(abs(total) / bins)), total / spread if spread > 0 else 0.0
 
 
-def _line(w: np.ndarray, velocity: np.ndarray, flight: np.ndarray) -> tuple[float, float, float]:
+def _line(
+    w: np.ndarray, velocity: np.ndarray, flight: np.ndarray, start_s: np.ndarray
+) -> tuple[float, float, float]:
     """The strongest line of w (segments, bins, 3): ratio over the median around it, frequency in Hz, chance.
 
     Channels count by their own median power. Frequencies at which the vehicle itself was made to move, seen
@@ -119,10 +136,14 @@ def _line(w: np.ndarray, velocity: np.ndarray, flight: np.ndarray) -> tuple[floa
     hz = np.fft.rfftfreq(_FFT, BIN_S)
     power, moved, series = np.zeros(len(hz)), np.zeros(len(hz)), 0
     for f in np.unique(flight):
-        for each in _periodogram(w[flight == f]).T:
-            power += each / max(float(np.median(each)), 1e-300)
-            series += 1
-        moved += _periodogram(velocity[flight == f]).sum(1)
+        mine = np.flatnonzero(flight == f)
+        mine = mine[np.argsort(start_s[mine])]
+        for window in _windows(w[mine], start_s[mine]):
+            for each in _periodogram(window).T:
+                power += each / max(float(np.median(each)), 1e-300)
+                series += 1
+        for window in _windows(velocity[mine], start_s[mine]):
+            moved += _periodogram(window).sum(1)
     around = np.array([np.median(power[max(0, k - 14) : k + 15]) for k in range(len(power))])
     inside = (hz > _LINE_BAND_HZ[0]) & (hz < _LINE_BAND_HZ[1]) & (moved < MOVED_SHARE * moved.max())
     band = np.flatnonzero(inside)
@@ -134,8 +155,21 @@ def _line(w: np.ndarray, velocity: np.ndarray, flight: np.ndarray) -> tuple[floa
     return float(ratio[best]), float(hz[band][best]), min(1.0, chance)
 
 
-def _periodogram(x: np.ndarray) -> np.ndarray:
-    """Power (frequencies, 3) of the bins of segments (segments, bins, 3) in a row, tapered."""
-    series = x.reshape(-1, x.shape[2])[:_FFT]
+def _windows(x: np.ndarray, start_s: np.ndarray) -> list[np.ndarray]:
+    """Segments (segments, bins, 3) in order as unbroken series (n, 3) of up to _FFT bins.
+
+    A segment that was left out ends a series. One much shorter than the flight's longest tells little of slow
+    lines and is passed over.
+    """
+    bins = x.shape[1]
+    breaks = np.flatnonzero(np.abs(np.diff(start_s) - bins * BIN_S) > 0.5 * BIN_S) + 1
+    runs = [run.reshape(-1, x.shape[2]) for run in np.split(x, breaks)]
+    cut = [run[k : k + _FFT] for run in runs for k in range(0, len(run), _FFT)]
+    longest = max(len(run) for run in cut)
+    return [run for run in cut if 2 * len(run) > longest]
+
+
+def _periodogram(series: np.ndarray) -> np.ndarray:
+    """Power (frequencies, 3) of a series (n, 3) of bins, tapered."""
     tapered = (series - series.mean(0)) * np.hanning(len(series))[:, None]
     return np.abs(np.fft.rfft(tapered, _FFT, axis=0)) ** 2

@@ -82,6 +82,7 @@ def command(
         write_model(result.model, output / MODEL_NAME, force=force)
         artefacts.write_atomic(output / REPORT_NAME, report, force)
         artefacts.write_atomic(output / JSON_NAME, json_text(answer), force)
+        say(f"model, report and JSON are in {output}: {MODEL_NAME}, {REPORT_NAME}, {JSON_NAME}")
     say(*result.lines())
     emit(result.to_json(model_path=model_path, report_path=report_path), json)
 

@@ -8,24 +8,35 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from host.log import Mocap, RecordedInputs, read_flight, write_imported
+from host.log import Battery, Mocap, RecordedInputs, read_flight, write_imported
 from host.trace.data import TooLittleData, _averaged, segments_of, signals, unknowns
 from host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 
 
-def log(path: Path, *, seconds: float = 6.0, inputs: RecordedInputs | None = None, unknown: str = "") -> Path:
-    """A log of a vehicle that turns at 0.4 rad/s and swings north, poses at 100 Hz."""
-    t_us = np.arange(0, round(seconds * 1e6), 10_000)
+def log(
+    path: Path,
+    *,
+    seconds: float = 6.0,
+    every_us: int = 10_000,
+    holes: bool = False,
+    inputs: RecordedInputs | None = None,
+    battery: Battery | None = None,
+    unknown: str = "",
+) -> Path:
+    """A log of a vehicle that turns at 0.4 rad/s and swings north; with holes most poses are missing."""
+    t_us = np.arange(0, round(seconds * 1e6), every_us)
+    t_us = t_us[t_us % 500_000 < 150_000] if holes else t_us
     t = t_us * 1e-6
-    p = np.column_stack([np.sin(t), np.zeros_like(t), np.full_like(t, -1.5)])
+    p = np.column_stack([np.sin(t), np.zeros_like(t), np.full(len(t), -1.5)])
     q = Rotation.from_euler("z", 0.4 * t[:, None]).as_quat(scalar_first=True)
     write_imported(
         path,
         vehicle=VEHICLE,
         mocap=Mocap(t_us=t_us, t_arrival_us=t_us, p=p, q=q),
         inputs=inputs,
+        battery=battery,
         session={"unknown": unknown},
     )
     return path
@@ -75,3 +86,24 @@ def test_segments_leave_out_a_gap_and_say_so(tmp_path: Path) -> None:
     assert audit.left_out >= 1
     assert audit.largest_gap_s == pytest.approx(1.01, abs=0.02)
     assert any("gaps" in remark for remark in audit.remarks)
+
+
+def test_segments_of_slow_poses_count_what_their_rate_gives(tmp_path: Path) -> None:
+    flight = read_flight(log(tmp_path / "slow.mcap", every_us=20_000))
+    _, (audit,) = segments_of([flight])
+    assert audit.segments >= 8
+    assert audit.left_out == 0
+
+
+def test_too_little_data_says_what_was_left_out(tmp_path: Path) -> None:
+    flight = read_flight(log(tmp_path / "holes.mcap", holes=True))
+    with pytest.raises(TooLittleData, match=r"holes\.mcap: \d+ segments with gaps"):
+        segments_of([flight])
+
+
+def test_a_dead_battery_reading_is_no_measurement(tmp_path: Path) -> None:
+    t_us = np.arange(0, 6_000_000, 100_000)
+    for volts, ratio in ((0.0, 1.0), (0.9 * VEHICLE.battery.full_v, 0.9)):
+        battery = Battery(t_us=t_us, battery_v=np.full(len(t_us), volts))
+        found = signals(read_flight(log(tmp_path / f"{volts:.0f}.mcap", battery=battery)))
+        np.testing.assert_allclose(found.voltage_ratio, ratio)

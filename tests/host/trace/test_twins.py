@@ -12,11 +12,11 @@ BINS, STEPS, SEGMENTS, FLIGHTS = 6, 60, 20, 4
 PAIRS = [(0, 1), (2, 3)]
 
 
-def data(motion_hz: float = 0.0) -> Segments:
-    """Segments of four flights that swing slowly, and at `motion_hz`; everything else plays no part here."""
-    count = SEGMENTS * FLIGHTS
-    flight = np.repeat(np.arange(FLIGHTS), SEGMENTS)
-    start = np.tile(np.arange(SEGMENTS) * STEPS * 0.01, FLIGHTS)
+def data(motion_hz: float = 0.0, each: int = SEGMENTS) -> Segments:
+    """`each` segments of four flights that swing slowly, and at `motion_hz`; the rest plays no part here."""
+    count = each * FLIGHTS
+    flight = np.repeat(np.arange(FLIGHTS), each)
+    start = np.tile(np.arange(each) * STEPS * 0.01, FLIGHTS)
     t = start[:, None] + 0.01 * np.arange(STEPS)
     position = np.zeros((count, STEPS, 3))
     position[:, :, 0] = np.sin(2 * np.pi * motion_hz * t)
@@ -44,9 +44,9 @@ def data(motion_hz: float = 0.0) -> Segments:
     )
 
 
-def noise(seed: int) -> np.ndarray:
+def noise(seed: int, each: int = SEGMENTS) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    w = rng.normal(size=(SEGMENTS * FLIGHTS, BINS, 6))
+    w = rng.normal(size=(each * FLIGHTS, BINS, 6))
     return w * np.array([0.05] * 3 + [0.5] * 3)
 
 
@@ -57,9 +57,25 @@ def series(hz: float, phase: np.ndarray) -> np.ndarray:
     return np.concatenate(rows)
 
 
+@pytest.mark.parametrize("each", [8, SEGMENTS, 70])
 @pytest.mark.parametrize("seed", range(5))
-def test_leftover_of_noise_gives_no_reason(seed: int) -> None:
-    assert leftover(noise(seed), data(), PAIRS).reasons == ()
+def test_leftover_of_noise_gives_no_reason(seed: int, each: int) -> None:
+    assert leftover(noise(seed, each), data(each=each), PAIRS).reasons == ()
+
+
+def test_repeat_score_of_gusts_that_grow_with_speed_is_a_standard_normal() -> None:
+    gusty = np.tile(1.0 + 4.0 * np.sin(np.linspace(0, 3, SEGMENTS)) ** 2, FLIGHTS)[:, None, None]
+    scores = [leftover(noise(seed) * gusty, data(), PAIRS).force_z for seed in range(100)]
+    assert abs(np.mean(scores)) < 0.3
+    assert 0.7 < np.std(scores) < 1.3
+
+
+def test_leftover_of_a_repeatable_force_in_flights_of_five_seconds_names_it() -> None:
+    w = noise(1, 8)
+    field = np.random.default_rng(9).normal(size=(8, BINS)) * 2.0
+    w[:, :, 0] += np.tile(field, (FLIGHTS, 1))
+    found = leftover(w, data(each=8), PAIRS[:1])
+    assert any("force" in reason and "repeats" in reason for reason in found.reasons)
 
 
 def test_leftover_of_a_repeatable_force_names_it() -> None:
@@ -82,6 +98,19 @@ def test_leftover_of_a_line_of_random_phase_rings() -> None:
     w = noise(3)
     w[:, :, 1] += 0.15 * series(0.8, np.array([0.0, 2.0, 4.0, 1.0]))
     found = leftover(w, data(), PAIRS)
+    assert found.force_line_hz == pytest.approx(0.8, abs=0.08)
+    assert any("rings" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize("begin", [0, 50])
+def test_leftover_of_a_line_late_in_long_flights_rings_across_segments_left_out(begin: int) -> None:
+    each = 100
+    w, t = noise(3, each), BIN_S * np.arange(each * BINS).reshape(each, BINS)
+    w[:, :, 1] += np.tile(
+        0.4 * np.sin(2 * np.pi * 0.8 * t) * (np.arange(each) >= begin)[:, None], (FLIGHTS, 1)
+    )
+    kept = np.tile(np.arange(each) != 20, FLIGHTS)
+    found = leftover(w[kept], data(each=each).take(kept), [])
     assert found.force_line_hz == pytest.approx(0.8, abs=0.08)
     assert any("rings" in reason for reason in found.reasons)
 

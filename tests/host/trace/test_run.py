@@ -1,0 +1,48 @@
+"""Which logs belong together, and what only thrust over mass shows."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from host.errors import UsageError
+from host.log import Mocap, read_flight, write_imported
+from host.trace.data import TooLittleData
+from host.trace.run import check_logs
+from host.vehicle import Vehicle, load_vehicle
+
+VEHICLE = load_vehicle("research")
+
+
+def log(path: Path, *, vehicle: Vehicle = VEHICLE, tracking_us: tuple[int, int] | None = None) -> Path:
+    t_us = np.arange(0, 6_000_000, 10_000)
+    p, q = np.zeros((len(t_us), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(t_us), 1))
+    poses = Mocap(t_us=t_us, t_arrival_us=t_us, p=p, q=q)
+    write_imported(path, vehicle=vehicle, mocap=poses, tracking_us=tracking_us, session={"from": path.stem})
+    return path
+
+
+@pytest.mark.parametrize("held_out", [False, True])
+def test_a_log_given_twice_is_refused(tmp_path: Path, held_out: bool) -> None:
+    one = read_flight(log(tmp_path / "one.mcap"))
+    again = read_flight(Path(shutil.copy(tmp_path / "one.mcap", tmp_path / "again.mcap")))
+    with pytest.raises(UsageError, match=r"again\.mcap: the same log as .*one\.mcap; give it once"):
+        check_logs([one] if held_out else [one, again], [again] if held_out else [], None)
+
+
+def test_logs_of_vehicles_that_share_a_name_are_refused_with_what_differs(tmp_path: Path) -> None:
+    heavier = VEHICLE.model_copy(update={"mass_kg": 0.8})
+    one = read_flight(log(tmp_path / "one.mcap"))
+    other = read_flight(log(tmp_path / "other.mcap", vehicle=heavier))
+    with pytest.raises(UsageError, match=r"other\.mcap: a log of vehicle research .* mass_kg differ; trace"):
+        check_logs([one, other], [], None)
+
+
+def test_a_held_out_log_without_poses_in_its_tracking_phase_is_refused_first(tmp_path: Path) -> None:
+    one = read_flight(log(tmp_path / "one.mcap"))
+    bare = read_flight(log(tmp_path / "bare.mcap", tracking_us=(5_900_000, 5_905_000)))
+    with pytest.raises(TooLittleData, match=r"bare\.mcap: fewer than 10 poses"):
+        check_logs([one], [bare], None)

@@ -1,0 +1,68 @@
+"""Held-out errors: what is measured later moves no prediction, and each pose counts at its own time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from host.effects import load_effects
+from host.log import Flight, Mocap, read_flight, write_imported
+from host.trace.data import TooLittleData, unknowns
+from host.trace.parameters import space
+from host.trace.score import CALIBRATION, Errors, noise_floor, predict_segments
+from host.vehicle import load_vehicle
+
+VEHICLE = load_vehicle("research")
+
+
+def flight(
+    path: Path, *, seconds: float = 16.0, turned_from_s: float = np.inf, every_us: int = 10_000
+) -> Flight:
+    """Poses alone of slow swings; from some time on the cameras see the body tilted by 0.03 rad."""
+    t_us = np.arange(0, round(seconds * 1e6), every_us)
+    t = t_us * 1e-6
+    p = np.column_stack([0.5 * np.sin(t), 0.3 * np.cos(1.3 * t), np.full(len(t), -1.5)])
+    roll = np.where(t > turned_from_s, 0.03, 0.0)
+    q = Rotation.from_euler("x", roll[:, None]).as_quat(scalar_first=True)
+    write_imported(path, vehicle=VEHICLE, mocap=Mocap(t_us=t_us, t_arrival_us=t_us, p=p, q=q))
+    return read_flight(path)
+
+
+def errors_of(held_out: Flight) -> Errors:
+    chosen = space(VEHICLE, load_effects(), unknowns([held_out]))
+    return predict_segments([held_out], VEHICLE, chosen, np.zeros(len(chosen.columns)))[0]
+
+
+def test_predictions_know_nothing_of_what_is_measured_later(tmp_path: Path) -> None:
+    one = errors_of(flight(tmp_path / "a.mcap"))
+    other = errors_of(flight(tmp_path / "b.mcap", turned_from_s=10.0))
+    earlier = one.t_s < 9.0
+    assert earlier.sum() > 100
+    np.testing.assert_array_equal(one.predicted[earlier], other.predicted[earlier])
+    assert np.abs(one.predicted[~earlier] - other.predicted[~earlier]).max() > 1e-3
+
+
+def test_predictions_begin_behind_the_part_that_nuisances_are_fitted_to(tmp_path: Path) -> None:
+    assert errors_of(flight(tmp_path / "a.mcap")).t_s.min() >= CALIBRATION * 15.9
+
+
+def test_predicted_and_measured_positions_are_of_the_same_time(tmp_path: Path) -> None:
+    # Poses 13 ms apart fall between the grid's 10 ms: at 0.5 m/s half a step would show as millimetres.
+    found = errors_of(flight(tmp_path / "odd.mcap", every_us=13_000))
+    north = 0.5 * np.sin(found.t_s)
+    np.testing.assert_allclose(found.measured[:, 0], north, atol=2e-4)
+
+
+def test_a_held_out_flight_too_short_to_predict_is_refused_by_name(tmp_path: Path) -> None:
+    short, long = flight(tmp_path / "short.mcap", seconds=1.1), flight(tmp_path / "long.mcap")
+    chosen = space(VEHICLE, load_effects(), unknowns([long]))
+    with pytest.raises(TooLittleData, match=r"short\.mcap: too short"):
+        predict_segments([long, short], VEHICLE, chosen, np.zeros(len(chosen.columns)))
+
+
+def test_noise_floor_without_twins_is_unknown(tmp_path: Path) -> None:
+    floor = noise_floor([flight(tmp_path / "a.mcap")], ())
+    assert floor == {"position_rmse_m": None, "velocity_rmse_m_s": None}
