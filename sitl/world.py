@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field, ValidationInfo, create_model, field_validator, model_validator
+from pydantic import Field, ValidationInfo, create_model, field_validator
 
 from host.vehicle import ConfigurationError
 from host.vehicle.strict_toml import Strict, read_strict
@@ -111,7 +111,7 @@ class Draw(Strict):
 
     count: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
     """Fewest and most kinds."""
-    kinds: Annotated[tuple[str, ...], Field(min_length=1)] = tuple(
+    kinds: Annotated[tuple[str, ...], Field(min_length=1, validate_default=True)] = tuple(
         k.name for k in KINDS.values() if not k.outside
     )
     size: tuple[Annotated[float, Field(gt=0.0)], Annotated[float, Field(gt=0.0)]] = (0.5, 2.0)
@@ -119,28 +119,23 @@ class Draw(Strict):
 
     @field_validator("kinds")
     @classmethod
-    def _known(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+    def _known_and_enough(cls, value: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
         unknown = [name for name in value if name not in KINDS]
         if unknown:
             raise ValueError(f"unknown {', '.join(unknown)}, choose from {', '.join(KINDS)}")
         if len(set(value)) < len(value):
             raise ValueError("a kind is named twice, name each once")
+        most = info.data.get("count", (0, 0))[1]
+        if most > len(value):
+            raise ValueError(f"count asks for up to {most} of {len(value)}, lower it or name more")
         return value
 
-    @field_validator("size")
+    @field_validator("count", "size")
     @classmethod
     def _ordered(cls, value: tuple[float, float]) -> tuple[float, float]:
         if value[0] > value[1]:
             raise ValueError(f"{list(value)} is not an interval, give [low, high]")
         return value
-
-    @model_validator(mode="after")
-    def _enough_kinds(self) -> Self:
-        if not self.count[0] <= self.count[1] <= len(self.kinds):
-            raise ValueError(
-                f"count {list(self.count)} needs low <= high <= {len(self.kinds)}, the number of kinds"
-            )
-        return self
 
 
 def _effect_tables() -> type[Strict]:
@@ -178,20 +173,33 @@ class WorldFile(Strict):
     @property
     def stated(self) -> dict[str, dict[str, float]]:
         """The effects with values in the file, by name."""
-        tables = ((name, getattr(self.effects, name.replace("-", "_"))) for name in KINDS)
-        return {name: table.model_dump() for name, table in tables if table is not None}
+        return _stated(self.effects)
 
-    @model_validator(mode="after")
-    def _effects_go_together(self) -> Self:
-        stated = set(self.stated)
-        drawn = set(self.draw.kinds) if self.draw is not None else set()
+    @field_validator("effects")
+    @classmethod
+    def _wind_needs_drag(cls, value: Effects) -> Effects:
+        stated = _stated(value)
+        if "wind" in stated and not set(stated) & set(DRAG):
+            raise ValueError(f"wind acts only through drag, add {' or '.join(DRAG)}")
+        return value
+
+    @field_validator("draw")
+    @classmethod
+    def _draw_goes_with_effects(cls, value: Draw | None, info: ValidationInfo) -> Draw | None:
+        if value is None or "effects" not in info.data:
+            return value
+        stated, drawn = set(_stated(info.data["effects"])), set(value.kinds)
         if twice := sorted(stated & drawn):
             raise ValueError(f"{', '.join(twice)} both in effects and in draw.kinds, leave out one")
-        if "wind" in stated and not stated & set(DRAG):
-            raise ValueError(f"effects.wind acts only through drag, add {' or '.join(DRAG)}")
         if drawn == {"wind"} and not stated & set(DRAG):
-            raise ValueError(f"draw.kinds holds wind without a drag, add {' or '.join(DRAG)}")
-        return self
+            raise ValueError(f"kinds holds wind without a drag, add {' or '.join(DRAG)}")
+        return value
+
+
+def _stated(effects: Effects) -> dict[str, dict[str, float]]:
+    """The effects that have a table, with their values, by name."""
+    tables = ((name, getattr(effects, name.replace("-", "_"))) for name in KINDS)
+    return {name: table.model_dump() for name, table in tables if table is not None}
 
 
 def load_world(name_or_path: str | Path) -> tuple[str, WorldFile]:

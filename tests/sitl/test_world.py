@@ -49,6 +49,21 @@ def test_world_with_many_mistakes_is_told_all_of_them(tmp_path: Path) -> None:
         assert part in told
 
 
+def test_wrong_keys_of_a_world_do_not_hide_contradictions_elsewhere(tmp_path: Path) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(
+        'description = "x"\ntolerances = 1\n[effects.wind]\nwx = 1.0\nwy = 0.0\n'
+        '[draw]\ncount = [2, 3]\nkinds = ["motor-lag"]\nsize = [2.0, 1.0]\n'
+        "[radio]\nloss = 0.9\nlatency_us = -1\n"
+    )
+    with pytest.raises(ConfigurationError) as caught:
+        load_world(path)
+    starts = [line.removeprefix(f"{path}: ").split(":")[0] for line in caught.value.problems]
+    assert starts == [
+        "tolerances", "effects", "draw.kinds", "draw.size", "radio.burst_frames", "radio.latency_us",
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("text", "part"),
     [
