@@ -351,6 +351,7 @@ class Flight:
     def _arm_refusal(self, now_us: int) -> str | None:
         return refusal(
             has_reference=self.reference is not None,
+            rests=self.reference is not None and self.reference.rests,
             calibrated=self.calibration.bias is not None,
             has_pose=self.poses.used > 0 and now_us - self.watch.pose_us <= self.watch.pose_lost_us,
             cos_tilt=self._cos_tilt[0],

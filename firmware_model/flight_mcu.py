@@ -216,8 +216,9 @@ class FlightMcu:
         data = self._store.live(kind)
         verdict = None if data is None else self._check(kind, data)
         if verdict is not None and not verdict.ok:
-            text = f"live blob refused: {verdict.message}"
-            self.flight.texts.append((mavlink.MAV_SEVERITY_WARNING, text))
+            node = "" if verdict.node is None else f" at node {verdict.node}"
+            for text in (f"live blob refused{node}:", verdict.message):
+                self.flight.texts.append((mavlink.MAV_SEVERITY_WARNING, text))
         blob = from_bytes(data) if data is not None and verdict is not None and verdict.ok else None
         if kind == Kind.REFERENCE:
             self.flight.reference = None

@@ -62,10 +62,14 @@ class GyroCalibration:
         return True
 
 
-def refusal(*, has_reference: bool, calibrated: bool, has_pose: bool, cos_tilt: float) -> str | None:
-    """Why the vehicle must not arm, None where it may."""
+def refusal(
+    *, has_reference: bool, rests: bool, calibrated: bool, has_pose: bool, cos_tilt: float
+) -> str | None:
+    """Why the vehicle must not arm, None where it may. rests: the reference, at both its ends."""
     if not has_reference:
         return "no live reference: upload one"
+    if not rests:
+        return "reference not at rest at its ends"
     if not calibrated:
         return "gyro not calibrated: keep still"
     if not has_pose:

@@ -13,7 +13,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from firmware_model.law.reference import CUBIC_SIZE, SEPTIC_SIZE, cubic_coefficients, septic_coefficients
+from firmware_model.law.checks import REST, REST_YAW_RATE
+from firmware_model.law.reference import (
+    CUBIC_SIZE,
+    SEPTIC_SIZE,
+    cubic_at,
+    cubic_coefficients,
+    septic_coefficients,
+)
 
 Vector = tuple[float, float, float]
 Node = tuple[float, ...]
@@ -34,7 +41,7 @@ class Track:
     """A timeline from 0 to `end_us`: piece k holds from starts_us[k] until the next one starts.
 
     blocks[k] is what the law's `piece` input takes: the time inside, 0 here, and the coefficients;
-    yaw_blocks[k] likewise. Position and yaw at both ends stand beside them.
+    yaw_blocks[k] likewise. Position and yaw at both ends stand beside them, and whether both are at rest.
     """
 
     starts_us: tuple[int, ...]
@@ -46,6 +53,7 @@ class Track:
     end_ned: Vector
     start_yaw: float
     end_yaw: float
+    rests: bool
 
     def __post_init__(self) -> None:
         for starts, blocks, size in (
@@ -82,6 +90,9 @@ def track(
     for t0, t1, *values in pieces:
         yaw_starts.append(int(t0) - first_us)
         yaw_blocks.append(_block(cubic_coefficients(_duration_s(t0, t1), *values)))
+    t0, t1, _, _, end_yaw, end_rate = pieces[-1]
+    if t1 > end_us:  # the flight ends inside the piece
+        end_yaw, end_rate = cubic_at(yaw_blocks[-1][1:], (end_us - t0) * 1e-6)
     return Track(
         starts_us=tuple(starts),
         blocks=tuple(blocks),
@@ -91,7 +102,8 @@ def track(
         start_ned=_position(nodes[0][1]),
         end_ned=_position(nodes[-1][1]),
         start_yaw=pieces[0][2],
-        end_yaw=pieces[-1][4],
+        end_yaw=end_yaw,
+        rests=_at_rest(nodes[0][1], pieces[0][3]) and _at_rest(nodes[-1][1], end_rate),
     )
 
 
@@ -198,6 +210,11 @@ def _coast(state: Node, velocity: Vector, dt_s: float) -> Vector:
 
 def _position(node: Node) -> Vector:
     return (node[0], node[1], node[2])
+
+
+def _at_rest(node: Node, yaw_rate: float) -> bool:
+    speeds = zip((node[3:6], node[6:9], node[9:12]), REST, strict=True)
+    return abs(yaw_rate) <= REST_YAW_RATE and all(math.hypot(*vector) <= bound for vector, bound in speeds)
 
 
 def _below(p: Vector, depth: float) -> Vector:

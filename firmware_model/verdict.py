@@ -63,7 +63,7 @@ def _check_reference(blob: Reference, parameters: ParameterValues) -> Verdict:
         reason=int(found.reason_code),
         value=found.value,
         bound=found.bound,
-        message=found.message,
+        message=found.text,
     )
 
 

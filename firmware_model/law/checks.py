@@ -1,21 +1,29 @@
 """The verdict on a reference: whether the vehicle can and may fly it; one function for planner and vehicle.
 
-Judged is what is flown: the septic pieces between the nodes, not the nodes. Limits are compared inside every
-piece, at least every 12.5 ms, with the thrust of every rotor from the flat outputs. Floats only.
+Judged is what is flown: the pieces between the nodes, septic in position and cubic in yaw, not the nodes.
+Limits are compared inside every piece of either, every 12.5 ms or in pieces over 6.4 s 512 times, with the
+thrust of every rotor from the flat outputs. Floats only.
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from itertools import pairwise
 
 from firmware_model.law.allocation import allocation_matrix, invert4
 from firmware_model.law.flatness import Body, flat_full
 from firmware_model.law.ops import FLOAT
-from firmware_model.law.reference import hermite_yaw, septic
+from firmware_model.law.reference import (
+    cubic_acceleration,
+    cubic_at,
+    cubic_coefficients,
+    septic_at,
+    septic_coefficients,
+)
 
 Node = tuple[int, Sequence[float]]
 """t_us and the 12 numbers p, v, a, j in NED."""
@@ -24,9 +32,11 @@ YawNode = tuple[int, float, float]
 
 LONGEST_SAMPLE_US = 12_500
 MOST_SAMPLES = 512
-"""In one piece, however long it is."""
+"""In one piece, however long it is: its polynomials bend no faster for being longer."""
 REST = (1e-3, 1e-2, 1e-1)
 """Greatest speed, acceleration and jerk that count as rest: what rounding to float32 leaves, and some."""
+REST_YAW_RATE = 1e-3
+"""Greatest yaw rate that counts as rest."""
 GREATEST_NUMBER = 1e6
 """A number beyond this in a node is as little a reference as NaN."""
 
@@ -98,8 +108,9 @@ class Limits:
 class Verdict:
     """What was found: `ok`, or the first node whose piece breaks a limit, and the numbers.
 
-    margins: least distance to each bound over the whole flight, negative where broken; empty where the nodes
-    are no reference at all.
+    text: what is wrong there, at most 64 bytes; message: with node and time, for people. margins: least
+    distance to each bound over the whole flight, negative where broken; empty where the nodes are no
+    reference at all.
     """
 
     ok: bool
@@ -108,6 +119,7 @@ class Verdict:
     value: float = 0.0
     bound: float = 0.0
     reason_code: Reason = Reason.NONE
+    text: str = ""
     message: str = "within all limits"
     margins: Mapping[str, float] = field(default_factory=dict)
 
@@ -155,9 +167,12 @@ def check_reference(
     """The verdict on the reference through `nodes` (NED, positions relative to `origin`) and `yaw_nodes`.
 
     Nodes are judged as stored: first t_us 0, strictly increasing, finite. With `ends_at_rest` (the default)
-    both ends are at rest and at least `limits.end_height_m` above the floor.
+    both ends are at rest and at least `limits.end_height_m` above the floor. Nothing lies below the floor
+    z = 0, whatever the geofence, and yaw is at rest where it comes out of a hold or goes into one.
     """
     broken = _structure(nodes, yaw_nodes, origin)
+    if broken is None:
+        broken = _holds(nodes, yaw_nodes, ends_at_rest)
     if broken is None and ends_at_rest:
         broken = _ends(nodes, limits, origin)
     if broken is not None:
@@ -166,9 +181,19 @@ def check_reference(
 
 
 def _refused(
-    reason: Reason, node: int, t_us: int, quantity: str, value: float, bound: float, text: str
+    reason: Reason,
+    node: int,
+    t_us: int,
+    quantity: str,
+    value: float,
+    bound: float,
+    text: str,
+    at_us: float | None = None,
 ) -> Verdict:
+    """A refusal: of the node at t_us, or of the piece after it at the time at_us."""
     message = f"node {node} at {t_us * 1e-6:.3f} s: {text}"
+    if at_us is not None:
+        message += f", at {at_us * 1e-6:.3f} s"
     return Verdict(
         ok=False,
         node=node,
@@ -176,6 +201,7 @@ def _refused(
         value=value,
         bound=bound,
         reason_code=reason,
+        text=text,
         message=message,
     )
 
@@ -193,7 +219,7 @@ def _structure(
         node = k if what == "node" else k - len(nodes)
         for value in (*values, *origin):
             if not abs(value) <= GREATEST_NUMBER:
-                text = f"{what} holds {value!r}, which is not a number to fly by"
+                text = f"{what} holds {value:.6g}, not a number to fly by"
                 return _refused(Reason.NOT_FINITE, node, t_us, what, value, GREATEST_NUMBER, text)
     if nodes[0][0] != 0:
         text = "the first node must be at 0"
@@ -225,14 +251,39 @@ def _ends(nodes: Sequence[Node], limits: Limits, origin: Sequence[float]) -> Ver
     return None
 
 
+def _holds(nodes: Sequence[Node], yaw_nodes: Sequence[YawNode], ends_at_rest: bool) -> Verdict | None:
+    """The refusal of a yaw rate that jumps, or None.
+
+    Yaw is held outside its nodes, and before and after a flight whose ends are at rest.
+    """
+    end_us = nodes[-1][0]
+    first_us, last_us = max(yaw_nodes[0][0], 0), min(yaw_nodes[-1][0], end_us)
+    if first_us >= last_us:
+        return None
+    start, stop = _yaw_piece(yaw_nodes, first_us), _yaw_piece(yaw_nodes, last_us - 1)
+    for (t0, coefficients), t_us, free in (
+        (start, first_us, first_us == 0),
+        (stop, last_us, last_us == end_us),
+    ):
+        rate = abs(cubic_at(coefficients, (t_us - t0) * 1e-6)[1])
+        if not rate <= REST_YAW_RATE and (ends_at_rest or not free):
+            node = max(0, bisect_left([t for t, _ in nodes], t_us) - 1)
+            text = f"yaw rate {rate:.4g} rad/s where yaw is held"
+            return _refused(
+                Reason.NOT_AT_REST, node, nodes[node][0], "yaw rate", rate, REST_YAW_RATE, text, t_us
+            )
+    return None
+
+
 _REASONS: dict[str, tuple[Reason, str]] = {
     "geofence_m": (Reason.GEOFENCE, "m"),
+    "floor_m": (Reason.TOO_LOW, "m"),
     "speed_m_s": (Reason.SPEED, "m/s"),
     "tilt_deg": (Reason.TILT, "deg"),
     "body_rate_rad_s": (Reason.BODY_RATE, "rad/s"),
     "jerk_m_s3": (Reason.JERK, "m/s^3"),
-    "thrust_low": (Reason.THRUST_LOW, "of the greatest"),
-    "thrust_high": (Reason.THRUST_HIGH, "of the greatest"),
+    "thrust_low": (Reason.THRUST_LOW, "of max"),
+    "thrust_high": (Reason.THRUST_HIGH, "of max"),
 }
 """Reason and unit by the margin's name."""
 _AXES = ("north", "east", "down")
@@ -259,10 +310,10 @@ def _scan(
         (bound, f"body rate {axis}") for bound, axis in zip(limits.body_rate_max_rad_s, "xyz", strict=True)
     ]
     low_share, high_share = limits.thrust_headroom
-    for node, s_us, t_us, yaw, yaw_rate in _samples(nodes, yaw_nodes, samples_per_piece):
-        (t0, node0), (t1, node1) = nodes[node], nodes[node + 1]
-        p, v, a, j, snap = septic((t1 - t0) * 1e-6, s_us * 1e-6, node0, node1)
-        R, rate, _, collective, torque = flat_full(FLOAT, a, j, snap, yaw, yaw_rate, body)
+    for node, t_us, (p, v, a, j, snap), yaw, yaw_rate, yaw_accel in _samples(
+        nodes, yaw_nodes, samples_per_piece
+    ):
+        R, rate, _, collective, torque = flat_full(FLOAT, a, j, snap, yaw, yaw_rate, body, yaw_accel)
         tx, ty, tz = torque
         found: list[
             tuple[str, float, float, float, str]
@@ -270,6 +321,8 @@ def _scan(
         for x, at, (low, high, axis) in zip(p, origin, fence, strict=True):
             bound = high if high - x < x - low else low
             found.append(("geofence_m", min(high - x, x - low), x + at, bound + at, axis))
+        height = -(p[2] + origin[2])
+        found.append(("floor_m", height, height, 0.0, "height"))
         for name, value, bound in (
             ("speed_m_s", math.hypot(*v), limits.speed_max_m_s),
             ("tilt_deg", math.degrees(math.acos(max(-1.0, min(1.0, R[8])))), limits.tilt_max_deg),
@@ -292,58 +345,50 @@ def _scan(
             if first is None and not margin >= 0.0:
                 reason, unit = _REASONS[name]
                 side = "below" if value < bound else "above"
-                text = f"{quantity} {value:.6g} {side} {bound:.6g} {unit}, at {t_us * 1e-6:.3f} s"
-                first = _refused(reason, node, nodes[node][0], quantity, value, bound, text)
+                text = f"{quantity} {value:.6g} {side} {bound:.6g} {unit}"
+                first = _refused(reason, node, nodes[node][0], quantity, value, bound, text, t_us)
     if first is None:
         return Verdict(ok=True, margins=margins)
-    return Verdict(
-        ok=False,
-        node=first.node,
-        quantity=first.quantity,
-        value=first.value,
-        bound=first.bound,
-        reason_code=first.reason_code,
-        message=first.message,
-        margins=margins,
-    )
+    return replace(first, margins=margins)
+
+
+_Flat = tuple[Sequence[float], Sequence[float], Sequence[float], Sequence[float], Sequence[float]]
+"""p, v, a, j, snap in NED."""
 
 
 def _samples(
     nodes: Sequence[Node], yaw_nodes: Sequence[YawNode], samples_per_piece: int
-) -> Iterator[tuple[int, float, float, float, float]]:
-    """Piece, time inside it, time (both us), yaw and yaw rate of every sample, in order up to the last node.
+) -> Iterator[tuple[int, float, _Flat, float, float, float]]:
+    """Piece, time (us), p to snap, yaw, yaw rate and acceleration of every sample along the flight, in order.
 
-    Yaw pieces shorter than four samples add their own quarter points, so that no jerk of the heading hides
-    between.
+    Pieces of position and of yaw are cut at each other's ends, and what is left of them is sampled at both of
+    its ends and in between: snap and yaw acceleration jump from one to the next.
     """
-    short = [
-        before[0] + 0.25 * k * (after[0] - before[0])
-        for before, after in pairwise(yaw_nodes)
-        if after[0] - before[0] < 4 * LONGEST_SAMPLE_US
-        for k in range(4)
-    ]
-    next_short = next_yaw = 0
-    for piece, ((t0, _), (t1, _)) in enumerate(pairwise(nodes)):
-        length = t1 - t0
+    times = [t_us for t_us, _ in nodes]
+    cuts = sorted({*times, *(t_us for t_us, _, _ in yaw_nodes if t_us < times[-1])})
+    for start_us, end_us in pairwise(cuts):
+        piece = bisect_right(times, start_us) - 1
+        (t0, node0), (t1, node1) = nodes[piece], nodes[piece + 1]
+        position = septic_coefficients((t1 - t0) * 1e-6, node0, node1)
+        yaw_us, heading = _yaw_piece(yaw_nodes, start_us)
+        length = end_us - start_us
         count = min(max(samples_per_piece, -(-length // LONGEST_SAMPLE_US)), MOST_SAMPLES)
-        times = [t0 + length * k / count for k in range(count)]
-        if t1 == nodes[-1][0]:
-            times.append(float(t1))
-        while next_short < len(short) and short[next_short] < t1:
-            if short[next_short] > t0:
-                times.append(short[next_short])
-            next_short += 1
-        for t_us in sorted(set(times)):
-            while next_yaw < len(yaw_nodes) and yaw_nodes[next_yaw][0] <= t_us:
-                next_yaw += 1
-            yield piece, t_us - t0, t_us, *_yaw(yaw_nodes, next_yaw, t_us)
+        for k in range(count + 1):
+            t_us = start_us + length * k / count
+            yaw_s = (t_us - yaw_us) * 1e-6
+            yield (
+                piece,
+                t_us,
+                septic_at(position, (t_us - t0) * 1e-6),
+                *cubic_at(heading, yaw_s),
+                cubic_acceleration(heading, yaw_s),
+            )
 
 
-def _yaw(yaw_nodes: Sequence[YawNode], next_yaw: int, t_us: float) -> tuple[float, float]:
-    """Yaw and yaw rate, given the first yaw node after t_us; held before the first and after the last."""
-    if next_yaw == 0:
-        return yaw_nodes[0][1], 0.0
-    if next_yaw == len(yaw_nodes):
-        return yaw_nodes[-1][1], 0.0
-    (t0, *before), (t1, *after) = yaw_nodes[next_yaw - 1], yaw_nodes[next_yaw]
-    return hermite_yaw((t1 - t0) * 1e-6, (t_us - t0) * 1e-6, *before, *after)
+def _yaw_piece(yaw_nodes: Sequence[YawNode], t_us: int) -> tuple[int, tuple[float, float, float, float]]:
+    """Start (us) and coefficients of the yaw piece from t_us on; held before the first and after the last."""
+    after = bisect_right(yaw_nodes, t_us, key=lambda node: node[0])
+    if after == 0 or after == len(yaw_nodes):
+        return t_us, (yaw_nodes[max(after - 1, 0)][1], 0.0, 0.0, 0.0)
+    (t0, *start), (t1, *end) = yaw_nodes[after - 1], yaw_nodes[after]
+    return t0, cubic_coefficients((t1 - t0) * 1e-6, *start, *end)

@@ -109,6 +109,11 @@ def cubic_at(coefficients: Vector, s_s: Scalar) -> tuple[Scalar, Scalar]:
     return b1 * s_s + c0, (c3 * s_s + b2) * s_s + b1
 
 
+def cubic_acceleration(coefficients: Vector, s_s: Scalar) -> Scalar:
+    """Yaw acceleration, `s_s` into a piece with these coefficients."""
+    return 2.0 * coefficients[2] + 6.0 * coefficients[3] * s_s
+
+
 def hermite_yaw(
     dt_s: Scalar, s_s: Scalar, y0: Scalar, r0: Scalar, y1: Scalar, r1: Scalar
 ) -> tuple[Scalar, Scalar]:

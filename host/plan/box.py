@@ -29,7 +29,7 @@ KEEP_OUT = "keep_out_m"
 @dataclass(frozen=True, kw_only=True)
 class SolverBox:
     """Bounds at the nodes. thrust_share: of thrust_max_n, low and high; fence_m: how far inside the geofence;
-    keep_out_m: least distance from keep-out shapes.
+    floor_m: least height; keep_out_m: least distance from keep-out shapes.
     """
 
     thrust_share: tuple[float, float]
@@ -38,6 +38,7 @@ class SolverBox:
     speed_m_s: float
     jerk_m_s3: float
     fence_m: float
+    floor_m: float
     keep_out_m: float
 
     @classmethod
@@ -53,6 +54,7 @@ class SolverBox:
             speed_m_s=limits.speed_max_m_s * (1.0 - _INSET),
             jerk_m_s3=limits.jerk_max_m_s3 * (1.0 - _INSET),
             fence_m=0.01,
+            floor_m=-math.inf,
             keep_out_m=0.03,
         )
 
@@ -80,6 +82,7 @@ class SolverBox:
             return bound - excess(name, bound, 0.3 * bound)
 
         low, high = self.thrust_share
+        sunk = excess("floor_m", 1.0, 0.3)
         x, y, z = (lower("body_rate_rad_s", bound) for bound in self.body_rate_rad_s)
         return SolverBox(
             thrust_share=(
@@ -91,6 +94,7 @@ class SolverBox:
             speed_m_s=lower("speed_m_s", self.speed_m_s),
             jerk_m_s3=lower("jerk_m_s3", self.jerk_m_s3),
             fence_m=self.fence_m + excess("geofence_m", 1.0, 0.3),
+            floor_m=max(self.floor_m + sunk, 0.0) if sunk > 0.0 else self.floor_m,
             keep_out_m=self.keep_out_m + excess(KEEP_OUT, 1.0, 0.3),
         )
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from host.errors import UsageError
 from host.models.dynamics import RATE, THETA, THRUST, P, V
 from host.plan.box import SolverBox
 from host.plan.dynamics import (
@@ -67,11 +68,20 @@ class Grid:
 def make_grid(durations_s: Array, nodes: int | None, *, times_fixed: bool) -> Grid:
     """Intervals shared out by the legs' nominal durations, at least four a leg; about `nodes` of them in all.
 
-    Without a number a step takes about 70 ms, within 60 to 200 intervals.
+    Without a number a step takes about 70 ms, within 60 to 200 intervals. Beyond 200 the legs that were
+    rounded up most give back. Raises UsageError for more legs than 200 intervals are enough for.
     """
+    if (legs := len(durations_s)) > NODES_MAX // _LEG_NODES_MIN:
+        raise UsageError(
+            f"{legs} legs: at {_LEG_NODES_MIN} intervals a leg {NODES_MAX} are enough for "
+            f"{NODES_MAX // _LEG_NODES_MIN}; split the route, or plan it with min-snap"
+        )
     total_s = float(durations_s.sum())
     wanted = nodes or int(np.clip(np.ceil(total_s / NODE_S), 60, NODES_MAX))
-    counts = np.maximum(_LEG_NODES_MIN, np.rint(durations_s / total_s * wanted).astype(np.int64))
+    shares = durations_s / total_s * wanted
+    counts = np.maximum(_LEG_NODES_MIN, np.rint(shares).astype(np.int64))
+    while counts.sum() > NODES_MAX:
+        counts[np.argmax(np.where(counts > _LEG_NODES_MIN, counts - shares, -np.inf))] -= 1
     return Grid(counts=counts, h0_s=durations_s / counts, times_fixed=times_fixed)
 
 
@@ -117,6 +127,7 @@ def make_problem(
     low, high = np.full((STATES, count + 1), -np.inf), np.full((STATES, count + 1), np.inf)
     for axis, (near, far) in enumerate(limits.geofence_m):
         low[axis], high[axis] = near + box.fence_m, far - box.fence_m
+    high[2] = np.minimum(high[2], -box.floor_m)
     tilt = np.radians(box.tilt_deg)
     low[THETA.start : THETA.start + 2], high[THETA.start : THETA.start + 2] = -tilt, tilt
     low[THETA.stop - 1], high[THETA.stop - 1] = yaw - _YAW_SLACK, yaw + _YAW_SLACK

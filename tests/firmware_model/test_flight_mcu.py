@@ -9,7 +9,7 @@ import pytest
 from firmware_model.supervisor import State
 from firmware_model.verdict import Reason
 from protocol import messages as m
-from protocol.blobs import FeedForward, Kind
+from protocol.blobs import FeedForward, Kind, Node, Reference
 from protocol.codec import Codec
 from protocol.messages import HOST, UploadResult, mavlink
 from protocol.parameters import DEFAULTS, PARAMETERS, float32
@@ -227,7 +227,10 @@ def test_param_set_of_a_limit_renews_the_verdict_on_the_live_reference(make_sess
     session.run(0.5)
     session.send(m.ParamSet(1, 1, b"LIM_SPEED", 0.5, 9))
     session.run(0.1)
-    assert any(text.startswith("live blob refused") for text in session.texts())
+    refused = next(
+        k for k, text in enumerate(session.texts()) if text.startswith("live blob refused at node")
+    )
+    assert session.texts()[refused + 1].endswith(" above 0.5 m/s")
     session.command(400, 1.0)
     session.run(0.1)
     assert "arm refused: no live reference: upload one" in session.texts()
@@ -260,9 +263,25 @@ def test_upload_too_fast_is_refused_with_node_and_reason_and_nothing_goes_live(m
     assert not sender.verdict.ok
     assert sender.verdict.node is not None
     assert 0 < sender.verdict.reason < 100
-    assert "node" in sender.verdict.message
+    unit = sender.verdict.message.rpartition(" ")[2]
+    assert unit in ("m/s", "deg", "rad/s", "m/s^3", "max")  # the sentence is whole
+    assert sender.reason == f"refused on board at node {sender.verdict.node}: {sender.verdict.message}"
     assert session.store.live(Kind.REFERENCE) is None
     assert session.store.staged(Kind.REFERENCE) is None
+
+
+def test_reference_with_moving_ends_is_taken_but_never_armed(make_session):
+    """From rest on the floor there is no way into it."""
+    session = make_session()
+    session.run(0.5)
+    nodes = tuple(Node(round(1e6 * t), (3.0 * t, 0.0, -1.0, 3.0, *(0.0,) * 8)) for t in (0.0, 0.5, 1.0))
+    moving = Reference(vehicle_id=VEHICLE_ID, origin_ned=(0.0, 0.0, 0.0), nodes=nodes, free_ends=True)
+    assert session.put(moving).state.name == "DONE"
+    session.run(0.5)
+    session.command(400, 1.0)
+    session.run(0.2)
+    assert "arm refused: reference not at rest at its ends" in session.texts()
+    assert session.flight.state is State.STANDBY
 
 
 def test_upload_for_another_vehicle_is_refused(make_session, make_blob):

@@ -126,3 +126,30 @@ def test_track_with_pieces_out_of_order_raises():
 @pytest.mark.parametrize(("seconds", "us"), [(1.0, 1_000_000), (0.0001, 1_000), (1.2341, 1_235_000)])
 def test_seconds_us_rounds_up_to_a_tick(seconds, us):
     assert seconds_us(seconds) == us
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "yaw", "rests"),
+    [
+        ({}, {}, [(0, 0.3, 0.0)], True),
+        ({}, {}, [(0, 0.3, 0.0), (2_000_000, 1.0, 0.0)], True),
+        ({3: 3.0}, {}, [(0, 0.3, 0.0)], False),
+        ({}, {4: -0.1}, [(0, 0.3, 0.0)], False),
+        ({8: 1.0}, {}, [(0, 0.3, 0.0)], False),
+        ({}, {}, [(0, 0.3, 0.5), (2_000_000, 1.0, 0.0)], False),
+        ({}, {}, [(0, 0.3, 0.0), (2_000_000, 1.0, 0.5)], False),
+    ],
+)
+def test_track_says_whether_it_rests_at_both_ends(start, end, yaw, rests):
+    a, b = [0.0, 0.0, -1.0, *REST], [1.0, 0.0, -1.0, *REST]
+    for node, changes in ((a, start), (b, end)):
+        for place, value in changes.items():
+            node[place] = value
+    assert track([(0, tuple(a)), (2_000_000, tuple(b))], yaw).rests is rests
+
+
+def test_track_that_ends_inside_a_yaw_piece_ends_at_the_yaw_reached_there():
+    nodes = [(t_us, (0.0, 0.0, -1.0, *REST)) for t_us in (0, 2_000_000)]
+    t = track(nodes, [(0, 0.0, 0.0), (4_000_000, 1.0, 0.0)])
+    assert t.end_yaw == pytest.approx(0.5)  # half-way through a cubic from rest to rest
+    assert not t.rests

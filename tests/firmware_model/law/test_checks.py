@@ -19,6 +19,7 @@ from firmware_model.law.checks import (
 )
 from firmware_model.law.reference import septic
 from protocol.parameters import DEFAULTS
+from protocol.upload.transfer import MESSAGE_BYTES
 
 AIRFRAME, LIMITS = from_parameters(DEFAULTS)
 YAW = [(0, 0.0, 0.0)]
@@ -81,7 +82,7 @@ def test_check_against_a_tighter_limit_names_it(change, reason, margin):
     assert verdict.margins[margin] < 0.0
     assert sum(value < 0.0 for value in verdict.margins.values()) == 1
     assert 0 <= verdict.node < 41
-    assert f"node {verdict.node} " in verdict.message
+    assert f"node {verdict.node} at {0.1 * verdict.node:.3f} s: {verdict.text}, at " in verdict.message
     assert verdict.value != verdict.bound
 
 
@@ -132,12 +133,67 @@ def test_check_sees_the_yaw_profile():
 
 def test_check_sees_a_jerk_of_the_heading_between_two_samples():
     quick = [(0, 0.0, 0.0), (2_001_000, 0.0, 0.0), (2_005_000, 0.2, 0.0), (2_009_000, 0.0, 0.0)]
-    assert _check(_leg(), quick).reason_code == Reason.BODY_RATE
+    verdict = _check(_leg(), quick, limits=replace(LIMITS, thrust_headroom=(-999.0, 999.0)))
+    assert verdict.reason_code == Reason.BODY_RATE
+
+
+def test_check_sees_a_jerk_of_the_heading_in_a_long_piece():
+    """2 rad and back within 122 ms, between two of the 512 samples of a hover of 64 s."""
+    hover = [(t_us, (0.0, 0.0, -1.5, *REST)) for t_us in (0, 64_000_000)]
+    start_us = 8 * 125_000 + 1_000
+    spike = [(0, 0.0, 0.0), *((start_us + 61_000 * k, 2.0 * (k == 1), 0.0) for k in range(3))]
+    verdict = _check(hover, spike, limits=replace(LIMITS, thrust_headroom=(-99.0, 99.0)))
+    assert (verdict.reason_code, verdict.quantity) == (Reason.BODY_RATE, "body rate z")
+    assert verdict.margins["body_rate_rad_s"] == pytest.approx(3.0 - 1.5 * 2.0 / 0.061, abs=0.5)
+
+
+def test_check_counts_the_torque_of_a_yaw_acceleration():
+    """Within the body rate, but the first piece begins at 6 turn / t^2, and two rotors alone pay for it."""
+    hover = [(t_us, (0.0, 0.0, -1.5, *REST)) for t_us in (0, 6_000_000)]
+    turns = [(60_000 * k, 0.119 * (k % 2), 0.0) for k in range(40)]
+    verdict = _check(hover, turns)
+    share = 0.752 * 9.81 / 4 / 8.5
+    torque_share = 4.3e-3 * 6.0 * 0.119 / 0.06**2 / (4 * 0.022 * 8.5)
+    assert verdict.reason_code == Reason.THRUST_HIGH
+    assert verdict.margins["body_rate_rad_s"] > 0.0
+    assert verdict.margins["thrust_high"] == pytest.approx(0.65 - share - torque_share, rel=1e-5)
+    assert verdict.margins["thrust_low"] == pytest.approx(share - torque_share - 0.08, rel=1e-5)
 
 
 def test_check_holds_yaw_outside_its_nodes():
-    early_and_late = [(1_000_000, 0.5, 2.0), (1_500_000, 1.0, 2.0)]
-    assert _check(_leg(), early_and_late).ok
+    assert _check(_leg(), [(1_000_000, 0.5, 0.0), (1_500_000, 1.0, 0.0)]).ok
+    assert _check(_leg(), [(1_000_000, 0.5, 2.0)]).ok  # held throughout: its rate is nowhere flown
+
+
+@pytest.mark.parametrize(
+    ("yaw", "node", "rests"),
+    [
+        ([(1_000_000, 0.5, 2.0), (1_500_000, 1.0, 0.0)], 9, True),
+        ([(1_000_000, 0.5, 0.0), (1_500_000, 1.0, 2.0)], 14, True),
+        ([(0, 0.5, 1.0), (1_500_000, 1.0, 0.0)], 0, False),
+        ([(0, 0.5, 0.0), (4_000_000, 1.0, 1.0)], 39, False),
+        ([(0, 0.5, 0.0), (4_500_000, 3.0, 0.0)], 39, False),
+    ],
+)
+def test_check_refuses_a_yaw_rate_that_jumps_into_or_out_of_a_hold(yaw, node, rests):
+    """The flight's own ends are holds only where they are at rest."""
+    verdict = _check(_leg(), yaw)
+    assert (verdict.reason_code, verdict.quantity) == (Reason.NOT_AT_REST, "yaw rate")
+    assert verdict.node == node
+    assert _check(_leg(), yaw, ends_at_rest=False).ok is not rests
+
+
+def test_check_keeps_the_flight_above_the_floor_whatever_the_geofence():
+    """Ends at 0.6 m; between them 0.25 m below the floor, still inside a geofence that ends at 0.3 m."""
+    high, low = (0.0, 0.0, -0.6, *REST), (0.0, 0.0, 0.25, *REST)
+    nodes = [(0, high), (3_000_000, low), (6_000_000, high)]
+    for options in ({}, {"ends_at_rest": False}):
+        verdict = _check(nodes, **options)
+        assert (verdict.node, verdict.reason_code, verdict.quantity) == (0, Reason.TOO_LOW, "height")
+        assert verdict.value < verdict.bound == 0.0
+        assert verdict.margins["floor_m"] == pytest.approx(-0.25)
+        assert verdict.margins["geofence_m"] == pytest.approx(0.05)
+    assert _check(nodes, origin=(0.0, 0.0, -0.3)).margins["floor_m"] == pytest.approx(0.05)
 
 
 def test_check_moves_geofence_and_floor_with_the_origin():
@@ -195,6 +251,7 @@ def test_check_of_any_numbers_returns_a_verdict(nodes, yaw, sort):
         yaw = sorted(yaw, key=lambda node: node[0])
     verdict = _check(nodes, yaw, ends_at_rest=False)
     assert isinstance(verdict, Verdict)
+    assert len(verdict.text.encode()) <= MESSAGE_BYTES
     assert verdict.ok == (verdict.reason_code == Reason.NONE)
 
 
