@@ -9,6 +9,10 @@ def _factor(ops, theta, ctx):
     return ops.exp(theta[0] * ops.log(ctx.voltage_ratio))
 
 
+def _feedforward(theta):
+    return {"voltage_exponent": theta[0]}
+
+
 EFFECT = Effect(
     name="battery-sag",
     title="Battery sag",
@@ -29,8 +33,10 @@ EFFECT = Effect(
     aliases=("thrust-gain", "mass"),
     closing=Closing(
         model="every rotor's thrust times a power of the measured voltage ratio",
-        planner="plans with the thrust left at the voltage seen in flight",
-        law=None,
+        planner="nothing: plans are made for a full battery",
+        law="the commanded thrust is divided by the sag at one voltage, the mean of the flights learned "
+        "from; what another battery differs by stays",
     ),
     thrust_factor=_factor,
+    to_feedforward=_feedforward,
 )

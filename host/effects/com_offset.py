@@ -32,7 +32,8 @@ EFFECT = Effect(
     aliases=("wind", "torque-bias", "rotor-loss"),
     closing=Closing(
         model="a torque in proportion to the collective thrust",
-        planner="plans with the thrust range that the constant torque leaves",
+        planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "
+        "vehicle",
         law=None,
     ),
     torque_frd=_torque,

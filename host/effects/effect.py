@@ -80,7 +80,9 @@ class Parameter:
 class Closing:
     """What closing the loop on this effect means, as sentences for the report.
 
-    `law` is None where the control law on board cannot compensate it.
+    `planner` begins with "nothing" where plans stay as they are, and with "nothing:" where even a star
+    (the model in the dynamics) changes none. `law` is None where the control law on board cannot compensate
+    it.
     """
 
     model: str

@@ -22,13 +22,19 @@ def neutral_contributions() -> Contributions:
     }
 
 
-def compose_feedforward(effects: Iterable[tuple[Effect, Sequence[float]]]) -> Contributions:
+def compose_feedforward(
+    effects: Iterable[tuple[Effect, Sequence[float]]], voltage_ratio: float = 1.0
+) -> Contributions:
     """The block's numbers for all effects together: gains multiply, the rest adds.
 
     An effect without `to_feedforward` contributes nothing. Wind enters as the drag it causes at rest and
     level, bias_ned = (d + c |w|) w with d the mean of the horizontal linear coefficients: the block has no
-    air speed. Raises ValueError for a contribution the block does not have.
+    air speed. A `voltage_exponent` enters as the gain at `voltage_ratio`, the battery voltage expected over
+    full voltage: the block has no battery. Raises ValueError for a contribution the block does not have and
+    for a ratio that is not positive.
     """
+    if not voltage_ratio > 0.0:
+        raise ValueError(f"voltage ratio must be positive, got {voltage_ratio}")
     total = neutral_contributions()
     wind = (0.0, 0.0, 0.0)
     for effect, theta in effects:
@@ -39,6 +45,8 @@ def compose_feedforward(effects: Iterable[tuple[Effect, Sequence[float]]]) -> Co
                 wind = _sum(wind, value)
             elif key == "gain":
                 total["gain"] *= value
+            elif key == "voltage_exponent":
+                total["gain"] *= voltage_ratio**value
             elif key == "prediction_time_s":
                 total["prediction_time_s"] += value
             elif key in total:

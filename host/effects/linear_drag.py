@@ -35,7 +35,7 @@ EFFECT = Effect(
     aliases=("quadratic-drag", "wind", "mocap-latency"),
     closing=Closing(
         model="a drag force linear in the air speed, axis by axis",
-        planner="plans with less drag: slower where it costs most, turned to the axis that drags least",
+        planner="plans a path of less drag: slower where it costs most; the heading stays the route's",
         law="the predicted drag along the reference is fed forward",
     ),
     specific_force_frd=_force,

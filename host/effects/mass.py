@@ -33,7 +33,8 @@ EFFECT = Effect(
     aliases=("thrust-gain", "battery-sag"),
     closing=Closing(
         model="the mass times a constant",
-        planner="plans with the mass that is there",
+        planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "
+        "vehicle",
         law="the commanded thrust is multiplied by the factor",
     ),
     mass_factor=_factor,

@@ -33,7 +33,7 @@ EFFECT = Effect(
     aliases=("motor-lag", "actuation-delay", "linear-drag"),
     closing=Closing(
         model="the pose the estimator corrects with, and the logged pose, are delayed",
-        planner="nothing to plan: the error grows with speed",
+        planner="nothing: only a slower plan would lessen the error",
         law="the estimate is predicted forward by the latency",
     ),
     mocap_latency_s=_latency,

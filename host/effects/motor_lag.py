@@ -29,7 +29,7 @@ EFFECT = Effect(
     aliases=("mocap-latency", "actuation-delay"),
     closing=Closing(
         model="rotor thrust with the longer time constant",
-        planner="plans that stay away from fast changes of thrust difference",
+        planner="nothing: the rotor thrusts of a plan have no lag",
         law=None,
     ),
     motor_lag_s=_lag,

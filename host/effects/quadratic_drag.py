@@ -39,7 +39,7 @@ EFFECT = Effect(
     aliases=("linear-drag", "wind"),
     closing=Closing(
         model="a drag force quadratic in the air speed",
-        planner="plans with lower peak speed",
+        planner="plans a path of less drag: slower where it is fastest",
         law="the predicted drag along the reference is fed forward",
     ),
     specific_force_frd=_force,

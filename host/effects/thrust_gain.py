@@ -33,7 +33,8 @@ EFFECT = Effect(
     aliases=("mass", "battery-sag"),
     closing=Closing(
         model="every rotor's thrust times a constant",
-        planner="plans with the thrust that is there",
+        planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "
+        "vehicle",
         law="the commanded thrust is divided by the gain",
     ),
     thrust_factor=_factor,

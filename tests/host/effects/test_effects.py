@@ -135,6 +135,14 @@ def test_compose_feedforward_gain_and_mass_multiply_and_drag_adds():
     assert block["prediction_time_s"] == 0.015
 
 
+def test_compose_feedforward_puts_the_sag_at_the_expected_voltage_into_the_gain():
+    parts = [(EFFECTS["thrust-gain"], (1.1,)), (EFFECTS["battery-sag"], (2.0,))]
+    assert compose_feedforward(parts, 0.9)["gain"] == pytest.approx(1.1 * 0.81)
+    assert compose_feedforward(parts)["gain"] == pytest.approx(1.1)
+    with pytest.raises(ValueError, match="voltage ratio must be positive"):
+        compose_feedforward(parts, 0.0)
+
+
 def test_compose_feedforward_nothing_is_the_neutral_block():
     assert compose_feedforward([]) == {
         "gain": 1.0,
