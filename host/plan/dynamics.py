@@ -38,9 +38,14 @@ distance from each keep-out shape in metres."""
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualModel:
-    """What is known beyond the nominal vehicle: effects with values, a network on top, where they hold."""
+    """What is known beyond the nominal vehicle: effects with values, a network on top, where they hold.
+
+    adjusted: those of the effects that only moved within their tolerance. They are part of every prediction,
+    but give no plan something to avoid.
+    """
 
     parts: tuple[Part, ...] = ()
+    adjusted: frozenset[str] = frozenset()
     network: Network | None = None
     region: Region | None = None
     id: str | None = None
@@ -48,12 +53,19 @@ class ResidualModel:
     @classmethod
     def of(cls, model: Model, effects: Mapping[str, Effect]) -> ResidualModel:
         """Effects and adjustments of a model file, and its network. Raises ValueError for unknown effects."""
-        return cls(parts=tuple(model.parts(effects)), network=model.network, region=model.region, id=model.id)
+        return cls(
+            parts=tuple(model.parts(effects)),
+            adjusted=frozenset(model.adjustments),
+            network=model.network,
+            region=model.region,
+            id=model.id,
+        )
 
     @property
     def has_residual(self) -> bool:
-        """Whether it predicts any residual acceleration at all."""
-        return self.network is not None or any(effect.specific_force_frd for effect, _ in self.parts)
+        """Whether it predicts a residual acceleration worth a plan: a network, or a drag beyond tolerance."""
+        forces = {effect.name for effect, _ in self.parts if effect.specific_force_frd}
+        return self.network is not None or bool(forces - self.adjusted)
 
 
 @dataclass(frozen=True, kw_only=True)

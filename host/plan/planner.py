@@ -96,7 +96,7 @@ def _residual_model(
             raise UsageError(f"{kind}{'*' if augmented else ''} needs a model, give --model")
         return ResidualModel()
     if kind == "min-residual" and not model.has_residual:
-        raise UsageError("the model has neither drag nor network: no residual acceleration to minimise")
+        raise UsageError("the model names no drag and has no network: no residual acceleration to minimise")
     return model
 
 

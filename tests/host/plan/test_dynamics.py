@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from host.effects import load_effects
-from host.models.model import Model
+from host.models.model import Model, Values
 from host.models.network import Layout, Network
 from host.plan.dynamics import Dynamics, ResidualModel, Weights
 from host.vehicle import load_vehicle
@@ -46,6 +46,28 @@ def test_hover_state_does_not_move(augmented: bool) -> None:
     assert rest[8] == 0.7
 
 
+@pytest.mark.parametrize("name", sorted(EFFECTS))
+def test_planner_sentence_of_an_effect_says_nothing_exactly_where_plans_do_not_change(name: str) -> None:
+    effect = EFFECTS[name]
+    theta = tuple(parameter.neutral + parameter.typical for parameter in effect.parameters)
+    drag = (EFFECTS["linear-drag"], (0.4, 0.3, 0.2))
+    beside = (drag,) if effect.requires_any else ()
+    x, u = ca.SX.sym("x", 16), ca.SX.sym("u", 4)
+    rng = np.random.default_rng(2)
+    at = (x, np.concatenate([0.3 * rng.standard_normal(12), rng.uniform(0.5, 1.5, 4)])), (u, np.ones(4))
+
+    def changes(augmented: bool) -> bool:
+        seen = []
+        for parts in (beside, (*beside, (effect, theta))):
+            dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts), augmented=augmented)
+            seen.append(_evaluate(ca.vertcat(dynamics.derivative(x, u), dynamics.residual(x)), *at))
+        return bool(np.abs(seen[1] - seen[0]).max() > 1e-9)
+
+    said = effect.closing.planner
+    assert said.startswith("nothing") == (not changes(augmented=False))
+    assert said.startswith("nothing:") == (not changes(augmented=True))
+
+
 def test_hover_with_a_model_that_cannot_rest_raises() -> None:
     parts = ((EFFECTS["linear-drag"], (3.0, 3.0, 3.0)), (EFFECTS["wind"], (1e3, 1e3)))
     dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts), augmented=True)
@@ -71,6 +93,19 @@ def test_jerk_equals_the_acceleration_s_finite_difference() -> None:
 def test_residual_of_a_model_without_a_force_is_nothing_to_minimise() -> None:
     assert not ResidualModel(parts=((EFFECTS["motor-lag"], (0.01,)),)).has_residual
     assert ResidualModel(parts=((EFFECTS["quadratic-drag"], (0.02,)),)).has_residual
+
+
+def test_residual_of_a_drag_that_only_moved_within_tolerance_is_nothing_to_minimise() -> None:
+    drag = {"linear-drag": {"dx": 0.012, "dy": -0.004, "dz": 0.0}, "quadratic-drag": {"c": 0.001}}
+
+    def has_residual(effects: Values, adjustments: Values) -> bool:
+        model = Model(
+            vehicle_id=VEHICLE.id, vehicle_name=VEHICLE.name, effects=effects, adjustments=adjustments
+        )
+        return ResidualModel.of(model, EFFECTS).has_residual
+
+    assert not has_residual({"thrust-gain": {"gain": 0.9}}, drag)
+    assert has_residual(drag, {})
 
 
 def test_residual_model_of_a_file_holds_effects_and_adjustments() -> None:

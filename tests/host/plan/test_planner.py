@@ -240,7 +240,7 @@ def test_min_residual_goes_round_a_keep_out_shape_that_min_snap_hits() -> None:
         ({"kind": "min-snap*"}, "no such kind"),
         ({"kind": "min-residual"}, "needs a model"),
         ({"kind": "min-control*"}, "needs a model"),
-        ({"kind": "min-residual", "model": ResidualModel()}, "neither drag nor network"),
+        ({"kind": "min-residual", "model": ResidualModel()}, "no drag and has no network"),
         ({"kind": "min-control", "nodes": 5}, "--nodes 5: give"),
         ({"total_time_s": -1.0}, "--time-s -1: give a time above 0"),
         ({"total_time_s": float("nan")}, "--time-s nan: give"),
