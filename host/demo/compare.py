@@ -64,20 +64,30 @@ class Tracked:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """The first flights of a route, the new plan flown by the same law, and with the effects applied too.
+    """The first flights of a route, a new plan flown by the same law, and a flight with the effects applied.
 
-    The last two are None where there was nothing to plan again with.
+    The last flies the new plan, or the first one where there is no new. `no_new_plan` and `no_applied` say
+    why one of them is missing. voltage_ratio: of the battery's full voltage, what the effects were applied
+    for; None where it makes no difference.
     """
 
     first: tuple[Tracked, ...]
-    new_plan: Tracked | None
-    applied: Tracked | None
     latency_s: float
+    new_plan: Tracked | None = None
+    applied: Tracked | None = None
+    no_new_plan: str | None = None
+    no_applied: str | None = None
+    voltage_ratio: float | None = None
+
+    def __post_init__(self) -> None:
+        for flown, reason in ((self.new_plan, self.no_new_plan), (self.applied, self.no_applied)):
+            if (flown is None) != (reason is not None):
+                raise ValueError(f"a flight or the reason why there is none, not {flown!r} and {reason!r}")
 
     @property
     def first_rmse_m(self) -> float:
         """Of the first flights together."""
-        return sqrt(sum(flight.rmse_m**2 for flight in self.first) / len(self.first))
+        return pooled_rmse_m(self.first)
 
     @property
     def spread_m(self) -> float:
@@ -99,13 +109,16 @@ class Comparison:
             "comparison": {
                 "route": self.first[0].planned.route.name,
                 "poses_taken_earlier_s": self.latency_s,
+                "no_new_plan": self.no_new_plan,
+                "no_applied": self.no_applied,
+                "applied_at_voltage_ratio": self.voltage_ratio,
                 "flights": [
                     {
                         "what": flight.label,
                         "log": flight.log,
                         "tracking_rmse_m": flight.rmse_m,
                         "tracking_max_m": flight.max_m,
-                        "predicted_rmse_m": flight.predicted_rmse_m,
+                        "predicted_rmse_m": _finite(flight.predicted_rmse_m),
                         "tracking_rmse_as_stamped_m": flight.stamped_rmse_m,
                         "clipped_share": flight.clipped_share,
                         "battery_v": flight.battery_v,
@@ -116,6 +129,11 @@ class Comparison:
                 ],
             },
         }
+
+
+def pooled_rmse_m(flights: Sequence[Tracked]) -> float:
+    """Root mean square of the flights' errors."""
+    return sqrt(sum(flight.rmse_m**2 for flight in flights) / len(flights))
 
 
 def tracked(
@@ -152,6 +170,11 @@ def _errors(flight: Flight, t_us: Array, p_ned: Array) -> tuple[Array, Array]:
     start_us, end_us = flight.tracking
     inside = (t_us >= start_us) & (t_us <= end_us)
     return p_ned[inside] - reference_at(flight.reference, t_us[inside] - start_us)[:, :3], inside
+
+
+def _finite(value: float | None) -> float | None:
+    """The value; None for one that JSON does not know."""
+    return value if value is not None and np.isfinite(value) else None
 
 
 def latency_of(result: Trace) -> float:

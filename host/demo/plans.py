@@ -1,8 +1,8 @@
 """The demo's plans: first with the nominal model, then one of the routes again with the traced one.
 
-Both kinds keep the same limits, and the second plan the first one's waypoints, headings and total time: they
-differ in the model alone. The second plan has nominal dynamics and the model in its cost, as the paper plans
-for a flatness-based law (section IV-C.4).
+The second plan keeps the first one's limits, waypoints, headings and total time. It has nominal dynamics too,
+but another cost, as the paper plans for a flatness-based law (section IV-C.4): the first plan's is effort,
+the second's the residual that the traced model predicts, and some effort.
 
 How much effort a smaller residual is worth depends on the vehicle: with slow motors a wild path of little
 drag is followed worse than a calm one of more. The traced model of the closed loop tells before any flight.

@@ -26,7 +26,7 @@ def predicted_rmse_m(
 ) -> float:
     """Tracking error RMSE with the model, for a flight like this one: its start, its link and its battery.
 
-    `reference` starts where the flight's own did and lasts as long.
+    `reference` starts where the flight's own did and lasts as long. Infinite where the roll-out diverges.
     """
     (found,) = predict_flights(
         [replace(flight, reference=reference, feedforward=feedforward)], model, effects
@@ -35,4 +35,5 @@ def predicted_rmse_m(
     latency_s = float(mocap_latency_s(NUMPY, model.parts(effects)))
     t_us = np.rint(1e6 * (found.t_s - latency_s)).astype(np.int64)
     error = found.predicted - reference_at(reference, t_us)[:, :3]
-    return float(np.sqrt((error**2).sum(axis=1).mean()))
+    rmse_m = float(np.sqrt((error**2).sum(axis=1).mean()))
+    return rmse_m if np.isfinite(rmse_m) else np.inf

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -39,20 +38,35 @@ def _text(comparison: Comparison) -> list[str]:
         f"The fastest of the first routes, flown {count} times with the nominal plan; these flights differ "
         f"by {1e3 * comparison.spread_m:.1f} mm RMSE, and any smaller difference means nothing. "
     )
-    if comparison.new_plan is None:
-        return [how + "Nothing was traced that a new plan could use, so there was no second plan to fly."]
-    lines = [
-        how + "Then the same law with the same constants flew a new plan, made with the traced model for the "
-        "same waypoints, headings, total time, limits and headroom (of several such plans the one that the "
-        "model predicts to be followed best); and once more with the traced effects applied where the law "
-        "can."
-    ]
+    if comparison.new_plan is not None:
+        again = (
+            "Then the same law with the same constants flew a new plan for the same waypoints, headings, "
+            "total time, limits and headroom. The first plan minimises effort alone, the new one the "
+            "residual that the traced model predicts and some effort; of several such plans, with more or "
+            "less weight on effort, it is the one that the model predicts to be followed best. "
+        )
+    else:
+        again = f"No new plan was flown: {_sentence(comparison.no_new_plan)} "
+    if comparison.applied is not None:
+        applied = (
+            f"The last flight ({comparison.applied.label}) has the traced effects applied where the law can, "
+            f"for a battery at {100 * (comparison.voltage_ratio or 1.0):.1f} % of its full voltage, the mean "
+            "of the flights learned from."
+        )
+    else:
+        applied = f"The effects were not flown applied: {_sentence(comparison.no_applied)}"
+    lines = [how + again + applied]
     if comparison.latency_s:
         lines.append(
             f"Poses were found to be {1e3 * comparison.latency_s:.1f} ms older than stamped. All flights are "
             "measured with that correction; the last row of the table is without it."
         )
     return lines
+
+
+def _sentence(reason: str | None) -> str:
+    """A reason with a full stop."""
+    return f"{(reason or '').rstrip('.')}."
 
 
 def _rows(flown: tuple[Tracked, ...], vehicle: Vehicle, latency_s: float) -> list[list[str]]:
@@ -104,18 +118,18 @@ def _volts(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.2f}"
 
 
-def ratio(after: float | None, before: float) -> float | None:
-    """After over before, None where there is none."""
-    return None if after is None or not math.isfinite(after) or before <= 0.0 else after / before
-
-
 def summary(answer: Mapping[str, Any]) -> list[str]:
     """The flown comparison for people, from the demo's JSON."""
-    first, again = answer["tracking_rmse_first_m"], answer["tracking_rmse_new_plan_m"]
-    applied = answer["tracking_rmse_applied_m"]
-    lines = [f"tracking error on route {answer['comparison']['route']}: {1e3 * first:.1f} mm as first flown"]
-    for what, value in (("new plan, same law", again), ("new plan, effects applied", applied)):
-        share = ratio(value, first)
-        if share is not None:
-            lines.append(f"  {what}: {1e3 * value:.1f} mm ({share:.2f} of it)")
+    first, comparison = answer["tracking_rmse_first_m"], answer["comparison"]
+    lines = [f"tracking error on route {comparison['route']}: {1e3 * first:.1f} mm as first flown"]
+    again, applied = answer["tracking_rmse_new_plan_m"], answer["tracking_rmse_applied_m"]
+    if again is None:
+        lines.append(f"  no new plan: {comparison['no_new_plan']}")
+    else:
+        lines.append(f"  new plan, same law: {1e3 * again:.1f} mm ({again / first:.2f} of it)")
+    if applied is None:
+        lines.append(f"  effects not applied: {comparison['no_applied']}")
+    else:
+        what = comparison["flights"][-1]["what"]
+        lines.append(f"  {what}: {1e3 * applied:.1f} mm ({applied / first:.2f} of it)")
     return lines

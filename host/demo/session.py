@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,24 +14,27 @@ import numpy as np
 
 from host import artefacts
 from host.demo import report
-from host.demo.compare import Comparison, latency_of, tracked
+from host.demo.applied import feedforward_of, voltage_ratio, why_not
+from host.demo.compare import Comparison, Tracked, latency_of, pooled_rmse_m, tracked
 from host.demo.flights import Airfield, upload_through_pty
 from host.demo.plans import Planned, fastest, plan_again, plan_first
 from host.demo.predict import predicted_rmse_m
 from host.demo.routes import DemoRoutes, draw_routes
 from host.demo.seeds import host_seed, world_seed
-from host.effects import Effect, compose_feedforward
+from host.effects import Effect
+from host.errors import FlightFailed, Refused, SolverError, TrimtabError
 from host.log import Flight, read_flight
 from host.models.file import write_model
 from host.models.model import Model
 from host.output import json_text
 from host.plan import Plan, write_plan
+from host.plan.dynamics import ResidualModel
 from host.progress import Progress
 from host.report.trace import page
 from host.trace.result import Trace
 from host.trace.run import Manoeuvres, run
 from host.vehicle import Vehicle
-from protocol.blobs import BLOCK_FIELDS, FeedForward
+from protocol.blobs import FeedForward
 
 WORLD = "drawn-several"
 TWINS = 2
@@ -42,6 +46,8 @@ MODEL_NAME, REPORT_NAME, JSON_NAME, FEEDFORWARD_NAME = (
 )
 
 Say = Callable[[str], None]
+FAILURES = (Refused, SolverError, FlightFailed)
+"""What may come of a second plan or flight without an end to the demo."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,12 +69,16 @@ class DemoOrder:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What the demo found: the trace, the flown comparison, and the JSON object without wall time."""
+    """What the demo found: the trace, the flown comparison, and the JSON object without wall time.
+
+    failure: the first of what came of a second plan or flight instead; report and answer are whole then too.
+    """
 
     result: Trace
     comparison: Comparison
     answer: Mapping[str, Any]
     steps: tuple[tuple[str, float], ...]
+    failure: TrimtabError | None
 
 
 def run_demo(
@@ -80,8 +90,8 @@ def run_demo(
 ) -> Outcome:
     """The outcome of a demo; files are in the folder.
 
-    Raises ConfigurationError (no such world), Refused or PlanUnsolved (a plan), FlightFailed (a failsafe), or
-    what tracing raises; flights finished by then have left readable logs.
+    Raises ConfigurationError (no such world), Refused or PlanUnsolved (a first plan), FlightFailed (a
+    failsafe before the trace), or what tracing raises; flights finished by then have left readable logs.
     """
     return _Demo(order, effects, say, manoeuvres).run()
 
@@ -104,6 +114,7 @@ class _Demo:
         )
         self._flights = 0
         self._steps: list[tuple[str, float]] = []
+        self._failures: list[TrimtabError] = []
 
     def run(self) -> Outcome:
         self._field.check()
@@ -115,7 +126,13 @@ class _Demo:
         write_model(result.model, model_path, force=self._order.force)
         comparison = self._again(learning, used, result)
         answer = self._report(result, comparison, used, unseen)
-        return Outcome(result=result, comparison=comparison, answer=answer, steps=tuple(self._steps))
+        return Outcome(
+            result=result,
+            comparison=comparison,
+            answer=answer,
+            steps=tuple(self._steps),
+            failure=self._failures[0] if self._failures else None,
+        )
 
     # The steps.
 
@@ -193,24 +210,71 @@ class _Demo:
     def _again(
         self, learning: list[Planned], used: list[tuple[Planned, Flight]], result: Trace
     ) -> Comparison:
-        """The fastest route again, with the traced model, where there is one."""
+        """The fastest route again: by a new plan, then with the effects applied, as far as there is one."""
         route = fastest(learning)
         latency_s = latency_of(result)
+        mine = [flight for planned, flight in used if planned is route]
         first = tuple(
-            tracked(f"first flight {i}", flight, planned, latency_s=latency_s)
-            for i, (planned, flight) in enumerate((pair for pair in used if pair[0] is route), start=1)
+            tracked(f"first flight {i}", flight, route, latency_s=latency_s)
+            for i, flight in enumerate(mine, start=1)
         )
-        comparison = Comparison(first=first, new_plan=None, applied=None, latency_s=latency_s)
         if not result.effects:
-            return comparison
+            why = "nothing was traced"
+            return Comparison(first=first, latency_s=latency_s, no_new_plan=why, no_applied=why)
         model = result.model
-        like = next(flight for planned, flight in used if planned is route)
 
         def predict(plan: Plan, feedforward: FeedForward | None = None) -> float:
-            return predicted_rmse_m(like, plan.reference, model, self._effects, feedforward)
+            return predicted_rmse_m(mine[0], plan.reference, model, self._effects, feedforward)
 
+        def fly(label: str, planned: Planned, feedforward: FeedForward | None) -> tuple[Tracked | None, str]:
+            """The flight and nothing, or None and what came of it."""
+            with self._step("fly again") as (_, done):
+                predicted_m = predict(planned.plan, feedforward)
+                try:
+                    flight = self._flight(planned, feedforward, model.id)
+                except FAILURES as error:
+                    why = self._failed(error)
+                    done(f"{label}: {why}")
+                    return None, why
+                found = tracked(label, flight, planned, latency_s=latency_s, predicted_rmse_m=predicted_m)
+                before_mm, after_mm = 1e3 * pooled_rmse_m(first), 1e3 * found.rmse_m
+                done(f"{label}: tracking error {before_mm:.1f} to {after_mm:.1f} mm RMSE")
+            return found, ""
+
+        new_plan, applied = None, None
+        again, no_new_plan = self._plan_again(route, model, predict)
+        if again is not None:
+            new_plan, no_new_plan = fly("new plan", again, None)
+        flown, label = (route, "first plan") if again is None else (again, "new plan")
+        ratio = voltage_ratio([flight for _, flight in used])
+        feedforward, no_applied = self._apply(flown.plan, model, ratio, predict)
+        if feedforward is not None:
+            applied, no_applied = fly(f"{label}, effects applied", flown, feedforward)
+        return Comparison(
+            first=first,
+            latency_s=latency_s,
+            new_plan=new_plan,
+            applied=applied,
+            no_new_plan=no_new_plan or None,
+            no_applied=no_applied or None,
+            voltage_ratio=None if applied is None else ratio,
+        )
+
+    def _plan_again(
+        self, route: Planned, model: Model, predict: Callable[[Plan], float]
+    ) -> tuple[Planned | None, str]:
+        """The route's second plan and nothing, or None and the reason why."""
         with self._step("plan again") as (_, done):
-            choice = plan_again(route, self._order.vehicle, model, self._effects, predict)
+            if not ResidualModel.of(model, self._effects).has_residual:
+                why = f"{', '.join(model.effects)}: not a drag that another path could avoid"
+                done(f"no new plan: {why}")
+                return None, why
+            try:
+                choice = plan_again(route, self._order.vehicle, model, self._effects, predict)
+            except FAILURES as error:
+                why = self._failed(error)
+                done(f"no new plan: {why}")
+                return None, why
             planned = choice.planned
             self._write_plan(planned, model)
             before_mm, after_mm = 1e3 * predict(route.plan), 1e3 * choice.predicted_rmse_m
@@ -219,20 +283,20 @@ class _Demo:
                 f"{planned.plan.duration_s:.1f} s; predicted tracking error {before_mm:.1f} to "
                 f"{after_mm:.1f} mm RMSE"
             )
-        feedforward = feedforward_of(model, self._order.vehicle, self._effects)
-        artefacts.write_atomic(
-            self._order.folder / FEEDFORWARD_NAME, feedforward.to_bytes(), self._order.force
-        )
-        flown = []
-        for label, addition in (("new plan", None), ("new plan, effects applied", feedforward)):
-            with self._step("fly again") as (_, done):
-                predicted_m = predict(planned.plan, addition)
-                flight = self._flight(planned, addition, model.id)
-                found = tracked(label, flight, planned, latency_s=latency_s, predicted_rmse_m=predicted_m)
-                flown.append(found)
-                before_mm, after_mm = 1e3 * comparison.first_rmse_m, 1e3 * found.rmse_m
-                done(f"{label}: tracking error {before_mm:.1f} to {after_mm:.1f} mm RMSE")
-        return replace(comparison, new_plan=flown[0], applied=flown[1])
+        return planned, ""
+
+    def _apply(
+        self, plan: Plan, model: Model, ratio: float, predict: Callable[..., float]
+    ) -> tuple[FeedForward | None, str]:
+        """What to fly the plan with, written to its file, and nothing; or None and the reason why."""
+        feedforward = feedforward_of(model, self._order.vehicle, self._effects, ratio)
+        if feedforward is None:
+            return None, f"{', '.join(model.effects)}: nothing that the law on board can make up for"
+        if (why := why_not(predict(plan), predict(plan, feedforward))) is not None:
+            return None, why
+        path = self._order.folder / FEEDFORWARD_NAME
+        artefacts.write_atomic(path, feedforward.to_bytes(), self._order.force)
+        return feedforward, ""
 
     def _report(
         self,
@@ -293,6 +357,11 @@ class _Demo:
             force=self._order.force,
         )
 
+    def _failed(self, error: TrimtabError) -> str:
+        """What the error says, files by name alone; the demo's exit code will be its."""
+        self._failures.append(error)
+        return str(error).replace(f"{self._order.folder}{os.sep}", "")
+
     def _argv(self) -> list[str]:
         """The command without world, seed and folder, which artefacts do not tell."""
         return ["demo", "--vehicle", self._order.vehicle.name]
@@ -316,12 +385,3 @@ class _Demo:
         seconds = time.perf_counter() - begin_s
         self._steps.append((title, seconds))
         self._say(f"{len(self._steps)}. {title} ({seconds:.1f} s): {figures[0]}")
-
-
-def feedforward_of(model: Model, vehicle: Vehicle, effects: Mapping[str, Effect]) -> FeedForward:
-    """The model's named effects as far as the law can apply them."""
-    numbers = compose_feedforward(model.parts(effects, use="effects"))
-    block: list[float] = []
-    for name, size in BLOCK_FIELDS:
-        block += [numbers[name]] if size == 1 else list(numbers[name])
-    return FeedForward(vehicle_id=vehicle.id, model_id=model.id, block=tuple(block))

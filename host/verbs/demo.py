@@ -68,6 +68,8 @@ def command(
         },
         json,
     )
+    if outcome.failure is not None:
+        raise outcome.failure
 
 
 def _folder(root: Path, output: Path | None, force: bool) -> Path:

@@ -19,6 +19,7 @@ from host.route import Route
 from host.vehicle import Vehicle
 
 LATENCY_S = 0.05
+NOTHING: Any = {"no_new_plan": "nothing was traced", "no_applied": "nothing was traced"}
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +95,7 @@ def test_latency_of_a_trace_is_that_of_the_effect_it_names() -> None:
 
 def test_comparison_pools_the_first_flights_and_tells_their_spread(planned: Planned) -> None:
     first = (made(planned, "a", 0.03), made(planned, "b", 0.04))
-    comparison = Comparison(first=first, new_plan=None, applied=None, latency_s=0.0)
+    comparison = Comparison(first=first, latency_s=0.0, **NOTHING)
     assert comparison.first_rmse_m == pytest.approx(np.sqrt(3.0 * (0.03**2 + 0.04**2) / 2.0))
     assert comparison.spread_m == pytest.approx(np.sqrt(3.0) * 0.01)
     answer = comparison.to_json()
@@ -121,18 +122,52 @@ def test_what_got_worse_tells_predictions_by_flight_and_axis(planned: Planned) -
         before=[SimpleNamespace(position=before, flight="aa")],
         after=[SimpleNamespace(position=after, flight="aa")],
     )
-    comparison = Comparison(first=(made(planned, "first", 0.05),), new_plan=None, applied=None, latency_s=0.0)
+    comparison = Comparison(first=(made(planned, "first", 0.05),), latency_s=0.0, **NOTHING)
     assert what_got_worse(comparison, trace) == [
         "Prediction of held-out flight 1 (aa): down 20.0 to 30.0 mm."
     ]
 
 
 def test_report_of_a_demo_without_a_second_plan_says_why(planned: Planned, vehicle: Vehicle) -> None:
-    comparison = Comparison(
-        first=(made(planned, "first flight 1", 0.03),), new_plan=None, applied=None, latency_s=0.0
-    )
+    comparison = Comparison(first=(made(planned, "first flight 1", 0.03),), latency_s=0.0, **NOTHING)
     flown, worse = report.sections(comparison, no_prediction(), vehicle)["sections"]
-    assert "no second plan" in flown["text"][0]
+    assert "No new plan was flown: nothing was traced." in flown["text"][0]
     assert len(flown["table"][0]) == 2
     assert "Nothing of what was measured got worse" in worse["text"][0]
-    assert report.summary(comparison.to_json()) == ["tracking error on route hop: 52.0 mm as first flown"]
+    assert report.summary(comparison.to_json()) == [
+        "tracking error on route hop: 52.0 mm as first flown",
+        "  no new plan: nothing was traced",
+        "  effects not applied: nothing was traced",
+    ]
+
+
+def test_report_of_a_demo_without_a_new_plan_says_what_flew_with_the_effects(
+    planned: Planned, vehicle: Vehicle
+) -> None:
+    comparison = Comparison(
+        first=(made(planned, "first flight 1", 0.04),),
+        latency_s=0.0,
+        applied=made(planned, "first plan, effects applied", 0.01),
+        no_new_plan="thrust-gain: not a drag",
+        voltage_ratio=0.92,
+    )
+    flown, _ = report.sections(comparison, no_prediction(), vehicle)["sections"]
+    for text in ("not a drag.", "(first plan, effects applied)", "a battery at 92.0 % of its full voltage"):
+        assert text in flown["text"][0]
+    assert report.summary(comparison.to_json())[1:] == [
+        "  no new plan: thrust-gain: not a drag",
+        "  first plan, effects applied: 17.3 mm (0.25 of it)",
+    ]
+
+
+def test_comparison_with_neither_a_flight_nor_a_reason_is_refused(planned: Planned) -> None:
+    with pytest.raises(ValueError, match="or the reason why"):
+        Comparison(first=(made(planned, "a", 0.03),), latency_s=0.0, no_new_plan="x")
+
+
+def test_comparison_with_a_prediction_that_diverged_has_null_in_json(planned: Planned) -> None:
+    lost = dataclasses.replace(made(planned, "new plan", 0.05), predicted_rmse_m=np.inf)
+    answer = Comparison(
+        first=(made(planned, "a", 0.03),), latency_s=0.0, new_plan=lost, no_applied="x"
+    ).to_json()
+    assert answer["comparison"]["flights"][1]["predicted_rmse_m"] is None

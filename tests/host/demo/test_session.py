@@ -116,7 +116,7 @@ def test_demo_predicts_its_own_second_flights_before_it_flies_them(demo: Demo) -
         assert flight["tracking_rmse_m"] == pytest.approx(flight["predicted_rmse_m"], rel=0.3, abs=0.003)
 
 
-def test_demo_compares_plans_that_differ_in_the_model_alone(demo: Demo) -> None:
+def test_demo_compares_plans_of_one_route_time_and_limits_that_differ_in_cost(demo: Demo) -> None:
     folder, outcome, _ = demo
     comparison = outcome.comparison
     assert comparison.first[0].planned.name == "fast"  # the fastest of the first routes, whatever came of it

@@ -1,0 +1,53 @@
+"""The traced effects as the law on board can apply them: a feed-forward block."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from firmware_model.law.feedforward import NEUTRAL
+from host.effects import Effect, compose_feedforward
+from host.log import Flight
+from host.models.model import Model
+from host.vehicle import Vehicle
+from protocol.blobs import BLOCK_FIELDS, FeedForward
+
+
+def feedforward_of(
+    model: Model, vehicle: Vehicle, effects: Mapping[str, Effect], voltage_ratio: float
+) -> FeedForward | None:
+    """The model's named effects at this battery voltage over full; None where the law applies none."""
+    numbers = compose_feedforward(model.parts(effects, use="effects"), voltage_ratio)
+    block: list[float] = []
+    for name, size in BLOCK_FIELDS:
+        block += [numbers[name]] if size == 1 else list(numbers[name])
+    if tuple(block) == NEUTRAL:
+        return None
+    return FeedForward(vehicle_id=vehicle.id, model_id=model.id, block=tuple(block))
+
+
+def why_not(without_m: float, applied_m: float) -> str | None:
+    """Why effects are better not applied, by the predicted tracking errors; None where they are."""
+    if applied_m < without_m:
+        return None
+    return (
+        f"the traced model predicts {1e3 * applied_m:.1f} mm RMSE with the effects applied and "
+        f"{1e3 * without_m:.1f} mm without"
+    )
+
+
+def voltage_ratio(flights: Sequence[Flight]) -> float:
+    """Mean battery voltage over full voltage of flights while they track: what the next is expected to have.
+
+    1 where none of them logged it.
+    """
+    means = []
+    for flight in flights:
+        if flight.battery is not None and flight.tracking is not None:
+            start_us, end_us = flight.tracking
+            during = (flight.battery.t_us >= start_us) & (flight.battery.t_us <= end_us)
+            if during.any():
+                volts = flight.battery.battery_v[during].mean()
+                means.append(volts / flight.vehicle.battery.full_v)
+    return float(np.mean(means)) if means else 1.0
