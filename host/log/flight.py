@@ -16,8 +16,7 @@ from google.protobuf.message import DecodeError
 
 from host.log import topics
 from host.log.errors import LogError
-from host.log.recover import find_damaged
-from host.log.scan import Entry, Scan, scan
+from host.log.scan import Entry, Scan, find_damaged, scan
 from host.log.tracks import (
     Battery,
     Control,

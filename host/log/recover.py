@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from host.log.errors import LogError
+from host.log.flight import to_flight
 from host.log.mcap_file import McapFile
-from host.log.scan import scan
-from host.log.writer import PROVENANCE, partial_path
+from host.log.scan import find_damaged, scan
+from host.log.writer import PROVENANCE
 
 SUFFIX = ".recovered.mcap"
 
@@ -37,12 +39,6 @@ class Recovery:
         }
 
 
-def find_damaged(path: Path) -> Path:
-    """`path`, or the unfinished file beside it where a killed writer left only that."""
-    partial = partial_path(path)
-    return partial if not path.exists() and partial.exists() else path
-
-
 def default_output(path: Path) -> Path:
     """Where the recovered log goes unless told otherwise: FLIGHT.recovered.mcap beside it."""
     name = path.name.removesuffix(".part").removesuffix(".mcap")
@@ -52,7 +48,9 @@ def default_output(path: Path) -> Path:
 def recover(path: Path, output: Path | None = None) -> Recovery:
     """Every whole chunk of the file at `path`, written anew with its provenance to `output`.
 
-    Raises LogError where the file holds no whole chunk, or not even its provenance.
+    The file at `path` stays as it is, and `output` appears whole or not at all.
+
+    Raises LogError where the file holds no whole chunk, or what there is makes no flight.
     """
     source = find_damaged(path)
     found = scan(source)
@@ -69,8 +67,9 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
         )
     if not times or PROVENANCE not in found.metadata:
         raise LogError(f"{source}: cut before its first whole chunk, nothing is left to recover; fly again")
+    to_flight(found)
     target = output or default_output(source)
-    growing = partial_path(target)
+    growing = target.with_name(target.name + ".recovering")
     try:
         with growing.open("wb") as stream:
             writer = McapFile(stream)
@@ -104,6 +103,9 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
         growing.replace(target)
     except OSError as error:
         raise LogError(f"{target}: cannot be written ({error.strerror}), give another -o") from error
+    finally:
+        with contextlib.suppress(OSError):
+            growing.unlink()
     return Recovery(
         source=source,
         output=target,

@@ -22,8 +22,9 @@ from mcap.records import Attachment, Channel, Chunk, Footer, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from host.log.errors import LogError
+from host.log.mcap_file import MAGIC
+from host.log.writer import partial_path
 
-MAGIC = b"\x89MCAP0\r\n"
 CHUNK_LIMIT_BYTES = 64 * 2**20
 """No chunk of ours comes near this; a length beyond it is damage, not data."""
 
@@ -53,7 +54,8 @@ class Entry(NamedTuple):
 class Scan:
     """Everything whole in a file: schemas and channels by number, messages in file order, provenance.
 
-    `whole` says that the file was closed by its writer; otherwise `damage` says what ended the reading.
+    `whole` says that the file was closed by its writer and nothing in it is damaged; otherwise `damage` says
+    what is wrong first. `chunks` counts those that are whole; a damaged one is left out.
     """
 
     path: Path
@@ -77,6 +79,12 @@ class Scan:
         return topics
 
 
+def find_damaged(path: Path) -> Path:
+    """`path`, or the unfinished file beside it where a killed writer left only that."""
+    partial = partial_path(path)
+    return partial if not path.exists() and partial.exists() else path
+
+
 def scan(path: Path) -> Scan:
     """All that is whole in the file at `path`, closed or cut.
 
@@ -93,10 +101,12 @@ def scan(path: Path) -> Scan:
     reader = StreamReader(
         BytesIO(content), emit_chunks=True, record_size_limit=min(len(content), CHUNK_LIMIT_BYTES)
     )
+    chunks: list[Chunk] = []
+    wrong: list[BaseException] = []
     try:
         for record in reader.records:
             if isinstance(record, Chunk):
-                _take_chunk(result, record)
+                chunks.append(record)  # taken apart last: the summary declares its channels too
             elif isinstance(record, Metadata):
                 result.metadata[record.name] = record.metadata
             elif isinstance(record, Attachment):
@@ -108,8 +118,18 @@ def scan(path: Path) -> Scan:
             elif isinstance(record, Footer):
                 result.whole = True
     except _DAMAGE as error:
+        wrong.append(error)
+    for chunk in chunks:
+        try:
+            _take_chunk(result, chunk)
+        except _DAMAGE as error:
+            wrong.append(error)
+    if wrong:
+        left_out = len(chunks) - result.chunks
         result.whole = False
-        result.damage = f"{type(error).__name__} after {result.chunks} whole chunks"
+        result.damage = f"{type(wrong[0]).__name__}, {result.chunks} whole chunks" + (
+            f", {left_out} damaged" if left_out else ""
+        )
     return result
 
 

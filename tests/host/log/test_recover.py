@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from host.log import LogError, partial_path, read_flight, recover
+from host.log import LogError, LogWriter, Provenance, partial_path, read_flight, recover
 
 KILLED_WRITER = """
 import os, signal, sys
@@ -116,6 +119,53 @@ def test_recover_into_a_folder_that_is_not_there_is_refused(tmp_path: Path, log_
     with pytest.raises(LogError, match="cannot be written"):
         recover(cut, tmp_path / "no" / "x.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["cut.mcap"]
+
+
+def test_recover_onto_the_name_of_the_log_keeps_what_it_reads(tmp_path: Path, log_bytes: bytes) -> None:
+    path = tmp_path / "cut.mcap"
+    cut = log_bytes[: len(log_bytes) * 3 // 4]
+    partial_path(path).write_bytes(cut)
+    found = recover(path, path)
+    assert found.output == path
+    assert read_flight(path).mocap is not None
+    assert partial_path(path).read_bytes() == cut
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["cut.mcap", "cut.mcap.part"]
+
+
+def test_recover_that_cannot_write_leaves_nothing(
+    tmp_path: Path, log_bytes: bytes, full_disk: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log_bytes[:-40])
+    with full_disk(1000), pytest.raises(LogError, match="cannot be written"):
+        recover(cut)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["cut.mcap"]
+
+
+@pytest.mark.parametrize("damaged", [0, 1])
+def test_recover_leaves_out_a_damaged_chunk_and_keeps_the_others(
+    tmp_path: Path, provenance: Provenance, damaged: int
+) -> None:
+    path = tmp_path / "x.mcap"
+    with LogWriter(path, provenance) as log:
+        for k in range(4000):
+            noise = [((k * 7919 + i * 104729) % 1000003) / 7.0 for i in range(3)]
+            log.pose(1000 * k, 1000 * k, 1000 * k, 0, noise, (1.0, 0.0, 0.0, 0.0))
+    content = bytearray(path.read_bytes())
+    places = [place.start() for place in re.finditer(b"zstd", content)]
+    content[places[damaged] + 1000] ^= 0xFF
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=r"1 damaged.*trimtab log recover"):
+        read_flight(path)
+    found = recover(path)
+    assert found.output is not None
+    assert "1 damaged" in found.damage
+    mocap = read_flight(found.output).mocap
+    assert mocap is not None
+    gaps_us = np.diff(mocap.t_arrival_us, prepend=-1000)
+    lost = int(gaps_us.max()) // 1000 - 1
+    assert 100 < lost < 1000
+    assert len(mocap) == 4000 - lost
 
 
 @given(data=st.data())
