@@ -24,6 +24,8 @@ FORCE_COUNTS = 1024.0
 """Counts per m/s^2 and tick."""
 GAP_MAX_TICKS = 10_000
 """A longer interval is invalid."""
+OVERTAKEN_TICKS = 1_000
+"""A message whose tick is less than this behind the newest is late; further back, the vehicle rebooted."""
 QUATERNION_SCALE = 32767
 AGE_TICK_US = 100
 AGE_NONE = 0xFFFF
@@ -134,7 +136,8 @@ class IntervalDecoder:
 
     Attributes, counts since construction:
         invalid: messages that began anew: the tick ran back (a reboot) or more than 10 s were missing.
-        ignored: repeated messages, and late ones from within an interval that has already been given.
+        ignored: repeated messages, and late ones: overtaken by less than OVERTAKEN_TICKS, or from within the
+            last interval given.
     """
 
     def __init__(self) -> None:
@@ -150,7 +153,7 @@ class IntervalDecoder:
             self._begin(message)
             return None
         ticks = message.tick - last.tick
-        if ticks == 0 or (ticks < 0 and self._before < message.tick):
+        if -OVERTAKEN_TICKS < ticks <= 0 or self._before < message.tick < last.tick:
             self.ignored += 1
             return None
         if not 0 < ticks <= GAP_MAX_TICKS:

@@ -16,12 +16,11 @@ from protocol import messages as m
 from protocol.blobs import Reference
 from protocol.generated import flight_pb2
 from protocol.messages import Message, mavlink
-from protocol.telemetry import TICK_US, IntervalDecoder, decode_age, decode_quaternion
+from protocol.telemetry import OVERTAKEN_TICKS, TICK_US, IntervalDecoder, decode_age, decode_quaternion
 
 LINK_US = 100_000
 DISPLAY_EVERY = 5
 """Every so many poses and references one is written for display."""
-OVERTAKEN_TICKS = 1_000
 _AGE_UNKNOWN_US = 6_553_500
 _FLOWN = (mavlink.TRIMTAB_STATE_TRACKING, mavlink.TRIMTAB_STATE_HOLD)
 

@@ -121,6 +121,29 @@ def test_repeated_and_late_messages_are_ignored() -> None:
     assert (interval.start_tick, interval.end_tick) == (30, 40)
 
 
+def test_a_message_overtaken_by_several_is_late_and_no_reboot() -> None:
+    vehicle, decoder = Vehicle(7), IntervalDecoder()
+    messages = [vehicle.run(10) for _ in range(120)]
+    for message in (messages[0], *messages[3:100]):
+        decoder.push(message)
+    for late in (1, 2, 5, 50, 98):
+        assert decoder.push(messages[late]) is None
+    assert (decoder.ignored, decoder.invalid) == (5, 0)
+    interval = decoder.push(messages[100])
+    assert interval is not None
+    assert (interval.start_tick, interval.end_tick) == (1000, 1010)
+    check(vehicle, interval)
+
+
+def test_a_late_message_from_within_a_long_gap_is_ignored() -> None:
+    vehicle, decoder = Vehicle(8), IntervalDecoder()
+    first, late, last = vehicle.run(10), vehicle.run(10), vehicle.run(5_000)
+    decoder.push(first)
+    assert decoder.push(last) is not None
+    assert decoder.push(late) is None
+    assert (decoder.ignored, decoder.invalid) == (1, 0)
+
+
 @given(a=st.integers(0, 2**32 - 1), d=st.integers(-(2**31), 2**31 - 1))
 def test_difference_is_exact_below_half_the_modulus(a: int, d: int) -> None:
     assert telemetry.difference((a + d) % 2**32, a) == d
