@@ -112,6 +112,27 @@ def git_state() -> str | None:
     return answer.stdout.strip() or None
 
 
+def without_options(words: Sequence[str], with_value: Sequence[str], flags: Sequence[str] = ()) -> list[str]:
+    """`words` of a command line without these options and their values, in every spelling that is taken.
+
+    A long option may be spelt with underscores for hyphens, a short one may have its value glued to it.
+    """
+    kept = []
+    rest = iter(words)
+    for word in rest:
+        option, glued, _ = word.partition("=")
+        if option.startswith("--"):
+            option = option.replace("_", "-")
+        elif option.startswith("-"):
+            option, glued = option[:2], glued or option[2:]
+        if option in with_value:
+            if not glued:
+                next(rest, None)
+        elif option not in flags:
+            kept.append(word)
+    return kept
+
+
 def public_command(argv: Sequence[str] | None = None) -> str:
     """The command line without what the seal forbids and without absolute paths.
 
@@ -120,15 +141,8 @@ def public_command(argv: Sequence[str] | None = None) -> str:
     words = list(sys.argv[1:] if argv is None else argv)
     sealed = SEALED_OPTIONS + (("--seed",) if words[:1] == ["demo"] else ())
     kept = ["trimtab"]
-    skip_next = False
-    for word in words:
-        if skip_next:
-            skip_next = False
-            continue
+    for word in without_options(words, sealed):
         option, equals, value = word.partition("=")
-        if option in sealed:
-            skip_next = not equals
-            continue
         if equals and option.startswith("-"):
             kept.append(f"{option}={_without_folder(value)}")
         else:

@@ -184,17 +184,7 @@ def _provenance() -> dict[str, str]:
 
     from host import artefacts
 
-    words = iter(sys.argv[1:])
-    kept = []
-    for word in words:
-        option = word.partition("=")[0]
-        if option in _LEFT_OUT:
-            continue
-        if option in _LEFT_OUT_WITH_VALUE:
-            if option == word:
-                next(words, None)
-            continue
-        kept.append(word)
+    kept = artefacts.without_options(sys.argv[1:], _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
     told = {"version": artefacts.version(), "command": artefacts.public_command(kept)}
     git = artefacts.git_state()
     return told | {"git": git} if git is not None else told

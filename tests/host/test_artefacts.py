@@ -16,6 +16,7 @@ from host.artefacts import (
     open_atomic,
     provenance,
     public_command,
+    without_options,
     write_atomic,
 )
 from host.errors import UsageError
@@ -83,6 +84,8 @@ def test_content_id_is_the_hash_s_start() -> None:
     [
         ("fly /tmp/x/a.ref --world w --seed 3 --world-seed=9 -o /tmp/o.mcap", "fly a.ref --seed 3 -o o.mcap"),
         ("fly a.ref --plant=p.py:P --plant-options o.toml --flight 2", "fly a.ref --flight 2"),
+        ("fly a.ref --world_seed 9 --flight 2", "fly a.ref --flight 2"),
+        ("fly a.ref --world_seed=9 --plant_options o.toml --plant=p.py:P", "fly a.ref"),
         ("demo --seed 77 --world w", "demo"),
         ("plan pretzel --model=/home/me/m.toml", "plan pretzel --model=m.toml"),
         ("sitl --truth t.json --port pty", "sitl --port pty"),
@@ -90,6 +93,16 @@ def test_content_id_is_the_hash_s_start() -> None:
 )
 def test_public_command_leaves_out_world_and_folders(words: str, said: str) -> None:
     assert public_command(words.split()) == f"trimtab {said}"
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["-o x.mcap", "-ox.mcap", "-o=x.mcap", "--output x.mcap", "--output=x.mcap", "--json", "--as_flashed"],
+)
+def test_options_are_left_out_in_every_spelling(words: str) -> None:
+    given = ["fly", "a.ref", *words.split(), "--start", "-1"]
+    left = without_options(given, ("-o", "--output"), ("--json", "--as-flashed"))
+    assert left == ["fly", "a.ref", "--start", "-1"]
 
 
 def test_provenance_has_no_time_and_no_path(tmp_path: Path) -> None:

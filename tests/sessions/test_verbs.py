@@ -107,11 +107,12 @@ def test_fly_over_what_a_killed_flight_left_is_refused_unless_forced(
     assert not left.exists()
 
 
-def test_fly_log_tells_nothing_of_world_seed_or_drawn_values(trimtab: Any, ref: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("option", ["--world-seed", "--world_seed"])
+def test_fly_log_tells_nothing_of_world_seed_or_drawn_values(
+    trimtab: Any, ref: str, tmp_path: Path, option: str
+) -> None:
     seed = "918273645"
-    code, told, _ = trimtab(
-        "fly", ref, "--world", "drawn-several", "--world-seed", seed, "-o", "x.mcap", "--json"
-    )
+    code, told, _ = trimtab("fly", ref, "--world", "drawn-several", option, seed, "-o", "x.mcap", "--json")
     assert code == 0
     found = scan(tmp_path / "x.mcap")
     text = repr((found.metadata, found.attachments)).encode() + b"".join(e.data for e in found.messages)
