@@ -60,11 +60,6 @@ class RadioMcu:
         line_us, own_us = self.uart.due_us, self._own_due_us
         return line_us if line_us < own_us else own_us
 
-    @property
-    def pending(self) -> bool:
-        """Whether a slot would find something to send."""
-        return self.packer.waiting > 0
-
     def tick(self, now_us: int) -> bool:
         """Whether something waits for the air; moves what line and air have brought since the last tick."""
         if self._air:

@@ -80,14 +80,6 @@ class UartPort:
         self._plan_due()
         return data
 
-    def reset(self) -> None:
-        """Nothing comes back; both directions of this port are emptied, as by a power cycle."""
-        self._incoming.clear()
-        self._buffer = b""
-        self._taken = 0
-        self._busy_until = 0
-        self.due_us = NEVER_US
-
     def _carry(self, start: int, data: bytes) -> None:
         self._incoming.append((start, data))
         if len(self._incoming) > _SEGMENTS_MAX and self._peer is not None:

@@ -165,10 +165,6 @@ class FramePacker:
         self._queues: list[deque[bytes]] = [deque() for _ in Priority]
         self._bytes = [0 for _ in Priority]
 
-    def waiting_bytes(self, priority: Priority) -> int:
-        """Bytes that wait in this class, poses not counted."""
-        return self._bytes[priority]
-
     def offer(self, message: bytes) -> bool:
         """True where the whole message was queued, False where it was dropped and counted."""
         size = len(message)
@@ -199,11 +195,8 @@ class FramePacker:
         self.waiting += 1
         return True
 
-    def take(self, limit: int = FRAME_BYTES, *, lowest: Priority = Priority.UPLOAD) -> bytes | None:
-        """The next frame of at most `limit` bytes, None where nothing waits that fits.
-
-        `lowest` is the least urgent class that may go: a radio that rations uploads passes STATUS.
-        """
+    def take(self, limit: int = FRAME_BYTES) -> bytes | None:
+        """The next frame of at most `limit` bytes, None where nothing waits that fits."""
         if not self.waiting:
             return None
         parts: list[bytes] = []
@@ -214,8 +207,6 @@ class FramePacker:
             room -= len(message)
             parts.append(message)
         for priority, queue in enumerate(self._queues):
-            if priority > lowest:
-                break
             while queue and len(queue[0]) <= room:
                 message = queue.popleft()
                 size = len(message)

@@ -110,7 +110,6 @@ OUTPUTS: tuple[Block, ...] = (
     Block(name="saturated", size=1),
     Block(name="reference", size=14),
     Block(name="cos_tilt", size=1),
-    Block(name="position_error", size=1),
 )
 
 
@@ -243,7 +242,6 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
         *(s + GYRO_COUNTS * g for s, g in zip(memory[GYRO_SUM], gyro, strict=True)),
         *(s + FORCE_COUNTS * f for s, f in zip(memory[FORCE_SUM], force, strict=True)),
     ]
-    away = [r - e for r, e in zip(p_r, est.p, strict=True)]
     return {
         "memory": [*est.p, *est.v, *est.q, *est.bias, *filtered, *integral, *sums, *command],
         "motor_command": command,
@@ -253,5 +251,4 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
         "saturated": [saturated],
         "reference": [*p_r, *v_r, *a_r, *j_r, yaw, yaw_rate],
         "cos_tilt": [R[8]],
-        "position_error": [ops.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])],
     }

@@ -13,7 +13,6 @@ CHUNKS_MAX = 0xFFFF
 SIZE_MAX = CHUNK_BYTES * CHUNKS_MAX
 BITMAP_BYTES = 64
 MESSAGE_BYTES = 64
-DIGEST_BYTES = 32
 
 S = TypeVar("S", bound=Enum)
 E = TypeVar("E", bound=Enum)

@@ -88,14 +88,6 @@ def test_unread_line_stays_bounded_and_is_counted():
     assert b.overruns == 4_000 - 16
 
 
-def test_reset_empties_both_directions_of_the_port():
-    a, b = pair()
-    a.write(b"abc", 0)
-    b.reset()
-    assert b.read(1_000) == b""
-    assert b.due_us == NEVER_US
-
-
 def test_connect_twice_raises():
     a, _ = pair()
     with pytest.raises(ValueError, match="connected"):

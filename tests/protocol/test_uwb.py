@@ -169,21 +169,11 @@ def test_packer_with_a_full_queue_refuses_and_counts_but_keeps_the_newest_teleme
     results = [packer.offer(chunk(k)) for k in range(room + 3)]
     assert results == [True] * room + [False] * 3
     assert packer.refused == 3
-    assert packer.waiting_bytes(Priority.UPLOAD) == room * len(chunk())
     telemetry = [control(k) for k in range(10)]
     assert all(packer.offer(message) for message in telemetry)
     kept = CAPACITY_BYTES[Priority.CONTROL] // len(control())
     assert packer.refused == 3 + 10 - kept
     assert [packer.take() for _ in range(kept)] == telemetry[-kept:]
-
-
-def test_packer_holds_uploads_back_where_told_to() -> None:
-    packer = FramePacker()
-    message = chunk()
-    packer.offer(message)
-    assert packer.take(lowest=Priority.STATUS) is None
-    assert packer.waiting == 1
-    assert packer.take() == message
 
 
 def test_packer_counts_what_fits_no_frame() -> None:

@@ -78,7 +78,6 @@ def test_step_at_hover_holds_the_weight_with_four_equal_rotors():
     assert outputs["collective_n"] == pytest.approx([TABLE["MASS"] * GRAVITY])
     assert outputs["saturated"] == [0.0]
     assert outputs["cos_tilt"] == [1.0]
-    assert outputs["position_error"] == pytest.approx([0.0])
 
 
 def test_step_disarmed_gives_no_command_and_no_integral():
@@ -178,15 +177,7 @@ def test_step_in_a_turned_world_gives_the_same_commands(random_steps):
     turned["feedforward"][1:4] = turn(inputs["feedforward"][1:4])
 
     one, other = (law.step(NUMPY, {k: list(v) for k, v in x.items()}) for x in (inputs, turned))
-    for name in (
-        "motor_command",
-        "collective_n",
-        "torque",
-        "rate_cmd",
-        "cos_tilt",
-        "saturated",
-        "position_error",
-    ):
+    for name in ("motor_command", "collective_n", "torque", "rate_cmd", "cos_tilt", "saturated"):
         scale = np.maximum(1.0, np.abs(np.array(one[name])).max(axis=0))
         assert (np.abs(np.array(one[name]) - np.array(other[name])) / scale).max() < 1e-9, name
     assert np.allclose(other["memory"][0:6], turn_all(np.array(one["memory"][0:6])), atol=1e-9)
