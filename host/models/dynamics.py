@@ -159,11 +159,6 @@ def mocap_latency_s(ops: Ops, effects: Sequence[Part]) -> Scalar:
     return latency
 
 
-def has_latency(effects: Sequence[Part]) -> bool:
-    """Whether an effect delays the poses."""
-    return any(effect.mocap_latency_s is not None for effect, _ in effects)
-
-
 def _loads(
     ops: Ops,
     vehicle: Airframe,

@@ -68,14 +68,12 @@ FLIGHT = (
     "mocap_age_s",
     "mocap_interval_s",
     "feedback_delay_s",
-    "position_weight",
-    "velocity_weight",
     "accelerometer_x",
     "accelerometer_y",
     "accelerometer_z",
 )
 """Constants of one flight: form (a) of the feed-forward, age of a pose at its use, time between poses,
-further delay of the position and velocity fed back, weights of their feedback, accelerometer bias."""
+further delay of the position and velocity fed back, accelerometer bias."""
 
 
 def flight_constants(
@@ -84,15 +82,14 @@ def flight_constants(
     mocap_age_s: float = 0.0,
     mocap_interval_s: float = 0.0,
     feedback_delay_s: float = 0.0,
-    weights: Sequence[float] = (1.0, 1.0),
     accelerometer_bias: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
 ) -> np.ndarray:
-    """The (12,) constants of a flight, for `Phi`; `block` is form (a) of what was fed forward."""
+    """The (10,) constants of a flight, for `Phi`; `block` is form (a) of what was fed forward."""
     gain, roll, pitch, prediction = (1.0, 0.0, 0.0, 0.0)
     if block is not None:
         gain, roll, pitch, prediction = block[0], block[10], block[11], block[12]
     late = (mocap_age_s, mocap_interval_s, feedback_delay_s)
-    return np.array([gain, roll, pitch, prediction, *late, *weights, *accelerometer_bias], dtype=float)
+    return np.array([gain, roll, pitch, prediction, *late, *accelerometer_bias], dtype=float)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,8 +194,7 @@ class Phi:
         lag: Scalar,
     ) -> list[Scalar]:
         """xdot with the law in the loop, from the rigid body's part of it."""
-        gain, roll, pitch, prediction, age, interval, delay, *weights = (flight[i] for i in range(9))
-        imu_bias = [flight[i] for i in range(9, 12)]
+        gain, roll, pitch, prediction, age, interval, delay, *imu_bias = (flight[i] for i in range(10))
         a, rate_dot = body[V], body[RATE]
         error_dot: list[Scalar] = []
         if self.drive == "estimate":
@@ -238,7 +234,7 @@ class Phi:
         collective, torque, _, integral_dot = control(
             ops, k, law_step.body(self.firmware), p, v, R, rate,
             [rate[i] - slope_share * away[i] for i in range(3)], integral, reference,
-            drive[14:17], weights, drive[17:20], (roll, pitch),
+            drive[14:17], ff_jerk=drive[17:20], attitude_offset=(roll, pitch),
         )  # fmt: skip
         if not self.rate_filter:
             share = slope_share * k.filter_rate / (corner * corner)

@@ -20,7 +20,7 @@ class Segments:
     """S segments of N steps of `step_s`.
 
     x0 (S, size): phi's state at the start, as measured. measured (S, N + 1, 12) with sigma (S, 12). drive
-    (S, 2N + 1, rows) at the steps' starts, middles and ends. constants (S, 12). flight (S,): index of the
+    (S, 2N + 1, rows) at the steps' starts, middles and ends. constants (S, 10). flight (S,): index of the
     flight each is of.
     """
 

@@ -49,7 +49,7 @@ class States:
     """A flight's tracking phase at t_s (n,), seconds since the reference's start, every `step_s`.
 
     x (n, 12): p, v (NED), Theta, body rate (FRD); sigma (12,) of each. thrust (n, 4): lagged nominal rotor
-    thrusts, N. integral (n, 3): the law's. voltage_ratio (n,). constants (12,): `flight_constants`.
+    thrusts, N. integral (n, 3): the law's. voltage_ratio (n,). constants (10,): `flight_constants`.
     """
 
     flight_id: str
@@ -78,7 +78,7 @@ class States:
             if phi.errors.stop <= phi.size:
                 R = Rotation.from_euler("ZYX", self.x[k, 8:5:-1]).as_matrix()
                 gains = law_step.estimator_gains(phi.firmware)
-                excess = R @ self.constants[9:12]
+                excess = R @ self.constants[7:10]
                 for i, per_bias in enumerate(standing_errors(gains, *self.constants[4:6])):
                     x[phi.errors.start + 3 * i : phi.errors.start + 3 * i + 3] = per_bias * excess
         return x

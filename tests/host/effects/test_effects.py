@@ -114,7 +114,6 @@ def test_com_offset_moves_the_lever_of_every_rotor():
 def test_mocap_latency_adds_to_the_pose_path_only():
     parts = [(EFFECTS["mocap-latency"], (0.012,))]
     assert dynamics.mocap_latency_s(FLOAT, parts) == 0.012
-    assert dynamics.has_latency(parts)
     np.testing.assert_array_equal(rates(parts, state(7)), rates([], state(7)))
 
 
