@@ -25,23 +25,29 @@ SEGMENT_STEPS = 50
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:
-    """Whole-flight errors on one set of flights, without and with the network."""
+    """Whole-flight errors on one set of flights.
+
+    nominal: of the vehicle file alone. base: with the effects of the model learned upon, the same where there
+    was none. learned: with the network too.
+    """
 
     flights: tuple[str, ...]
     references: tuple[str, ...]
     nominal: Errors
+    base: Errors
     learned: Errors
 
     @property
     def ratio(self) -> float:
         """Position error with the network over that without."""
-        return self.learned.position_rmse_m / self.nominal.position_rmse_m
+        return self.learned.position_rmse_m / self.base.position_rmse_m
 
     def to_json(self) -> dict[str, Any]:
-        """The errors, those of the nominal model, and which flights."""
+        """The errors, those of the nominal vehicle and of the base, and which flights."""
         return {
             **self.learned.to_json(),
             "nominal": self.nominal.to_json(),
+            "base": self.base.to_json(),
             "flights": list(self.flights),
             "references": list(self.references),
         }
@@ -119,11 +125,19 @@ def learn(
         provenance=provenance or {},
     )
 
+    def nominal(chosen: Sequence[States]) -> Errors:
+        """Of the vehicle file alone, which takes poses to be as old as stamped."""
+        bare = Phi(vehicle=vehicle, parameters=states[0].parameters)
+        logs = {flight.id: flight for flight in [*flights, *hold_out]}
+        return whole_flights(bare, bare.theta_neutral, [flight_states(logs[s.flight_id]) for s in chosen])
+
     def judged(chosen: Sequence[States]) -> Judged:
+        before = whole_flights(whole, theta, chosen)
         return Judged(
             flights=tuple(s.flight_id for s in chosen),
             references=tuple(dict.fromkeys(s.reference_id for s in chosen)),
-            nominal=whole_flights(whole, theta, chosen),
+            nominal=before if base is None else nominal(chosen),
+            base=before,
             learned=whole_flights(whole, theta, chosen, trained.network),
         )
 

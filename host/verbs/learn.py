@@ -118,6 +118,6 @@ def _line(name: str, judged: Judged | None) -> str:
     """Position error of whole flights before and after, in words."""
     if judged is None:
         return f"{name}: nothing; give flights of three references or more, or --hold-out"
-    before, after = judged.nominal.position_rmse_m, judged.learned.position_rmse_m
+    before, after = judged.base.position_rmse_m, judged.learned.position_rmse_m
     count = len(judged.flights)
     return f"{name}: {count} flights predicted {1e3 * before:.1f} mm off before, {1e3 * after:.1f} mm after"

@@ -102,7 +102,27 @@ def test_learn_on_a_traced_model_keeps_its_effects_and_starts_from_them(logs):
     found = learn(flights, base=base, effects=effects, settings=settings)
     plain = learn(flights, settings=settings)
     assert found.model.effects == base.effects
-    assert found.train.nominal.position_rmse_m < 0.3 * plain.train.nominal.position_rmse_m
+    assert found.train.base.position_rmse_m < 0.3 * plain.train.base.position_rmse_m
+    assert found.train.nominal == plain.train.nominal == plain.train.base
+    answer = found.train.to_json()
+    assert answer["base"]["position_rmse_m"] < 0.3 * answer["nominal"]["position_rmse_m"]
+    assert found.train.ratio == found.train.learned.position_rmse_m / found.train.base.position_rmse_m
+
+
+def test_learn_on_a_model_with_latency_judges_the_nominal_vehicle_without_it(logs):
+    from host.effects import load_effects
+
+    effects = load_effects()
+    flights = [read_flight(path) for path in logs[:2]]
+    base = Model(
+        vehicle_id=flights[0].vehicle.id,
+        vehicle_name="research",
+        effects={"mocap-latency": {"latency_s": 0.02}},
+    )
+    settings = Settings(hidden=(8,), epochs=1)
+    found = learn(flights, base=base, effects=effects, settings=settings)
+    assert found.train.nominal == learn(flights, settings=settings).train.nominal
+    assert found.train.base != found.train.nominal
 
 
 def test_learn_two_vehicles_or_a_shared_reference_are_refused(logs):
@@ -134,9 +154,11 @@ def test_learn_verb_with_an_impossible_option_names_it(logs, tmp_path, capsys, w
     assert not list(tmp_path.iterdir())
 
 
-def judged(nominal_m: float, learned_m: float) -> Judged:
-    errors = [Errors(position_rmse_m=value, velocity_rmse_m_s=0.1) for value in (nominal_m, learned_m)]
-    return Judged(flights=("a",), references=("b",), nominal=errors[0], learned=errors[1])
+def judged(base_m: float, learned_m: float) -> Judged:
+    nominal, base, learned = (
+        Errors(position_rmse_m=value, velocity_rmse_m_s=0.1) for value in (1.0, base_m, learned_m)
+    )
+    return Judged(flights=("a",), references=("b",), nominal=nominal, base=base, learned=learned)
 
 
 @pytest.mark.parametrize(
