@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import os
 import subprocess
@@ -14,6 +15,8 @@ from typing import Any, BinaryIO
 
 from host.errors import UsageError
 
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What the system says where a file cannot be written to its end: for the user to mend, no bug."""
 SEALED_OPTIONS = ("--world", "--world-seed", "--plant", "--plant-options", "--truth")
 """Options that tell what a simulated world holds: left out of every provenance."""
 
@@ -73,7 +76,8 @@ def check_folder(path: str | Path, names: Sequence[str], force: bool = False) ->
 def open_atomic(path: str | Path, force: bool = False) -> Iterator[BinaryIO]:
     """A binary file that appears under `path` when the block ends, and never where the block raises.
 
-    Until then it is `path`.part. Raises UsageError as `check_output` does.
+    Until then it is `path`.part. Raises UsageError as `check_output` does, OSError with the file's name where
+    it cannot be written.
     """
     target = check_output(path, force)
     partial = target.with_name(target.name + ".part")
@@ -82,8 +86,10 @@ def open_atomic(path: str | Path, force: bool = False) -> Iterator[BinaryIO]:
             yield file
         check_output(target, force)
         os.replace(partial, target)
-    except BaseException:
+    except BaseException as error:
         partial.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            error.filename = str(target)  # write() does not say it
         raise
 
 

@@ -103,6 +103,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _fail(words, str(error) or type(error).__name__, code)
         if isinstance(error, OSError) and error.filename is not None:
             return _fail(words, f"{error.filename}: {error.strerror}, check the file and its folder", 2)
+        from host.artefacts import NO_ROOM
+
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            return _fail(words, f"nothing more can be written: {error.strerror}, make room", 2)
         saved = _save_traceback(words)
         what = f"{type(error).__name__}: {error}".splitlines()[0]
         return _fail(words, f"a bug of ours: {what}; its traceback is in {saved}, please report it", BUG)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,37 +20,36 @@ def file_name(topic: str) -> str:
     return topic.strip("/").replace("/", "-") + ".csv"
 
 
-def export_csv(log: Path, folder: Path) -> dict[str, int]:
-    """Rows by file written into `folder`, which is made where it is missing; topics without messages are
-    left out.
+TABLES = tuple(sorted(map(file_name, _KINDS)))
+"""The names of all tables that there can be."""
+
+
+def csv_tables(log: Path) -> dict[str, tuple[int, str]]:
+    """Number of rows and text by file name; topics without messages are left out.
 
     Columns: log_time_us, publish_time_us (from arm), then the message's fields, those with several numbers as
     name_0, name_1, ... Raises LogError where the log cannot be read.
     """
-    topics = scan_closed(log).by_topic()
-    folder.mkdir(parents=True, exist_ok=True)
-    written: dict[str, int] = {}
-    for topic, entries in sorted(topics.items()):
-        kind = _KINDS.get(topic)
-        if kind is None or not entries:
-            continue
-        name = file_name(topic)
-        with (folder / name).open("w", newline="", encoding="utf-8") as file:
-            written[name] = _write(csv.writer(file, lineterminator="\n"), entries, kind)
-    return written
+    return {
+        file_name(topic): (len(entries), _table(entries, _KINDS[topic]))
+        for topic, entries in sorted(scan_closed(log).by_topic().items())
+        if topic in _KINDS and entries
+    }
 
 
-def _write(table: Any, entries: Sequence[Entry], kind: Any) -> int:
+def _table(entries: Sequence[Entry], kind: Any) -> str:
     messages = [kind.FromString(entry.data) for entry in entries]
     widths = {
         field.name: max(len(getattr(message, field.name)) for message in messages)
         for field in kind.DESCRIPTOR.fields
         if field.is_repeated
     }
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
     table.writerow(["log_time_us", "publish_time_us", *_names(kind.DESCRIPTOR, widths)])
     for entry, message in zip(entries, messages, strict=True):
         table.writerow([entry.log_time_us, entry.publish_time_us, *_values(message, widths)])
-    return len(messages)
+    return text.getvalue()
 
 
 def _names(descriptor: Any, widths: dict[str, int], prefix: str = "") -> Iterator[str]:

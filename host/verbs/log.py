@@ -64,13 +64,16 @@ def export(log: Path, *, output: Output = None, force: Force = False, json: Json
     output
         Folder for the tables; LOG.csv by default.
     """
-    from host.errors import UsageError
-    from host.log.export import export_csv
+    from host import artefacts
+    from host.log.export import TABLES, csv_tables
     from host.output import emit, say
 
-    folder = output or log.with_suffix(".csv")
-    if folder.exists() and not force:
-        raise UsageError(f"{folder}: exists, choose another name or add --force")
-    written = export_csv(log, folder)
-    say(*(f"{folder / name}: {rows} rows" for name, rows in written.items()))
-    emit({"folder": str(folder), "rows": written}, json)
+    folder = artefacts.check_folder(output or log.with_suffix(".csv"), TABLES, force)
+    tables = csv_tables(log)
+    folder.mkdir(exist_ok=True)
+    for name in TABLES:  # of another log, where forced
+        (folder / name).unlink(missing_ok=True)
+    for name, (rows, text) in tables.items():
+        artefacts.write_atomic(folder / name, text)
+        say(f"{folder / name}: {rows} rows")
+    emit({"folder": str(folder), "rows": {name: rows for name, (rows, _) in tables.items()}}, json)

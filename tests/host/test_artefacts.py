@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -73,6 +74,15 @@ def test_output_in_missing_folder_or_onto_folder_is_refused(tmp_path: Path) -> N
         check_output(tmp_path / "gone" / "a.ref")
     with pytest.raises(UsageError, match="is a folder"):
         check_output(tmp_path, force=True)
+
+
+def test_write_onto_a_full_disk_names_the_file_and_leaves_nothing(
+    tmp_path: Path, full_disk: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    path = tmp_path / "a.ref"
+    with full_disk(1000), pytest.raises(OSError, match=r"a\.ref"):
+        write_atomic(path, bytes(2000))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_content_id_is_the_hash_s_start() -> None:

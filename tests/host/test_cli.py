@@ -7,6 +7,7 @@ import subprocess
 import sys
 import types
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -151,6 +152,21 @@ def test_missing_file_is_the_users_and_not_a_bug(
     verb(command)
     assert cli.main(["probe"]) == 2
     assert "gone: No such file or directory" in capsys.readouterr().err
+
+
+def test_full_disk_is_the_users_and_not_a_bug(
+    verb: Callable[[Callable[..., object]], None],
+    capsys: pytest.CaptureFixture[str],
+    full_disk: Callable[[int], AbstractContextManager[None]],
+    tmp_path: Path,
+) -> None:
+    def command() -> None:
+        (tmp_path / "big").write_bytes(bytes(2000))
+
+    verb(command)
+    with full_disk(1000):
+        assert cli.main(["probe"]) == 2
+    assert capsys.readouterr().err == "trimtab: nothing more can be written: File too large, make room\n"
 
 
 def test_verbs_return_value_is_the_exit_code(verb: Callable[[Callable[..., object]], None]) -> None:

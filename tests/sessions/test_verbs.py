@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -169,6 +170,37 @@ def test_fly_that_ends_in_failsafe_answers_and_exits_with_1(
     assert told["failsafe"] == "mocap lost"
     assert "ended in failsafe" in complaint
     assert trimtab("log", "info", "x.mcap", "--json")[1]["failsafe"] == "mocap-lost"
+
+
+def test_log_export_forced_leaves_no_table_of_another_log(trimtab: Any, flown: Any, tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(flown[0].log.read_bytes())
+    (tmp_path / "a.csv").mkdir()
+    for name in ("recorded-imu.csv", "link.csv", "notes.csv"):
+        (tmp_path / "a.csv" / name).write_text("mine")
+    code, _, complaint = trimtab("log", "export", "a.mcap")
+    assert code == 2
+    assert "exists, choose another name or add --force" in complaint
+    code, told, _ = trimtab("log", "export", "a.mcap", "--force", "--json")
+    assert code == 0
+    names = {path.name for path in (tmp_path / "a.csv").iterdir()}
+    assert names == set(told["rows"]) | {"notes.csv"}
+    assert "recorded-imu.csv" not in names
+    assert (tmp_path / "a.csv" / "link.csv").read_text() != "mine"
+
+
+def test_log_export_onto_a_full_disk_is_one_line_and_no_half_table(
+    trimtab: Any, flown: Any, tmp_path: Path, full_disk: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    (tmp_path / "a.mcap").write_bytes(flown[0].log.read_bytes())
+    with full_disk(20_000):
+        code, told, complaint = trimtab("log", "export", "a.mcap", "--json")
+    assert code == told["exit_code"] == 2
+    assert complaint.count("\n") == 1
+    assert "a.csv" in complaint
+    assert "File too large" in complaint
+    for path in (tmp_path / "a.csv").iterdir():
+        assert path.suffix == ".csv"
+        assert path.read_text().endswith("\n")
 
 
 def test_log_recover_of_a_cut_log_writes_one_that_can_be_read(
