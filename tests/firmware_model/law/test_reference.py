@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
-from firmware_model.law.reference import hermite_yaw, septic
+from firmware_model.law.reference import cubic_acceleration, cubic_coefficients, hermite_yaw, septic
 
 number = st.floats(-5.0, 5.0)
 
@@ -57,6 +57,8 @@ def test_hermite_yaw_through_a_cubic_is_that_cubic(coefficients, dt, x):
     yaw, yaw_rate = hermite_yaw(dt, x * dt, cubic(0.0), rate(0.0), cubic(dt), rate(dt))
     assert yaw == pytest.approx(cubic(x * dt), abs=1e-12)
     assert yaw_rate == pytest.approx(rate(x * dt), abs=1e-11)
+    own = cubic_coefficients(dt, cubic(0.0), rate(0.0), cubic(dt), rate(dt))
+    assert cubic_acceleration(own, x * dt) == pytest.approx(rate.deriv()(x * dt), abs=1e-9)
 
 
 def test_hermite_yaw_between_equal_nodes_at_rest_is_held():
