@@ -95,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(words, "interrupted", INTERRUPTED)
     except BrokenPipeError:
         # Whoever read our output has gone, as in `trimtab ls | head`: leave quietly.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _silence_stdout()
         return 0
     except Exception as error:
         code = getattr(error, "exit_code", None)
@@ -132,9 +132,18 @@ def _fail(words: Sequence[str], message: str, code: int) -> int:
     """`code`, after telling the message on stderr, and as JSON where asked for and not said yet."""
     for line in message.splitlines():
         output.warn(line)
-    if "--json" in words and not output.emitted():
-        output.emit({"error": message, "exit_code": code}, True)
+    try:
+        if "--json" in words and not output.emitted():
+            output.emit({"error": message, "exit_code": code}, True)
+        sys.stdout.flush()
+    except OSError:  # it is stdout that takes nothing
+        _silence_stdout()
     return code
+
+
+def _silence_stdout() -> None:
+    """Sends what stdout still holds nowhere, so that the interpreter's end does not stumble over it."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _save_traceback(words: Sequence[str]) -> str:

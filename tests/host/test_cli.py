@@ -169,6 +169,22 @@ def test_full_disk_is_the_users_and_not_a_bug(
     assert capsys.readouterr().err == "trimtab: nothing more can be written: File too large, make room\n"
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("words", [["--version"], ["log", "info", "tests/data/a1.mcap", "--json"]])
+def test_stdout_that_is_full_is_one_line(words: list[str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "host.cli", *words],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+            cwd=Path(__file__).parents[2],
+        )
+    assert done.returncode == 2
+    assert done.stderr == "trimtab: nothing more can be written: No space left on device, make room\n"
+
+
 def test_verbs_return_value_is_the_exit_code(verb: Callable[[Callable[..., object]], None]) -> None:
     def command() -> int:
         return 1
