@@ -7,13 +7,14 @@ raises one of `host.errors` out of `receive` or `advance`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from host.errors import LinkError, Refused, UsageError
 from host.link.client import NEVER_US, Client
 from protocol import messages as m
 from protocol.messages import Message, mavlink
-from protocol.parameters import NAME_MAX
+from protocol.parameters import NAME_MAX, equal, float32
 from protocol.upload import SenderState, UploadSender
 
 PATIENCE_US = 5_000_000
@@ -178,7 +179,10 @@ class ReadParameters(Task):
 
 
 class SetParameter(Task):
-    """Result: the value on board. Raises Refused where the vehicle keeps another, LinkError on silence."""
+    """Result: the value on board. Raises Refused where the vehicle keeps another, LinkError on silence.
+
+    Values are the same where they are in float32, which is what travels. ValueError where it is not finite.
+    """
 
     wants = (m.ParamValue,)
 
@@ -187,7 +191,7 @@ class SetParameter(Task):
         if not 0 < len(name) <= NAME_MAX or not name.isascii():
             raise ValueError(f"a parameter's name has 1 to {NAME_MAX} ASCII characters, not {name!r}")
         self._name = name
-        self._value = value
+        self._value = float32(value)
         self._attempts = attempts
 
     def begin(self, client: Client, now_us: int) -> None:
@@ -205,7 +209,7 @@ class SetParameter(Task):
         assert isinstance(message, m.ParamValue)
         if message.param_id != self._name:
             return
-        if abs(message.param_value - self._value) > 1e-6 * max(1.0, abs(self._value)):
+        if not isfinite(message.param_value) or not equal(message.param_value, self._value):
             said = f" ({client.texts[-1][1]})" if client.texts else ""
             raise Refused(f"{self._name} stays {message.param_value:g} on board{said}")
         self.finish(message.param_value)

@@ -130,6 +130,25 @@ def test_set_parameter_that_stays_is_refused(run: Run, fake: Any) -> None:
     assert "LAND_SPEED stays 0.5" in text
 
 
+def test_set_parameter_that_stays_close_by_is_refused(run: Run, fake: Any) -> None:
+    fake.parameters["LAND_SPEED"] = 100.0
+    failure(run(one(SetParameter("LAND_SPEED", 100.00005)), fake), Refused)
+
+
+def test_set_parameter_is_what_the_wire_can_hold(run: Run, fake: Any) -> None:
+    assert run(one(SetParameter("LAND_SPEED", 0.1)), fake).result == pytest.approx(0.1)
+
+
+def test_set_parameter_to_no_number_is_a_callers_mistake() -> None:
+    with pytest.raises(ValueError, match="nan is not a finite number"):
+        SetParameter("LAND_SPEED", float("nan"))
+
+
+def test_set_parameter_answered_by_no_number_is_refused(run: Run, fake: Any) -> None:
+    fake.parameters["LAND_SPEED"] = float("nan")
+    assert "stays nan" in failure(run(one(SetParameter("LAND_SPEED", 100.0)), fake), Refused)
+
+
 def test_set_parameter_name_too_long_is_a_callers_mistake() -> None:
     with pytest.raises(ValueError, match="16"):
         SetParameter("A" * 17, 1.0)
