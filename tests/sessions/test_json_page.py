@@ -165,6 +165,6 @@ def test_demo_prints_what_the_page_says(run: Callable[..., dict[str, Any]], log:
         battery_v=16.8,
         planned=planned,
     )
-    compared = Comparison(first=(flight,), new_plan=None, applied=None, latency_s=0.0).to_json()
+    compared = Comparison(first=(flight,), latency_s=0.0, no_new_plan="no", no_applied="no").to_json()
     told = {**run("trace", log), **compared, "seconds": 1.0, "steps": [{"step": "plan", "seconds": 1.0}]}
     check("demo", told, *documented("trace"))
