@@ -31,7 +31,7 @@ from host.link.tasks import (
     Task,
     check_same_vehicle,
 )
-from host.log import LogError, LogWriter, Provenance
+from host.log import LogError, LogWriter, Provenance, failsafe_name
 from host.vehicle import Vehicle, to_parameters
 from protocol import messages as m
 from protocol.blobs import FeedForward, Kind, Reference
@@ -54,11 +54,6 @@ PHASES = {
     mavlink.TRIMTAB_STATE_HOLD: "hold",
     mavlink.TRIMTAB_STATE_LANDING: "landing",
     mavlink.TRIMTAB_STATE_FAILSAFE: "failsafe",
-}
-FAILSAFES = {
-    mavlink.TRIMTAB_FAILSAFE_MOCAP_LOST: "mocap lost",
-    mavlink.TRIMTAB_FAILSAFE_LINK_LOST: "link lost",
-    mavlink.TRIMTAB_FAILSAFE_TILT: "tilted too far",
 }
 _STANDBY = mavlink.TRIMTAB_STATE_STANDBY
 
@@ -98,7 +93,7 @@ class FlightOrder:
 
 @dataclass(frozen=True, kw_only=True)
 class FlightEnd:
-    """How a flight ended: `whole` says that the reference was flown to its end, `failsafe` why it was not."""
+    """How a flight ended: `whole` says that the reference was flown to its end, `failsafe` names why not."""
 
     whole: bool
     failsafe: str | None
@@ -354,7 +349,7 @@ class FlightDirector:
         flown = status.reference_tick != m.NO_TICK
         ticks = self._order.reference.duration_us // TICK_US
         whole = flown and status.tick - status.reference_tick >= ticks
-        failsafe = FAILSAFES.get(status.failsafe, str(status.failsafe)) if status.failsafe else None
+        failsafe = failsafe_name(status.failsafe)
         return FlightEnd(
             whole=whole and failsafe is None and not self._interrupted,
             failsafe=failsafe,

@@ -11,6 +11,7 @@ from host.link.flight import FlightDirector, FlightOrder
 from host.link.ports import Cameras, open_port
 from host.link.summary import FlightResult, summarise
 from host.link.vehicle import Vehicle
+from host.log import FAILSAFE_WORDS
 
 
 class FlightEnded(FlightFailed):
@@ -78,9 +79,8 @@ def _conclude(director: FlightDirector, order: FlightOrder, driven: DriveStatist
     if end.interrupted:
         raise KeyboardInterrupt
     if end.failsafe is not None:
-        raise FlightEnded(
-            f"the flight ended in failsafe: {end.failsafe}; its log is {order.log_path}", result
-        )
+        why = FAILSAFE_WORDS.get(end.failsafe, end.failsafe)
+        raise FlightEnded(f"the flight ended in failsafe: {why}; its log is {order.log_path}", result)
     if not end.whole:
         raise FlightEnded(f"the flight ended before its reference did; its log is {order.log_path}", result)
     return result

@@ -7,6 +7,7 @@ from host.log.info import describe, to_lines
 from host.log.recover import Recovery, recover
 from host.log.topics import FLIGHT_TOPICS, IMPORTED_TOPICS, Topic
 from host.log.tracks import (
+    FAILSAFE_WORDS,
     Battery,
     Control,
     Estimate,
@@ -16,10 +17,12 @@ from host.log.tracks import (
     RecordedImu,
     RecordedInputs,
     Status,
+    failsafe_name,
 )
 from host.log.writer import LogWriter, Provenance, partial_path
 
 __all__ = [
+    "FAILSAFE_WORDS",
     "FLIGHT_TOPICS",
     "IMPORTED_TOPICS",
     "Battery",
@@ -37,6 +40,7 @@ __all__ = [
     "Status",
     "Topic",
     "describe",
+    "failsafe_name",
     "partial_path",
     "read_flight",
     "recover",

@@ -29,6 +29,7 @@ from host.log.tracks import (
     RecordedInputs,
     Status,
     Times,
+    failsafe_name,
 )
 from host.log.writer import (
     FEEDFORWARD_FILE,
@@ -125,7 +126,7 @@ def _to_flight(found: Scan) -> Flight:
         battery=_read_battery(entries, status),
         tracking=tracking,
         tracking_whole=whole,
-        failsafe=flight_pb2.Status.Failsafe.Name(failsafe).lower().replace("_", "-") if failsafe else None,
+        failsafe=failsafe_name(failsafe),
         duration_s=(max(times) - min(times)) * 1e-6 if times else 0.0,
     )
 

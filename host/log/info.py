@@ -7,6 +7,7 @@ from typing import Any
 
 from host.log.flight import scan_closed, to_flight
 from host.log.topics import MOCAP_POSE
+from host.log.tracks import FAILSAFE_WORDS
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -54,7 +55,7 @@ def to_lines(told: dict[str, Any]) -> list[str]:
         whole = "" if told["tracking_whole"] else ", cut short"
         lines.append(f"tracking from {tracking[0]:.2f} to {tracking[1]:.2f} s{whole}")
     if told["failsafe"]:
-        lines.append(f"ended by failsafe: {told['failsafe']}")
+        lines.append(f"ended by failsafe: {FAILSAFE_WORDS.get(told['failsafe'], told['failsafe'])}")
     if told["recovered"]:
         lines.append("recovered from a damaged file")
     width = max(len(topic) for topic in told["topics"])

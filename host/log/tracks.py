@@ -15,10 +15,19 @@ from numpy.typing import NDArray
 
 from host.vehicle import Vehicle
 from protocol.blobs import FeedForward, Reference
+from protocol.generated import flight_pb2
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 LEVELS = ("motor", "thrust-torque", "reference")
+FAILSAFE_WORDS = {"mocap-lost": "mocap lost", "link-lost": "link lost", "tilt": "tilted too far"}
+"""The failsafes by name, in words for people."""
+
+
+def failsafe_name(number: int) -> str | None:
+    """The name of a failsafe by its number in FC_STATUS and in the log; None for 0, which is none."""
+    names = {value: name.lower().replace("_", "-") for name, value in flight_pb2.Status.Failsafe.items()}
+    return names.get(number, str(number)) if number else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -185,5 +194,5 @@ class Flight:
     tracking_whole: bool
     """The reference was flown to its end (an import: as far as the log goes)."""
     failsafe: str | None
-    """What ended the flight early: "mocap-lost", "link-lost", "tilt"."""
+    """What ended the flight early, by name: a key of FAILSAFE_WORDS."""
     duration_s: float

@@ -167,8 +167,8 @@ def test_fly_that_ends_in_failsafe_answers_and_exits_with_1(
     world = world_file("[mocap]\ngaps_s = [[7.0, 20.0]]\n")
     code, told, complaint = trimtab("fly", ref, "--world", world, "-o", "x.mcap", "--json")
     assert code == 1
-    assert told["failsafe"] == "mocap lost"
-    assert "ended in failsafe" in complaint
+    assert told["failsafe"] == "mocap-lost"
+    assert "ended in failsafe: mocap lost" in complaint
     assert trimtab("log", "info", "x.mcap", "--json")[1]["failsafe"] == "mocap-lost"
 
 

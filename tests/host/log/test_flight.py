@@ -17,8 +17,19 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
-from host.log import FLIGHT_TOPICS, LogError, LogWriter, Provenance, describe, read_flight, to_lines
+from host.log import (
+    FAILSAFE_WORDS,
+    FLIGHT_TOPICS,
+    LogError,
+    LogWriter,
+    Provenance,
+    describe,
+    failsafe_name,
+    read_flight,
+    to_lines,
+)
 from protocol.blobs import Reference
+from protocol.messages import mavlink
 
 
 def test_flight_written_reads_back(log_path: Path, reference: Reference) -> None:
@@ -176,6 +187,20 @@ def test_read_flight_swapped_reference_is_refused(
     path.write_bytes(log_bytes.replace(blob, bytes(other)))
     with pytest.raises(LogError, match="reference_id"):
         read_flight(path)
+
+
+def test_failsafe_names_are_those_of_the_messages_and_have_words() -> None:
+    prefix = "TRIMTAB_FAILSAFE_"
+    numbers = {
+        name.removeprefix(prefix): getattr(mavlink, name)
+        for name in dir(mavlink)
+        if name.startswith(prefix) and not name.endswith("_ENUM_END") and getattr(mavlink, name)
+    }
+    named = {failsafe_name(number): number for number in numbers.values()}
+    assert named == {name.lower().replace("_", "-"): number for name, number in numbers.items()}
+    assert set(FAILSAFE_WORDS) == set(named)
+    assert failsafe_name(0) is None
+    assert failsafe_name(99) == "99"
 
 
 def test_describe_says_what_is_in_it(log_path: Path) -> None:
