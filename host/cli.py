@@ -87,6 +87,7 @@ def build_app() -> App:
 def main(argv: Sequence[str] | None = None) -> int:
     """The exit code of one run. Errors are one line each on stderr; for a bug it names a file."""
     words = list(sys.argv[1:] if argv is None else argv)
+    output.prepare()
     try:
         code = _run(words)
         sys.stdout.flush()
@@ -116,6 +117,10 @@ def _run(words: list[str]) -> int:
     """The exit code of the verb that `words` name."""
     try:
         result = build_app()(words, exit_on_error=False, print_error=False)
+    except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):  # the help's reader has gone
+            return 0
+        raise
     except CycloptsError as error:
         text = " ".join(str(error).split())
         return _fail(words, f"{text} Try: trimtab {_verb_of(words)}--help", 2)

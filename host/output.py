@@ -2,13 +2,37 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 _emitted = False
+_NARROWEST = 20
+"""Columns; in fewer the help cannot be set at all."""
+
+
+def prepare() -> None:
+    """Make the standard streams safe to write to, whatever the shell has made of them.
+
+    One that is closed goes nowhere; letters that stdout's encoding lacks are written as their numbers; a
+    terminal that calls itself too narrow for any text is taken for one of 20 columns.
+    """
+    while (unused := os.open(os.devnull, os.O_RDWR)) <= 2:  # the lowest number that is free
+        pass
+    os.close(unused)
+    if sys.stdout is None:
+        sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    if sys.stderr is None:
+        sys.stderr = open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdigit() and int(columns) < _NARROWEST:
+        os.environ["COLUMNS"] = str(_NARROWEST)
 
 
 def json_text(result: Mapping[str, Any]) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shlex
 import subprocess
 import sys
 import types
@@ -183,6 +185,51 @@ def test_stdout_that_is_full_is_one_line(words: list[str]) -> None:
         )
     assert done.returncode == 2
     assert done.stderr == "trimtab: nothing more can be written: No space left on device, make room\n"
+
+
+def run_shell(line: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """`line` in a shell in which `trimtab` runs this code."""
+    script = f'trimtab() {{ {shlex.quote(sys.executable)} -m host.cli "$@"; }}; {line}'
+    root = str(Path(__file__).parents[2])
+    return subprocess.run(
+        ["sh", "-c", script],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+        timeout=60,
+        env={**os.environ, "PYTHONPATH": root, **environment},
+    )
+
+
+def test_help_whose_reader_has_gone_ends_quietly(tmp_path: Path) -> None:
+    # The fifo makes sure that the reader has gone before anything is written.
+    line = "mkfifo f gone; (exec 3<f; exec 3<&-; : >gone) & exec 4>f; : <gone; trimtab --help >&4"
+    done = run_shell(line, tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("columns", ["0", "1", "20"])
+def test_help_on_a_terminal_of_no_width_is_still_help(tmp_path: Path, columns: str) -> None:
+    done = run_shell("trimtab log --help", tmp_path, COLUMNS=columns)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Usage" in done.stdout
+
+
+PLAN = "trimtab plan pretzel -o é.ref"
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_stream_stops_no_verb(tmp_path: Path, closed: str) -> None:
+    assert run_shell(f"{PLAN} {closed}", tmp_path).returncode == 0
+    assert (tmp_path / "é.ref").stat().st_size > 0
+    assert run_shell(f"{PLAN} {closed}", tmp_path).returncode == 2
+
+
+def test_letters_that_stdout_lacks_are_written_as_numbers(tmp_path: Path) -> None:
+    done = run_shell(PLAN, tmp_path, PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("\\xe9.ref: min-snap")
 
 
 def test_verbs_return_value_is_the_exit_code(verb: Callable[[Callable[..., object]], None]) -> None:
