@@ -269,8 +269,11 @@ class _Datagrams:
         self._socket: socket.socket | None = None
         if url is None:
             return
-        parts = urlsplit(url)
-        if parts.scheme != "udp" or not parts.hostname:
+        try:
+            parts = urlsplit(url)
+        except ValueError:  # brackets without an end, letters that stand for punctuation
+            parts = None
+        if parts is None or parts.scheme != "udp" or not parts.hostname:
             raise ServeError(f"mocap {url}: give it as udp://HOST:PORT")
         host, number = _host_port(parts.netloc, url)
         self._target = (host, number)
@@ -289,7 +292,8 @@ class _Datagrams:
 
 def _host_port(text: str, spec: str) -> tuple[str, int]:
     host, colon, number = text.rpartition(":")
-    if not colon or not host or not number.isdigit() or not 0 <= int(number) <= 65535:
+    whole = number.isascii() and number.isdigit()
+    if not colon or not host or not whole or not 0 <= int(number) <= 65535:
         raise ServeError(f"{spec}: needs HOST:PORT with a port number up to 65535")
     return host.strip("[]"), int(number)
 

@@ -32,7 +32,8 @@ class Client:
         ground_radio: whether the host's own radio reports.
         radio_counts: radio frames sent up, received there, sent down, received here, as the two radios
         reported them last within one second; None before. texts: what the vehicle said, oldest first, the
-        last 50. heard_us: when the vehicle was last heard.
+        last 50. heard_us: when the vehicle was last heard. others: MAVLink systems that were heard and are
+        neither the vehicle nor its radios.
     """
 
     def __init__(self) -> None:
@@ -44,6 +45,7 @@ class Client:
         self.radio_counts: tuple[int, int, int, int] | None = None
         self.texts: list[tuple[int, str]] = []
         self.heard_us: int | None = None
+        self.others: set[int] = set()
         self.next_deadline_us = 0
         self._ground: m.RadioStats | None = None
         self._out: list[bytes] = []
@@ -66,6 +68,7 @@ class Client:
             if message._header.srcSystem == _VEHICLE_SYSTEM:
                 self.heard_us = now_us
             elif not isinstance(message, m.RadioStats):
+                self.others.add(message.get_srcSystem())
                 continue
             handler = handlers.get(type(message))
             if handler is None or handler(message, now_us):

@@ -275,7 +275,7 @@ class FlightDirector:
             more = f" and {len(different) - 3} more" if len(different) > 3 else ""
             raise UsageError(
                 f"parameters on board differ from {self._order.vehicle.name}: {shown}{more}; "
-                "set the vehicle up anew, or fly it as it is with --as-flashed"
+                "name the vehicle file it was set up with, or fly it as it is with --as-flashed"
             )
 
     def _ensure_live(self, blob: Reference | FeedForward | None, kind: Kind) -> Generator[Task, Any, None]:
@@ -285,7 +285,8 @@ class FlightDirector:
         if blob is None:
             if any(live):
                 raise UsageError(
-                    f"the {name} {live.hex()} is live on board; name its file, or make a neutral one live"
+                    f"the {name} {live.hex()} is live on board; name its file with --feedforward, "
+                    "or run `trimtab upload` with another first"
                 )
             return
         if live.hex() == blob.id:

@@ -155,8 +155,11 @@ class Cameras:
 
     def __init__(self, url: str) -> None:
         """Listens at `udp://HOST:PORT`. Raises UsageError where that is no address of this machine."""
-        parts = urlsplit(url)
-        if parts.scheme != "udp":
+        try:
+            parts = urlsplit(url)
+        except ValueError:  # brackets without an end, letters that stand for punctuation
+            parts = None
+        if parts is None or parts.scheme != "udp":
             raise UsageError(f"mocap {url}: give it as udp://HOST:PORT")
         address = _address(parts.netloc, url)
         try:
@@ -185,7 +188,8 @@ class Cameras:
 def _address(text: str, url: str) -> tuple[str, int]:
     """Host and port. Raises UsageError where they are not both there."""
     host, colon, number = text.rpartition(":")
-    if not colon or not host or not number.isdigit() or not 0 < int(number) <= 65535:
+    whole = number.isascii() and number.isdigit()
+    if not colon or not host or not whole or not 0 < int(number) <= 65535:
         raise UsageError(f"{url}: needs HOST:PORT with a port number of 1 to 65535")
     return host.strip("[]"), int(number)
 

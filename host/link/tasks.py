@@ -19,6 +19,7 @@ from protocol.upload import SenderState, UploadSender
 
 PATIENCE_US = 5_000_000
 RETRY_US = 300_000
+_VEHICLE_SYSTEM = m.VEHICLE[0]
 TEXT_WAIT_US = 150_000
 """Time after a refusal in which the vehicle's own words may still arrive."""
 
@@ -122,6 +123,12 @@ class FindVehicle(Task):
         seconds = f"{self._patience_us / 1e6:g} s"
         if self._met:
             return "the vehicle's heartbeat arrives but it answers nothing; check the way to it"
+        if client.others:
+            systems = ", ".join(map(str, sorted(client.others)))
+            return (
+                f"no vehicle of ours (MAVLink system {_VEHICLE_SYSTEM}) in {seconds}, only system {systems}; "
+                "check the port"
+            )
         if client.codec.bad_bytes:
             return (
                 f"no vehicle, {client.codec.bad_bytes} bytes of something else in {seconds}; "
@@ -350,7 +357,7 @@ def check_same_vehicle(identity: Identity, vehicle_id: str, *, what: str, port: 
     if identity.vehicle_id != vehicle_id:
         raise UsageError(
             f"{port}: vehicle {identity.vehicle_id} is there, {what} is for {vehicle_id}; "
-            "give the right --vehicle, or set the vehicle up anew"
+            "check the port, or take the files made for that vehicle"
         )
 
 

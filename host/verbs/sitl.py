@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -64,6 +65,8 @@ def command(
 
     if min(world_seed, flight) < 0:
         raise UsageError("seeds and flight indices are not negative")
+    if not all(map(math.isfinite, start)):
+        raise UsageError(f"--start {start[0]:g} {start[1]:g} is no place, give two numbers in m")
     airframe = open_workspace(workspace).vehicle(vehicle)
     if truth is not None:
         artefacts.check_output(truth, force)
@@ -76,11 +79,15 @@ def command(
         plant_options=plant_options,
         start_ned=(*start, 0.0),
     )
-    if truth is not None:
-        text = encoder.dumps({**simulated.truth(), "log": None}, indent=2, sort_keys=True) + "\n"
-        artefacts.write_atomic(truth, text, force)
+
+    def ready(address: str) -> None:
+        if truth is not None:
+            text = encoder.dumps({**simulated.truth(), "log": None}, indent=2, sort_keys=True) + "\n"
+            artefacts.write_atomic(truth, text, force)
+        say(address)
+
     with closing(simulated), _stop_on_signal() as stop:
-        statistics = simulated.serve(port=port, stop=stop, mocap=mocap, ready=lambda address: say(address))
+        statistics = simulated.serve(port=port, stop=stop, mocap=mocap, ready=ready)
     simulated_s = statistics.simulated_us * 1e-6
     say(f"{simulated_s:.1f} s simulated, late {statistics.overruns} times")
     emit(

@@ -461,6 +461,12 @@ def test_blob_for_another_vehicle_than_the_ports_is_refused(
         process.communicate(timeout=60)
 
 
+def test_sitl_refused_leaves_no_truth(refused: Refused) -> None:
+    refused("sitl", "--port", "foo", "--truth", "t.json", code=2, parts=["foo", "choose pty"])
+    for place in (("nan", "0"), ("0", "inf")):
+        refused("sitl", "--port", "pty", "--start", *place, code=2, parts=["--start", "two numbers in m"])
+
+
 def test_port_that_cannot_be_opened_is_a_link_error(refused: Refused, ref: str) -> None:
     for port, part in (
         ("/dev/null", "serial port"),

@@ -214,7 +214,7 @@ def test_session_with_other_parameters_on_board_needs_as_flashed(
     run_lockstep(session, simulated)
     assert session.error is None
     simulated.power_cycle(0)
-    with pytest.raises(UsageError, match=r"POS_P_N is 5\.5.*--as-flashed"):
+    with pytest.raises(UsageError, match=r"POS_P_N is 5\.5.*name the vehicle file.*--as-flashed"):
         fly(simulated)
     assert not list(tmp_path.iterdir())
     simulated.power_cycle(0)
@@ -247,7 +247,7 @@ def test_session_with_a_feedforward_logs_it_and_without_refuses_it(
     result = fly(simulated, feedforward=addition)
     assert read_flight(result.log).feedforward == addition
     simulated.power_cycle(1)
-    with pytest.raises(UsageError, match=f"{addition.id} is live on board"):
+    with pytest.raises(UsageError, match=f"{addition.id} is live on board.*--feedforward"):
         fly(simulated, log_path=tmp_path / "without.mcap")
 
 

@@ -185,9 +185,11 @@ def test_late_machine_stretches_time_and_is_counted(monkeypatch: pytest.MonkeyPa
     [
         ("serial:/dev/null", None, "choose pty, tcp:HOST:PORT or udp:HOST:PORT"),
         ("tcp:5760", None, "needs HOST:PORT"),
+        ("tcp:127.0.0.1:\N{SUPERSCRIPT TWO}", None, "needs HOST:PORT"),
         ("udp:127.0.0.1:notaport", None, "needs HOST:PORT"),
         ("pty", "http://127.0.0.1:9", "give it as udp://HOST:PORT"),
         ("pty", "udp://127.0.0.1", "needs HOST:PORT"),
+        ("pty", "udp://[::1:5", "give it as udp://HOST:PORT"),
     ],
 )
 def test_port_that_cannot_be_served_is_refused(port: str, mocap: str | None, told: str) -> None:

@@ -104,6 +104,7 @@ def test_cameras_keep_datagrams_apart() -> None:
         ("tcp:127.0.0.1", UsageError),
         ("tcp::5760", UsageError),
         ("udp:127.0.0.1:99999", UsageError),
+        ("tcp:127.0.0.1:\N{SUPERSCRIPT TWO}", UsageError),
         ("", LinkError),
     ],
 )
@@ -121,7 +122,17 @@ def test_open_port_on_a_file_is_a_link_error(tmp_path: Path) -> None:
     assert file.read_bytes() == b"x"
 
 
-@pytest.mark.parametrize("url", ["127.0.0.1:5", "tcp://127.0.0.1:5", "udp://127.0.0.1", "udp://nowhere:x"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "127.0.0.1:5",
+        "tcp://127.0.0.1:5",
+        "udp://127.0.0.1",
+        "udp://nowhere:x",
+        "udp://nowhere:\N{SUPERSCRIPT TWO}",
+        "udp://[::1:5",
+    ],
+)
 def test_cameras_url_that_is_none_is_a_usage_error(url: str) -> None:
     with pytest.raises(UsageError):
         Cameras(url)

@@ -24,6 +24,7 @@ from host.link.tasks import (
 )
 from protocol import messages as m
 from protocol.blobs import Kind
+from protocol.codec import Codec
 from protocol.messages import mavlink
 from protocol.upload import Verdict
 
@@ -73,6 +74,15 @@ def test_find_vehicle_at_a_silent_port_gives_up_in_time(run: Run) -> None:
 def test_find_vehicle_among_other_bytes_says_so(run: Run, fake: Any) -> None:
     fake.run = lambda now_us, data: b"$GPGGA,1234\r\n" if now_us % 100_000 == 0 else b""
     assert "bytes of something else" in failure(run(one(FindVehicle("ttyX")), fake), LinkError)
+
+
+def test_find_vehicle_among_other_systems_names_them(run: Run, fake: Any) -> None:
+    beats = Codec(2, 1), Codec(17, 1)
+    fake.run = lambda now_us, data: b"".join(
+        codec.encode(m.vehicle_heartbeat(1, armed=False)) for codec in beats if now_us % 1_000_000 == 0
+    )
+    text = failure(run(one(FindVehicle("ttyX")), fake), LinkError)
+    assert text.startswith("ttyX: no vehicle of ours (MAVLink system 1) in 5 s, only system 2, 17")
 
 
 def test_find_vehicle_that_beats_but_does_not_answer_says_so(run: Run, fake: Any) -> None:
