@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -27,11 +27,24 @@ def feedforward_of(
     return FeedForward(vehicle_id=vehicle.id, model_id=model.id, block=tuple(block))
 
 
-def why_not(without_m: float, applied_m: float) -> str | None:
-    """Why effects are better not applied, by the predicted tracking errors; None where they are."""
+def to_apply(
+    model: Model,
+    vehicle: Vehicle,
+    effects: Mapping[str, Effect],
+    voltage_ratio: float,
+    predict: Callable[[FeedForward | None], float],
+) -> tuple[FeedForward | None, str]:
+    """What to fly with and nothing, or None and the reason why nothing is better.
+
+    predict: tracking error (m) of the flight with a feed-forward, or without.
+    """
+    feedforward = feedforward_of(model, vehicle, effects, voltage_ratio)
+    if feedforward is None:
+        return None, f"{', '.join(model.effects)}: nothing that the law on board can make up for"
+    without_m, applied_m = predict(None), predict(feedforward)
     if applied_m < without_m:
-        return None
-    return (
+        return feedforward, ""
+    return None, (
         f"the traced model predicts {1e3 * applied_m:.1f} mm RMSE with the effects applied and "
         f"{1e3 * without_m:.1f} mm without"
     )

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from host import artefacts
 from host.demo import report
-from host.demo.applied import feedforward_of, voltage_ratio, why_not
+from host.demo.applied import to_apply, voltage_ratio
 from host.demo.compare import Comparison, Tracked, latency_of, pooled_rmse_m, tracked
 from host.demo.flights import Airfield, upload_through_pty
 from host.demo.plans import Planned, fastest, plan_again, plan_first
@@ -118,7 +119,11 @@ class _Demo:
 
     def run(self) -> Outcome:
         self._field.check()
-        self._order.folder.mkdir(parents=True, exist_ok=True)
+        order = self._order
+        self._say(
+            f"demo with seed {order.seed}, vehicle {order.vehicle.name}; every file goes to {order.folder}"
+        )
+        order.folder.mkdir(parents=True, exist_ok=True)
         learning, held_out = self._plan()
         used, unseen = self._fly(learning, held_out)
         result = self._trace([flight for _, flight in used], [flight for _, flight in unseen])
@@ -247,8 +252,12 @@ class _Demo:
             new_plan, no_new_plan = fly("new plan", again, None)
         flown, label = (route, "first plan") if again is None else (again, "new plan")
         ratio = voltage_ratio([flight for _, flight in used])
-        feedforward, no_applied = self._apply(flown.plan, model, ratio, predict)
+        feedforward, no_applied = to_apply(
+            model, self._order.vehicle, self._effects, ratio, partial(predict, flown.plan)
+        )
         if feedforward is not None:
+            path = self._order.folder / FEEDFORWARD_NAME
+            artefacts.write_atomic(path, feedforward.to_bytes(), self._order.force)
             applied, no_applied = fly(f"{label}, effects applied", flown, feedforward)
         return Comparison(
             first=first,
@@ -284,19 +293,6 @@ class _Demo:
                 f"{after_mm:.1f} mm RMSE"
             )
         return planned, ""
-
-    def _apply(
-        self, plan: Plan, model: Model, ratio: float, predict: Callable[..., float]
-    ) -> tuple[FeedForward | None, str]:
-        """What to fly the plan with, written to its file, and nothing; or None and the reason why."""
-        feedforward = feedforward_of(model, self._order.vehicle, self._effects, ratio)
-        if feedforward is None:
-            return None, f"{', '.join(model.effects)}: nothing that the law on board can make up for"
-        if (why := why_not(predict(plan), predict(plan, feedforward))) is not None:
-            return None, why
-        path = self._order.folder / FEEDFORWARD_NAME
-        artefacts.write_atomic(path, feedforward.to_bytes(), self._order.force)
-        return feedforward, ""
 
     def _report(
         self,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.demo.applied import feedforward_of, voltage_ratio, why_not
+from host.demo.applied import feedforward_of, to_apply, voltage_ratio
 from host.effects import load_effects
 from host.models.model import Model
 from host.vehicle import Vehicle
@@ -48,9 +48,28 @@ def test_voltage_ratio_is_the_mean_over_flights_of_their_tracking_phases(vehicle
     assert voltage_ratio([silent]) == 1.0
 
 
-def test_effects_predicted_to_make_it_worse_are_not_applied() -> None:
-    assert why_not(0.048, 0.015) is None
-    assert why_not(0.048, 0.104) == (
-        "the traced model predicts 104.0 mm RMSE with the effects applied and 48.0 mm without"
-    )
-    assert why_not(np.inf, np.inf) is not None
+@pytest.mark.parametrize(
+    ("without_m", "applied_m", "reason"),
+    [
+        (0.048, 0.015, ""),
+        (
+            0.048,
+            0.104,
+            "the traced model predicts 104.0 mm RMSE with the effects applied and 48.0 mm without",
+        ),
+        (np.inf, np.inf, "the traced model predicts inf mm RMSE with the effects applied and inf mm without"),
+    ],
+)
+def test_effects_predicted_to_make_it_worse_are_not_applied(
+    vehicle: Vehicle, without_m: float, applied_m: float, reason: str
+) -> None:
+    traced = model(vehicle, thrust_gain={"gain": 1.1})
+    found, why = to_apply(traced, vehicle, EFFECTS, 1.0, lambda ff: without_m if ff is None else applied_m)
+    assert (found is None) == bool(reason)
+    assert why == reason
+
+
+def test_effects_that_the_law_cannot_make_up_for_are_not_applied(vehicle: Vehicle) -> None:
+    found, why = to_apply(model(vehicle, motor_lag={"extra_s": 0.02}), vehicle, EFFECTS, 1.0, lambda ff: 0.1)
+    assert found is None
+    assert why == "motor-lag: nothing that the law on board can make up for"
