@@ -26,10 +26,10 @@ from host.link.tasks import (
     FreshStatus,
     Identity,
     ReadParameters,
-    SendBlob,
     SettleClock,
     Task,
     check_same_vehicle,
+    make_live,
 )
 from host.log import LogError, LogWriter, Provenance, failsafe_name
 from host.vehicle import Vehicle, to_parameters
@@ -297,7 +297,7 @@ class FlightDirector:
                 f"the {name} live on board is {what}, not {blob.id}; run `trimtab upload` with it first"
             )
         self._note(f"uploading the {name}")
-        yield SendBlob(blob.to_bytes(), kind, what=f"{name} {blob.id}")
+        yield from make_live(blob, f"{name} {blob.id}")
 
     def _arm(self) -> Generator[Task, Any, None]:
         try:

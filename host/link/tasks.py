@@ -6,6 +6,7 @@ raises one of `host.errors` out of `receive` or `advance`.
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -13,9 +14,11 @@ from typing import Any
 from host.errors import LinkError, Refused, UsageError
 from host.link.client import NEVER_US, Client
 from protocol import messages as m
-from protocol.messages import Message, mavlink
+from protocol.blobs import Blob
+from protocol.messages import Message, UploadState, mavlink
 from protocol.parameters import NAME_MAX, equal, float32
 from protocol.upload import SenderState, UploadSender
+from protocol.upload.transfer import tag_of
 
 PATIENCE_US = 5_000_000
 RETRY_US = 300_000
@@ -314,6 +317,50 @@ class SendBlob(Task):
             raise Refused(f"{self._what}: {self.sender.reason.strip()}")
         else:
             self.deadline_us = self.sender.next_deadline_us() or now_us
+
+
+class AbortBlob(Task):
+    """Result: None once the vehicle holds nothing of the blob any more, or does not say so."""
+
+    wants = (m.UploadStatus,)
+
+    def __init__(self, sender: UploadSender, attempts: int = 5) -> None:
+        super().__init__()
+        self._sender = sender
+        self._attempts = attempts
+        self._messages: list[Message] = []
+
+    def begin(self, client: Client, now_us: int) -> None:
+        self._sender.cancel(now_us)
+        self._messages = self._sender.send(now_us)
+        self.advance(client, now_us)
+
+    def advance(self, client: Client, now_us: int) -> None:
+        if self._attempts == 0 or not self._messages:  # nothing to abort where the upload was over
+            self.finish()
+            return
+        self._attempts -= 1
+        for message in self._messages:
+            client.send(message)
+        self.deadline_us = now_us + RETRY_US
+
+    def receive(self, client: Client, message: Message, now_us: int) -> None:
+        assert isinstance(message, m.UploadStatus)
+        if message.tag == tag_of(self._sender.digest) and message.state in (
+            UploadState.IDLE,
+            UploadState.LIVE,
+        ):
+            self.finish()
+
+
+def make_live(blob: Blob, what: str) -> Generator[Task, Any, UploadSender]:
+    """The sender of a blob that is live now, for scripts; at Ctrl-C the vehicle is told to forget it."""
+    task = SendBlob(blob.to_bytes(), blob.KIND, what=what)
+    try:
+        return (yield task)
+    except KeyboardInterrupt:
+        yield AbortBlob(task.sender)
+        raise
 
 
 class FreshStatus(Task):

@@ -10,7 +10,7 @@ from typing import Any
 from host.link.drivers import run_lockstep, run_port
 from host.link.ports import open_port
 from host.link.session import Session
-from host.link.tasks import FindVehicle, FreshStatus, Identity, SendBlob, Task, check_same_vehicle
+from host.link.tasks import FindVehicle, FreshStatus, Identity, Task, check_same_vehicle, make_live
 from host.link.vehicle import Vehicle
 from protocol.blobs import Blob
 
@@ -47,7 +47,7 @@ def upload_session(blob: Blob, port: str, on_phase: Callable[[str], None] | None
         yield FreshStatus()
         say(f"sending {kind} {blob.id}")
         begin_us = session.now_us
-        sender = yield SendBlob(blob.to_bytes(), blob.KIND, what=f"{kind} {blob.id}")
+        sender = yield from make_live(blob, f"{kind} {blob.id}")
         return UploadResult(
             kind=kind,
             id=blob.id,
@@ -60,7 +60,10 @@ def upload_session(blob: Blob, port: str, on_phase: Callable[[str], None] | None
 
 
 def upload_port(blob: Blob, port: str, on_phase: Callable[[str], None] | None = None) -> UploadResult:
-    """The result of an upload at a serial port in real time. Raises Refused, LinkError or UsageError."""
+    """The result of an upload at a serial port in real time. Raises Refused, LinkError or UsageError.
+
+    At Ctrl-C the vehicle is told to forget what it was sent (KeyboardInterrupt); at the second it is not.
+    """
     session = upload_session(blob, port, on_phase)
     with contextlib.closing(open_port(port)) as line:
         run_port(session, line)

@@ -41,6 +41,7 @@ class FakeVehicle:
     Attributes:
         parameters: on board. refuse: result of commands by number, asked anew each time. heard: all messages.
         clock_offset_us: vehicle clock minus host clock. verdict: of the check of blobs.
+        upload: its end of uploads.
     """
 
     def __init__(self) -> None:
@@ -56,7 +57,7 @@ class FakeVehicle:
         self.drop: Callable[[], bool] = lambda: False
         self.verdict = Verdict(ok=True)
         self.store = _Store()
-        self._upload = UploadReceiver(
+        self.upload = UploadReceiver(
             self.store,
             check=lambda kind, blob: self.verdict,
             may_commit=lambda kind: True,
@@ -76,7 +77,7 @@ class FakeVehicle:
         if self.beats and now_us >= self._beat_us:
             self._beat_us = now_us + 1_000_000
             self.send(self.heartbeat)
-        for message in self._upload.send(now_us):
+        for message in self.upload.send(now_us):
             self.send(message)
         out, self._out = self._out, []
         return b"".join(out)
@@ -103,7 +104,7 @@ class FakeVehicle:
         elif isinstance(message, m.CommandLong):
             self._command(message)
         else:
-            self._upload.receive(message, now_us)
+            self.upload.receive(message, now_us)
 
     def _send_value(self, index: int) -> None:
         name, value = list(self.parameters.items())[index]

@@ -21,11 +21,12 @@ from host.link.tasks import (
     SettleClock,
     Task,
     check_same_vehicle,
+    make_live,
 )
 from protocol import messages as m
-from protocol.blobs import Kind
+from protocol.blobs import Kind, Node, Reference
 from protocol.codec import Codec
-from protocol.messages import mavlink
+from protocol.messages import UploadState, mavlink
 from protocol.upload import Verdict
 
 Run = Callable[..., Session]
@@ -217,6 +218,51 @@ def test_send_blob_refused_on_board_names_node_and_reason(run: Run, fake: Any) -
 def test_send_blob_to_a_silent_vehicle_is_a_link_error(run: Run, fake: Any) -> None:
     fake.answers = False
     failure(run(one(SendBlob(bytes(500), Kind.REFERENCE, what="reference")), fake), LinkError)
+
+
+def interrupted(run: Run, fake: Any, then: Callable[[], None]) -> Session:
+    """A session that uploads 10 kB and is interrupted after some chunks, when `then` is called too."""
+    still = (0.0,) * 12
+    nodes = tuple(Node(100_000 * k, still) for k in range(200))
+    blob = Reference(vehicle_id="0123456789ab", origin_ned=(0.0, 0.0, -1.0), nodes=nodes)
+    sessions: list[Session] = []
+    vehicle_run = fake.run
+
+    def script(session: Session) -> Generator[Task, Any, Any]:
+        sessions.append(session)
+        return (yield from make_live(blob, "reference"))
+
+    def pressing(now_us: int, data: bytes) -> bytes:
+        out = vehicle_run(now_us, data)
+        if any(isinstance(message, m.UploadChunk) for message in fake.heard):
+            assert fake.upload.state is UploadState.RECEIVING
+            fake.run = vehicle_run
+            then()
+            sessions[0].fail(KeyboardInterrupt())
+        return out
+
+    fake.run = pressing
+    return run(script, fake)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_upload_interrupted_makes_the_vehicle_forget(run: Run, fake: Any, seed: int) -> None:
+    def then() -> None:
+        fake.drop = lossy(seed, 0.3)
+
+    session = interrupted(run, fake, then)
+    assert isinstance(session.error, KeyboardInterrupt)
+    assert fake.upload.state is UploadState.IDLE
+    assert fake.store.live(Kind.REFERENCE) is None
+
+
+def test_upload_interrupted_at_a_silent_vehicle_ends_soon(run: Run, fake: Any) -> None:
+    def then() -> None:
+        fake.answers = False
+
+    session = interrupted(run, fake, then)
+    assert isinstance(session.error, KeyboardInterrupt)
+    assert session.now_us < 3_000_000
 
 
 def test_settle_clock_finds_the_offset(run: Run, fake: Any) -> None:
