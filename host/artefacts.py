@@ -17,6 +17,7 @@ from host.errors import UsageError
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """What the system says where a file cannot be written to its end: for the user to mend, no bug."""
+LOG_SUFFIX = ".mcap"
 SEALED_OPTIONS = ("--world", "--world-seed", "--plant", "--plant-options", "--truth")
 """Options that tell what a simulated world holds: left out of every provenance."""
 
@@ -29,11 +30,11 @@ def content_id(content: bytes) -> str:
 def check_output(path: str | Path, force: bool = False) -> Path:
     """`path` as one that may be written. Call it before the work starts.
 
-    Raises UsageError where its folder is missing, it is a folder, or it exists and `force` is not set.
+    Raises UsageError where its folder is missing or read-only, it is a folder, or it exists and `force` is
+    not set.
     """
     target = Path(path)
-    if not target.parent.is_dir():
-        raise UsageError(f"{path}: its folder does not exist, make it or choose another name")
+    _check_parent(target)
     if target.is_dir():
         raise UsageError(f"{path}: is a folder, give a file name")
     if target.exists() and not force:
@@ -44,8 +45,11 @@ def check_output(path: str | Path, force: bool = False) -> Path:
 def check_log(path: str | Path, force: bool = False) -> Path:
     """`path` as a flight log that may be written, as `check_output` says it.
 
-    Raises UsageError too where a killed flight left what can be recovered of it, and `force` is not set.
+    Raises UsageError too where its name is not that of a log, or where a killed flight left what can be
+    recovered of it and `force` is not set.
     """
+    if Path(path).suffix != LOG_SUFFIX:
+        raise UsageError(f"{path}: a flight log's name ends in {LOG_SUFFIX}")
     target = check_output(path, force)
     partial = target.with_name(target.name + ".part")
     if partial.exists() and not force:
@@ -59,7 +63,8 @@ def check_log(path: str | Path, force: bool = False) -> Path:
 def check_folder(path: str | Path, names: Sequence[str], force: bool = False) -> Path:
     """`path` as a folder that `names` may be written in; it is made when there is something to write.
 
-    Raises UsageError where its own folder is missing, it is a file, or a name exists and `force` is not set.
+    Raises UsageError where its own folder is missing or read-only, it is a file, or a name exists and `force`
+    is not set.
     """
     folder = Path(path)
     if folder.is_dir():
@@ -67,9 +72,17 @@ def check_folder(path: str | Path, names: Sequence[str], force: bool = False) ->
             check_output(folder / name, force)
     elif folder.exists():
         raise UsageError(f"{path}: is a file, give a folder's name")
-    elif not folder.parent.is_dir():
-        raise UsageError(f"{path}: its folder does not exist, make it or choose another name")
+    else:
+        _check_parent(folder)
     return folder
+
+
+def _check_parent(path: Path) -> None:
+    """Raises UsageError where nothing can be made beside `path`."""
+    if not path.parent.is_dir():
+        raise UsageError(f"{path}: its folder does not exist, make it or choose another name")
+    if not os.access(path.parent, os.W_OK | os.X_OK, effective_ids=True):
+        raise UsageError(f"{path}: its folder cannot be written to, choose another one")
 
 
 @contextlib.contextmanager
@@ -87,9 +100,10 @@ def open_atomic(path: str | Path, force: bool = False) -> Iterator[BinaryIO]:
         check_output(target, force)
         os.replace(partial, target)
     except BaseException as error:
-        partial.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.errno in NO_ROOM:
-            error.filename = str(target)  # write() does not say it
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        if isinstance(error, OSError) and (error.errno in NO_ROOM or error.filename == str(partial)):
+            error.filename = str(target)  # write() says none, open() one that is nobody's business
         raise
 
 

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from host.vehicle import Vehicle
 
 
+FOLDERS = ("vehicles", "routes", "effects")
+"""Where a workspace keeps its own files."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Workspace:
     """The folder that names are looked up in, before the shipped files."""
@@ -38,8 +42,14 @@ class Workspace:
 
 
 def open_workspace(folder: str | Path | None = None) -> Workspace:
-    """The workspace of `folder`, the current one where None. Raises UsageError where there is none."""
+    """The workspace of `folder`, the current one where None. Raises UsageError where there is none.
+
+    None of its folders need be there; one of their names that is a file's is refused too.
+    """
     root = Path.cwd() if folder is None else Path(folder)
     if not root.is_dir():
         raise UsageError(f"{folder}: no such folder, give --workspace one that exists")
+    for name in FOLDERS:
+        if (root / name).exists() and not (root / name).is_dir():
+            raise UsageError(f"{root / name}: is a file where a workspace has a folder, rename it")
     return Workspace(root=root)

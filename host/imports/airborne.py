@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from host.imports.recording import ImportFormatError, Recording
+from host.imports.recording import Recording, TooShort
 
 CLEAR_M = 0.15
 """Height above the ground from which a vehicle counts as clear of it."""
@@ -23,7 +23,7 @@ def airborne(recording: Recording) -> tuple[int, int]:
     """Begin and end in us of the longest time clear of the ground.
 
     The ground is the lowest height, where the vehicle rests there with its motors off; a log that never
-    shows that was recorded in the air from its first row to its last. Raises ImportFormatError where less
+    shows that was recorded in the air from its first row to its last. Raises TooShort where less
     than two seconds are left.
     """
     t_us = recording.pose_us
@@ -42,7 +42,7 @@ def airborne(recording: Recording) -> tuple[int, int]:
     ]
     begin, end = max(spans, key=lambda span: span[1] - span[0], default=(0, 0))
     if end - begin < SHORTEST_US:
-        raise ImportFormatError(
+        raise TooShort(
             f"{recording.source}: clear of the ground for {max(end - begin, 0) * 1e-6:.1f} s, of which "
             f"{SHORTEST_US * 1e-6:g} s are needed; import a longer flight"
         )

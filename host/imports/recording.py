@@ -12,6 +12,26 @@ Unknown = Literal[
 ]
 """What a recording may not determine. Tracing estimates it as nuisance and counts it as no effect."""
 
+WORDS = {
+    "pose_us": "poses",
+    "p_ned": "position",
+    "q_ned_frd": "attitude",
+    "input_us": "inputs",
+    "motor_command": "motor command",
+    "thrust_n": "thrust",
+    "torque_n_m": "torque",
+    "imu_us": "inertial measurements",
+    "gyro": "gyro",
+    "specific_force": "specific force",
+    "battery_us": "battery voltages",
+    "battery_v": "battery voltage",
+    "reference_us": "references",
+    "p_ref_ned": "reference position",
+    "v_ref_ned": "reference velocity",
+    "a_ref_ned": "reference acceleration",
+}
+"""What the parts of a recording are called to whoever made it."""
+
 Corner = Literal["front-right", "rear-right", "rear-left", "front-left"]
 
 LONGEST_S = 24 * 3600.0
@@ -30,6 +50,12 @@ class ImportFormatError(ValueError):
     """
 
     exit_code = 5
+
+
+class TooShort(ImportFormatError):
+    """A foreign log that is what it should be, with too little in it."""
+
+    exit_code = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,18 +117,21 @@ class Recording:
                 raise ValueError(f"{', '.join(arrays)} without {times}")
             return
         if len(t_us) < 2 or (np.diff(t_us) <= 0).any():
-            raise ImportFormatError(f"{self.source}: {times} must hold two or more strictly increasing times")
+            raise ImportFormatError(
+                f"{self.source}: fewer than two different {WORDS[times]} at increasing times; "
+                "check the columns of time, position and attitude"
+            )
         for name, values in arrays.items():
             if len(values) != len(t_us):
                 raise ValueError(f"{name} has {len(values)} rows, {times} {len(t_us)}")
             if not np.isfinite(values).all():
                 row = int(np.argwhere(~np.isfinite(values.reshape(len(values), -1)))[0][0])
                 raise ImportFormatError(
-                    f"{self.source}: {name} is not finite at row {row}; cut or mend that row"
+                    f"{self.source}: {WORDS[name]} is not finite at row {row}; cut or mend that row"
                 )
             if np.abs(values).max() > LARGEST:
                 raise ImportFormatError(
-                    f"{self.source}: {name} reaches {np.abs(values).max():.3g}; is its unit right?"
+                    f"{self.source}: {WORDS[name]} reaches {np.abs(values).max():.3g}; is its unit right?"
                 )
 
 

@@ -60,6 +60,8 @@ def plan(
     name, augmented = parse_kind(kind)
     if nodes is not None and not 20 <= nodes <= NODES_MAX:
         raise UsageError(f"--nodes {nodes}: give a number within 20..{NODES_MAX}")
+    if stretch and name != "min-snap":
+        raise UsageError(f"--stretch goes with min-snap, not with {kind}: give the time with --time-s")
     route = _timed(route, total_time_s)
     limits = _limits(route, vehicle, headroom, source)
     dynamics = Dynamics(

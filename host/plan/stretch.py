@@ -27,7 +27,8 @@ def plan_snap(job: Job, *, stretch: bool) -> Plan:
     if not judged.ok:
         if not stretch:
             raise PlanRefused(
-                f"the min-snap plan is refused: {judged.message}; give it more time", judged.verdict
+                f"the min-snap plan is refused: {judged.message}; give it more time: --time-s, or --stretch",
+                judged.verdict,
             )
         factor, judged = _stretched(job, durations, judged)
     effort = Effort(status="solved", solve_s=time.process_time() - started, stretch=factor)

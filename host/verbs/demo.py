@@ -46,8 +46,7 @@ def command(
         raise UsageError(f"--seed {seed} is negative, give 0 or more")
     space = open_workspace(workspace)
     airframe = space.vehicle(vehicle)
-    folder = _folder(space.root, output, force)
-    say(f"demo with seed {seed}, vehicle {airframe.name}; every file goes to {folder}")
+    folder = free_folder(space.root, output, force)
     outcome = run_demo(
         DemoOrder(vehicle=airframe, folder=folder, seed=seed, world=world or WORLD, force=force),
         load_effects(space.root),
@@ -72,8 +71,9 @@ def command(
         raise outcome.failure
 
 
-def _folder(root: Path, output: Path | None, force: bool) -> Path:
+def free_folder(root: Path, output: Path | None, force: bool) -> Path:
     """A folder that is empty or yet to be made; with `force` any. Raises UsageError."""
+    from host import artefacts
     from host.errors import UsageError
 
     if output is None:
@@ -85,4 +85,4 @@ def _folder(root: Path, output: Path | None, force: bool) -> Path:
         raise UsageError(f"{output}: is a file, give a folder")
     if output.is_dir() and any(output.iterdir()) and not force:
         raise UsageError(f"{output}: holds files, choose another folder or add --force")
-    return output
+    return artefacts.check_folder(output, (), force)

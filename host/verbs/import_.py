@@ -42,7 +42,7 @@ def command(
     from host.output import emit, say
     from host.workspace import open_workspace
 
-    artefacts.check_output(output, force)
+    artefacts.check_log(output, force)
     if (profile == "csv") != (columns is not None):
         raise UsageError("--columns MAP.toml goes with the csv profile, and only with it")
     airframe = open_workspace(workspace).vehicle(vehicle)

@@ -64,6 +64,8 @@ def command(
 
     if not logs:
         raise UsageError("no log given, name one or more flight logs")
+    if hold_out is not None and not hold_out:
+        raise UsageError("--hold-out names no log, give one or more or leave it out")
     widths = (32, 32) if hidden is None else tuple(hidden)
     if not 1 <= len(widths) <= HIDDEN_MAX or not all(1 <= width <= WIDTH_MAX for width in widths):
         told = " ".join(map(str, widths))

@@ -53,6 +53,8 @@ def command(
 
     if not logs:
         raise UsageError("no log given, name one or more flight logs")
+    if hold_out is not None and not hold_out:
+        raise UsageError("--hold-out names no log, give one or more or leave it out")
     space = open_workspace(workspace)
     wanted = None if vehicle is None else space.vehicle(vehicle)
     if output is not None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+import os
+import tempfile
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 
@@ -11,6 +13,7 @@ import pytest
 
 from host.artefacts import (
     check_folder,
+    check_log,
     check_output,
     content_id,
     git_state,
@@ -74,6 +77,33 @@ def test_output_in_missing_folder_or_onto_folder_is_refused(tmp_path: Path) -> N
         check_output(tmp_path / "gone" / "a.ref")
     with pytest.raises(UsageError, match="is a folder"):
         check_output(tmp_path, force=True)
+
+
+@pytest.fixture
+def read_only() -> Iterator[Path]:
+    """A folder that this process may not write to; root gives its privileges up meanwhile."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(0o555)
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)
+    yield folder
+    if root:
+        os.seteuid(0)
+    folder.rmdir()
+
+
+def test_output_in_a_read_only_folder_is_refused_before_the_work(read_only: Path) -> None:
+    for check in (check_output, check_log, lambda path: check_folder(path, ())):
+        with pytest.raises(UsageError, match=r"a\.mcap: its folder cannot be written to, choose another"):
+            check(read_only / "a.mcap")
+
+
+def test_file_that_cannot_be_made_is_named_and_not_its_temporary_name(tmp_path: Path) -> None:
+    longest = tmp_path / ("a" * 255)
+    with pytest.raises(OSError, match="too long") as caught:
+        write_atomic(longest, "text")
+    assert caught.value.filename == str(longest)
 
 
 def test_write_onto_a_full_disk_names_the_file_and_leaves_nothing(

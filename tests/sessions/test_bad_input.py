@@ -219,7 +219,7 @@ def test_route_that_contradicts_itself_is_refused_before_solving(
 def test_waypoints_out_of_reach_in_time_name_node_and_reason(refused: Refused, tmp_path: Path) -> None:
     quick = route(tmp_path, "[[0.0, 0.0, -1.0], [4.0, 0.0, -1.0], [0.0, 3.0, -1.5]]", 1.6)
     complaint = refused("plan", quick, "--kind", "min-snap", code=1, parts=["node 0 at 0.000 s", "rotor"])
-    assert "give it more time" in complaint
+    assert "give it more time: --time-s, or --stretch" in complaint
 
 
 # Logs: cut anywhere, of another vehicle, mixed, with too little in them.
@@ -347,8 +347,51 @@ def test_output_that_exists_is_kept_unless_forced(
         )
 
 
+def test_log_that_is_not_named_like_one_is_refused(refused: Refused, ref: str, tmp_path: Path) -> None:
+    hover_csv(tmp_path / "hover.csv")
+    (tmp_path / "map.toml").write_text(MAP)
+    for words in (("fly", ref), ("import", "csv", "hover.csv", "--columns", "map.toml")):
+        refused(
+            *words, "-o", "foo.mcap.bad", code=2, parts=["foo.mcap.bad: a flight log's name ends in .mcap"]
+        )
+
+
+@pytest.mark.parametrize("verb", ["trace", "learn"])
+def test_option_that_names_no_log_is_refused(refused: Refused, log: str, verb: str) -> None:
+    refused(verb, log, "--hold-out", code=2, parts=["--hold-out names no log, give one or more"])
+
+
+def test_workspace_with_a_file_for_a_folder_is_refused(refused: Refused, tmp_path: Path) -> None:
+    (tmp_path / "ws").mkdir()
+    (tmp_path / "ws" / "effects").write_text("")
+    refused(
+        "plan", "pretzel", "--workspace", "ws", code=2, parts=["ws/effects: is a file where", "rename it"]
+    )
+
+
+def test_time_given_two_ways_is_refused(refused: Refused) -> None:
+    words = ("plan", "pretzel", "--kind", "min-control", "--stretch")
+    refused(*words, code=2, parts=["--stretch goes with min-snap, not with min-control"])
+
+
+def test_import_of_poses_that_never_change_says_what_to_check(refused: Refused, tmp_path: Path) -> None:
+    rows = [f"{0.01 * k},0,0,1,1,0,0,0" for k in range(400)]
+    (tmp_path / "still.csv").write_text("\n".join(["t,x,y,z,qw,qx,qy,qz", *rows]))
+    (tmp_path / "map.toml").write_text(MAP)
+    parts = ["still.csv: fewer than two different poses", "check the columns of time, position and attitude"]
+    refused("import", "csv", "still.csv", "--columns", "map.toml", "-o", "x.mcap", code=5, parts=parts)
+
+
+def test_import_of_a_short_flight_is_too_little(refused: Refused, tmp_path: Path) -> None:
+    hover_csv(tmp_path / "short.csv", seconds=1.5)
+    (tmp_path / "map.toml").write_text(MAP)
+    parts = ["short.csv: clear of the ground for 1.5 s, of which 2 s are needed"]
+    refused("import", "csv", "short.csv", "--columns", "map.toml", "-o", "x.mcap", code=2, parts=parts)
+
+
 def test_demo_refused_makes_no_folder(refused: Refused, ref: str) -> None:
     refused("demo", "--world", "atlantis", code=2, parts=["atlantis: no such world"])
+    refused("demo", "-o", "no/demo", code=2, parts=["no/demo: its folder does not exist"])
     refused("demo", "--seed", "-1", code=2, parts=["--seed -1 is negative"])
     refused("demo", "-o", ref, code=2, parts=["eight.ref: is a file, give a folder"])
     refused("demo", "-o", ".", code=2, parts=["holds files, choose another folder or add --force"])

@@ -33,19 +33,19 @@ def test_everything_a_profile_may_leave_unknown_is_known_to_tracing() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"pose_us": T_US[::-1]}, "pose_us must hold two or more strictly increasing times"),
-        ({"p_ned": np.full((5, 3), np.nan)}, "p_ned is not finite at row 0"),
+        ({"pose_us": T_US[::-1]}, "fewer than two different poses at increasing times"),
+        ({"p_ned": np.full((5, 3), np.nan)}, "position is not finite at row 0"),
         (
             {"imu_us": T_US, "gyro": np.vstack([np.zeros((4, 3)), np.full(3, np.inf)])},
             "gyro is not finite at row 4",
         ),
-        ({"battery_us": T_US[:1], "battery_v": np.ones(1)}, "battery_us must hold two or more"),
+        ({"battery_us": T_US[:1], "battery_v": np.ones(1)}, "fewer than two different battery voltages"),
         (
             {"input_us": T_US, "motor_command": np.full((5, 4), 47.0)},
             "means full command",
         ),
         ({"input_us": T_US, "motor_command": np.full((5, 4), -0.2)}, "from -0.2 to -0.2 of full"),
-        ({"p_ned": np.full((5, 3), 2e6)}, "p_ned reaches 2e+06; is its unit right?"),
+        ({"p_ned": np.full((5, 3), 2e6)}, "position reaches 2e+06; is its unit right?"),
         ({"mass_kg": 0.0}, "mass 0.0 kg"),
         ({"mass_kg": float("nan")}, "mass nan kg"),
     ],
