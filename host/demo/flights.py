@@ -92,12 +92,13 @@ class Airfield:
             model_id=model_id,
             session={**self.session, "flight": str(flight)},
         )
+        before = _file_number(log)
         try:
             return fly_lockstep(order, simulated)
         except FlightEnded as ended:
             raise FlightFailed(f"flight {flight} of the demo: {ended}") from ended
         finally:
-            if log.exists():
+            if _file_number(log) not in (None, before):
                 _seal(simulated.truth(), log)
 
 
@@ -119,6 +120,11 @@ def upload_through_pty(simulated: Any, blob: Blob) -> tuple[str, UploadResult]:
             stop.set()
     served.result()
     return address.result(), result
+
+
+def _file_number(path: Path) -> int | None:
+    """What tells the file at `path` from one that replaces it while it is there; None for no file."""
+    return path.stat().st_ino if path.exists() else None
 
 
 def _seal(truth: Mapping[str, Any], log: Path) -> None:

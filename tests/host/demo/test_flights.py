@@ -50,6 +50,18 @@ def test_flight_without_its_reference_on_board_is_refused(
     assert not list(tmp_path.iterdir())
 
 
+def test_flight_that_writes_no_log_leaves_the_truth_of_the_old_one(
+    airfield: Airfield, hop: Reference, tmp_path: Path
+) -> None:
+    log = tmp_path / "a.mcap"
+    airfield.fly(hop, 3, log)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert len(before) == 2
+    with pytest.raises(UsageError, match="live on board is none"):
+        airfield.fly_with(airfield.power_up(hop, 1), hop, 1, log)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
 def test_flight_leaves_its_truth_sealed_beside_the_log(
     airfield: Airfield, hop: Reference, tmp_path: Path
 ) -> None:
