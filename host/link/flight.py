@@ -166,7 +166,7 @@ class FlightDirector:
     Attributes:
         phase: what is going on, for people. flown_s, total_s: progress of the reference.
         end: how it ended, None before. identity: of the vehicle, None before it is known.
-        log_open: whether there is a log.
+        log_open: whether there is a log that can be read once it is closed.
     """
 
     def __init__(self, order: FlightOrder, on_phase: Callable[[str], None] | None = None) -> None:
@@ -255,6 +255,7 @@ class FlightDirector:
                 if failure is not None:
                     raise
                 failure = error
+                self.log_open = self.log_open and not isinstance(error, LogError)
                 self._note("landing, the log cannot be written" if isinstance(error, LogError) else "landing")
             land = True
         self.end = self._judge(status)

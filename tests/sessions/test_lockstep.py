@@ -428,6 +428,20 @@ def test_session_whose_log_cannot_be_written_lands_and_leaves_what_was_written(
     assert read_flight(found.output).mocap is not None
 
 
+def test_session_that_loses_log_and_link_names_no_log(
+    fly: Fly, simulate: Simulate, full_disk: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    simulated = simulate()
+
+    def cut(phase: str) -> None:
+        if phase == "landing, the log cannot be written":
+            simulated.serial_read = bytes
+
+    with full_disk(200_000), pytest.raises(LinkError) as caught:
+        fly(simulated, on_phase=cut)
+    assert "the log up to there" not in str(caught.value)
+
+
 def test_session_whose_log_cannot_be_begun_stays_on_the_floor(
     fly: Fly, simulate: Simulate, full_disk: Callable[[int], AbstractContextManager[None]], tmp_path: Path
 ) -> None:
