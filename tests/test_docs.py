@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
+from host.cli import build_app, present_verbs
 from host.route import (
     Box,
     Cylinder,
@@ -52,6 +53,22 @@ def test_route_pages_example_is_a_good_route() -> None:
 def test_links_of_page_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
         assert (page.parent / target).is_file(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_commands_of_page_are_ones_that_the_command_line_takes(page: Path) -> None:
+    for line in re.findall(r"^    (?:\$ )?trimtab ([a-z].*)$", page.read_text(), flags=re.MULTILINE):
+        build_app().parse_args(line.split("  ")[0].split(), exit_on_error=False, print_error=False)
+
+
+def test_options_of_every_page_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    verbs = [[verb.name] for verb in present_verbs()]
+    for words in ([], *verbs, ["log", "info"], ["log", "recover"], ["log", "export"]):
+        build_app()([*words, "--help"])
+    known = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))
+    for page in PAGES:
+        named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", page.read_text()))
+        assert sorted(named - known) == [], page.name
 
 
 def test_drawing_places_rotors_as_the_research_vehicle_has_them() -> None:
