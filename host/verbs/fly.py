@@ -73,6 +73,8 @@ def command(
         Fly with parameters on board that differ from the vehicle file.
     feedforward
         Feed-forward to fly with, a .ff file.
+    output
+        Flight log to write; NAME-FLIGHT.mcap by default, with the reference file's name.
     """
     from host import artefacts
     from host.errors import UsageError

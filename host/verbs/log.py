@@ -37,7 +37,7 @@ def recover(log: Path, *, output: Output = None, force: Force = False, json: Jso
     log
         The damaged log, or the name it would have had.
     output
-        Where to write; LOG.recovered.mcap by default.
+        Flight log to write; LOG.recovered.mcap by default.
     """
     from host import artefacts
     from host.log import recover as recover_log

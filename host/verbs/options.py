@@ -13,7 +13,8 @@ Json = Annotated[
 
 Force = Annotated[bool, Parameter(name="--force", negative="", help="Overwrite the output file.")]
 
-Output = Annotated[Path | None, Parameter(name=["-o", "--output"], help="Where to write.")]
+Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
+"""Each verb says in its docstring what it writes, and under which name without this."""
 
 VehicleName = Annotated[str, Parameter(name="--vehicle", help="Vehicle file, by name or path.")]
 

@@ -48,6 +48,8 @@ def command(
         Give a min-snap plan that breaks a limit more time.
     headroom
         Least and greatest share of a rotor's thrust that the plan may use; tighter than the vehicle's.
+    output
+        Reference to write; NAME.ref by default, with the route's name.
     """
     from host import artefacts
     from host.effects import load_effects

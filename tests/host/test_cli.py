@@ -52,6 +52,26 @@ def test_help_imports_no_verb_and_nothing_heavy() -> None:
     assert printed.rstrip().endswith("LOADED [] []")
 
 
+@pytest.mark.parametrize(
+    ("verb", "said"),
+    [
+        ("plan", "Reference to write; NAME.ref by default"),
+        ("fly", "Flight log to write; NAME-FLIGHT.mcap by default"),
+        ("demo", "trimtab-demo in the workspace"),
+        ("learn", "[default: learned.model.toml]"),
+        ("trace", "Nothing is written without it"),
+        ("log recover", "LOG.recovered.mcap by default"),
+        ("log export", "LOG.csv by default"),
+    ],
+)
+def test_help_says_what_is_written_without_output(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, verb: str, said: str
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert cli.main([*verb.split(), "--help"]) == 0
+    assert said in capsys.readouterr().out
+
+
 def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--version"]) == 0
     assert capsys.readouterr().out.strip() == cli._version()
