@@ -29,11 +29,14 @@ class Workspace:
 
         return load_vehicle(name_or_path, self.root)
 
-    def route(self, name_or_path: str | Path) -> Route:
-        """The route of a name (`random:SEED` too) or path. Raises ConfigurationError."""
+    def route(self, name_or_path: str | Path, vehicle: Vehicle | None = None) -> Route:
+        """The route of a name (`random:SEED` too) or path, with `vehicle` for more complete errors.
+
+        Raises ConfigurationError.
+        """
         from host.route import load_route
 
-        return load_route(name_or_path, self.root)
+        return load_route(name_or_path, self.root, vehicle)
 
     def effect_files(self) -> dict[str, Path]:
         """Name (`slow-leak` for slow_leak.py) to file of the user's own candidate effects."""

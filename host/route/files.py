@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from host.route.checks import TIME_MAX_S, check_route
 from host.route.generators import FigureEight, RandomWaypoints
 from host.route.model import LimitsOverride, Route, YawProfile
 from host.route.shapes import Shape
 from host.vehicle.files import find_file, list_files, read_text, shown
-from host.vehicle.model import Name, Positive, Vector3
-from host.vehicle.strict_toml import ConfigurationError, Strict, read_strict, validate
+from host.vehicle.model import Name, Positive, Vector3, Vehicle
+from host.vehicle.strict_toml import ConfigurationError, Strict, parse_toml, validate
 
 
 class RouteFile(Strict):
@@ -47,21 +50,52 @@ class RouteFile(Strict):
         return validate(fields, source, Route)
 
 
-def parse_route(text: str, source: str) -> Route:
-    """The route in a TOML text; `source` names it in errors. Raises ConfigurationError with every problem."""
-    return read_strict(text, source, RouteFile).expanded(source)
+def parse_route(text: str, source: str, vehicle: Vehicle | None = None) -> Route:
+    """The route in a TOML text; `source` names it in errors.
+
+    Raises ConfigurationError with every problem; where keys are wrong by themselves, with what the others
+    contradict of the vehicle too.
+    """
+    return _read(text, source, vehicle).expanded(source)
 
 
-def load_route(name_or_path: str | Path, workspace: Path | None = None) -> Route:
+def _read(text: str, source: str, vehicle: Vehicle | None) -> RouteFile:
+    """The route file in a TOML text. Raises ConfigurationError."""
+    data = parse_toml(text, source)
+    try:
+        return validate(data, source, RouteFile)
+    except ConfigurationError as error:
+        more = () if vehicle is None else _contradictions(data, error.problems, source, vehicle)
+        raise ConfigurationError([*error.problems, *more]) from None
+
+
+def _contradictions(data: dict[str, Any], told: Sequence[str], source: str, vehicle: Vehicle) -> list[str]:
+    """What is wrong with the rest of a route, without the keys that `told` says something about."""
+    wrong = {re.split(r"[.:\[]", line.removeprefix(f"{source}: "))[0] for line in told}
+    if wrong & {"waypoints_m", "figure_eight", "random"}:
+        return []
+    rest = {"name": "route"} | {key: value for key, value in data.items() if key not in wrong}
+    if not rest.keys() & {"times_s", "total_time_s"}:
+        rest["total_time_s"] = TIME_MAX_S
+    try:
+        check_route(validate(rest, source, RouteFile).expanded(source), vehicle, source)
+    except ConfigurationError as error:
+        return [line for line in error.problems if line not in told]
+    return []
+
+
+def load_route(
+    name_or_path: str | Path, workspace: Path | None = None, vehicle: Vehicle | None = None
+) -> Route:
     """The route of a path, or of a name: looked up in `workspace`/routes, then among the shipped ones.
 
     `NAME:SEED` draws a route with a [random] table anew with that seed.
-    Raises ConfigurationError (exit code 2).
+    Raises ConfigurationError (exit code 2) as `parse_route` does.
     """
     path, seed = _place(name_or_path, workspace)
     if not seed:
-        return parse_route(read_text(path), shown(path))
-    file = read_strict(read_text(path), shown(path), RouteFile)
+        return parse_route(read_text(path), shown(path), vehicle)
+    file = _read(read_text(path), shown(path), vehicle)
     if file.random is None or not (seed.isascii() and seed.isdigit()):
         raise ConfigurationError(
             [f"{name_or_path}: :SEED is a whole number after a route with a [random] table"]

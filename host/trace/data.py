@@ -225,8 +225,10 @@ def segments_of(
         parts += part
     if len(parts) < 5:
         why = "; ".join(f"{audit.log}: {', '.join(audit.remarks)}" for audit in audits if audit.left_out)
+        logs = ", ".join(audit.log for audit in audits)
         raise TooLittleData(
-            f"only {len(parts)} usable segments of {segment_s} s; fly longer or log more{why and f' ({why})'}"
+            f"{logs}: only {len(parts)} usable segments of {segment_s} s; "
+            f"fly longer or log more{why and f' ({why})'}"
         )
     if len({bool(p["in_newton"]) for p in parts}) > 1:
         raise TooLittleData(

@@ -63,7 +63,8 @@ def command(
     from host.workspace import open_workspace
 
     place = open_workspace(workspace)
-    airframe, way = place.vehicle(vehicle), place.route(route)
+    airframe = place.vehicle(vehicle)
+    way = place.route(route, airframe)
     known = None if model is None else read_model(model, vehicle_id=airframe.id)
     effects = load_effects(place.root)
     if kind is None:

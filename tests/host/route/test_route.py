@@ -170,6 +170,43 @@ def test_route_longer_than_the_vehicle_can_hold_is_refused(
     assert line.endswith("give at most 500")
 
 
+def test_key_wrong_by_itself_hides_no_contradiction_of_the_others(research: Vehicle) -> None:
+    text = """
+        name = "?"
+        total_time_s = -1.0
+        waypoints_m = [[0, 0, -0.2], [30, 0, -1]]
+        yaw = { yaw_deg = [0.0, 180.0], times_s = [0.0, 0.2] }
+        limits = { speed_max_m_s = 20.0 }
+        [[keep_out]]
+        kind = "cone"
+        """
+    with pytest.raises(ConfigurationError) as caught:
+        parse_route(text, "bad.toml", research)
+    assert [line.split(": ")[:2] for line in caught.value.problems] == [
+        ["bad.toml", key]
+        for key in (
+            "name",
+            "total_time_s",
+            "keep_out[0].kind",
+            "limits.speed_max_m_s",
+            "waypoints_m[0]",
+            "waypoints_m[1]",
+            "yaw.yaw_deg",
+        )
+    ]
+
+
+def test_contradictions_are_not_made_up_where_waypoints_or_times_are_wrong(research: Vehicle) -> None:
+    for old, new, count in (
+        ("[3, 0, -1]", "[3, 0]", 1),
+        ("total_time_s = 6.0", "times_s = [0, 2]", 1),
+        ("total_time_s = 6.0", "", 1),
+    ):
+        with pytest.raises(ConfigurationError) as caught:
+            parse_route(GOOD.replace(old, new), "bad.toml", research)
+        assert len(caught.value.problems) == count
+
+
 def test_greatest_time_is_what_nodes_of_the_planners_spacing_leave_room_for() -> None:
     nodes = round(TIME_MAX_S / SPACING_S) + 1
     assert 0.99 * BLOB_BYTES_MAX < HEADER_BYTES + nodes * NODE_BYTES <= BLOB_BYTES_MAX
