@@ -19,8 +19,10 @@ def prepare() -> None:
     """Make the standard streams safe to write to, whatever the shell has made of them.
 
     One that is closed goes nowhere; letters that stdout's encoding lacks are written as their numbers; a
-    terminal that calls itself too narrow for any text is taken for one of 20 columns.
+    terminal that calls itself too narrow for any text is taken for one of 20 columns. No JSON has been said.
     """
+    global _emitted
+    _emitted = False
     while (unused := os.open(os.devnull, os.O_RDWR)) <= 2:  # the lowest number that is free
         pass
     os.close(unused)
@@ -61,13 +63,16 @@ def say(*lines: str) -> None:
 
 
 def warn(line: str) -> None:
-    """Print one line to stderr."""
-    sys.stderr.write(f"trimtab: {line}\n")
-    sys.stderr.flush()
+    """Print one line to stderr, where anybody takes it."""
+    try:
+        sys.stderr.write(f"trimtab: {line}\n")
+        sys.stderr.flush()
+    except OSError:  # the terminal has gone; what is still held would trouble the interpreter's end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
 
 def emitted() -> bool:
-    """Whether this process has printed its JSON object."""
+    """Whether this run has printed its JSON object."""
     return _emitted
 
 
