@@ -92,8 +92,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         code = _run(words)
         sys.stdout.flush()
         return code
-    except KeyboardInterrupt:
-        return _fail(words, "interrupted", INTERRUPTED)
+    except KeyboardInterrupt as error:
+        return _fail(words, "; ".join(["interrupted", *map(str, error.args)]), INTERRUPTED)
     except BrokenPipeError:
         # Whoever read our output has gone, as in `trimtab ls | head`: leave quietly.
         _silence_stdout()

@@ -41,25 +41,32 @@ class DriveStatistics:
 
 
 class Interrupts:
-    """Counts Ctrl-C instead of raising it wherever the program just is; nothing outside the main thread."""
+    """Counts wishes to end instead of raising wherever the program just is; nothing outside the main thread.
+
+    Every Ctrl-C counts; SIGTERM and SIGHUP count as the first one only, since a terminal that closes may hang
+    up more than once. SIGHUP stays ignored where it was (nohup).
+    """
 
     def __init__(self) -> None:
         self.count = 0
-        self._before: Any = None
+        self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            self._before = signal.signal(signal.SIGINT, self._on_signal)
+            numbers = [signal.SIGINT, signal.SIGTERM]
+            if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+                numbers.append(signal.SIGHUP)
+            self._before = {number: signal.signal(number, self._on_signal) for number in numbers}
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        self.count += 1
+        self.count = self.count + 1 if number == signal.SIGINT else max(self.count, 1)
 
 
 def run_lockstep(
@@ -73,7 +80,7 @@ def run_lockstep(
 
     Args:
         realtime: keep to the wall clock, as far as the machine can.
-        interrupt: called at Ctrl-C, between two steps; without it the session ends at once.
+        interrupt: called between two steps at Ctrl-C, SIGTERM or SIGHUP; without it the session ends at once.
 
     Raises whatever the vehicle raises, a foreign plant's error for instance.
     """

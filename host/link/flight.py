@@ -55,6 +55,8 @@ PHASES = {
     mavlink.TRIMTAB_STATE_LANDING: "landing",
     mavlink.TRIMTAB_STATE_FAILSAFE: "failsafe",
 }
+ON_REQUEST = "landing on request"
+"""The phase after an interrupt, until the vehicle says that it lands."""
 _STANDBY = mavlink.TRIMTAB_STATE_STANDBY
 
 
@@ -167,6 +169,7 @@ class FlightDirector:
         phase: what is going on, for people. flown_s, total_s: progress of the reference.
         end: how it ended, None before. identity: of the vehicle, None before it is known.
         log_open: whether there is a log that can be read once it is closed.
+        interrupted: whether somebody wanted the flight to end.
     """
 
     def __init__(self, order: FlightOrder, on_phase: Callable[[str], None] | None = None) -> None:
@@ -175,12 +178,12 @@ class FlightDirector:
         self.end: FlightEnd | None = None
         self.identity: Identity | None = None
         self.log_open = False
+        self.interrupted = False
         self._order = order
         self._on_phase = on_phase
         self._on_board: dict[str, float] | None = None
         self._log: LogWriter | None = None
         self._recorder: Recorder | None = None
-        self._interrupted = False
         self._exchanges_before = 0
 
     @property
@@ -196,12 +199,9 @@ class FlightDirector:
 
     def interrupt(self) -> None:
         """Ends the flight: in the air the vehicle lands first. A second call gives it up at once."""
-        if self._interrupted or self._recorder is None:
-            self._interrupted = True
-            self.session.fail(KeyboardInterrupt())
-        else:
-            self._interrupted = True
-            self.session.fail(Interrupted())
+        at_once = self.interrupted or self._recorder is None
+        self.interrupted = True
+        self.session.fail(KeyboardInterrupt() if at_once else Interrupted())
 
     def abandon(self, error: BaseException) -> None:
         """Leaves a readable log that says why the world around the flight failed, even from before arm."""
@@ -250,7 +250,7 @@ class FlightDirector:
             except TrimtabError:
                 raise
             except Interrupted:
-                self._note("landing on request")
+                self._note(ON_REQUEST)
             except Exception as error:  # whatever went wrong on this side, the vehicle lands first
                 if failure is not None:
                     raise
@@ -353,9 +353,9 @@ class FlightDirector:
         whole = flown and status.tick - status.reference_tick >= ticks
         failsafe = failsafe_name(status.failsafe)
         return FlightEnd(
-            whole=whole and failsafe is None and not self._interrupted,
+            whole=whole and failsafe is None and not self.interrupted,
             failsafe=failsafe,
-            interrupted=self._interrupted,
+            interrupted=self.interrupted,
         )
 
 

@@ -22,6 +22,14 @@ class FlightEnded(FlightFailed):
         self.result = result
 
 
+class FlightInterrupted(KeyboardInterrupt):
+    """A flight that was ended from outside; `result` is what there is, the log is kept."""
+
+    def __init__(self, message: str, result: FlightResult) -> None:
+        super().__init__(message)
+        self.result = result
+
+
 def fly_lockstep(
     order: FlightOrder,
     vehicle: Vehicle,
@@ -31,7 +39,8 @@ def fly_lockstep(
 ) -> FlightResult:
     """The result of flying `order` with a vehicle in this process; the vehicle stays open.
 
-    Raises FlightEnded, TrimtabError, KeyboardInterrupt after the log is closed, or what the vehicle raises.
+    Raises FlightEnded, TrimtabError, what the vehicle raises, and once the log is closed FlightInterrupted,
+    or KeyboardInterrupt where none was begun.
     """
     director = FlightDirector(order, on_phase)
     try:
@@ -55,7 +64,8 @@ def fly_port(
 ) -> FlightResult:
     """The result of flying `order` at a serial port in real time; poses arrive at the `mocap` URL.
 
-    Raises as `fly_lockstep` does. At Ctrl-C the vehicle lands first; at the second it is left to itself.
+    Raises as `fly_lockstep` does. At Ctrl-C, SIGTERM or SIGHUP the vehicle lands first; at a second Ctrl-C it
+    is left to itself.
     """
     director = FlightDirector(order, on_phase)
     with contextlib.closing(Cameras(mocap)) as cameras, contextlib.closing(open_port(port)) as line:
@@ -71,19 +81,28 @@ def fly_port(
 def _conclude(director: FlightDirector, order: FlightOrder, driven: DriveStatistics) -> FlightResult:
     """The result of a session that is done, or its error."""
     error = director.session.error
-    if error is not None:
-        raise _with_log(error, director, order) if isinstance(error, TrimtabError) else error
+    if isinstance(error, TrimtabError):
+        raise _with_log(error, director, order)
+    if error is not None and not (isinstance(error, KeyboardInterrupt) and director.log_open):
+        raise error
     result = summarise(director, order.log_path, driven)
     end = director.end
-    assert end is not None
-    if end.interrupted:
-        raise KeyboardInterrupt
+    if end is None or end.interrupted:
+        raise FlightInterrupted(_how_interrupted(director, order), result)
     if end.failsafe is not None:
         why = FAILSAFE_WORDS.get(end.failsafe, end.failsafe)
         raise FlightEnded(f"the flight ended in failsafe: {why}; its log is {order.log_path}", result)
     if not end.whole:
         raise FlightEnded(f"the flight ended before its reference did; its log is {order.log_path}", result)
     return result
+
+
+def _how_interrupted(director: FlightDirector, order: FlightOrder) -> str:
+    """What became of the vehicle, and where the log is."""
+    log = f"its log is {order.log_path}"
+    if director.end is not None:
+        return f"the vehicle has landed; {log}"
+    return f"the vehicle is left to its failsafe; {log}" if director.interrupted else log
 
 
 def _with_log(error: TrimtabError, director: FlightDirector, order: FlightOrder) -> TrimtabError:

@@ -20,6 +20,7 @@ class FlightResult:
     """One flight. What could not be measured is None, a flight without tracking phase has no error for
     instance.
 
+    end: None where the flight was left before it came to one.
     clipped_share: share of the ticks in flight on which the motors could not give what was commanded.
     """
 
@@ -56,6 +57,7 @@ class FlightResult:
             "duration_s": self.duration_s,
             "whole": self.end is not None and self.end.whole,
             "failsafe": None if self.end is None else self.end.failsafe,
+            "interrupted": self.end is None or self.end.interrupted,
         }
 
     def to_lines(self) -> list[str]:

@@ -79,9 +79,9 @@ def command(
     from host import artefacts
     from host.errors import UsageError
     from host.link.blob_files import model_of, read_feedforward, read_reference
-    from host.link.flight import FlightOrder
-    from host.link.fly import FlightEnded
-    from host.output import emit, say
+    from host.link.flight import ON_REQUEST, FlightOrder
+    from host.link.fly import FlightEnded, FlightInterrupted
+    from host.output import emit, say, warn
     from host.progress import Progress
     from host.workspace import open_workspace
 
@@ -110,12 +110,14 @@ def command(
         session={"seed": str(seed), "flight": str(flight), **_provenance()},
         camera_delay_us=None if port is None else round(1000 * mocap_delay_ms),
     )
-    with Progress(f"flying {reference.name}") as bar:
+    try:  # around the bar, which takes stdout for its own while it is shown
+        with Progress(f"flying {reference.name}") as bar:
 
-        def on_phase(phase: str) -> None:
-            bar.advance(1.0, phase)
+            def on_phase(phase: str) -> None:
+                bar.advance(1.0, phase)
+                if phase == ON_REQUEST:
+                    warn("landing; Ctrl-C again leaves the vehicle to its failsafe")
 
-        try:
             if port is not None and mocap is not None:
                 from host.link.fly import fly_port
 
@@ -123,10 +125,10 @@ def command(
             else:
                 world_options = (world, world_seed, flight, plant, plant_options)
                 result = _fly_simulated(order, world_options, realtime, on_phase)
-        except FlightEnded as ended:
-            say(*ended.result.to_lines())
-            emit(ended.result.to_json(), json)
-            raise
+    except (FlightEnded, FlightInterrupted) as ended:
+        say(*ended.result.to_lines())
+        emit(ended.result.to_json(), json)
+        raise
     say(*result.to_lines())
     emit(result.to_json(), json)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +31,13 @@ def test_json_is_silent_where_not_asked_for(capsys: pytest.CaptureFixture[str]) 
 def test_json_refuses_numbers_that_are_none(value: float) -> None:
     with pytest.raises(ValueError, match="not JSON compliant"):
         output.emit({"x": value}, True)
+
+
+def test_warning_that_nobody_takes_stops_nothing() -> None:
+    code = "from host.output import warn; warn('one'); warn('two'); print('done')"
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=full, text=True)
+    assert (ended.returncode, ended.stdout) == (0, "done\n")
 
 
 def test_progress_without_a_terminal_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:

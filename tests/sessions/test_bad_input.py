@@ -524,13 +524,18 @@ def test_port_that_cannot_be_opened_is_a_link_error(refused: Refused, ref: str) 
 
 
 @pytest.mark.xdist_group("serial")
-@pytest.mark.parametrize("realtime", [False, True], ids=["lock-step", "real time"])
+@pytest.mark.parametrize(
+    ("realtime", "number"),
+    [(False, signal.SIGTERM), (True, signal.SIGINT)],
+    ids=["lock-step", "real time"],
+)
 def test_flight_interrupted_in_the_air_leaves_a_readable_log(
     require: Callable[[str], None],
     figure_eight: Callable[..., Reference],
     vehicle: Any,
     tmp_path: Path,
     realtime: bool,
+    number: signal.Signals,
 ) -> None:
     require("pty")
     slow = figure_eight(vehicle, duration_s=10.0 if realtime else 120.0)
@@ -553,7 +558,7 @@ def test_flight_interrupted_in_the_air_leaves_a_readable_log(
         while b"tracking" not in shown:
             assert select.select([ours], [], [], 60.0)[0], shown
             shown += os.read(ours, 65536)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         with contextlib.suppress(OSError):  # the terminal ends with the process
             while part := os.read(ours, 65536):
                 shown += part
@@ -562,8 +567,11 @@ def test_flight_interrupted_in_the_air_leaves_a_readable_log(
         process.kill()
         os.close(ours)
     assert process.returncode == 130
-    assert json.loads(said.strip().splitlines()[-1]) == {"error": "interrupted", "exit_code": 130}
-    assert b"trimtab: interrupted" in shown
+    told = json.loads(said.strip().splitlines()[-1])
+    assert (told["log"], told["interrupted"], told["whole"]) == ("x.mcap", True, False)
+    end = "trimtab: interrupted; the vehicle has landed; its log is x.mcap"
+    assert (end if realtime else "trimtab: interrupted; its log is x.mcap") in shown.decode()
+    assert (b"trimtab: landing; Ctrl-C again leaves" in shown) == realtime
     flight = read_flight(tmp_path / "x.mcap")
     assert flight.tracking is not None
     assert not flight.tracking_whole

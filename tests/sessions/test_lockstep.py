@@ -15,7 +15,7 @@ import pytest
 from host.errors import LinkError, Refused, UsageError
 from host.link.drivers import run_lockstep
 from host.link.flight import FlightDirector, FlightOrder
-from host.link.fly import FlightEnded, fly_lockstep
+from host.link.fly import FlightEnded, FlightInterrupted, fly_lockstep
 from host.link.session import Session
 from host.link.summary import FlightResult
 from host.link.tasks import FreshStatus, SetParameter
@@ -379,22 +379,36 @@ def test_session_interrupted_leaves_a_readable_log(fly: Fly, tmp_path: Path) -> 
         if phase == "tracking":
             os.kill(os.getpid(), signal.SIGINT)
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(FlightInterrupted, match=r"^its log is .*flight\.mcap$") as caught:
         fly(on_phase=press)
+    told = caught.value.result.to_json()
+    assert (told["log"], told["interrupted"]) == (str(tmp_path / "flight.mcap"), True)
     flight = read_flight(tmp_path / "flight.mcap")
     assert flight.status is not None
     assert flight.status.state.max() <= 4
 
 
+@pytest.mark.parametrize(
+    ("first", "again"),
+    [(signal.SIGINT, None), (signal.SIGTERM, signal.SIGTERM), (signal.SIGHUP, signal.SIGHUP)],
+    ids=["Ctrl-C", "SIGTERM twice", "SIGHUP twice"],
+)
 def test_session_interrupted_with_a_director_lands_first(
-    vehicle: Vehicle, reference: Reference, simulate: Simulate, tmp_path: Path
+    vehicle: Vehicle,
+    reference: Reference,
+    simulate: Simulate,
+    tmp_path: Path,
+    first: signal.Signals,
+    again: signal.Signals | None,
 ) -> None:
     phases: list[str] = []
 
     def press(phase: str) -> None:
         phases.append(phase)
         if phase == "tracking":
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), first)
+        if phase == "landing" and again is not None:
+            os.kill(os.getpid(), again)
 
     director = FlightDirector(
         FlightOrder(vehicle=vehicle, reference=reference, log_path=tmp_path / "x.mcap"), press
@@ -409,6 +423,40 @@ def test_session_interrupted_with_a_director_lands_first(
     assert flight.mocap is not None
     assert abs(flight.mocap.p[-1, 2]) < 0.1
     assert not flight.tracking_whole
+
+
+def test_session_interrupted_twice_leaves_the_vehicle_to_its_failsafe(
+    vehicle: Vehicle, reference: Reference, simulate: Simulate, tmp_path: Path
+) -> None:
+    phases: list[str] = []
+
+    def press(phase: str) -> None:
+        phases.append(phase)
+        if phase in ("tracking", "landing"):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    order = FlightOrder(vehicle=vehicle, reference=reference, log_path=tmp_path / "x.mcap")
+    simulated = simulate()
+    with pytest.raises(FlightInterrupted, match=r"left to its failsafe; its log is .*x\.mcap") as caught:
+        fly_lockstep(order, simulated, realtime=True, on_phase=press)
+    assert phases[-1] == "landing"
+    assert simulated.true_position()[2] < -0.3
+    assert caught.value.result.end is None
+    assert read_flight(tmp_path / "x.mcap").tracking is not None
+
+
+def test_session_with_hangups_ignored_is_not_ended_by_one(fly: Fly) -> None:
+    def hang_up(phase: str) -> None:
+        if phase == "tracking":
+            os.kill(os.getpid(), signal.SIGHUP)
+
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        end = fly(on_phase=hang_up).end
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert end is not None
+    assert end.whole
 
 
 def test_session_whose_log_cannot_be_written_lands_and_leaves_what_was_written(
