@@ -116,7 +116,9 @@ def test_stronger_motors_show_their_thrust_and_the_drag(bring_in: Callable[[str,
     assert found.verdict == "traced"
     assert named["thrust-gain"].parameters["gain"].value == pytest.approx(1.44, abs=0.05)
     drag = named["linear-drag"].parameters["dy"]
+    # Its value moves with the pose delay that no file states: an interval wide enough, and no wider.
     assert abs(drag.value - 0.36) <= 2.0 * drag.sd
+    assert drag.sd < 0.09
 
 
 @pytest.mark.full
