@@ -28,9 +28,9 @@ from host.link.tasks import (
     ReadParameters,
     SettleClock,
     Task,
-    check_same_vehicle,
     make_live,
 )
+from host.link.whose import check_same_vehicle, neutral_feedforward
 from host.log import LogError, LogWriter, Provenance, failsafe_name
 from host.vehicle import Vehicle, to_parameters
 from protocol import messages as m
@@ -225,7 +225,7 @@ class FlightDirector:
         order = self._order
         identity: Identity = yield FindVehicle(order.port)
         self.identity = identity
-        check_same_vehicle(identity, order.vehicle.id, what=order.vehicle.name, port=order.port)
+        check_same_vehicle(identity, order.vehicle.id, what="the reference", port=order.port)
         self._note("checking")
         on_board: dict[str, float] = yield ReadParameters()
         self._on_board = on_board
@@ -284,10 +284,10 @@ class FlightDirector:
         field_name, name = _BLOBS[kind]
         live = bytes(getattr(status, field_name))
         if blob is None:
-            if any(live):
+            if any(live) and live.hex() != neutral_feedforward(self._order.vehicle.id).id:
                 raise UsageError(
-                    f"the {name} {live.hex()} is live on board; name its file with --feedforward, "
-                    "or run `trimtab upload` with another first"
+                    f"the {name} {live.hex()} is live on board; name its file with --feedforward FILE, "
+                    f"or take it off with `trimtab upload neutral --port {self._order.port}`"
                 )
             return
         if live.hex() == blob.id:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-from host.errors import LinkError, Refused, UsageError
+from host.errors import LinkError, Refused
 from host.link.client import NEVER_US, Client
 from protocol import messages as m
 from protocol.blobs import Blob
@@ -397,15 +397,6 @@ class SettleClock(Task):
             raise LinkError("the vehicle does not answer TIMESYNC; check the link")
         else:
             self.deadline_us = now_us + self.CHECK_US
-
-
-def check_same_vehicle(identity: Identity, vehicle_id: str, *, what: str, port: str) -> None:
-    """Raises UsageError where the vehicle at the port is not the one that `what` was made for."""
-    if identity.vehicle_id != vehicle_id:
-        raise UsageError(
-            f"{port}: vehicle {identity.vehicle_id} is there, {what} is for {vehicle_id}; "
-            "check the port, or take the files made for that vehicle"
-        )
 
 
 def _command(number: int, parameters: tuple[float, ...] = (), confirmation: int = 0) -> Message:

@@ -10,8 +10,9 @@ from typing import Any
 from host.link.drivers import run_lockstep, run_port
 from host.link.ports import open_port
 from host.link.session import Session
-from host.link.tasks import FindVehicle, FreshStatus, Identity, Task, check_same_vehicle, make_live
+from host.link.tasks import FindVehicle, FreshStatus, Identity, Task, make_live
 from host.link.vehicle import Vehicle
+from host.link.whose import check_same_vehicle, neutral_feedforward
 from protocol.blobs import Blob
 
 
@@ -36,13 +37,17 @@ class UploadResult:
         }
 
 
-def upload_session(blob: Blob, port: str, on_phase: Callable[[str], None] | None = None) -> Session:
-    """A session that makes `blob` live on the vehicle at a port; its result is an UploadResult."""
+def upload_session(wanted: Blob | None, port: str, on_phase: Callable[[str], None] | None = None) -> Session:
+    """A session that makes a blob live on the vehicle at a port; its result is an UploadResult.
+
+    None stands for the neutral feed-forward of whatever vehicle is there.
+    """
 
     def script(session: Session) -> Generator[Task, Any, UploadResult]:
         say = on_phase or (lambda phase: None)
-        kind = blob.KIND.name.lower()
         identity: Identity = yield FindVehicle(port)
+        blob = neutral_feedforward(identity.vehicle_id) if wanted is None else wanted
+        kind = blob.KIND.name.lower()
         check_same_vehicle(identity, blob.vehicle_id, what=f"the {kind}", port=port)
         yield FreshStatus()
         say(f"sending {kind} {blob.id}")
@@ -59,10 +64,11 @@ def upload_session(blob: Blob, port: str, on_phase: Callable[[str], None] | None
     return Session(script)
 
 
-def upload_port(blob: Blob, port: str, on_phase: Callable[[str], None] | None = None) -> UploadResult:
+def upload_port(blob: Blob | None, port: str, on_phase: Callable[[str], None] | None = None) -> UploadResult:
     """The result of an upload at a serial port in real time. Raises Refused, LinkError or UsageError.
 
-    At Ctrl-C the vehicle is told to forget what it was sent (KeyboardInterrupt); at the second it is not.
+    None: the neutral feed-forward. At Ctrl-C, SIGTERM or SIGHUP the vehicle is told to forget what it was
+    sent (KeyboardInterrupt); at a second Ctrl-C it is not.
     """
     session = upload_session(blob, port, on_phase)
     with contextlib.closing(open_port(port)) as line:
@@ -71,7 +77,7 @@ def upload_port(blob: Blob, port: str, on_phase: Callable[[str], None] | None = 
 
 
 def upload_lockstep(
-    blob: Blob, vehicle: Vehicle, on_phase: Callable[[str], None] | None = None
+    blob: Blob | None, vehicle: Vehicle, on_phase: Callable[[str], None] | None = None
 ) -> UploadResult:
     """The same with a vehicle in this process."""
     session = upload_session(blob, "vehicle", on_phase)

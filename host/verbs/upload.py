@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from host.verbs.options import Json
 
 
-def command(blob: Path, *, port: str, json: Json = False) -> None:
+def command(blob: str, *, port: str, json: Json = False) -> None:
     """Send a reference or feed-forward to a vehicle and commit it.
 
     Parameters
     ----------
     blob
-        A .ref or .ff file.
+        A .ref or .ff file; the word `neutral` is a feed-forward that changes nothing, to take off another.
     port
         Serial port of the vehicle: a device, tcp:HOST:PORT or udp:HOST:PORT.
     """
+    from pathlib import Path
+
     from host.link.blob_files import read_blob
     from host.link.upload import upload_port
     from host.output import emit, say
     from host.progress import Progress
 
-    found = read_blob(blob)
-    with Progress(f"uploading {blob.name}") as bar:
+    found = None if blob == "neutral" else read_blob(blob)
+    with Progress(f"uploading {Path(blob).name}") as bar:
         result = upload_port(found, port, lambda phase: bar.advance(1.0, phase))
     say(
         f"{result.kind} {result.id} is live: {result.frames_sent} frames in {result.seconds:.2f} s, "

@@ -31,7 +31,7 @@ from host.errors import EXIT_CODES
 from host.log import LogError, read_flight
 from host.models.file import write_model
 from host.models.model import Model
-from host.vehicle import load_vehicle
+from host.vehicle import Vehicle, load_vehicle
 from protocol import messages as m
 from protocol.blobs import Reference
 from protocol.codec import Codec
@@ -490,7 +490,7 @@ def test_port_with_another_dialect_is_refused_at_once(
 
 @pytest.mark.xdist_group("serial")
 def test_blob_for_another_vehicle_than_the_ports_is_refused(
-    refused: Refused, ref: str, require: Callable[[str], None]
+    refused: Refused, ref: str, vehicle: Vehicle, require: Callable[[str], None]
 ) -> None:
     require("pty")
     words = [sys.executable, "-m", "host.cli", "sitl", "--port", "pty", "--vehicle", "nano"]
@@ -498,7 +498,9 @@ def test_blob_for_another_vehicle_than_the_ports_is_refused(
     assert process.stdout is not None
     try:
         port = process.stdout.readline().strip()
-        refused("upload", ref, "--port", port, code=2, parts=[port, "is there, the reference is for"])
+        wanted = f"the reference is for the research ({vehicle.id}); plan anew with --vehicle nano, or check"
+        refused("upload", ref, "--port", port, code=2, parts=[f"{port} is the nano (", wanted])
+        refused(*fly_words(ref, port), code=2, parts=[f"{port} is the nano (", wanted])
     finally:
         process.terminate()
         process.communicate(timeout=60)

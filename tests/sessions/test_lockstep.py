@@ -20,6 +20,7 @@ from host.link.session import Session
 from host.link.summary import FlightResult
 from host.link.tasks import FreshStatus, SetParameter
 from host.link.upload import upload_lockstep
+from host.link.whose import neutral_feedforward
 from host.log import Flight, LogError, read_flight, recover, topics
 from host.log.scan import scan
 from host.log.tracking import reference_at
@@ -192,7 +193,7 @@ def test_session_over_a_lossy_radio_flies_all_the_same(
 def test_session_with_another_vehicle_is_refused_before_anything_is_written(
     fly: Fly, simulate: Simulate, tmp_path: Path
 ) -> None:
-    with pytest.raises(UsageError, match=r"is there, research is for"):
+    with pytest.raises(UsageError, match=r"vehicle is the nano \(\w+\), the reference is for "):
         fly(simulate(vehicle=load_vehicle("nano")))
     assert not list(tmp_path.iterdir())
 
@@ -247,8 +248,26 @@ def test_session_with_a_feedforward_logs_it_and_without_refuses_it(
     result = fly(simulated, feedforward=addition)
     assert read_flight(result.log).feedforward == addition
     simulated.power_cycle(1)
-    with pytest.raises(UsageError, match=f"{addition.id} is live on board.*--feedforward"):
+    with pytest.raises(
+        UsageError, match=f"{addition.id} is live on board.*--feedforward FILE.*upload neutral"
+    ):
         fly(simulated, log_path=tmp_path / "without.mcap")
+
+
+def test_session_after_a_neutral_upload_flies_as_without_feedforward(
+    fly: Fly, simulate: Simulate, vehicle: Vehicle, flown: tuple[FlightResult, Flight]
+) -> None:
+    addition = FeedForward(vehicle_id=vehicle.id, model_id="0" * 12, block=(1.1, *NEUTRAL_BLOCK[1:]))
+    simulated = simulate()
+    upload_lockstep(addition, simulated)
+    uploaded = upload_lockstep(None, simulated)
+    assert (uploaded.kind, uploaded.id) == ("feedforward", neutral_feedforward(vehicle.id).id)
+    simulated.power_cycle(0)
+    result = fly(simulated)
+    flight = read_flight(result.log)
+    assert flight.feedforward is None
+    assert flight.status is not None
+    assert result.tracking_rmse_m == flown[0].tracking_rmse_m
 
 
 def test_session_that_loses_mocap_ends_in_failsafe_with_its_log_kept(

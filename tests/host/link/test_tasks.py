@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from host.errors import LinkError, Refused, UsageError
+from host.errors import LinkError, Refused
 from host.link.session import Session
 from host.link.tasks import (
     Command,
@@ -20,7 +20,6 @@ from host.link.tasks import (
     SetParameter,
     SettleClock,
     Task,
-    check_same_vehicle,
     make_live,
 )
 from protocol import messages as m
@@ -278,10 +277,3 @@ def test_settle_clock_without_answers_is_a_link_error(run: Run, fake: Any) -> No
 
 def test_fresh_status_that_never_comes_is_a_link_error(run: Run, fake: Any) -> None:
     failure(run(one(FreshStatus()), fake), LinkError)
-
-
-def test_check_same_vehicle_names_both() -> None:
-    identity = Identity(vehicle_id="aaaaaaaaaaaa", uid="0")
-    check_same_vehicle(identity, "aaaaaaaaaaaa", what="the reference", port="ttyX")
-    with pytest.raises(UsageError, match=r"aaaaaaaaaaaa is there, the reference is for bbbbbbbbbbbb"):
-        check_same_vehicle(identity, "bbbbbbbbbbbb", what="the reference", port="ttyX")

@@ -1,0 +1,41 @@
+"""Which vehicle is at the port, and whether blobs are for it."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+from host.errors import UsageError
+from host.link.tasks import Identity
+from host.vehicle import ConfigurationError, list_vehicles, load_vehicle
+from protocol.blobs import NEUTRAL_BLOCK, FeedForward
+
+
+def name_of(vehicle_id: str) -> str | None:
+    """Name of the vehicle file with that id, shipped or in the current folder; None where none has it."""
+    here = Path.cwd()
+    for name in list_vehicles(here):
+        with suppress(ConfigurationError):
+            if load_vehicle(name, here).id == vehicle_id:
+                return name
+    return None
+
+
+def check_same_vehicle(identity: Identity, vehicle_id: str, *, what: str, port: str) -> None:
+    """Raises UsageError where the vehicle at the port is not the one that `what` was made for."""
+    if identity.vehicle_id != vehicle_id:
+        there = name_of(identity.vehicle_id)
+        raise UsageError(
+            f"{port} is {_called(identity.vehicle_id)}, {what} is for {_called(vehicle_id)}; "
+            f"plan anew with --vehicle {there or 'and the file of that vehicle'}, or check the port"
+        )
+
+
+def neutral_feedforward(vehicle_id: str) -> FeedForward:
+    """The feed-forward that changes nothing: a vehicle flies with it as with none."""
+    return FeedForward(vehicle_id=vehicle_id, model_id="0" * 12, block=NEUTRAL_BLOCK)
+
+
+def _called(vehicle_id: str) -> str:
+    name = name_of(vehicle_id)
+    return f"vehicle {vehicle_id}" if name is None else f"the {name} ({vehicle_id})"
