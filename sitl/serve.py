@@ -125,7 +125,7 @@ def open_port(spec: str) -> Port:
     try:
         return _Tcp(host, number) if scheme == "tcp" else _Udp(host, number)
     except OSError as error:
-        raise ServeError(f"port {spec}: {error.strerror or error}") from None
+        raise ServeError(f"port {spec}: {_remedy(error)}") from None
 
 
 class _Pty:
@@ -275,26 +275,42 @@ class _Datagrams:
             parts = None
         if parts is None or parts.scheme != "udp" or not parts.hostname:
             raise ServeError(f"mocap {url}: give it as udp://HOST:PORT")
-        host, number = _host_port(parts.netloc, url)
-        self._target = (host, number)
+        host, number = _host_port(parts.netloc, url, least=1)
         self._socket = socket.socket(_family(host), socket.SOCK_DGRAM)
+        try:
+            self._socket.connect((host, number))
+        except OSError as error:
+            self._socket.close()
+            raise ServeError(f"mocap {url}: cannot be reached, {error.strerror}; check the address") from None
         self._socket.setblocking(False)
 
     def send(self, datagram: bytes) -> None:
         if self._socket is not None:
-            with contextlib.suppress(BlockingIOError, ConnectionError):
-                self._socket.sendto(datagram, self._target)
+            with contextlib.suppress(OSError):  # nobody listens, no way there just now: it is lost, as on air
+                self._socket.send(datagram)
 
     def close(self) -> None:
         if self._socket is not None:
             self._socket.close()
 
 
-def _host_port(text: str, spec: str) -> tuple[str, int]:
+def _remedy(error: OSError) -> str:
+    """Why nothing can be served at an address and what to do."""
+    if error.errno == errno.EADDRINUSE:
+        return "in use by another program, close that or choose another number"
+    if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
+        return "no address of this machine, give 127.0.0.1, or 0.0.0.0 for every one it has"
+    if error.errno == errno.EACCES:
+        return "not allowed, choose a number from 1024 on"
+    return f"{os.strerror(error.errno or 0)}, choose another address"
+
+
+def _host_port(text: str, spec: str, least: int = 0) -> tuple[str, int]:
+    """Host and port number, where 0 means any that is free. Raises ServeError."""
     host, colon, number = text.rpartition(":")
     whole = number.isascii() and number.isdigit()
-    if not colon or not host or not whole or not 0 <= int(number) <= 65535:
-        raise ServeError(f"{spec}: needs HOST:PORT with a port number up to 65535")
+    if not colon or not host or not whole or not least <= int(number) <= 65535:
+        raise ServeError(f"{spec}: needs HOST:PORT with a port number of {least} to 65535")
     return host.strip("[]"), int(number)
 
 

@@ -6,6 +6,7 @@ The only module that imports pyserial.
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import socket
@@ -52,10 +53,7 @@ class _SerialPort:
         try:
             self._serial = serial.Serial(name, baud, timeout=0, write_timeout=1.0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
-            reason = _reason(error)
-            raise LinkError(
-                f"{name}: cannot be opened as a serial port ({reason}), check its name"
-            ) from error
+            raise LinkError(f"{name}: cannot be opened as a serial port, {_remedy(error)}") from error
 
     def fileno(self) -> int:
         return self._serial.fileno()
@@ -167,7 +165,11 @@ class Cameras:
             self._socket = socket.socket(family, kind, number)
             self._socket.bind(local)
         except OSError as error:
-            raise UsageError(f"mocap {url}: cannot listen there ({_reason(error)})") from error
+            if error.errno == errno.EADDRINUSE:
+                what = "another program listens there; close it or let the cameras send to another port"
+            else:
+                what = f"cannot listen there ({_reason(error)}); give an address of this machine"
+            raise UsageError(f"mocap {url}: {what}") from error
         self._socket.setblocking(False)
 
     def fileno(self) -> int:
@@ -194,10 +196,29 @@ def _address(text: str, url: str) -> tuple[str, int]:
     return host.strip("[]"), int(number)
 
 
+def _remedy(error: BaseException) -> str:
+    """Why a serial port cannot be opened and what to do."""
+    number = _number(error)
+    if number in (errno.EAGAIN, errno.EBUSY):
+        return "it is in use by another program, close that"
+    if number in (errno.EACCES, errno.EPERM):
+        return "you have no right to it; on most systems the group dialout has"
+    return f"check its name ({_reason(error)})"
+
+
 def _reason(error: BaseException) -> str:
     """What the system says, in one line and without its numbers."""
+    number = _number(error)
+    if isinstance(error, socket.gaierror):  # its numbers are not the system's
+        text = error.strerror or "unknown address"
+    else:
+        text = str(error) or type(error).__name__ if number is None else os.strerror(number)
+    return " ".join(text.split()).lower()
+
+
+def _number(error: BaseException) -> int | None:
+    """The system's number of an error."""
     number = getattr(error, "errno", None)
     if number is None and (found := re.search(r"\((\d+), ", str(error))):
-        number = int(found[1])  # pyserial puts what termios raised into its own text
-    text = str(error) or type(error).__name__ if number is None else os.strerror(number)
-    return " ".join(text.split()).lower()
+        return int(found[1])  # pyserial puts what termios raised into its own text
+    return number

@@ -68,6 +68,13 @@ def command(
     if not all(map(math.isfinite, start)):
         raise UsageError(f"--start {start[0]:g} {start[1]:g} is no place, give two numbers in m")
     airframe = open_workspace(workspace).vehicle(vehicle)
+    fence = airframe.limits.geofence_m
+    for axis, place, (least, most) in zip(("north", "east"), start, fence, strict=False):
+        if not least <= place <= most:
+            raise UsageError(
+                f"--start {start[0]:g} {start[1]:g}: {axis} {place:g} m is outside the fence of "
+                f"{airframe.name}, give {least:g} to {most:g}"
+            )
     if truth is not None:
         artefacts.check_output(truth, force)
     simulated = vehicle_class().create(

@@ -510,6 +510,8 @@ def test_sitl_refused_leaves_no_truth(refused: Refused) -> None:
     refused("sitl", "--port", "foo", "--truth", "t.json", code=2, parts=["foo", "choose pty"])
     for place in (("nan", "0"), ("0", "inf")):
         refused("sitl", "--port", "pty", "--start", *place, code=2, parts=["--start", "two numbers in m"])
+    outside = ["--start 0 -10.5: east -10.5 m is outside the fence of research, give -10 to 10"]
+    refused("sitl", "--port", "pty", "--start", "0", "-10.5", code=2, parts=outside)
 
 
 def test_port_that_cannot_be_opened_is_a_link_error(refused: Refused, ref: str) -> None:

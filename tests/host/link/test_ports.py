@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import select
 import socket
@@ -11,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import serial
 
 from host.errors import LinkError, TrimtabError, UsageError
 from host.link.ports import Cameras, Port, open_port
@@ -49,7 +51,10 @@ def test_serial_port_carries_bytes_both_ways(pty: tuple[int, str]) -> None:
 
 
 def test_serial_port_in_use_is_a_link_error(pty: tuple[int, str]) -> None:
-    with contextlib.closing(open_port(pty[1])), pytest.raises(LinkError, match="cannot be opened"):
+    with (
+        contextlib.closing(open_port(pty[1])),
+        pytest.raises(LinkError, match="in use by another program, close"),
+    ):
         open_port(pty[1])
 
 
@@ -91,7 +96,7 @@ def test_cameras_keep_datagrams_apart() -> None:
             assert select.select([cameras], [], [], 10.0)[0]
             found += cameras.read()
         assert found == [b"one", b"two"]
-        with pytest.raises(UsageError, match="cannot listen"):
+        with pytest.raises(UsageError, match="another program listens there; close it or"):
             Cameras(f"udp://127.0.0.1:{number}")
 
 
@@ -136,3 +141,33 @@ def test_open_port_on_a_file_is_a_link_error(tmp_path: Path) -> None:
 def test_cameras_url_that_is_none_is_a_usage_error(url: str) -> None:
     with pytest.raises(UsageError):
         Cameras(url)
+
+
+@pytest.mark.parametrize(
+    ("url", "reason"), [("udp://192.0.2.1:5", "assign"), ("udp://no.such.host.invalid:5", "")]
+)
+def test_cameras_at_an_address_of_another_machine_say_what_to_give(url: str, reason: str) -> None:
+    with pytest.raises(
+        UsageError, match=rf"cannot listen there \(.*{reason}.*\); give an address of this machine"
+    ) as caught:
+        Cameras(url)
+    assert "unknown error" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("number", "told"),
+    [
+        (errno.EBUSY, "in use by another program"),
+        (errno.EACCES, "the group dialout"),
+        (errno.ENOENT, r"check its name \(no such file or directory\)"),
+    ],
+)
+def test_serial_port_that_the_system_refuses_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch, number: int, told: str
+) -> None:
+    def refuse(*arguments: object, **options: object) -> None:
+        raise serial.SerialException(number, f"could not open port: {os.strerror(number)}")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(LinkError, match=rf"cannot be opened as a serial port, .*{told}"):
+        open_port("/dev/ttyUSB9")
