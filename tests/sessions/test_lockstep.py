@@ -483,8 +483,12 @@ def test_session_whose_log_cannot_be_written_lands_and_leaves_what_was_written(
 ) -> None:
     simulated = simulate()
     phases: list[str] = []
-    with full_disk(200_000), pytest.raises(LogError, match=r"cannot be written.*the vehicle has landed"):
+    with (
+        full_disk(200_000),
+        pytest.raises(LogError, match=r"cannot be written.*the vehicle has landed") as caught,
+    ):
         fly(simulated, on_phase=phases.append)
+    assert caught.value.exit_code == 5
     assert "tracking" in phases[: phases.index("landing, the log cannot be written")]
     assert phases[-3:] == ["landing", "standby", "landed"]
     assert "hold" not in phases
