@@ -250,9 +250,9 @@ class UploadSender:
         for index in (*range(self._base, message.base), *bitmap):
             if index >= self.chunks or self._held[index]:
                 continue
-            self._held[index] = 1
             if not before[index]:
                 self._progress_us = now_us
+            self._held[index] = 1
             flight = self._flight.pop(index, None)
             if flight is not None:
                 newest = max(newest, flight.number)

@@ -155,6 +155,15 @@ def test_upload_without_loss_sends_every_chunk_once() -> None:
     assert link.sender.messages_sent == 211 + 2  # BEGIN and COMMIT
 
 
+def test_upload_that_takes_longer_than_its_patience_goes_on_while_chunks_arrive() -> None:
+    store, blob = Store(), make_blob(20_800)
+    link = make_link(blob, store, jitter_us=0, patience_us=200_000)
+    link.run()
+    assert link.now_us > 400_000
+    assert link.sender.state is SenderState.DONE, link.sender.reason
+    assert store.lives == {REFERENCE: blob}
+
+
 def test_upload_at_ten_percent_loss_repeats_little_more_than_was_lost() -> None:
     repeated = 0
     for seed in range(5):
