@@ -87,6 +87,8 @@ def build_app() -> App:
 def main(argv: Sequence[str] | None = None) -> int:
     """The exit code of one run. Errors are one line each on stderr; for a bug it names a file."""
     words = list(sys.argv[1:] if argv is None else argv)
+    # Thousands of small matrices: threads cost more than they bring, and sums would depend on their number.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     output.prepare()
     try:
         code = _run(words)

@@ -22,6 +22,8 @@ settings.load_profile("trimtab")
 
 # One cache of compiled engines and no colour, whatever the machine's own settings are.
 os.environ["NO_COLOR"] = "1"
+# As the command line does; numpy reads it when it is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def _compiler() -> str | None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import minimize
@@ -39,12 +40,20 @@ class Process:
     log_axial: float
     log_torque: float
 
-    def covariance(self, bins: int) -> np.ndarray:
-        """Covariance (6 bins, 6 bins) of the disturbance, bin by bin: force x, y, z, torque x, y, z."""
-        lag = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
+    def sigma(self) -> np.ndarray:
+        """Standard deviations (6,) of the disturbance: force x, y, z, torque x, y, z."""
         logs = [self.log_lateral] * 2 + [self.log_axial] + [self.log_torque] * 3
-        each = np.diag(np.exp(logs))
-        return np.kron(CORRELATION**lag, each)
+        return np.exp(0.5 * np.array(logs))
+
+    def covariance(self, bins: int) -> np.ndarray:
+        """Covariance (6 bins, 6 bins) of the disturbance, bin by bin."""
+        return np.kron(correlation(bins), np.diag(self.sigma() ** 2))
+
+
+def correlation(bins: int) -> np.ndarray:
+    """Correlation (bins, bins) of the disturbance between bins."""
+    lag = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
+    return CORRELATION**lag
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +78,15 @@ class Linearisation:
     def bins(self) -> int:
         """Number of disturbance bins in a segment."""
         return (self.gram.shape[1] - 1 - self.parameters - self.local.shape[1]) // 6
+
+    @cached_property
+    def by_innovations(self) -> tuple[np.ndarray, np.ndarray]:
+        """Grams Z' Z (segments, 6 bins, 6 bins) and Z' [r | S | L] with the disturbance written by what is
+        new in each bin: its covariance is then diagonal for every process.
+        """
+        n = 1 + self.parameters + self.local.shape[1]
+        root = np.kron(np.linalg.cholesky(correlation(self.bins)), np.eye(6))
+        return root.T @ self.gram[:, n:, n:] @ root, root.T @ self.gram[:, n:, :n]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,14 +129,13 @@ def whitened(lin: Linearisation, process: Process, prior: Prior) -> Whitened:
     count, width = lin.local.shape
     m = 1 + lin.parameters
     n = m + width
-    root = np.linalg.cholesky(process.covariance(lin.bins) + 1e-12 * np.eye(6 * lin.bins))
-    inner = np.eye(6 * lin.bins) + root.T @ (lin.gram[:, n:, n:] @ root)
-    chol = np.linalg.cholesky(inner)
-    cross = np.linalg.solve(chol, root.T @ lin.gram[:, n:, :n])
-    each = lin.gram[:, :n, :n] - np.swapaxes(cross, 1, 2) @ cross
-    flights = np.zeros((count, n, n))
-    np.add.at(flights, lin.flight, each)
-    log_det = float(2.0 * np.log(np.einsum("sii->si", chol)).sum())
+    square, cross = lin.by_innovations
+    sigma = np.tile(process.sigma(), lin.bins)
+    inner = np.eye(6 * lin.bins) + square * np.outer(sigma, sigma)
+    cross = cross * sigma[:, None]
+    each = lin.gram[:, :n, :n] - np.swapaxes(cross, 1, 2) @ np.linalg.solve(inner, cross)
+    flights = np.stack([each[lin.flight == flight].sum(0) for flight in range(count)])
+    log_det = float(2.0 * np.log(np.einsum("sii->si", np.linalg.cholesky(inner))).sum())
     precision = 1.0 / prior.local**2
     inner = flights[:, m:, m:] + np.diag(precision)
     rhs = flights[:, m:, :m].copy()
@@ -156,24 +173,25 @@ def posterior(gram: np.ndarray, z: np.ndarray, precision: np.ndarray) -> tuple[n
 
 
 def fit_process(lin: Linearisation, prior: Prior, selected: Sequence[str], start: Process) -> Process:
-    """Process variances of greatest evidence near `start` (Nelder-Mead on three logs)."""
-
-    def clipped(point: np.ndarray) -> Process:
-        return Process(
-            log_lateral=float(np.clip(point[0], *FORCE_LIMITS)),
-            log_axial=float(np.clip(point[1], *FORCE_LIMITS)),
-            log_torque=float(np.clip(point[2], *TORQUE_LIMITS)),
-        )
-
+    """Process variances of greatest evidence, searched from `start` (quasi-Newton in their logarithms)."""
     precision = prior.precision(selected)
 
+    def process(point: np.ndarray) -> Process:
+        lateral, axial, torque = map(float, point)
+        return Process(log_lateral=lateral, log_axial=axial, log_torque=torque)
+
     def objective(point: np.ndarray) -> float:
-        return -log_evidence(whitened(lin, clipped(point), prior), lin.z, precision, len(selected))
+        return -log_evidence(whitened(lin, process(point), prior), lin.z, precision, len(selected))
 
     origin = np.array([start.log_lateral, start.log_axial, start.log_torque])
-    simplex = np.vstack([origin, origin + 0.8 * np.eye(3)])
-    options = {"xatol": 0.04, "fatol": 0.2, "maxiter": 60, "initial_simplex": simplex}
-    return clipped(minimize(objective, origin, method="Nelder-Mead", options=options).x)
+    found = minimize(
+        objective,
+        origin,
+        method="L-BFGS-B",
+        bounds=(FORCE_LIMITS, FORCE_LIMITS, TORQUE_LIMITS),
+        options={"eps": 1e-4, "gtol": 1.0, "ftol": 1e-10},
+    )
+    return process(found.x)
 
 
 def disturbances(lin: Linearisation, process: Process, step: np.ndarray, local: np.ndarray) -> np.ndarray:
