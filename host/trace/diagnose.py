@@ -21,7 +21,7 @@ START = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6*
 START_RATE_DRIVEN = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.02**2)))
 MAX_EFFECTS = 4
 BEAM = 25
-WITHIN_NATS = 5.0
+WITHIN_NATS = float(np.log(20.0))
 """The smallest set whose evidence is this close to the best one is kept."""
 
 BEARS = 4.0

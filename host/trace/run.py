@@ -12,6 +12,7 @@ from host.effects import Effect
 from host.errors import UsageError
 from host.log import Flight
 from host.models.model import Covariance, Model, Region
+from host.models.states import battery_of
 from host.trace import evidence
 from host.trace.data import SEGMENT_S, segments_of, signals, unknowns
 from host.trace.diagnose import ALIAS_PROBABILITY, Diagnosis, Fit, diagnose
@@ -34,6 +35,9 @@ WEIGHED = 0.005
 """A declared mass tolerance below this share means the vehicle was weighed: mass is then no alias of
 thrust.
 """
+
+SAG_SEEN = 0.01
+"""Share of the full voltage by which a battery must have left it: less is the voltmeter's noise."""
 
 Report = Callable[[str], None]
 Manoeuvres = Callable[[], Mapping[str, np.ndarray]]
@@ -91,7 +95,7 @@ def run(
     """
     airframe = check_logs(flights, held_out, vehicle)
     report("reading segments")
-    chosen = space(airframe, effects, unknowns([*flights, *held_out]))
+    chosen = space(airframe, _observable(effects, flights), unknowns([*flights, *held_out]))
     data, audits = segments_of(flights)
     diagnosis = diagnose(airframe, chosen, data, report)
     fit = diagnosis.best
@@ -132,6 +136,12 @@ def run(
         leftover=rest,
         audits=audits,
     )
+
+
+def _observable(effects: Mapping[str, Effect], flights: Sequence[Flight]) -> dict[str, Effect]:
+    """The effects that these flights could show: no sag where every battery stayed full."""
+    sagged = any(np.abs(battery_of(flight)[1] - 1.0).max() > SAG_SEEN for flight in flights)
+    return {name: effect for name, effect in effects.items() if sagged or name != "battery-sag"}
 
 
 def _leftover(fit: Fit, twins: Sequence[tuple[int, int]]) -> Leftover:

@@ -8,20 +8,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from host.effects import load_effects
 from host.errors import UsageError
-from host.log import Mocap, read_flight, write_imported
+from host.log import Battery, Mocap, read_flight, write_imported
 from host.trace.data import TooLittleData
-from host.trace.run import check_logs
+from host.trace.run import check_logs, run
 from host.vehicle import Vehicle, load_vehicle
 
 VEHICLE = load_vehicle("research")
 
 
-def log(path: Path, *, vehicle: Vehicle = VEHICLE, tracking_us: tuple[int, int] | None = None) -> Path:
+def log(
+    path: Path,
+    *,
+    vehicle: Vehicle = VEHICLE,
+    tracking_us: tuple[int, int] | None = None,
+    battery: Battery | None = None,
+) -> Path:
     t_us = np.arange(0, 6_000_000, 10_000)
     p, q = np.zeros((len(t_us), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(t_us), 1))
     poses = Mocap(t_us=t_us, t_arrival_us=t_us, p=p, q=q)
-    write_imported(path, vehicle=vehicle, mocap=poses, tracking_us=tracking_us, session={"from": path.stem})
+    write_imported(
+        path,
+        vehicle=vehicle,
+        mocap=poses,
+        battery=battery,
+        tracking_us=tracking_us,
+        session={"from": path.stem},
+    )
     return path
 
 
@@ -46,3 +60,15 @@ def test_a_held_out_log_without_poses_in_its_tracking_phase_is_refused_first(tmp
     bare = read_flight(log(tmp_path / "bare.mcap", tracking_us=(5_900_000, 5_905_000)))
     with pytest.raises(TooLittleData, match=r"bare\.mcap: fewer than 10 poses"):
         check_logs([one], [bare], None)
+
+
+@pytest.mark.parametrize(("sag", "candidate"), [(0.0, False), (0.004, False), (0.05, True)])
+def test_a_sag_is_a_candidate_only_where_the_voltage_fell(
+    tmp_path: Path, sag: float, candidate: bool
+) -> None:
+    t_us = np.arange(0, 6_000_000, 100_000)
+    volts = VEHICLE.battery.full_v * (1.0 - sag * t_us / t_us[-1])
+    flight = read_flight(log(tmp_path / "one.mcap", battery=Battery(t_us=t_us, battery_v=volts)))
+    effects = load_effects()
+    known = {name: effects[name] for name in ("battery-sag", "linear-drag", "mass")}
+    assert ("battery-sag" in run([flight], [], known).space.effects) == candidate
