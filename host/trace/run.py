@@ -99,11 +99,17 @@ def run(
     data, audits = segments_of(flights)
     diagnosis = diagnose(airframe, chosen, data, report)
     fit = diagnosis.best
-    rest = _leftover(fit, twins_of(flights))
+    rest = _leftover(fit, fit.z, twins_of(flights))
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
     verdict = _verdict(fit, rest, aliases)
     named = () if verdict == "outside-library" else _named(airframe, chosen, diagnosis, aliases)
-    z = _reading(chosen, diagnosis) if verdict == "outside-library" else fit.z
+    z = fit.z
+    if verdict == "outside-library":
+        # How much is missing counts from the model that is kept: what the library fitted in its stead may be
+        # wild.
+        z = _reading(chosen, diagnosis)
+        missing = _leftover(diagnosis.nothing, z, twins_of(flights))
+        rest = missing if missing.reasons else rest
     model = _model(airframe, chosen, fit, z, flights, named, provenance)
 
     report("predicting the held-out flights")
@@ -144,9 +150,9 @@ def _observable(effects: Mapping[str, Effect], flights: Sequence[Flight]) -> dic
     return {name: effect for name, effect in effects.items() if sagged or name != "battery-sag"}
 
 
-def _leftover(fit: Fit, twins: Sequence[tuple[int, int]]) -> Leftover:
-    none = np.zeros(len(fit.z))
-    w = evidence.disturbances(fit.lin, fit.process, none, np.zeros_like(fit.local))
+def _leftover(fit: Fit, z: np.ndarray, twins: Sequence[tuple[int, int]]) -> Leftover:
+    """What the model with scaled parameters z (P,) leaves, in the fit's linearisation."""
+    w = evidence.disturbances(fit.lin, fit.process, z - fit.z, np.zeros_like(fit.local))
     return leftover(w, fit.data, twins)
 
 
