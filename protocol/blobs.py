@@ -30,8 +30,6 @@ VERSION = 1
 T_US_MAX = 0xFFFF_FFFF
 BLOB_BYTES_MAX = 256 * 1024
 """Longest blob that a vehicle keeps: 5040 nodes of a reference without yaw rows."""
-BLOB_BYTES_MAX = 256 * 1024
-"""Longest blob that a vehicle keeps: 5040 nodes of a reference without yaw rows."""
 
 
 class Kind(IntEnum):

@@ -98,23 +98,23 @@ def run(
     chosen = space(airframe, _observable(effects, flights), unknowns([*flights, *held_out]))
     data, audits = segments_of(flights)
     diagnosis = diagnose(airframe, chosen, data, report)
-    fit = diagnosis.best
-    rest = _leftover(fit, fit.z, twins_of(flights))
+    fit, twins = diagnosis.best, twins_of(flights)
+    rest = _leftover(fit, fit.z, twins)
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
     verdict = _verdict(fit, rest, aliases)
-    named = () if verdict == "outside-library" else _named(airframe, chosen, diagnosis, aliases)
-    z = fit.z
-    if verdict == "outside-library":
+    added = verdict != "outside-library"
+    named = _named(airframe, chosen, diagnosis, aliases) if added else ()
+    z = fit.z if added else _reading(chosen, diagnosis)
+    if not added:
         # How much is missing counts from the model that is kept: what the library fitted in its stead may be
         # wild.
-        z = _reading(chosen, diagnosis)
-        missing = _leftover(diagnosis.nothing, z, twins_of(flights))
+        missing = _leftover(diagnosis.nothing, z, twins)
         rest = missing if missing.reasons else rest
-    model = _model(airframe, chosen, fit, z, flights, named, provenance)
+    model = _model(airframe, chosen, fit, z, flights, named, added, provenance)
 
     report("predicting the held-out flights")
     drive = drive_of([*flights, *held_out])
-    before, after, middle = _errors(drive, airframe, chosen, diagnosis, z, model, held_out, effects)
+    before, after, middle = _errors(drive, airframe, chosen, diagnosis, added, model, held_out, effects)
     following: NextFlight | None = None
     if verdict == "undecided" and manoeuvres is not None:
         report("looking for the flight that decides")
@@ -124,7 +124,7 @@ def run(
         verdict=verdict,
         reasons=rest.reasons,
         effects=named,
-        possible={} if verdict == "outside-library" else _possible(diagnosis, aliases),
+        possible=_possible(diagnosis, aliases) if added else {},
         drive=drive,
         horizon_s=None if drive == "reference" else SEGMENT_S,
         before=before,
@@ -255,21 +255,23 @@ def _model(
     z: np.ndarray,
     flights: Sequence[Flight],
     named: Sequence[Named],
+    added: bool,
     provenance: Mapping[str, object] | None,
 ) -> Model:
     """The model file's content: named effects, everything else within tolerance as adjustments.
 
-    Where the values are not the fit's own, nothing is added: neither effects nor a covariance.
+    Unless effects are `added` there are none, no adjustments beside what the logs declare unknown, and no
+    covariance.
     """
     values = chosen.values(z)
     found = {effect.name for effect in named}
     tables: dict[bool, dict[str, dict[str, float]]] = {True: {}, False: {}}
-    kept = [owner for owner in chosen.groups if z is fit.z or owner in chosen.unknown]
+    kept = [owner for owner in chosen.groups if added or owner in chosen.unknown]
     for owner in kept:
         table = {chosen.columns[i].key: float(values[i]) for i in chosen.groups[owner]}
         tables[owner in found][owner] = table
     covariance = None
-    if z is fit.z:
+    if added:
         scaled = fit.covariance * np.outer(chosen.scale, chosen.scale)
         covariance = Covariance(
             names=tuple(f"{c.owner}.{c.key}" for c in chosen.columns),
@@ -309,7 +311,7 @@ def _errors(
     vehicle: Vehicle,
     chosen: Space,
     diagnosis: Diagnosis,
-    z: np.ndarray,
+    added: bool,
     model: Model,
     held_out: Sequence[Flight],
     effects: Mapping[str, Effect],
@@ -326,8 +328,9 @@ def _errors(
         return predict_segments(held_out, vehicle, chosen, values)
 
     before = predict(_reading(chosen, diagnosis), None)
-    if z is not diagnosis.best.z:
+    if not added:
         return before, before, before
+    z = diagnosis.best.z
     middle = z.copy()
     middle[named] = 0.0
     return before, predict(z, model), predict(middle, bare)
