@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,14 @@ def reference(vehicle: Vehicle) -> Reference:
 @pytest.fixture(scope="session", name="figure_eight")
 def _figure_eight() -> Callable[..., Reference]:
     return figure_eight
+
+
+@pytest.fixture
+def mocap_url() -> str:
+    """Where cameras may send their poses: a UDP port that nobody uses, another for every test."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"udp://127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.fixture

@@ -437,8 +437,9 @@ def speaking(terminal: int, speech: Callable[[], bytes]) -> Iterator[None]:
         thread.join()
 
 
-def fly_words(ref: str, port: str) -> tuple[str, ...]:
-    return ("fly", ref, "--port", port, "--mocap", "udp://127.0.0.1:47123", "-o", "x.mcap")
+@pytest.fixture
+def fly_words(ref: str, mocap_url: str) -> Callable[[str], tuple[str, ...]]:
+    return lambda port: ("fly", ref, "--port", port, "--mocap", mocap_url, "-o", "x.mcap")
 
 
 @pytest.mark.xdist_group("serial")
@@ -451,13 +452,11 @@ def test_port_in_silence_is_no_vehicle(refused: Refused, ref: str, terminal: tup
 
 @pytest.mark.xdist_group("serial")
 def test_port_with_something_else_is_no_vehicle(
-    refused: Refused, ref: str, terminal: tuple[int, str]
+    refused: Refused, fly_words: Callable[[str], tuple[str, ...]], terminal: tuple[int, str]
 ) -> None:
     noise = random.Random(3)
     with speaking(terminal[0], lambda: noise.randbytes(200)):
-        refused(
-            *fly_words(ref, terminal[1]), code=3, parts=["bytes of something else", "check port and baud"]
-        )
+        refused(*fly_words(terminal[1]), code=3, parts=["bytes of something else", "check port and baud"])
 
 
 def heartbeat(autopilot: int, custom_mode: int) -> bytes:
@@ -481,16 +480,25 @@ def heartbeat(autopilot: int, custom_mode: int) -> bytes:
     ids=["another version", "another make"],
 )
 def test_port_with_another_dialect_is_refused_at_once(
-    refused: Refused, ref: str, terminal: tuple[int, str], answer: bytes, parts: list[str]
+    refused: Refused,
+    ref: str,
+    fly_words: Callable[[str], tuple[str, ...]],
+    terminal: tuple[int, str],
+    answer: bytes,
+    parts: list[str],
 ) -> None:
     with speaking(terminal[0], lambda: answer):
         refused("upload", ref, "--port", terminal[1], code=3, parts=[terminal[1], *parts])
-        refused(*fly_words(ref, terminal[1]), code=3, parts=[terminal[1], *parts])
+        refused(*fly_words(terminal[1]), code=3, parts=[terminal[1], *parts])
 
 
 @pytest.mark.xdist_group("serial")
 def test_blob_for_another_vehicle_than_the_ports_is_refused(
-    refused: Refused, ref: str, vehicle: Vehicle, require: Callable[[str], None]
+    refused: Refused,
+    ref: str,
+    fly_words: Callable[[str], tuple[str, ...]],
+    vehicle: Vehicle,
+    require: Callable[[str], None],
 ) -> None:
     require("pty")
     words = [sys.executable, "-m", "host.cli", "sitl", "--port", "pty", "--vehicle", "nano"]
@@ -500,7 +508,7 @@ def test_blob_for_another_vehicle_than_the_ports_is_refused(
         port = process.stdout.readline().strip()
         wanted = f"the reference is for the research ({vehicle.id}); plan anew with --vehicle nano, or check"
         refused("upload", ref, "--port", port, code=2, parts=[f"{port} is the nano (", wanted])
-        refused(*fly_words(ref, port), code=2, parts=[f"{port} is the nano (", wanted])
+        refused(*fly_words(port), code=2, parts=[f"{port} is the nano (", wanted])
     finally:
         process.terminate()
         process.communicate(timeout=60)
@@ -514,14 +522,16 @@ def test_sitl_refused_leaves_no_truth(refused: Refused) -> None:
     refused("sitl", "--port", "pty", "--start", "0", "-10.5", code=2, parts=outside)
 
 
-def test_port_that_cannot_be_opened_is_a_link_error(refused: Refused, ref: str) -> None:
+def test_port_that_cannot_be_opened_is_a_link_error(
+    refused: Refused, ref: str, fly_words: Callable[[str], tuple[str, ...]]
+) -> None:
     for port, part in (
         ("/dev/null", "serial port"),
         ("no-device", "serial port"),
         ("tcp:127.0.0.1:1", "reached"),
     ):
         refused("upload", ref, "--port", port, code=3, parts=[port, part])
-        refused(*fly_words(ref, port), code=3, parts=[port, part])
+        refused(*fly_words(port), code=3, parts=[port, part])
 
 
 # Ctrl-C.

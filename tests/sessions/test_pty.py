@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -26,13 +25,6 @@ pytestmark = pytest.mark.xdist_group("serial")
 @pytest.fixture(autouse=True)
 def _pty(require: Callable[[str], None]) -> None:
     require("pty")
-
-
-def free_port() -> int:
-    """A UDP port number that nobody uses."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @contextmanager
@@ -57,11 +49,13 @@ def served(*words: str) -> Iterator[tuple[str, Callable[[], dict]]]:
 
 
 def test_pty_flight_after_upload_tracks_and_logs(
-    vehicle: Vehicle, reference: Reference, tmp_path: Path
+    vehicle: Vehicle, reference: Reference, mocap_url: str, tmp_path: Path
 ) -> None:
-    mocap = f"udp://127.0.0.1:{free_port()}"
     truth = tmp_path / "truth.json"
-    with served("--port", "pty", "--mocap", mocap, "--world-seed", "2", "--truth", str(truth)) as (port, end):
+    with served("--port", "pty", "--mocap", mocap_url, "--world-seed", "2", "--truth", str(truth)) as (
+        port,
+        end,
+    ):
         uploaded = upload_port(reference, port)
         assert uploaded.id == reference.id
         assert upload_port(reference, port).frames_sent == 1  # it is live already
@@ -73,7 +67,7 @@ def test_pty_flight_after_upload_tracks_and_logs(
             upload=False,
             camera_delay_us=4000,
         )
-        result = fly_port(order, port, mocap)
+        result = fly_port(order, port, mocap_url)
         assert end()["simulated_s"] > 10.0
     assert result.end is not None
     assert result.end.whole
@@ -85,10 +79,9 @@ def test_pty_flight_after_upload_tracks_and_logs(
 
 
 def test_pty_flight_over_a_radio_that_loses_a_fifth_of_its_frames(
-    vehicle: Vehicle, reference: Reference, tmp_path: Path
+    vehicle: Vehicle, reference: Reference, mocap_url: str, tmp_path: Path
 ) -> None:
-    mocap = f"udp://127.0.0.1:{free_port()}"
-    with served("--port", "pty", "--mocap", mocap, "--world", "lossy-link") as (port, end):
+    with served("--port", "pty", "--mocap", mocap_url, "--world", "lossy-link") as (port, end):
         upload_port(reference, port)
         order = FlightOrder(
             vehicle=vehicle,
@@ -98,7 +91,7 @@ def test_pty_flight_over_a_radio_that_loses_a_fifth_of_its_frames(
             upload=False,
             camera_delay_us=4000,
         )
-        result = fly_port(order, port, mocap)
+        result = fly_port(order, port, mocap_url)
         end()
     assert result.end is not None
     assert result.end.whole
