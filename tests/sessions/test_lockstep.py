@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -407,6 +407,15 @@ def test_session_interrupted_leaves_a_readable_log(fly: Fly, tmp_path: Path) -> 
     assert flight.status.state.max() <= 4
 
 
+@pytest.fixture
+def _hangs_up() -> Iterator[None]:
+    """SIGHUP counts, also where the tests were started to outlive their terminal."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("_hangs_up")
 @pytest.mark.parametrize(
     ("first", "again"),
     [(signal.SIGINT, None), (signal.SIGTERM, signal.SIGTERM), (signal.SIGHUP, signal.SIGHUP)],
