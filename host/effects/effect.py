@@ -26,7 +26,8 @@ class Context(NamedTuple):
 
     `thrust` and `collective_n` are the lagged rotor thrusts: before the thrust factors where a thrust factor
     is asked for, after them everywhere else. `voltage_ratio` is battery voltage over full voltage, 1 where
-    it is not known. `R` is R_ned_frd, row-major.
+    it is not known. `R` is R_ned_frd, row-major. `hover_n` is a rotor's thrust at hover, `inertia_kg_m2` the
+    vehicle file's principal moments. `memory` holds the effect's own states, empty where it has none.
     """
 
     p_ned: Sequence[Scalar]
@@ -40,6 +41,10 @@ class Context(NamedTuple):
     voltage_ratio: Scalar
     t_s: Scalar
     rotor_positions: Sequence[Sequence[float]]
+    spin_signs: Sequence[float]
+    inertia_kg_m2: Sequence[float]
+    hover_n: float
+    memory: Sequence[Scalar] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,8 +100,14 @@ class Effect:
     """A candidate: one named piece of physics the nominal model does not have.
 
     `aliases` names the effects it is mistaken for; `requires_any` those of which one must be present for this
-    one to change anything. `source_id` is the first 12 hex of the SHA-256 of the file it came from, filled by
-    the registry.
+    one to change anything. `observable` says in a sentence what a flight must do to show it. `one_of`: exactly
+    one of the parameters leaves neutral (one rotor of four), each is a candidate of its own. `memory` counts
+    the effect's own states: `memory_start` gives them at rest, `memory_rates` their derivatives. `source_id`
+    is the first 12 hex of the SHA-256 of the file it came from, filled by the registry.
+
+    Slots: factors on mass, on all rotors' thrust, on each rotor's and on the principal moments of inertia; the
+    air's velocity; gravity added in the frame of the measurements; specific force and torque; the rotors' lag;
+    what a command and a pose are late by.
     """
 
     name: str
@@ -106,14 +117,23 @@ class Effect:
     parameters: tuple[Parameter, ...]
     aliases: tuple[str, ...]
     closing: Closing
+    observable: str = ""
     requires_any: tuple[str, ...] = ()
+    one_of: bool = False
+    memory: int = 0
     mass_factor: Callable[[Ops, Theta], Scalar] | None = None
     thrust_factor: Callable[[Ops, Theta, Context], Scalar] | None = None
+    rotor_factors: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None
+    inertia_factors: Callable[[Ops, Theta], Sequence[Scalar]] | None = None
     wind_ned: Callable[[Ops, Theta], Sequence[Scalar]] | None = None
+    gravity_ned: Callable[[Ops, Theta], Sequence[Scalar]] | None = None
     specific_force_frd: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None
     torque_frd: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None
     motor_lag_s: Callable[[Ops, Theta, Scalar], Scalar] | None = None
+    command_delay_s: Callable[[Ops, Theta], Scalar] | None = None
     mocap_latency_s: Callable[[Ops, Theta], Scalar] | None = None
+    memory_start: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None
+    memory_rates: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None
     to_feedforward: Callable[[Sequence[float]], Mapping[str, Any]] | None = None
     source_id: str = ""
 
@@ -128,6 +148,10 @@ class Effect:
             raise ValueError(f"effect {self.name} names itself as alias")
         if not any(getattr(self, slot) is not None for slot in SLOTS):
             raise ValueError(f"effect {self.name} fills none of the slots {SLOTS}")
+        if (self.memory > 0) != (self.memory_start is not None) or (self.memory > 0) != (
+            self.memory_rates is not None
+        ):
+            raise ValueError(f"effect {self.name}: memory, memory_start and memory_rates go together")
         if (self.closing.law is None) != (self.to_feedforward is None):
             raise ValueError(f"effect {self.name}: closing.law and to_feedforward must be given together")
 
@@ -145,9 +169,13 @@ class Effect:
 SLOTS = (
     "mass_factor",
     "thrust_factor",
+    "rotor_factors",
+    "inertia_factors",
     "wind_ned",
+    "gravity_ned",
     "specific_force_frd",
     "torque_frd",
     "motor_lag_s",
+    "command_delay_s",
     "mocap_latency_s",
 )

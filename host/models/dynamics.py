@@ -196,6 +196,9 @@ def _loads(
         voltage_ratio=voltage_ratio,
         t_s=t_s,
         rotor_positions=tuple(tuple(rotor.position_m) for rotor in vehicle.rotors),
+        spin_signs=tuple(1.0 if rotor.spin == "ccw" else -1.0 for rotor in vehicle.rotors),
+        inertia_kg_m2=vehicle.inertia_kg_m2,
+        hover_n=vehicle.mass_kg * GRAVITY / 4.0,
     )
     factor: Scalar | None = None
     for effect, theta in effects:

@@ -77,6 +77,9 @@ def test_workspace_pages_effect_loads_and_acts_as_its_equation_says(workspace: P
         voltage_ratio=1.0,
         t_s=0.0,
         rotor_positions=((0.1, 0.1, 0.0),) * 4,
+        spin_signs=(1.0, 1.0, -1.0, -1.0),
+        inertia_kg_m2=(0.0025, 0.0021, 0.0043),
+        hover_n=1.8,
     )
     assert effect.specific_force_frd(FLOAT, (0.1,), context) == pytest.approx((0.0, 0.0, -0.2))
     assert effect.specific_force_frd(FLOAT, effect.neutral, context) == pytest.approx((0.0, 0.0, 0.0))
