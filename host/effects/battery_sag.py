@@ -31,6 +31,7 @@ EFFECT = Effect(
         ),
     ),
     aliases=("thrust-gain", "mass"),
+    observable="flights from a full and from an emptier battery, or one long flight, with the voltage logged",
     closing=Closing(
         model="every rotor's thrust times a power of the measured voltage ratio",
         planner="nothing: plans are made for a full battery",

@@ -30,6 +30,7 @@ EFFECT = Effect(
     source="2-10 mm after a change of battery or payload; rigid-body statics",
     parameters=(_axis("x", "ahead"), _axis("y", "to the right")),
     aliases=("wind", "torque-bias", "rotor-loss"),
+    observable="changes of thrust, as in climbs and fast turns; in hover it is a torque bias",
     closing=Closing(
         model="a torque in proportion to the collective thrust",
         planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "

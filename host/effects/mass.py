@@ -31,6 +31,7 @@ EFFECT = Effect(
         ),
     ),
     aliases=("thrust-gain", "battery-sag"),
+    observable="never apart from thrust in flight; weigh the vehicle",
     closing=Closing(
         model="the mass times a constant",
         planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "

@@ -31,6 +31,7 @@ EFFECT = Effect(
         ),
     ),
     aliases=("motor-lag", "actuation-delay", "linear-drag"),
+    observable="fast flight: an error along the velocity; without a gyro it is an actuation delay",
     closing=Closing(
         model="the pose the estimator corrects with, and the logged pose, are delayed",
         planner="nothing: only a slower plan would lessen the error",

@@ -27,6 +27,7 @@ EFFECT = Effect(
         ),
     ),
     aliases=("mocap-latency", "actuation-delay"),
+    observable="quick turns of roll and pitch with the gyro in the log",
     closing=Closing(
         model="rotor thrust with the longer time constant",
         planner="nothing: the rotor thrusts of a plan have no lag",

@@ -37,6 +37,7 @@ EFFECT = Effect(
         ),
     ),
     aliases=("linear-drag", "wind"),
+    observable="level flight over a range of speeds, up to 4 m/s and beyond",
     closing=Closing(
         model="a drag force quadratic in the air speed",
         planner="plans a path of less drag: slower where it is fastest",

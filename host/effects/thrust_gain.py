@@ -31,6 +31,7 @@ EFFECT = Effect(
         ),
     ),
     aliases=("mass", "battery-sag"),
+    observable="any flight; from mass only by weighing",
     closing=Closing(
         model="every rotor's thrust times a constant",
         planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "

@@ -35,6 +35,7 @@ EFFECT = Effect(
     source="0.5-3 m/s outdoors and near air conditioning; acts only through drag",
     parameters=(_axis("wx", "north"), _axis("wy", "east")),
     aliases=("linear-drag", "quadratic-drag", "com-offset", "frame-tilt"),
+    observable="flights both ways along each direction; in hover it is a tilt of the frame",
     requires_any=("linear-drag", "quadratic-drag"),
     closing=Closing(
         model="the drag terms see the velocity through the air",

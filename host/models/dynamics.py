@@ -6,7 +6,7 @@ before any thrust factor). The same source runs on floats, CasADi scalars and nu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Protocol
 
 from firmware_model.law.constants import GRAVITY
@@ -59,9 +59,10 @@ def derivative(
     t_s: Scalar = 0.0,
     acceleration_ned: Sequence[Scalar] | None = None,
     rate_dot_frd: Sequence[Scalar] | None = None,
+    memory: Sequence[Scalar] = (),
 ) -> list[Scalar]:
     """xdot, 16 scalars, for commanded rotor thrusts in N; the other arguments as of `rigid_body`."""
-    body = rigid_body(ops, vehicle, effects, x, voltage_ratio, t_s, acceleration_ned, rate_dot_frd)
+    body = rigid_body(ops, vehicle, effects, x, voltage_ratio, t_s, acceleration_ned, rate_dot_frd, memory)
     return [*body, *thrust_rates(x[THRUST], thrust_command, motor_lag_s(ops, vehicle, effects))]
 
 
@@ -74,17 +75,19 @@ def rigid_body(
     t_s: Scalar = 0.0,
     acceleration_ned: Sequence[Scalar] | None = None,
     rate_dot_frd: Sequence[Scalar] | None = None,
+    memory: Sequence[Scalar] = (),
 ) -> list[Scalar]:
     """Derivative of p, v, Theta and rate, 12 scalars: explicit, since rotor thrusts are states.
 
     `acceleration_ned` and `rate_dot_frd` are added to the translational and angular acceleration: the learned
-    residual d(x) of paper equation 2, or a disturbance being estimated. Paper equation 1; the slots'
-    meaning is stated in `host.effects.effect`.
+    residual d(x) of paper equation 2, or a disturbance being estimated. `memory` holds the effects' own
+    states, one after the other; without it they are as at rest. Paper equation 1; the slots' meaning is
+    stated in `host.effects.effect`.
     """
     v, rate = x[V], x[RATE]
     R = euler_to_matrix(ops, x[THETA])
     mass, thrust, collective, force, torque_extra = _loads(
-        ops, vehicle, effects, x, R, x[THRUST], voltage_ratio, t_s
+        ops, vehicle, effects, x, R, x[THRUST], voltage_ratio, t_s, memory
     )
     tau = rotor_torque(vehicle, thrust)
     if torque_extra is not None:
@@ -96,13 +99,16 @@ def rigid_body(
     else:
         ax, ay, az = mat_vec(R, (force[0], force[1], force[2] - up))
         a = (ax, ay, az + GRAVITY)
-    jx, jy, jz = vehicle.inertia_kg_m2
+    jx, jy, jz = _inertia(ops, vehicle, effects)
     wx, wy, wz = rate
     alpha = (
         (tau[0] - (jz - jy) * wy * wz) / jx,
         (tau[1] - (jx - jz) * wz * wx) / jy,
         (tau[2] - (jy - jx) * wx * wy) / jz,
     )
+    tilted = gravity_ned(ops, effects)
+    if tilted is not None:
+        a = _add(a, tilted)
     if acceleration_ned is not None:
         a = _add(a, acceleration_ned)
     if rate_dot_frd is not None:
@@ -123,10 +129,11 @@ def residual_acceleration_ned(
     x: Sequence[Scalar],
     voltage_ratio: Scalar = 1.0,
     t_s: Scalar = 0.0,
+    memory: Sequence[Scalar] = (),
 ) -> Sequence[Scalar]:
     """The effects' state-only force as acceleration in the world: the part of d(x) a planner minimises."""
     R = euler_to_matrix(ops, x[6:9])
-    force = _loads(ops, vehicle, effects, x, R, x[12:16], voltage_ratio, t_s)[3]
+    force = _loads(ops, vehicle, effects, x, R, x[12:16], voltage_ratio, t_s, memory)[3]
     return (0.0, 0.0, 0.0) if force is None else mat_vec(R, force)
 
 
@@ -159,6 +166,106 @@ def mocap_latency_s(ops: Ops, effects: Sequence[Part]) -> Scalar:
     return latency
 
 
+def command_delay_s(ops: Ops, effects: Sequence[Part]) -> Scalar:
+    """Time by which motor commands arrive late: the sum over all effects, 0 without any."""
+    delay: Scalar = 0.0
+    for effect, theta in effects:
+        if effect.command_delay_s is not None:
+            delay = delay + effect.command_delay_s(ops, theta)
+    return delay
+
+
+def gravity_ned(ops: Ops, effects: Sequence[Part]) -> Sequence[Scalar] | None:
+    """What the effects add to gravity in the frame of the measurements, m/s^2; None: nothing."""
+    total: Sequence[Scalar] | None = None
+    for effect, theta in effects:
+        if effect.gravity_ned is not None:
+            g = effect.gravity_ned(ops, theta)
+            total = g if total is None else _add(total, g)
+    return total
+
+
+def memory_size(effects: Iterable[Effect]) -> int:
+    """Number of states that the effects have of their own."""
+    return sum(effect.memory for effect in effects)
+
+
+def memory_at_rest(ops: Ops, vehicle: Airframe, effects: Sequence[Part], x: Sequence[Scalar]) -> list[Scalar]:
+    """The effects' own states where the vehicle has long been at rest in state x."""
+    return _memory(ops, vehicle, effects, x, (), rates=False)
+
+
+def memory_rates(
+    ops: Ops, vehicle: Airframe, effects: Sequence[Part], x: Sequence[Scalar], memory: Sequence[Scalar]
+) -> list[Scalar]:
+    """Derivatives of the effects' own states."""
+    return _memory(ops, vehicle, effects, x, memory, rates=True)
+
+
+def _memory(
+    ops: Ops,
+    vehicle: Airframe,
+    effects: Sequence[Part],
+    x: Sequence[Scalar],
+    memory: Sequence[Scalar],
+    *,
+    rates: bool,
+) -> list[Scalar]:
+    out: list[Scalar] = []
+    if not memory_size(effect for effect, _ in effects):
+        return out
+    R = euler_to_matrix(ops, x[THETA])
+    ctx = _context(vehicle, x, R, mat_t_vec(R, x[V]), x[THRUST], vehicle.mass_kg, 1.0, 0.0)
+    for effect, theta in effects:
+        if not effect.memory:
+            continue
+        if rates:
+            assert effect.memory_rates is not None
+            own = memory[len(out) : len(out) + effect.memory]
+            out += effect.memory_rates(ops, theta, ctx._replace(memory=own))
+        else:
+            assert effect.memory_start is not None
+            out += effect.memory_start(ops, theta, ctx)
+    return out
+
+
+def _inertia(ops: Ops, vehicle: Airframe, effects: Sequence[Part]) -> Sequence[Scalar]:
+    """Principal moments of inertia with all effects."""
+    j: Sequence[Scalar] = vehicle.inertia_kg_m2
+    for effect, theta in effects:
+        if effect.inertia_factors is not None:
+            j = [a * f for a, f in zip(j, effect.inertia_factors(ops, theta), strict=True)]
+    return j
+
+
+def _context(
+    vehicle: Airframe,
+    x: Sequence[Scalar],
+    R: Sequence[Scalar],
+    v_air_frd: Sequence[Scalar],
+    thrust: Sequence[Scalar],
+    mass: Scalar,
+    voltage_ratio: Scalar,
+    t_s: Scalar,
+) -> Context:
+    return Context(
+        p_ned=x[0:3],
+        v_ned=x[3:6],
+        v_air_frd=v_air_frd,
+        R=R,
+        rate_frd=x[9:12],
+        thrust=thrust,
+        collective_n=thrust[0] + thrust[1] + thrust[2] + thrust[3],
+        mass_kg=mass,
+        voltage_ratio=voltage_ratio,
+        t_s=t_s,
+        rotor_positions=tuple(tuple(rotor.position_m) for rotor in vehicle.rotors),
+        spin_signs=tuple(1.0 if rotor.spin == "ccw" else -1.0 for rotor in vehicle.rotors),
+        inertia_kg_m2=vehicle.inertia_kg_m2,
+        hover_n=vehicle.mass_kg * GRAVITY / 4.0,
+    )
+
+
 def _loads(
     ops: Ops,
     vehicle: Airframe,
@@ -168,6 +275,7 @@ def _loads(
     thrust: Sequence[Scalar],
     voltage_ratio: Scalar,
     t_s: Scalar,
+    memory: Sequence[Scalar],
 ) -> tuple[Scalar, Sequence[Scalar], Scalar, Sequence[Scalar] | None, Sequence[Scalar] | None]:
     """Mass, rotor thrusts after factors, their sum, the effects' specific force and torque (None: none)."""
     mass: Scalar = vehicle.mass_kg
@@ -179,39 +287,39 @@ def _loads(
             w = effect.wind_ned(ops, theta)
             wind = w if wind is None else _add(wind, w)
     collective = thrust[0] + thrust[1] + thrust[2] + thrust[3]
-    if not any(e.thrust_factor or e.specific_force_frd or e.torque_frd for e, _ in effects):
+    if not any(
+        e.thrust_factor or e.rotor_factors or e.specific_force_frd or e.torque_frd for e, _ in effects
+    ):
         return mass, thrust, collective, None, None
 
     v = x[3:6]
     v_air = v if wind is None else (v[0] - wind[0], v[1] - wind[1], v[2] - wind[2])
-    ctx = Context(
-        p_ned=x[0:3],
-        v_ned=v,
-        v_air_frd=mat_t_vec(R, v_air),
-        R=R,
-        rate_frd=x[9:12],
-        thrust=thrust,
-        collective_n=collective,
-        mass_kg=mass,
-        voltage_ratio=voltage_ratio,
-        t_s=t_s,
-        rotor_positions=tuple(tuple(rotor.position_m) for rotor in vehicle.rotors),
-        spin_signs=tuple(1.0 if rotor.spin == "ccw" else -1.0 for rotor in vehicle.rotors),
-        inertia_kg_m2=vehicle.inertia_kg_m2,
-        hover_n=vehicle.mass_kg * GRAVITY / 4.0,
-    )
+    ctx = _context(vehicle, x, R, mat_t_vec(R, v_air), thrust, mass, voltage_ratio, t_s)
     factor: Scalar | None = None
     for effect, theta in effects:
         if effect.thrust_factor is not None:
             f = effect.thrust_factor(ops, theta, ctx)
             factor = f if factor is None else factor * f
-    if factor is not None:
-        thrust = [factor * T for T in thrust]
-        collective = factor * collective
+    each: Sequence[Scalar] | None = None
+    for effect, theta in effects:
+        if effect.rotor_factors is not None:
+            f = effect.rotor_factors(ops, theta, ctx)
+            each = f if each is None else [a * b for a, b in zip(each, f, strict=True)]
+    if factor is not None or each is not None:
+        if factor is not None:
+            thrust = [factor * T for T in thrust]
+        if each is not None:
+            thrust = [f * T for f, T in zip(each, thrust, strict=True)]
+        collective = thrust[0] + thrust[1] + thrust[2] + thrust[3]
         ctx = ctx._replace(thrust=thrust, collective_n=collective)
     force: Sequence[Scalar] | None = None
     torque: Sequence[Scalar] | None = None
+    if not len(memory):
+        memory = memory_at_rest(ops, vehicle, effects, x)
+    start = 0
     for effect, theta in effects:
+        ctx = ctx._replace(memory=memory[start : start + effect.memory])
+        start += effect.memory
         if effect.specific_force_frd is not None:
             f = effect.specific_force_frd(ops, theta, ctx)
             force = f if force is None else _add(force, f)

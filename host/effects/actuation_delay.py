@@ -1,0 +1,37 @@
+"""Actuation delay: a motor command takes effect later than it is given, apart from the rotors' lag."""
+
+from __future__ import annotations
+
+from host.effects.effect import Closing, Effect, Parameter
+
+
+def _delay(ops, theta):
+    return theta[0]
+
+
+EFFECT = Effect(
+    name="actuation-delay",
+    title="Actuation delay",
+    equation="T_i,command(t) = T_i,commanded(t - delay_s)",
+    source="motor controllers and their protocols: 2-10 ms",
+    parameters=(
+        Parameter(
+            key="delay_s",
+            unit="s",
+            neutral=0.0,
+            typical=0.006,
+            tolerance=0.0003,
+            lower=0.0,
+            upper=0.03,
+            description="time from a motor command to its arrival at the rotor",
+        ),
+    ),
+    aliases=("motor-lag", "mocap-latency", "inertia"),
+    observable="quick turns of roll and pitch with the gyro in the log; without it, it is a mocap latency",
+    closing=Closing(
+        model="the rotors follow the commands of a moment ago",
+        planner="nothing: the rotor thrusts of a plan have no delay",
+        law=None,
+    ),
+    command_delay_s=_delay,
+)

@@ -1,0 +1,47 @@
+"""Tilt of the camera frame: its vertical is not gravity's, so hover needs a lean that nobody planned."""
+
+from __future__ import annotations
+
+from firmware_model.law.constants import GRAVITY
+from host.effects.effect import Closing, Effect, Parameter
+
+
+def _gravity(ops, theta):
+    x, y = theta
+    return (GRAVITY * y, -GRAVITY * x, 0.0)
+
+
+def _feedforward(theta):
+    x, y = theta
+    return {"bias_ned": (GRAVITY * y, -GRAVITY * x, 0.0)}
+
+
+def _axis(key: str, direction: str) -> Parameter:
+    return Parameter(
+        key=key,
+        unit="rad",
+        neutral=0.0,
+        typical=0.015,
+        tolerance=0.001,
+        lower=-0.1,
+        upper=0.1,
+        description=f"turn of the camera frame about its {direction} axis, against the true vertical",
+    )
+
+
+EFFECT = Effect(
+    name="frame-tilt",
+    title="Tilt of the camera frame",
+    equation="g in the camera frame = (g tilt_y, -g tilt_x, g)",
+    source="calibration of a camera system by hand: 0.2-2 deg, 0.17 m/s^2 a degree",
+    parameters=(_axis("tilt_x", "north"), _axis("tilt_y", "east")),
+    aliases=("wind", "com-offset"),
+    observable="a force that stays with the room when the heading turns and does not grow with speed",
+    closing=Closing(
+        model="gravity turned in the frame of the poses",
+        planner="nothing, except with a star: then the dynamics hold it",
+        law="the push it amounts to is fed forward as a constant acceleration",
+    ),
+    gravity_ned=_gravity,
+    to_feedforward=_feedforward,
+)

@@ -1,0 +1,47 @@
+"""Gyroscopic torque of the rotors: where those of one spin turn faster, roll and pitch are coupled."""
+
+from __future__ import annotations
+
+from host.effects.effect import Closing, Effect, Parameter
+
+_FLOOR_N = 1e-9  # keeps the derivative of the root finite where a rotor stands
+
+
+def _torque(ops, theta, ctx):
+    (h,) = theta
+    surplus = sum(
+        sign * ops.sqrt(ops.maximum(thrust, 0.0) + _FLOOR_N)
+        for sign, thrust in zip(ctx.spin_signs, ctx.thrust, strict=True)
+    )
+    momentum = h * ctx.inertia_kg_m2[0] * surplus / (ctx.hover_n + _FLOOR_N) ** 0.5
+    x, y, _ = ctx.rate_frd
+    return (-momentum * y, momentum * x, 0.0)
+
+
+EFFECT = Effect(
+    name="gyroscopic",
+    title="Gyroscopic torque of the rotors",
+    equation="tau_frd = -h J_x sum_i s_i sqrt(T_i / T_hover) (omega x e3), s_i = +1 for ccw from above",
+    source="a rotor's angular momentum J_r Omega; J_r 3e-8 (nano quad) to 1e-5 kg m^2 (5-inch propellers)",
+    parameters=(
+        Parameter(
+            key="h",
+            unit="1/s",
+            neutral=0.0,
+            typical=4.0,
+            tolerance=0.2,
+            lower=-2.0,
+            upper=40.0,
+            description="one rotor's angular momentum at hover over the vehicle's moment of inertia about x",
+        ),
+    ),
+    aliases=("inertia",),
+    observable="turns about roll and pitch while the heading is being turned hard; hardly at all otherwise",
+    closing=Closing(
+        model="a torque across the body rate in proportion to the surplus of rotor speed of one spin",
+        planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "
+        "vehicle",
+        law=None,
+    ),
+    torque_frd=_torque,
+)

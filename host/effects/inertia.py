@@ -1,0 +1,40 @@
+"""Inertia: the vehicle turns more or less readily than its file's principal moments say."""
+
+from __future__ import annotations
+
+from host.effects.effect import Closing, Effect, Parameter
+
+
+def _factors(ops, theta):
+    return tuple(theta)
+
+
+def _axis(key: str, tolerance: float) -> Parameter:
+    return Parameter(
+        key=key,
+        unit="1",
+        neutral=1.0,
+        typical=0.2,
+        tolerance=tolerance,
+        lower=0.3,
+        upper=3.0,
+        description=f"moment of inertia about body {key} over the vehicle file's",
+    )
+
+
+EFFECT = Effect(
+    name="inertia",
+    title="Inertia",
+    equation="J = diag(x, y, z) J_nominal",
+    source="payloads, batteries and drawings that left out the wiring: 10-30 %",
+    parameters=(_axis("x", 0.02), _axis("y", 0.02), _axis("z", 0.04)),
+    aliases=("motor-lag", "actuation-delay", "thrust-gain"),
+    observable="quick turns; only thrust times arm over inertia shows, swing the vehicle for more",
+    closing=Closing(
+        model="the principal moments times constants",
+        planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "
+        "vehicle",
+        law=None,
+    ),
+    inertia_factors=_factors,
+)

@@ -1,0 +1,40 @@
+"""Torque bias: a constant torque, as of a bent arm or trim that nobody took out."""
+
+from __future__ import annotations
+
+from host.effects.effect import Closing, Effect, Parameter
+
+
+def _torque(ops, theta, ctx):
+    return tuple(j * alpha for j, alpha in zip(ctx.inertia_kg_m2, theta, strict=True))
+
+
+def _axis(key: str) -> Parameter:
+    return Parameter(
+        key=key,
+        unit="rad/s^2",
+        neutral=0.0,
+        typical=2.5,
+        tolerance=0.3,
+        lower=-30.0,
+        upper=30.0,
+        description=f"constant torque about body {key} over the vehicle file's moment of inertia",
+    )
+
+
+EFFECT = Effect(
+    name="torque-bias",
+    title="Torque bias",
+    equation="tau_frd = J_nominal (x, y, z)",
+    source="bent arms and tilted motor mounts; some 5-10 mN m on a 0.75 kg quadrotor",
+    parameters=(_axis("x"), _axis("y"), _axis("z")),
+    aliases=("com-offset", "rotor-loss"),
+    observable="constant while the thrust varies; in hover it is an offset of the centre of mass",
+    closing=Closing(
+        model="a constant torque",
+        planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "
+        "vehicle",
+        law=None,
+    ),
+    torque_frd=_torque,
+)

@@ -1,0 +1,39 @@
+"""Translational lift: moving sideways, the rotors meet fresh air and give more thrust."""
+
+from __future__ import annotations
+
+from host.effects.effect import Closing, Effect, Parameter
+
+
+def _force(ops, theta, ctx):
+    (k,) = theta
+    x, y, _ = ctx.v_air_frd
+    return (0.0, 0.0, -k * (x * x + y * y))
+
+
+EFFECT = Effect(
+    name="translational-lift",
+    title="Translational lift",
+    equation="a_frd = (0, 0, -k (v_air,x^2 + v_air,y^2))",
+    source="Faessler, Franchi, Scaramuzza 2018 (0.009 1/m); 3.4e-3 N/(m/s)^2 a rotor on a 0.75 kg quadrotor",
+    parameters=(
+        Parameter(
+            key="k",
+            unit="1/m",
+            neutral=0.0,
+            typical=0.015,
+            tolerance=0.001,
+            lower=-0.05,
+            upper=0.2,
+            description="lift over mass a square of the air speed across the rotors, positive upwards",
+        ),
+    ),
+    aliases=("thrust-gain", "quadratic-drag", "linear-drag"),
+    observable="level flight at several speeds above 2 m/s; at one speed it is a thrust gain",
+    closing=Closing(
+        model="a force against the body's down axis that grows with the square of the air speed across it",
+        planner="plans a path of less lift: slower where it is fastest",
+        law=None,
+    ),
+    specific_force_frd=_force,
+)
