@@ -19,8 +19,8 @@ Values = Mapping[str, Mapping[str, float]]
 """Effect name -> parameter key -> value."""
 Use = Literal["both", "effects", "adjustments", "none"]
 
-NUISANCES = frozenset({"inertia", "frame-tilt", "thrust-curve", "motor-lag-unknown", "pose-latency"})
-"""Adjustments that are no effects: the vehicle's inertia, and what only the reading of a log needs."""
+NUISANCES = frozenset({"thrust-curve"})
+"""Adjustments that are no effects: what only the reading of a log needs."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from firmware_model.law.allocation import allocation_matrix, invert4
 from firmware_model.law.constants import GRAVITY
 from host.log import Flight
 from host.models.states import TooLittleData, battery_of
-from host.trace.segments import BIN_S, Segments
+from host.trace.segments import BIN_S, PATH_S, Segments
 from host.vehicle import Vehicle
 
 DT_S = 0.01
@@ -236,8 +236,27 @@ def segments_of(
         )
     arrays = {key: np.stack([p[key] for p in parts]) for key in parts[0] if key != "in_newton"}
     in_newton = bool(parts[0]["in_newton"])
-    found = Segments(dt_s=DT_S, in_newton=in_newton, rate_driven=rate_driven, **arrays)
+    paths = _paths(flights)
+    found = Segments(dt_s=DT_S, in_newton=in_newton, rate_driven=rate_driven, paths=paths, **arrays)
     return found, tuple(audits)
+
+
+def _paths(flights: Sequence[Flight]) -> np.ndarray:
+    """Measured state (flights, n, 12) from each flight's first pose on, each PATH_S; body rate 0.
+
+    Flights that end earlier stand at their last state.
+    """
+    each = []
+    for flight in flights:
+        s = signals(flight)
+        t = np.arange(s.pose_s[0], s.pose_s[-1] + 0.5 * PATH_S, PATH_S)
+        p = np.column_stack([np.interp(t, s.pose_s, s.p[:, i]) for i in range(3)])
+        at = np.minimum(np.searchsorted(s.pose_s, t), len(s.pose_s) - 1)
+        yaw, pitch, roll = Rotation.from_matrix(s.R[at]).as_euler("ZYX").T
+        v = np.gradient(p, PATH_S, axis=0)
+        each.append(np.column_stack([p, v, roll, pitch, yaw, np.zeros((len(t), 3))]))
+    longest = max(len(path) for path in each)
+    return np.stack([np.pad(path, ((0, longest - len(path)), (0, 0)), mode="edge") for path in each])
 
 
 def unknowns(flights: Sequence[Flight]) -> frozenset[str]:
@@ -309,6 +328,7 @@ def _cut(
                 "command": command[a - pre : a + steps],
                 "voltage_ratio": ratio[a : a + steps],
                 "w": np.zeros((round(segment_s / BIN_S), 6)),
+                "path_start_s": np.array(grid[a] - s.pose_s[0]),
                 "sigma": sigma,
             }
         )

@@ -12,14 +12,14 @@ import numpy as np
 
 from host.trace import evidence, segments
 from host.trace.evidence import Linearisation, Process
+from host.trace.form import Form
 from host.trace.parameters import Space
 from host.trace.segments import Basis, Segments
-from host.vehicle import Vehicle
 
 _CALM = float(np.log(0.05**2))
 START = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6**2)))
 START_RATE_DRIVEN = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.02**2)))
-MAX_EFFECTS = 4
+MAX_EFFECTS = 6
 BEAM = 25
 WITHIN_NATS = float(np.log(20.0))
 """The smallest set whose evidence is this close to the best one is kept."""
@@ -71,8 +71,7 @@ def starting_process(data: Segments) -> Process:
 
 
 def refit(
-    vehicle: Vehicle,
-    space: Space,
+    form: Form,
     data: Segments,
     effects: Sequence[str],
     start: Fit | None,
@@ -85,6 +84,7 @@ def refit(
     The first fit, with no `start`, also finds the trajectories that the basis is taken along: its columns are
     long, and along the wrong trajectory they would no longer be parallel to an effect of the same shape.
     """
+    space = form.space
     prior, groups = space.prior, space.groups
     flights = int(data.flight.max()) + 1
     if start is None:
@@ -99,14 +99,17 @@ def refit(
             z[list(groups[name])] = 0.0
     precision = prior.precision(effects)
     if start is None:
-        data = data.with_w(segments.measured_turn(vehicle, space, data))
-        kept = segments.basis(vehicle, space, data, z, local)
+        data = data.with_w(segments.measured_turn(form, data))
+        kept = segments.basis(form, data, z, local)
     else:
         kept = start.basis
     for iteration in range(iterations):
-        grams = segments.linearise(vehicle, space, data, z, local, kept)
-        data = data.with_x0(grams.x0)
-        lin = segments.project(grams, data, z, local)
+        if iteration == 0 and start is not None and np.array_equal(z, start.z):
+            lin = start.lin
+        else:
+            grams = segments.linearise(form, data, z, local, kept)
+            data = data.with_x0(grams.x0)
+            lin = segments.project(grams, data, z, local)
         process = evidence.fit_process(lin, prior, effects, process)
         white = evidence.whitened(lin, process, prior)
         step, covariance = evidence.posterior(white.gram, z, precision)
@@ -120,8 +123,8 @@ def refit(
             data = data.with_w(evidence.disturbances(lin, process, step, moved))
             z = z + step
             if start is None and iteration < 2:
-                data = data.with_x0(segments.fitted_x0(vehicle, space, data, z, local, kept, 2))
-                kept = segments.basis(vehicle, space, data, z, local)
+                data = data.with_x0(segments.fitted_x0(form, data, z, local, kept, 2))
+                kept = segments.basis(form, data, z, local)
     return Fit(
         effects=tuple(sorted(effects)),
         log_evidence=evidence.log_evidence(white, z, precision, len(effects)),
@@ -166,9 +169,10 @@ def _extensions(space: Space, names: tuple[str, ...]) -> list[tuple[str, ...]]:
     return out + [pair for pair in pairs if space.admissible((*names, *pair))]
 
 
-def diagnose(vehicle: Vehicle, space: Space, data: Segments, report: Report = lambda _: None) -> Diagnosis:
+def diagnose(form: Form, data: Segments, report: Report = lambda _: None) -> Diagnosis:
     """The missing effects of the segments: forward steps, swaps and drops, each screened, then refitted."""
-    nothing = refit(vehicle, space, data, (), None, iterations=3)
+    space = form.space
+    nothing = refit(form, data, (), None, iterations=3)
     fits: dict[tuple[str, ...], Fit] = {(): nothing}
     current = nothing
     report("no effect fitted")
@@ -180,7 +184,7 @@ def diagnose(vehicle: Vehicle, space: Space, data: Segments, report: Report = la
             trials += _proposals(scores, current.effects)
         for names in dict.fromkeys(trials):
             if names not in fits:
-                fits[names] = refit(vehicle, space, current.data, names, current)
+                fits[names] = refit(form, current.data, names, current)
                 report(f"{', '.join(names) or 'no effect'} fitted")
         best = max(fits.values(), key=lambda fit: (fit.log_evidence, fit.effects))
         if best.effects == current.effects:
@@ -222,7 +226,7 @@ def _borne(space: Space, fit: Fit) -> bool:
     """
     beyond = np.abs(fit.z) > BEARS * space.prior.spike
     found = {name for name in fit.effects if beyond[list(space.groups[name])].any()}
-    needs = (space.effects[name].requires_any for name in fit.effects)
+    needs = (space.effect(name).requires_any for name in fit.effects)
     return all(not any_of or found & set(any_of) for any_of in needs)
 
 

@@ -180,18 +180,72 @@ def fit_process(lin: Linearisation, prior: Prior, selected: Sequence[str], start
         lateral, axial, torque = map(float, point)
         return Process(log_lateral=lateral, log_axial=axial, log_torque=torque)
 
-    def objective(point: np.ndarray) -> float:
-        return -log_evidence(whitened(lin, process(point), prior), lin.z, precision, len(selected))
+    def objective(point: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = _evidence_and_slope(lin, process(point), prior, precision)
+        return -value, -slope
 
-    origin = np.array([start.log_lateral, start.log_axial, start.log_torque])
     found = minimize(
         objective,
-        origin,
+        np.array([start.log_lateral, start.log_axial, start.log_torque]),
+        jac=True,
         method="L-BFGS-B",
         bounds=(FORCE_LIMITS, FORCE_LIMITS, TORQUE_LIMITS),
-        options={"eps": 1e-4, "gtol": 1.0, "ftol": 1e-10},
+        options={"gtol": 1.0, "ftol": 1e-10},
     )
     return process(found.x)
+
+
+def _evidence_and_slope(
+    lin: Linearisation, process: Process, prior: Prior, precision: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Log evidence of a set of prior `precision` (P,), and its slope (3,) in the process's log variances.
+
+    The slope in a log variance is half the sum of E[w^2] - 1 over its innovations w, in units of their sigma,
+    given the data (Fisher's identity).
+    """
+    m = 1 + lin.parameters
+    count, width = lin.local.shape
+    n = m + width
+    square, cross = lin.by_innovations
+    sigma = np.tile(process.sigma(), lin.bins)
+    inner = np.eye(6 * lin.bins) + square * np.outer(sigma, sigma)
+    cross = cross * sigma[:, None]
+    inverse = np.linalg.inv(inner)
+    gain = inverse @ cross
+    each = lin.gram[:, :n, :n] - np.swapaxes(cross, 1, 2) @ gain
+    flights = np.stack([each[lin.flight == flight].sum(0) for flight in range(count)])
+    local_precision = 1.0 / prior.local**2
+    # All unknowns but the disturbance at once: parameters, then every flight's nuisances.
+    size = lin.parameters + count * width
+    A, b = np.zeros((size, size)), np.zeros(size)
+    square_of_rest = float((local_precision * lin.local**2).sum() + precision @ lin.z**2)
+    own = np.arange(lin.parameters)
+    A[own, own] = precision
+    b[own] = -precision * lin.z
+    for k, gram in enumerate(flights):
+        at = np.r_[own, lin.parameters + k * width : lin.parameters + (k + 1) * width]
+        A[np.ix_(at, at)] += gram[1:, 1:]
+        b[at] += gram[1:, 0]
+        nuisances = at[lin.parameters :]
+        A[nuisances, nuisances] += local_precision
+        b[nuisances] -= local_precision * lin.local[k]
+        square_of_rest += gram[0, 0]
+    covariance = np.linalg.inv(A)
+    best = covariance @ b
+    log_dets = 2.0 * np.log(np.einsum("sii->si", np.linalg.cholesky(inner))).sum()
+    log_dets += np.linalg.slogdet(A)[1] - np.log(precision).sum() - count * np.log(local_precision).sum()
+    value = -0.5 * (square_of_rest - b @ best + log_dets)
+
+    power = np.zeros(6 * lin.bins)
+    for k in range(count):
+        mine = lin.flight == k
+        at = np.r_[own, lin.parameters + k * width : lin.parameters + (k + 1) * width]
+        mean = gain[mine, :, 0] - gain[mine, :, 1:] @ best[at]
+        slopes = gain[mine, :, 1:]
+        spread = np.einsum("szi,szi->sz", slopes @ covariance[np.ix_(at, at)], slopes)
+        power += (mean**2 + np.einsum("szz->sz", inverse[mine]) + spread - 1.0).sum(0)
+    by_channel = 0.5 * power.reshape(lin.bins, 6).sum(0)
+    return float(value), np.array([by_channel[:2].sum(), by_channel[2], by_channel[3:].sum()])
 
 
 def disturbances(lin: Linearisation, process: Process, step: np.ndarray, local: np.ndarray) -> np.ndarray:

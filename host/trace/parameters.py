@@ -8,7 +8,8 @@ they move within their tolerance, or freely where a log declares them unknown.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,36 +18,39 @@ from host.effects import Effect
 from host.trace.evidence import Prior
 from host.vehicle import Vehicle
 
-UNKNOWN = (
-    "thrust",
-    "thrust-curve",
-    "motor-lag",
-    "mounting-tilt",
-    "frame-tilt",
-    "inertia",
-    "torque",
-    "pose-latency",
-)
-"""What an import profile may declare unknown; it is then estimated as nuisance and not counted as an
-effect.
-"""
-
 MASS = "mass"
 """Never a candidate: exactly thrust's alias. It moves within its tolerance, so that a gain's interval holds
 it.
 """
 
-REPLACES = {
-    "thrust": ("thrust-gain", "battery-sag", "motor-lag"),
+_THRUST = ("thrust-gain", "battery-sag", "ground-effect", "rotor-loss")
+_TURNING = ("com-offset", "torque-bias", "rotor-loss", "gyroscopic", "inertia")
+_COMMANDS = ("motor-lag", "actuation-delay")
+
+REPLACES: Mapping[str, tuple[str, ...]] = {
+    "thrust": (*_THRUST, *_COMMANDS, "thrust-inflow", "translational-lift"),
     "thrust-curve": ("thrust-gain",),
-    "motor-lag": ("motor-lag",),
+    "motor-lag": _COMMANDS,
     "mounting-tilt": (),
-    "frame-tilt": ("wind",),
-    "inertia": (),
-    "torque": ("com-offset",),
+    "frame-tilt": ("wind", "frame-tilt"),
+    "inertia": ("inertia", "gyroscopic"),
+    "torque": (*_TURNING, "actuation-delay"),
     "pose-latency": ("mocap-latency",),
 }
-"""Effects that a declared unknown takes out of the candidates: the nuisance explains the same thing."""
+"""Effects that a declared unknown takes out of the candidates: a nuisance explains the same thing."""
+
+UNKNOWN = tuple(REPLACES)
+"""What an import profile may declare unknown; it is then estimated as nuisance and not counted as an
+effect.
+"""
+
+_FREE = {
+    "motor-lag": ("motor-lag", (0.05,)),
+    "frame-tilt": ("frame-tilt", (0.02, 0.02)),
+    "inertia": ("inertia", (0.5, 0.5, 0.5)),
+    "pose-latency": ("mocap-latency", (0.02,)),
+}
+"""Unknowns that are an effect of the library left free: its name, and one sigma of each parameter."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +76,7 @@ class Space:
     """The columns of a trace and who owns them.
 
     `candidates` may be selected, the other owners are adjustments; of these the logs declare `unknown` ones.
+    A candidate is an effect's name, or "effect.key" where one parameter of several leaves neutral.
     """
 
     columns: tuple[Column, ...]
@@ -80,18 +85,36 @@ class Space:
     unknown: tuple[str, ...]
     local_sigma: tuple[float, ...]
 
-    @property
-    def groups(self) -> dict[str, tuple[int, ...]]:
-        """Column indices by owner."""
-        groups: dict[str, tuple[int, ...]] = {}
+    @cached_property
+    def owners(self) -> dict[str, tuple[int, ...]]:
+        """Column indices by owner: an effect or another adjustment."""
+        found: dict[str, tuple[int, ...]] = {}
         for index, column in enumerate(self.columns):
-            groups[column.owner] = (*groups.get(column.owner, ()), index)
-        return groups
+            found[column.owner] = (*found.get(column.owner, ()), index)
+        return found
+
+    @cached_property
+    def groups(self) -> dict[str, tuple[int, ...]]:
+        """Column indices by candidate or adjustment."""
+        found: dict[str, tuple[int, ...]] = {}
+        for owner, indices in self.owners.items():
+            keys = [self.columns[i].key for i in indices]
+            split = owner in self.effects and self.effects[owner].one_of
+            found.update(
+                {f"{owner}.{k}": (i,) for k, i in zip(keys, indices, strict=True)}
+                if split
+                else {owner: indices}
+            )
+        return found
+
+    def effect(self, candidate: str) -> Effect:
+        """The effect that a candidate is, or is one parameter of."""
+        return self.effects[candidate.partition(".")[0]]
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Effects that act in the roll-outs: the candidates, and mass, which only thrust over mass shows."""
-        return tuple(name for name in self.groups if name in self.effects)
+        """Effects that act in the roll-outs, in the order of their columns."""
+        return tuple(name for name in self.owners if name in self.effects)
 
     @property
     def scale(self) -> np.ndarray:
@@ -119,31 +142,18 @@ class Space:
 
     def theta(self, values: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
         """Parameter values by owner, in the order of each owner's keys."""
-        return {owner: tuple(values[i] for i in indices) for owner, indices in self.groups.items()}
+        return {owner: tuple(values[i] for i in indices) for owner, indices in self.owners.items()}
 
     def admissible(self, selected: Iterable[str]) -> bool:
-        """Whether every effect of the set finds what it requires in it."""
-        chosen = set(selected)
-        needs = (self.effects[name].requires_any for name in chosen)
-        return all(not any_of or chosen & set(any_of) for any_of in needs)
+        """Whether every effect of the set finds what it requires in it, and none is in it twice."""
+        chosen = [self.effect(candidate) for candidate in selected]
+        names = {effect.name for effect in chosen}
+        needs = (effect.requires_any for effect in chosen)
+        return len(names) == len(chosen) and all(not any_of or names & set(any_of) for any_of in needs)
 
 
-# Adjustments: key, unit, scale, tolerance, tolerance where declared unknown, bound. Inertia by axis as the
-# logarithm of its factor; torque as a constant angular acceleration; frame tilt turns gravity in the world.
-_ADJUSTMENTS = {
-    "inertia": (
-        ("x", "1", 0.1, 0.02, 0.5, 1.2),
-        ("y", "1", 0.1, 0.02, 0.5, 1.2),
-        ("z", "1", 0.1, 0.04, 0.5, 1.2),
-    ),
-    "frame-tilt": (("tilt_x", "rad", 0.01, 0.001, 0.02, 0.1), ("tilt_y", "rad", 0.01, 0.001, 0.02, 0.1)),
-    "thrust-curve": (("log_gain", "1", 0.1, 1e-6, 0.5, 1.5), ("linear", "1", 0.2, 1e-6, 0.5, 1.0)),
-    "motor-lag-unknown": (("extra_s", "s", 0.02, 1e-6, 0.05, 0.15),),
-    "pose-latency": (("latency_s", "s", 0.01, 1e-6, 0.02, 0.1),),
-}
-
-
-_ONLY_WHERE_UNKNOWN = ("thrust-curve", "motor-lag-unknown", "pose-latency")
+_THRUST_CURVE = (("log_gain", 0.1, 1.5), ("linear", 0.2, 1.0))
+"""The adjustment for an unknown thrust curve: key, scale, bound."""
 
 
 def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str] = ()) -> Space:
@@ -153,7 +163,8 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
     if strange:
         raise ValueError(f"unknown to tracing: {sorted(strange)}; a log may declare {UNKNOWN}")
     replaced = {name for item in unknown for name in REPLACES[item]}
-    candidates = tuple(name for name in effects if name not in replaced and name != MASS)
+    free = dict(_FREE[item] for item in unknown if item in _FREE)
+    acting = [name for name in effects if name not in replaced or name in free]
     columns = [
         Column(
             owner=name,
@@ -161,41 +172,34 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
             unit=p.unit,
             neutral=p.neutral,
             scale=p.typical,
-            tolerance=tolerance_of(vehicle, name, p.key, p.tolerance),
+            tolerance=free[name][i] if name in free else tolerance_of(vehicle, name, p.key, p.tolerance),
             lower=p.lower,
             upper=p.upper,
         )
-        for name in (*candidates, *(name for name in (MASS,) if name in effects))
-        for p in effects[name].parameters
+        for name in acting
+        for i, p in enumerate(effects[name].parameters)
     ]
-    for owner, rows in _ADJUSTMENTS.items():
-        declared = owner.removesuffix("-unknown")
-        if owner in _ONLY_WHERE_UNKNOWN and declared not in unknown:
-            continue
-        for key, unit, scale, known, free, bound in rows:
-            sigma = free if declared in unknown else tolerance_of(vehicle, owner, key, known)
-            columns.append(
-                Column(
-                    owner=owner,
-                    key=key,
-                    unit=unit,
-                    neutral=0.0,
-                    scale=scale,
-                    tolerance=sigma,
-                    lower=-bound,
-                    upper=bound,
-                )
+    if "thrust-curve" in unknown:
+        columns += [
+            Column(
+                owner="thrust-curve", key=key, unit="1", neutral=0.0, scale=scale, tolerance=0.5,
+                lower=-bound, upper=bound,
             )
+            for key, scale, bound in _THRUST_CURVE
+        ]  # fmt: skip
     mounting = 0.1 if "mounting-tilt" in unknown else 0.001
     torque = 0.02 if "torque" in unknown else 0.3
     accelerometer = 0.5 if "mounting-tilt" in unknown else 0.05
-    return Space(
+    whole = Space(
         columns=tuple(columns),
         effects=dict(effects),
-        candidates=candidates,
-        unknown=tuple(owner for owner in _ADJUSTMENTS if owner.removesuffix("-unknown") in unknown),
+        candidates=(),
+        unknown=(*free, *(("thrust-curve",) if "thrust-curve" in unknown else ())),
         local_sigma=(mounting,) * 3 + (torque,) * 3 + (accelerometer,) * 3,
     )
+    fixed = {MASS, *whole.unknown}
+    candidates = tuple(name for name in whole.groups if name.partition(".")[0] not in fixed)
+    return replace(whole, candidates=candidates)
 
 
 def tolerance_of(vehicle: Vehicle, owner: str, key: str, default: float) -> float:

@@ -16,6 +16,7 @@ from host.models.states import battery_of
 from host.trace import evidence
 from host.trace.data import SEGMENT_S, segments_of, signals, unknowns
 from host.trace.diagnose import ALIAS_PROBABILITY, Diagnosis, Fit, diagnose
+from host.trace.form import Form
 from host.trace.parameters import MASS, Space, space, tolerance_of
 from host.trace.result import Named, Trace, Value, Verdict
 from host.trace.score import (
@@ -27,6 +28,7 @@ from host.trace.score import (
     rmse,
     twins_of,
 )
+from host.trace.segments import nominal_thrust
 from host.trace.separate import NextFlight, propose
 from host.trace.twins import Leftover, leftover
 from host.vehicle import Vehicle
@@ -97,7 +99,8 @@ def run(
     report("reading segments")
     chosen = space(airframe, _observable(effects, flights), unknowns([*flights, *held_out]))
     data, audits = segments_of(flights)
-    diagnosis = diagnose(airframe, chosen, data, report)
+    form = Form(airframe, chosen, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
+    diagnosis = diagnose(form, data, report)
     fit, twins = diagnosis.best, twins_of(flights)
     rest = _leftover(fit, fit.z, twins)
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
@@ -114,12 +117,12 @@ def run(
 
     report("predicting the held-out flights")
     drive = drive_of([*flights, *held_out])
-    before, after, middle = _errors(drive, airframe, chosen, diagnosis, added, model, held_out, effects)
+    before, after, middle = _errors(drive, form, diagnosis, added, model, held_out, effects)
     following: NextFlight | None = None
     if verdict == "undecided" and manoeuvres is not None:
         report("looking for the flight that decides")
         effect, alias = _closest(aliases)
-        following = propose(airframe, chosen, fit, effect, alias, manoeuvres())
+        following = propose(form, fit, effect, alias, manoeuvres())
     return Trace(
         verdict=verdict,
         reasons=rest.reasons,
@@ -201,12 +204,15 @@ def _named(
     values, sd = chosen.values(fit.z), np.sqrt(np.diag(fit.covariance)) * chosen.scale
     out = []
     for name in fit.effects:
-        effect = chosen.effects[name]
+        effect = chosen.effect(name)
         parameters = {
             chosen.columns[i].key: Value(value=float(values[i]), sd=float(sd[i]), unit=chosen.columns[i].unit)
             for i in chosen.groups[name]
         }
-        others = dict(aliases[name])
+        others: dict[str, float] = {}
+        for other, probability in aliases[name].items():
+            title = chosen.effect(other).name
+            others[title] = others.get(title, 0.0) + probability
         sentence = None
         if name == "thrust-gain" and tolerance_of(vehicle, MASS, "factor", 0.01) >= WEIGHED:
             others[MASS] = diagnosis.inclusion[name]
@@ -217,7 +223,7 @@ def _named(
             )
         out.append(
             Named(
-                name=name,
+                name=effect.name,
                 title=effect.title,
                 parameters=parameters,
                 probability=diagnosis.inclusion[name],
@@ -266,9 +272,9 @@ def _model(
     values = chosen.values(z)
     found = {effect.name for effect in named}
     tables: dict[bool, dict[str, dict[str, float]]] = {True: {}, False: {}}
-    kept = [owner for owner in chosen.groups if added or owner in chosen.unknown]
+    kept = [owner for owner in chosen.owners if added or owner in chosen.unknown]
     for owner in kept:
-        table = {chosen.columns[i].key: float(values[i]) for i in chosen.groups[owner]}
+        table = {chosen.columns[i].key: float(values[i]) for i in chosen.owners[owner]}
         tables[owner in found][owner] = table
     covariance = None
     if added:
@@ -281,7 +287,8 @@ def _model(
     tilt = np.arccos(np.clip(data.attitude[:, :, 8], -1.0, 1.0))
     speed = np.linalg.norm(np.diff(data.position, axis=1), axis=2) / data.dt_s
     seen = data.pose_weight[:, 1:] * data.pose_weight[:, :-1] > 0
-    thrust = _collective(vehicle, data.command, data.in_newton)
+    thrust = nominal_thrust(vehicle, data.command, in_newton=data.in_newton)
+    thrust = np.maximum(thrust.sum(-1), 0.0)
     return Model(
         vehicle_id=vehicle.id,
         vehicle_name=vehicle.name,
@@ -300,16 +307,9 @@ def _model(
     )
 
 
-def _collective(vehicle: Vehicle, command: np.ndarray, in_newton: bool) -> np.ndarray:
-    c1, c2 = vehicle.thrust_curve
-    each = command if in_newton else vehicle.thrust_max_n * command * (c1 + c2 * command)
-    return np.maximum(each.sum(-1), 0.0)
-
-
 def _errors(
     drive: str,
-    vehicle: Vehicle,
-    chosen: Space,
+    form: Form,
     diagnosis: Diagnosis,
     added: bool,
     model: Model,
@@ -319,13 +319,14 @@ def _errors(
     """Held-out errors with nothing, with everything, and with the adjustments only."""
     if not held_out:
         return (), (), ()
+    chosen = form.space
     named = [i for name in diagnosis.best.effects for i in chosen.groups[name]]
     bare = Model(vehicle_id=model.vehicle_id, vehicle_name=model.vehicle_name, adjustments=model.adjustments)
 
     def predict(values: np.ndarray, whole: Model | None) -> tuple[Errors, ...]:
         if drive == "reference":
             return predict_flights(held_out, whole, effects)
-        return predict_segments(held_out, vehicle, chosen, values)
+        return predict_segments(held_out, form, values)
 
     before = predict(_reading(chosen, diagnosis), None)
     if not added:

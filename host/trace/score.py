@@ -24,9 +24,8 @@ from host.models.states import flight_states
 from host.trace import evidence, segments
 from host.trace.data import DT_S, SEGMENT_S, TooLittleData, pose_interval_s, segments_of, signals
 from host.trace.diagnose import starting_process
-from host.trace.parameters import Space
+from host.trace.form import Form
 from host.trace.segments import Segments
-from host.vehicle import Vehicle
 
 CALIBRATION = 0.25
 """Share of a held-out flight that its own nuisances are fitted to, where recorded inputs drive the model."""
@@ -83,17 +82,6 @@ def motion(flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return t[good], p[good], v[good]
 
 
-def adjusted(vehicle: Vehicle, model: Model | None) -> Vehicle:
-    """The vehicle with the inertia that the model's adjustments say."""
-    if model is None or "inertia" not in model.adjustments:
-        return vehicle
-    factor = model.adjustments["inertia"]
-    inertia = tuple(
-        j * float(np.exp(factor[axis])) for j, axis in zip(vehicle.inertia_kg_m2, "xyz", strict=True)
-    )
-    return vehicle.model_copy(update={"inertia_kg_m2": inertia})
-
-
 def predict_flights(
     flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect]
 ) -> tuple[Errors, ...]:
@@ -106,7 +94,7 @@ def _predict(flight: Flight, model: Model | None, effects: Mapping[str, Effect])
     assert flight.tracking is not None
     parts = [] if model is None else model.parts(effects)
     phi = Phi(
-        vehicle=adjusted(flight.vehicle, model),
+        vehicle=flight.vehicle,
         effects=tuple(effect for effect, _ in parts),
         parameters=flight.firmware_parameters,
     )
@@ -148,9 +136,7 @@ def _predict(flight: Flight, model: Model | None, effects: Mapping[str, Effect])
     )
 
 
-def predict_segments(
-    flights: Sequence[Flight], vehicle: Vehicle, space: Space, z: np.ndarray
-) -> tuple[Errors, ...]:
+def predict_segments(flights: Sequence[Flight], form: Form, z: np.ndarray) -> tuple[Errors, ...]:
     """Errors over 0.6 s ahead from recorded inputs, each start fitted to the 0.3 s before it.
 
     A flight's own nuisances come from its first quarter, and what is predicted lies behind that: nothing of a
@@ -161,7 +147,7 @@ def predict_segments(
     spans = np.array([signals(flight).span_s for flight in flights])
     known_s = CALIBRATION * (spans[:, 1] - spans[:, 0])
     early = whole.take(whole.start_s + SEGMENT_S <= known_s[whole.flight])
-    local = _fitted_local(vehicle, space, early, z, len(flights))
+    local = _fitted_local(form, early, z, len(flights))
     data = data.take(data.start_s >= known_s[data.flight])
     for index, flight in enumerate(flights):
         if not (data.flight == index).any():
@@ -174,12 +160,10 @@ def predict_segments(
         rate_weight=data.rate_weight * before,
         force_weight=data.force_weight * before,
     )
-    kept = segments.basis(vehicle, space, fit, z, local)
-    x0 = segments.fitted_x0(vehicle, space, fit, z, local, kept, iterations=4)
-    position = segments.roll_out(
-        vehicle, space, data, x0.T[:, None, :], z[:, None], local[data.flight].T[:, None, :]
-    )[0]
-    predicted = np.transpose(position[:, :, 0, :], (2, 0, 1))
+    kept = segments.basis(form, fit, z, local)
+    x0 = segments.fitted_x0(form, fit, z, local, kept, iterations=4)
+    rolled = segments.roll_out(form, data, x0.T[:, None, :], z[:, None], local[data.flight].T[:, None, :])
+    predicted = np.transpose(rolled[:, :3, 0, :], (2, 0, 1))
     speed = np.gradient(predicted, DT_S, axis=1)
     seen = data.pose_weight > 0
     seen[:, :lead] = False
@@ -206,20 +190,20 @@ def predict_segments(
     return tuple(out)
 
 
-def _fitted_local(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray, flights: int) -> np.ndarray:
+def _fitted_local(form: Form, data: Segments, z: np.ndarray, flights: int) -> np.ndarray:
     """Nuisances (flights, 9) of flights that were not used, under given parameters; 0 where no segment is."""
     local = np.zeros((flights, segments.LOCALS))
     if not len(data.flight):
         return local
     process = starting_process(data)
-    kept = segments.basis(vehicle, space, data, z, local)
+    kept = segments.basis(form, data, z, local)
     for _ in range(3):
-        grams = segments.linearise(vehicle, space, data, z, local, kept)
+        grams = segments.linearise(form, data, z, local, kept)
         data = data.with_x0(grams.x0)
         lin = segments.project(grams, data, z, local)
-        process = evidence.fit_process(lin, space.prior, (), process)
-        white = evidence.whitened(lin, process, space.prior)
-        local = local + evidence.local_step(lin, white, space.prior, np.zeros(len(z)))
+        process = evidence.fit_process(lin, form.space.prior, (), process)
+        white = evidence.whitened(lin, process, form.space.prior)
+        local = local + evidence.local_step(lin, white, form.space.prior, np.zeros(len(z)))
     return local
 
 

@@ -16,8 +16,9 @@ from host.codegen.ops import NUMPY
 from host.trace import evidence, segments
 from host.trace.data import DT_S, LAGS, SEGMENT_S
 from host.trace.diagnose import Fit
+from host.trace.form import Form
 from host.trace.parameters import Space
-from host.trace.segments import BIN_S, Segments
+from host.trace.segments import BIN_S, PATH_S, Segments
 from host.vehicle import Vehicle
 
 
@@ -49,21 +50,21 @@ def separation(fit_lin: evidence.Linearisation, fit: Fit, space: Space, effect: 
 
 
 def propose(
-    vehicle: Vehicle, space: Space, fit: Fit, effect: str, alias: str, flown: Mapping[str, np.ndarray]
+    form: Form, fit: Fit, effect: str, alias: str, flown: Mapping[str, np.ndarray]
 ) -> NextFlight | None:
     """The manoeuvre of the greatest separation; `flown` gives flat outputs (14, n) each DT_S by route
     name.
     """
     best: NextFlight | None = None
     for route, flat in flown.items():
-        data = _along(vehicle, flat, fit)
+        data = _along(form.vehicle, flat, fit)
         if data is None:
             continue
         local = np.zeros((1, segments.LOCALS))
-        kept = segments.basis(vehicle, space, data, fit.z, local)
-        grams = segments.linearise(vehicle, space, data, fit.z, local, kept)
+        kept = segments.basis(form, data, fit.z, local)
+        grams = segments.linearise(form, data, fit.z, local, kept)
         lin = segments.project(grams, data, fit.z, local)
-        sigma = separation(lin, fit, space, effect, alias)
+        sigma = separation(lin, fit, form.space, effect, alias)
         if best is None or sigma > best.expected_sigma:
             best = NextFlight(route=route, separates=(effect, alias), expected_sigma=sigma)
     return best
@@ -106,6 +107,8 @@ def _along(vehicle: Vehicle, flat: np.ndarray, fit: Fit) -> Segments | None:
         voltage_ratio=np.full(n, float(np.median(fit.data.voltage_ratio))),
         sigma=np.repeat(fit.data.sigma.mean(0, keepdims=True), count, axis=0),
         w=np.zeros((count, round(SEGMENT_S / BIN_S), 6)),
+        path_start_s=a * DT_S,
+        paths=np.column_stack([flat[0:3].T, flat[3:6].T, rpy, rate])[None, :: round(PATH_S / DT_S)],
         in_newton=fit.data.in_newton,
         rate_driven=fit.data.rate_driven,
     )

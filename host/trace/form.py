@@ -1,0 +1,195 @@
+"""The library form of a vehicle: one step of the model with every effect's parameters as inputs, as a program
+over lanes.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import casadi
+import numpy as np
+
+from firmware_model.law.constants import GRAVITY
+from firmware_model.law.rotations import euler_to_matrix, mat_t_vec
+from host.codegen.ops import CASADI
+from host.models import dynamics
+from host.models.lanes import LaneProgram, Lanes, lane_program
+from host.trace.parameters import Space
+from host.vehicle import Vehicle
+
+Scalar = Any
+
+STATES = 12
+LOCALS = 9
+"""Nuisances of one flight: mounting tilt of the markers (3, rad); a constant angular acceleration (3,
+rad/s^2) or, where the measured body rate drives the attitude, a constant gyro bias (3, rad/s); accelerometer
+bias (3, m/s^2)."""
+
+CHANNELS = 12
+"""Predicted a step: position (m), attitude as a rotation vector from the measured one (rad), mean body rate
+(rad/s) and mean specific force (m/s^2), three each."""
+
+_STEP_INPUTS = {
+    "body": STATES, "thrust": 4, "z": 0, "memory": 0, "local": LOCALS, "w": 6, "command": 4,
+    "attitude": 9, "rate": 3, "voltage": 1, "t_s": 1, "shift_s": 1,
+}  # fmt: skip
+
+
+class Form:
+    """The model of `vehicle` with the parameters of `space`, at a grid of dt_s.
+
+    `in_newton`: commands are rotor thrusts in N. `rate_driven`: the measured body rate is an input instead of
+    the commanded torque.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, space: Space, *, dt_s: float, in_newton: bool, rate_driven: bool
+    ) -> None:
+        self.vehicle = vehicle
+        self.space = space
+        self.dt_s = dt_s
+        self.in_newton = in_newton
+        self.rate_driven = rate_driven
+        self.memory = dynamics.memory_size(space.effects[name] for name in space.parts)
+        self._bound: dict[tuple[str, int], Lanes] = {}
+
+    def bind(self, name: str, lanes: int) -> Lanes:
+        """The program `name` ("step", "rotors" or "memory") with arrays for `lanes` lanes, kept."""
+        key = name, lanes
+        if key not in self._bound:
+            self._bound[key] = self._programs[name].bind(lanes)
+        return self._bound[key]
+
+    def memory_of(self, owner: str) -> int:
+        """Number of states of its own that an owner of columns has."""
+        return self.space.effects[owner].memory if owner in self.space.effects else 0
+
+    def delay_s(self, z: np.ndarray) -> np.ndarray:
+        """Delay (C,) of the commands for scaled parameters z (P, C)."""
+        return np.broadcast_to(np.asarray(dynamics.command_delay_s(CASADI, self._parts(z))), z.shape[1:])
+
+    def _parts(self, z: Any) -> list[dynamics.Part]:
+        """Every effect with its values for scaled parameters z: rows of an array, or scalars."""
+        values = [c.neutral + c.scale * z[i] for i, c in enumerate(self.space.columns)]
+        theta = self.space.theta(values)
+        return [(self.space.effects[name], theta[name]) for name in self.space.parts]
+
+    def _commanded(self, z: Any, command: list) -> list[Scalar]:
+        """Rotor thrust in N that a command asks for, before the lag."""
+        values = [c.neutral + c.scale * z[i] for i, c in enumerate(self.space.columns)]
+        log_gain, linear = self.space.theta(values).get("thrust-curve", (0.0, 0.0))
+        gain = np.exp(log_gain) if isinstance(log_gain, float) else casadi.exp(log_gain)
+        if self.in_newton:
+            return [gain * u for u in command]
+        most, first = self.vehicle.thrust_max_n, self.vehicle.thrust_curve[0] + linear
+        return [most * gain * u * (first + (1.0 - first) * u) for u in command]
+
+    @cached_property
+    def _programs(self) -> dict[str, LaneProgram]:
+        return {"step": self._step(), "rotors": self._rotors(), "memory": self._own_states()}
+
+    def _symbols(self, *names: str) -> tuple[list[casadi.SX], list[list[Scalar]]]:
+        sizes = _STEP_INPUTS | {"z": len(self.space.columns), "memory": self.memory}
+        columns = [casadi.SX.sym(name, sizes[name]) for name in names]
+        return columns, [[c[i] for i in range(c.shape[0])] for c in columns]
+
+    def _rotors(self) -> LaneProgram:
+        """The rotor thrusts a step later: (thrust, z, command) -> next."""
+        columns, (thrust, z, command) = self._symbols("thrust", "z", "command")
+        lag = dynamics.motor_lag_s(CASADI, self.vehicle, self._parts(z))
+        keep = casadi.exp(-self.dt_s / lag)
+        target = self._commanded(z, command)
+        after = [t + (now - t) * keep for t, now in zip(target, thrust, strict=True)]
+        start = casadi.vertcat(*target)
+        names = ["thrust", "z", "command"]
+        function = casadi.Function(
+            "rotors", columns, [casadi.vertcat(*after), start], names, ["next", "settled"]
+        )
+        return lane_program(function)
+
+    def _own_states(self) -> LaneProgram:
+        """The effects' own states: (body, z, memory) -> derivative, and what they are at rest."""
+        columns, (body, z, memory) = self._symbols("body", "z", "memory")
+        x = [*body, *(self.vehicle.mass_kg * GRAVITY / 4.0,) * 4]
+        parts = self._parts(z)
+        rates = dynamics.memory_rates(CASADI, self.vehicle, parts, x, memory)
+        rest = dynamics.memory_at_rest(CASADI, self.vehicle, parts, x)
+        out = [
+            casadi.vertcat(*map(casadi.SX, column)) if column else casadi.SX(0, 1) for column in (rates, rest)
+        ]
+        return lane_program(
+            casadi.Function("memory", columns, out, ["body", "z", "memory"], ["rates", "rest"])
+        )
+
+    def _step(self) -> LaneProgram:
+        """One step of the midpoint rule, rotors exactly: state after it, and what is measured in it."""
+        names = list(_STEP_INPUTS)
+        columns, scalars = self._symbols(*names)
+        body, thrust, z, memory, local, w, command, measured, rate, (voltage,), (t_s,), (shift,) = scalars
+        dt, vehicle, parts = self.dt_s, self.vehicle, self._parts(z)
+        lag = dynamics.motor_lag_s(CASADI, vehicle, parts)
+        target = self._commanded(z, command)
+        middle_keep, keep = casadi.exp(-0.5 * dt / lag), casadi.exp(-dt / lag)
+        middle = [t + (now - t) * middle_keep for t, now in zip(target, thrust, strict=True)]
+        after = [t + (now - t) * keep for t, now in zip(target, thrust, strict=True)]
+        push = [
+            measured[3 * i] * w[0] + measured[3 * i + 1] * w[1] + measured[3 * i + 2] * w[2] for i in range(3)
+        ]
+        turn = [local[3 + i] + w[3 + i] for i in range(3)]
+        if self.rate_driven:
+            body = [*body[:9], *(rate[i] + turn[i] for i in range(3))]
+
+        def slopes(x: list, rotor: list, own: list) -> tuple[list[Scalar], list[Scalar]]:
+            full = [*x, *rotor]
+            out = dynamics.rigid_body(CASADI, vehicle, parts, full, voltage, t_s, push, turn, own)
+            own_rates = dynamics.memory_rates(CASADI, vehicle, parts, full, own)
+            return ([*out[:9], 0.0, 0.0, 0.0] if self.rate_driven else out), own_rates
+
+        k1, m1 = slopes(body, thrust, memory)
+        half = [a + 0.5 * dt * b for a, b in zip(body, k1, strict=True)]
+        own = [a + 0.5 * dt * b for a, b in zip(memory, m1, strict=True)]
+        k2, m2 = slopes(half, middle, own)
+
+        late = shift - dynamics.mocap_latency_s(CASADI, parts)
+        position = [body[i] + late * (body[3 + i] + 0.5 * late * k1[3 + i]) for i in range(3)]
+        R = _turned(euler_to_matrix(CASADI, body[6:9]), [local[i] + late * body[9 + i] for i in range(3)])
+        tilted = dynamics.gravity_ned(CASADI, parts) or (0.0, 0.0, 0.0)
+        felt = [k2[3 + i] - tilted[i] - (GRAVITY if i == 2 else 0.0) for i in range(3)]
+        felt = mat_t_vec(euler_to_matrix(CASADI, half[6:9]), felt)
+        predicted = [
+            *position,
+            *_apart(measured, R),
+            *(body[9 + i] + 0.5 * dt * k2[9 + i] for i in range(3)),
+            *(f + b for f, b in zip(felt, local[6:9], strict=True)),
+        ]
+        blocks = {
+            "body": [a + dt * b for a, b in zip(body, k2, strict=True)],
+            "thrust": after,
+            "memory": [a + dt * b for a, b in zip(memory, m2, strict=True)],
+            "predicted": predicted,
+        }
+        outputs = [casadi.vertcat(*map(casadi.SX, b)) if b else casadi.SX(0, 1) for b in blocks.values()]
+        return lane_program(casadi.Function("step", columns, outputs, names, [f"{n}_out" for n in blocks]))
+
+
+def _turned(R: Any, phi: list) -> list:
+    """R exp(phi) to second order in the small rotation vector phi (rad), nine entries."""
+    a, b, c = phi
+    aa, bb, cc = a * a, b * b, c * c
+    E = (
+        1 - 0.5 * (bb + cc), 0.5 * a * b - c, 0.5 * a * c + b,
+        0.5 * a * b + c, 1 - 0.5 * (aa + cc), 0.5 * b * c - a,
+        0.5 * a * c - b, 0.5 * b * c + a, 1 - 0.5 * (aa + bb),
+    )  # fmt: skip
+    return [
+        R[3 * i] * E[j] + R[3 * i + 1] * E[3 + j] + R[3 * i + 2] * E[6 + j]
+        for i in range(3)
+        for j in range(3)
+    ]
+
+
+def _apart(measured: list, R: list) -> list:
+    """Rotation vector (rad) from the measured attitude to R, both row-major, to first order, in body axes."""
+    error = [[sum(measured[3 * k + i] * R[3 * k + j] for k in range(3)) for j in range(3)] for i in range(3)]
+    return [0.5 * (error[i][j] - error[j][i]) for i, j in ((2, 1), (0, 2), (1, 0))]
