@@ -44,6 +44,15 @@ UNKNOWN = tuple(REPLACES)
 effect.
 """
 
+DISCREPANCY: Mapping[str, float] = {
+    "motor-lag": 0.25,
+    "actuation-delay": 0.4,
+    "mocap-latency": 0.1,
+    "inertia": 0.2,
+}
+"""One sigma, in typical sizes, of what segments read into an effect that is not there, 0.05 for the others:
+rotors are no first-order lag, and what the loop does about noise within a step looks like a wrong one."""
+
 _FREE = {
     "motor-lag": ("motor-lag", (0.05,)),
     "frame-tilt": ("frame-tilt", (0.02, 0.02)),
@@ -55,7 +64,10 @@ _FREE = {
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """One scaled parameter: whose it is, how it scales, and one sigma of what is not worth naming."""
+    """One scaled parameter: whose it is, how it scales, and one sigma of what is not worth naming.
+
+    `discrepancy`: one sigma, in scales, of what the library's form of things may be off by here.
+    """
 
     owner: str
     key: str
@@ -65,6 +77,7 @@ class Column:
     tolerance: float
     lower: float
     upper: float
+    discrepancy: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.scale > 0 or not self.tolerance > 0:
@@ -124,7 +137,7 @@ class Space:
     @property
     def prior(self) -> Prior:
         """Spike sigmas in scaled units with the groups."""
-        spike = np.array([column.tolerance / column.scale for column in self.columns])
+        spike = np.array([np.hypot(c.tolerance / c.scale, c.discrepancy) for c in self.columns])
         return Prior(groups=self.groups, spike=spike, local=np.array(self.local_sigma))
 
     def values(self, z: np.ndarray) -> np.ndarray:
@@ -175,6 +188,7 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
             tolerance=free[name][i] if name in free else tolerance_of(vehicle, name, p.key, p.tolerance),
             lower=p.lower,
             upper=p.upper,
+            discrepancy=DISCREPANCY.get(name, 0.05),
         )
         for name in acting
         for i, p in enumerate(effects[name].parameters)
