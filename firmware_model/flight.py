@@ -36,6 +36,10 @@ FALL_US = 2_000_000
 """Time that rotors rest before a failsafe that stopped them ends."""
 _CRITICAL, _WARNING, _INFO = 2, 4, 6  # MAV_SEVERITY
 
+OBSERVED = (State.TRACKING, State.HOLD)
+"""States in which the disturbance observer runs, as it does in a take-off well above the floor. In a landing
+what it found stays: the floor would be taken for a disturbance.
+"""
 _END = {
     State.TAKEOFF: Event.CLIMBED,
     State.TRACKING: Event.REFERENCE_ENDED,
@@ -77,6 +81,7 @@ class Flight:
         self._memory_out = self.outputs["memory"]
         self._gyro, self._force = inputs["gyro"], inputs["specific_force"]
         self._armed, self._weights = inputs["armed"], inputs["feedback_weights"]
+        self._observing = inputs["observing"]
         self._law_parameters = inputs["parameters"]
         self._saturated, self._cos_tilt = self.outputs["saturated"], self.outputs["cos_tilt"]
         self._player = Player(inputs["piece"], inputs["yaw_piece"])
@@ -179,12 +184,14 @@ class Flight:
                 self.command(Event.TOUCHDOWN, now_us)
         elif self._floor - self._memory[2] > 2.0 * TOUCH_HEIGHT:
             self.watch.aloft(force=-self._force[2], thrust=self._thrust())
+            self._observing[0] = 1.0
 
     # What the states do when they are entered.
 
     def _enter(self, state: State, now_us: int) -> None:
         before, self.state, self.state_us, self.changed = self.state, state, now_us, True
         self._flying = state in FLYING
+        self._observing[0] = 1.0 if state in OBSERVED else 0.0
         self.watch.start(now_us)
         reference = tuple(self.outputs["reference"])
         yaw = reference[12]
@@ -255,6 +262,9 @@ class Flight:
         )
         self._weights[0] = 0.0
         self._blind_until_us = now_us + BLIND_US
+        # What was observed rests on a velocity that is no longer measured.
+        for k in range(law.OBSERVER.start, law.OBSERVER.stop):
+            memory[k] = 0.0
         # What thrust has been worth so far replaces the position feedback that made up for it.
         self.feedforward.hold((0.0, 0.0, GRAVITY / self.watch.thrust_ratio - GRAVITY))
         self._player.start(descent, now_us)

@@ -131,8 +131,8 @@ class FlightMcu:
         flight = self.flight
         flight.look(now_us)
         try:
-            self._queue(telemetry.control(flight, now_us))
-            self._queue(telemetry.estimate(flight, now_us))
+            for message in telemetry.at_rate(flight, now_us):
+                self._queue(message)
         except (ValueError, OverflowError):
             self.unsendable += 1
         if now_us >= self._status_us or flight.changed:

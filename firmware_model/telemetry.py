@@ -1,15 +1,19 @@
-"""What the vehicle says unasked: FC_CONTROL and FC_ESTIMATE at 100 Hz, FC_STATUS at 10, HEARTBEAT at 1."""
+"""What the vehicle says unasked: FC_CONTROL and FC_ESTIMATE at 100 Hz, FC_STATUS at 10, HEARTBEAT at 1.
+
+FC_OBSERVER comes at 100 Hz while the observer is on.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from firmware_model.flight import Flight
 from firmware_model.law import step as law
 from firmware_model.supervisor import State
 from protocol.messages import NO_TICK, FcStatus, Heartbeat, Message, vehicle_heartbeat
-from protocol.telemetry import TICK_US, control_message, estimate_message
+from protocol.telemetry import TICK_US, control_message, estimate_message, observer_message
 
 STATUS_US = 100_000
 HEARTBEAT_US = 1_000_000
@@ -30,6 +34,22 @@ class OnBoard(NamedTuple):
     late_ticks: int
     uart_overruns: int
     bad_bytes: int
+
+
+def at_rate(flight: Flight, now_us: int) -> Iterator[Message]:
+    """The messages at 100 Hz of this tick, in the order in which they leave.
+
+    The observer's comes behind the estimate, whose frame has room for it, and before the control message, so
+    that a host has both when the latter arrives. Raises ValueError or OverflowError where something is not
+    finite.
+    """
+    if flight.parameters["OBS_GAIN"] > 0.0:
+        yield estimate(flight, now_us)
+        yield observer(flight, now_us)
+        yield control(flight, now_us)
+    else:
+        yield control(flight, now_us)
+        yield estimate(flight, now_us)
 
 
 def control(flight: Flight, now_us: int) -> Message:
@@ -64,6 +84,13 @@ def estimate(flight: Flight, now_us: int) -> Message:
         rate_frd=[g - b for g, b in zip(flight.gyro, bias, strict=True)],
         mocap_age_us=None if pose_us is None else now_us - pose_us,
         gyro_bias_frd=bias,
+    )
+
+
+def observer(flight: Flight, now_us: int) -> Message:
+    """FC_OBSERVER of this tick. Raises ValueError or OverflowError where the estimate is not finite."""
+    return observer_message(
+        now_us // TICK_US, disturbance_ned=flight.outputs["memory"][law.OBSERVER].tolist()
     )
 
 

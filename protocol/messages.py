@@ -27,6 +27,7 @@ AutopilotVersion = mavlink.MAVLink_autopilot_version_message
 StatusText = mavlink.MAVLink_statustext_message
 FcControl = mavlink.MAVLink_fc_control_message
 FcEstimate = mavlink.MAVLink_fc_estimate_message
+FcObserver = mavlink.MAVLink_fc_observer_message
 FcStatus = mavlink.MAVLink_fc_status_message
 RadioStats = mavlink.MAVLink_radio_stats_message
 UploadBegin = mavlink.MAVLink_upload_begin_message

@@ -111,6 +111,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     _row("EST_ATT", 5.0, "1/s", 0.0, 500.0, "gain of a pose's attitude error on attitude"),
     _row("EST_BIAS", 0.5, "1/s^2", 0.0, 50.0, "gain of a pose's attitude error on the gyro bias"),
     _row("EST_BIAS_MAX", 0.2, "rad/s", 0.0, 2.0, "bound of the estimated gyro bias"),
+    # The disturbance observer.
+    _row("OBS_GAIN", 0.0, "1/s", 0.0, 20.0, "bandwidth of the disturbance observer, 0 for off"),
+    _row("MOTOR_LAG", 0.033, "s", 1e-4, 1.0, "lag of the rotors' thrust behind its command"),
     # What the on-board check accepts.
     _row("LIM_SPEED", 10.0, "m/s", 0.1, 100.0, "greatest speed of a reference"),
     _row("LIM_TILT_DEG", 60.0, "deg", 1.0, 180.0, "greatest tilt of a reference"),

@@ -1,4 +1,4 @@
-"""What the vehicle reports at rate: running sums, and the field encodings of FC_CONTROL and FC_ESTIMATE.
+"""What the vehicle reports at rate: running sums, and the field encodings of the FC_ messages.
 
 The vehicle adds up motor commands, gyro and specific force over all ticks since boot, in counts. It sends the
 floor of each sum modulo 2^32, so the remainder is carried along. The difference of two messages is the exact
@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from protocol.messages import FcControl, FcEstimate
+from protocol.messages import FcControl, FcEstimate, FcObserver
 
 TICK_US = 1000
 """Everybody's base tick: the law's step, the plant's, and the unit of ticks in messages."""
@@ -115,6 +115,11 @@ def estimate_message(
         encode_age(mocap_age_us),
         gyro_bias_frd,
     )
+
+
+def observer_message(tick: int, *, disturbance_ned: Sequence[float]) -> FcObserver:
+    """FC_OBSERVER at this tick."""
+    return FcObserver(tick & _MASK, disturbance_ned)
 
 
 @dataclass(frozen=True, kw_only=True)

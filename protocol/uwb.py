@@ -108,7 +108,7 @@ class Priority(IntEnum):
 
 
 _URGENT = ("ATT_POS_MOCAP", "TIMESYNC", "COMMAND_LONG", "COMMAND_ACK")
-_CONTROL = ("FC_CONTROL", "FC_ESTIMATE")
+_CONTROL = ("FC_CONTROL", "FC_ESTIMATE", "FC_OBSERVER")
 
 
 def _priority(name: str) -> Priority:

@@ -6,9 +6,9 @@
     w_cmd   = w_ff(f, j_r - d_ff', yaw_r, yaw_r') - K_att e_R,     e_R = 1/2 vee(R_des^T R - R^T R_des)
     tau     = J (K_w (w_cmd - w) + I - K_d w_f') + w x J w,        I' = K_i (w_cmd - w)
 
-with d_ff the residual acceleration fed forward and w_f' the derivative of the body rate behind a first-order
-filter. Paper sections III-B and V-B ("a PD translational controller and a PID body rate controller"). Memory
-(I and the filter's state) comes in and its derivative goes out.
+with d_ff the residual acceleration fed forward, or observed, and w_f' the derivative of the body rate behind
+a first-order filter. Paper sections III-B and V-B ("a PD translational controller and a PID body rate
+controller"). Memory (I and the filter's state) comes in and its derivative goes out.
 """
 
 from __future__ import annotations
@@ -73,7 +73,8 @@ def control(
 
     Args:
         p, v: NED. R: R_ned_frd, 9 scalars. rate, rate_filtered, integral (rad/s^2): FRD.
-        ff_accel, ff_jerk: predicted residual acceleration and its derivative, NED.
+        ff_accel, ff_jerk: predicted residual acceleration, with the observed one added, and the predicted
+            one's derivative, NED.
         weights: of position and of velocity feedback.
         attitude_offset: roll and pitch that the measured attitude shows where thrust points as it should.
     """

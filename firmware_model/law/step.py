@@ -21,6 +21,7 @@ from firmware_model.law.allocation import (
 from firmware_model.law.dfbc import Gains, Reference, control
 from firmware_model.law.estimator import Estimate, EstimatorGains, correct, predict
 from firmware_model.law.flatness import Body, flat_attitude, flat_rates
+from firmware_model.law.observer import disturbance_seen, lagged_thrust, observe
 from firmware_model.law.ops import Ops, Scalar, Vector
 from firmware_model.law.reference import CUBIC_SIZE, SEPTIC_SIZE, cubic_at, septic_at
 from firmware_model.law.rotations import quat_to_matrix
@@ -49,7 +50,11 @@ RATE_INTEGRAL = slice(16, 19)
 MOTOR_SUM, GYRO_SUM, FORCE_SUM = slice(19, 23), slice(23, 26), slice(26, 29)
 """Running sums in counts since boot, not yet rounded: the sender takes floor and wraps."""
 LAST_COMMAND = slice(29, 33)
-MEMORY_SIZE = 33
+OBSERVER = slice(33, 36)
+"""The observer's estimate d_hat (m/s^2, NED)."""
+OBSERVER_THRUST = slice(36, 37)
+"""Collective thrust (N) commanded so far, behind the nominal lag."""
+MEMORY_SIZE = 37
 MEMORY: dict[str, slice] = {
     "p": EST_P,
     "v": EST_V,
@@ -61,6 +66,8 @@ MEMORY: dict[str, slice] = {
     "gyro_sum": GYRO_SUM,
     "force_sum": FORCE_SUM,
     "motor_command": LAST_COMMAND,
+    "observer": OBSERVER,
+    "observer_thrust": OBSERVER_THRUST,
 }
 
 _DIRECT = (
@@ -75,6 +82,7 @@ _DIRECT = (
     "RATE_ILIM_X", "RATE_ILIM_Y", "RATE_ILIM_Z",
     "RATE_FILT_HZ", "THRUST_FLOOR",
     "EST_POS", "EST_VEL", "EST_ATT", "EST_BIAS", "EST_BIAS_MAX",
+    "OBS_GAIN", "MOTOR_LAG",
 )  # fmt: skip
 _ROTORS = tuple(f"ROTOR{i}_{what}" for i in (1, 2, 3, 4) for what in ("X", "Y", "SPIN"))
 SOURCES: tuple[str, ...] = (*_DIRECT, *_ROTORS, "TORQUE_PER_N")
@@ -94,6 +102,7 @@ INPUTS: tuple[Block, ...] = (
     Block(name="mocap_age_s", size=1),
     Block(name="mocap_interval_s", size=1),
     Block(name="armed", size=1),
+    Block(name="observing", size=1),
     Block(name="feedback_weights", size=2),
     Block(name="piece", size=1 + SEPTIC_SIZE),  # time inside (s), coefficients
     Block(name="yaw_piece", size=1 + CUBIC_SIZE),
@@ -161,6 +170,11 @@ def estimator_gains(parameters: Vector) -> EstimatorGains:
     return EstimatorGains(*parameters[start : start + 4])
 
 
+def observer(parameters: Vector) -> tuple[Scalar, Scalar]:
+    """Gain of the disturbance observer (1/s) and nominal rotor lag (s) out of the block `parameters`."""
+    return parameters[_AT["OBS_GAIN"]], parameters[_AT["MOTOR_LAG"]]
+
+
 def motors(
     ops: Ops, parameters: Vector, collective_n: Scalar, torque: Vector, gain: Scalar
 ) -> tuple[list[Scalar], list[Scalar], Scalar]:
@@ -191,7 +205,10 @@ def feedforward_terms(ops: Ops, block: Vector, ref: Reference, ff_accel_ned: Vec
 
 
 def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
-    """The output blocks of one tick. `mocap_new` and `armed` are 0 or 1; every input must be finite."""
+    """The output blocks of one tick. `mocap_new`, `armed` and `observing` are 0 or 1; inputs must be finite.
+
+    Where `observing` is 0 the observer's estimate stays as it is.
+    """
     memory, parameters = inputs["memory"], inputs["parameters"]
     gyro, force, block = inputs["gyro"], inputs["specific_force"], inputs["feedforward"]
 
@@ -207,12 +224,20 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
     R = quat_to_matrix(ops, est.q)
     rate = [g - b for g, b in zip(gyro, est.bias, strict=True)]
 
+    # What else accelerates the vehicle.
+    obs_gain, lag_s = observer(parameters)
+    v_dot = [(now - before) / TICK_S for now, before in zip(est.v, memory[EST_V], strict=True)]
+    seen = disturbance_seen(v_dot, R, memory[OBSERVER_THRUST.start], parameters[0])
+    observing = ops.where(inputs["observing"][0] > 0.5, obs_gain, 0.0)
+    d_hat = observe(ops, observing, memory[OBSERVER], seen, TICK_S)
+
     # Reference and what is known of the residual along it.
     piece, yaw_piece = inputs["piece"], inputs["yaw_piece"]
     p_r, v_r, a_r, j_r, _ = septic_at(piece[1:], piece[0])
     yaw, yaw_rate = cubic_at(yaw_piece[1:], yaw_piece[0])
     ref = Reference(p_r, v_r, a_r, j_r, yaw, yaw_rate)
     ff_accel, ff_jerk = feedforward_terms(ops, block, ref, inputs["ff_accel_ned"])
+    ff_accel = [a + d for a, d in zip(ff_accel, d_hat, strict=True)]
 
     # Controller.
     k = gains(parameters)
@@ -222,7 +247,8 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
         ops, k, body(parameters), est.p, est.v, R, rate, filtered, integral, ref, ff_accel,
         inputs["feedback_weights"], ff_jerk, block[feedforward.ATTITUDE_OFFSET],
     )  # fmt: skip
-    command, _, saturated = motors(ops, parameters, collective, torque, block[feedforward.GAIN])
+    gain = block[feedforward.GAIN]
+    command, thrust, saturated = motors(ops, parameters, collective, torque, gain)
 
     # Memory.
     on = ops.where(inputs["armed"][0] > 0.5, 1.0, 0.0)
@@ -235,6 +261,9 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
         on * ops.clip(i + TICK_S * d, -limit, limit)
         for i, d, limit in zip(integral, integral_dot, integral_limit(parameters), strict=True)
     ]
+    given = gain * (thrust[0] + thrust[1] + thrust[2] + thrust[3])
+    lagged = lagged_thrust(memory[OBSERVER_THRUST.start], given, lag_s, TICK_S)
+    observed = [on * x for x in (*d_hat, lagged)]
     # The last command is the one that acted over the interval this tick closes.
     last = memory[LAST_COMMAND]
     sums = [
@@ -243,7 +272,7 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
         *(s + FORCE_COUNTS * f for s, f in zip(memory[FORCE_SUM], force, strict=True)),
     ]
     return {
-        "memory": [*est.p, *est.v, *est.q, *est.bias, *filtered, *integral, *sums, *command],
+        "memory": [*est.p, *est.v, *est.q, *est.bias, *filtered, *integral, *sums, *command, *observed],
         "motor_command": command,
         "collective_n": [collective],
         "rate_cmd": rate_cmd,

@@ -19,6 +19,8 @@ _THRUST_SIGMA = 0.05
 """N a rotor: the recorded command behind the nominal lag."""
 _INTEGRAL_SIGMA = 0.05
 """rad/s^2: logged, and tied to the log; free it would absorb torques."""
+_OBSERVER_SIGMA = (0.02, 0.02, 0.02, 2.0 * _THRUST_SIGMA)
+"""m/s^2 and N: logged, and what was commanded behind the nominal lag."""
 _LANES = 2000
 
 
@@ -52,6 +54,8 @@ def free_starts(phi: Phi, theta: np.ndarray, segments: Segments, weight: np.ndar
     sigma[:, 0:12] = segments.sigma
     sigma[:, 12:16] = _THRUST_SIGMA
     sigma[:, INTEGRAL] = _INTEGRAL_SIGMA
+    if phi.observes:
+        sigma[:, phi.observer] = _OBSERVER_SIGMA
     gain = np.empty((segments.count, size, 12 * segments.steps))
     keep = np.empty((segments.count, size, size))
     root = np.sqrt(np.tile(weight, segments.steps))

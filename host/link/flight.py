@@ -26,6 +26,7 @@ from host.link.tasks import (
     FreshStatus,
     Identity,
     ReadParameters,
+    SetParameter,
     SettleClock,
     Task,
     make_live,
@@ -36,7 +37,7 @@ from host.vehicle import Vehicle, to_parameters
 from protocol import messages as m
 from protocol.blobs import FeedForward, Kind, Reference
 from protocol.messages import Message, mavlink
-from protocol.parameters import differences
+from protocol.parameters import differences, equal
 from protocol.telemetry import TICK_US
 
 ARM_PATIENCE_US = 10_000_000
@@ -68,6 +69,7 @@ class FlightOrder:
         port, cameras: how messages call the vehicle's port and the camera system.
         upload: send what is not live on board; otherwise that is an error.
         as_flashed: fly with parameters on board that differ from the vehicle file.
+        parameters: set on board before the flight, over the vehicle file's; they stay there.
         model_id: of the model the plan was made with. session: more for the log's provenance.
         camera_delay_us: least time from exposure to arrival; None where host and cameras share a clock.
     """
@@ -80,6 +82,7 @@ class FlightOrder:
     cameras: str = "the camera system"
     upload: bool = True
     as_flashed: bool = False
+    parameters: Mapping[str, float] = field(default_factory=dict)
     model_id: str | None = None
     session: Mapping[str, str] = field(default_factory=dict)
     camera_delay_us: int | None = None
@@ -228,6 +231,9 @@ class FlightDirector:
         check_same_vehicle(identity, order.vehicle.id, what="the reference", port=order.port)
         self._note("checking")
         on_board: dict[str, float] = yield ReadParameters()
+        for name, value in self._order.parameters.items():
+            if name not in on_board or not equal(value, on_board[name]):
+                on_board[name] = yield SetParameter(name, value)
         self._on_board = on_board
         self._check_parameters(on_board)
         yield from self._ensure_live(order.reference, Kind.REFERENCE)
@@ -267,7 +273,8 @@ class FlightDirector:
         return self.end
 
     def _check_parameters(self, on_board: Mapping[str, float]) -> None:
-        different = differences(to_parameters(self._order.vehicle), on_board)
+        expected = to_parameters(self._order.vehicle) | dict(self._order.parameters)
+        different = differences(expected, on_board)
         if different and not self._order.as_flashed:
             shown = ", ".join(
                 f"{name} is {there:g}, not {wanted:g}"
@@ -276,7 +283,8 @@ class FlightDirector:
             more = f" and {len(different) - 3} more" if len(different) > 3 else ""
             raise UsageError(
                 f"parameters on board differ from {self._order.vehicle.name}: {shown}{more}; "
-                "name the vehicle file it was set up with, or fly it as it is with --as-flashed"
+                "name the vehicle file it was set up with, set them with --parameter, or fly it as it is "
+                "with --as-flashed"
             )
 
     def _ensure_live(self, blob: Reference | FeedForward | None, kind: Kind) -> Generator[Task, Any, None]:

@@ -43,12 +43,14 @@ class Recorder:
         self._link_us = arm_us
         self._intervals = IntervalDecoder()
         self._estimate_tick = -1
+        self._observer: m.FcObserver | None = None
         self._flown = _FlownReference(reference)
         self._poses = 0
         self._counts = LinkCounts(client)
         self._handlers: dict[type, Callable[[Any, int], None]] = {
             m.FcControl: self._control,
             m.FcEstimate: self._estimate,
+            m.FcObserver: self._observe,
             m.FcStatus: self._status,
             m.StatusText: self._text,
         }
@@ -136,9 +138,17 @@ class Recorder:
             message.rate_integral,
             interval_us,
             means,
+            self._observed(message.tick),
         )
         for tick, reference_us, flat in self._flown.at(message.tick):
             self._reference(log_us, tick, reference_us, flat)
+
+    def _observe(self, message: m.FcObserver, log_us: int) -> None:
+        self._observer = message  # waits for the control message of its tick, which follows
+
+    def _observed(self, tick: int) -> Sequence[float]:
+        observer = self._observer
+        return observer.disturbance if observer is not None and observer.tick == tick else ()
 
     def _reference(self, log_us: int, tick: int, reference_us: int, flat: Sequence[float]) -> None:
         source_us = tick * TICK_US

@@ -25,6 +25,7 @@ from host.log.tracks import (
     Floats,
     LinkHealth,
     Mocap,
+    Observer,
     RecordedImu,
     RecordedInputs,
     Status,
@@ -119,6 +120,7 @@ def _to_flight(found: Scan) -> Flight:
         mocap=mocap,
         estimate=_read_estimate(entries, vehicle_shift_us),
         control=_read_control(entries, vehicle_shift_us),
+        observer=_read_observer(entries, vehicle_shift_us),
         status=status,
         link=link,
         recorded_inputs=_read_inputs(entries, told),
@@ -222,6 +224,18 @@ def _read_control(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Cont
         motor_mean=_columns(messages, lambda m: m.motor_mean, 4),
         gyro_mean=_columns(messages, lambda m: m.gyro_mean_rad_s, 3),
         force_mean=_columns(messages, lambda m: m.force_mean_m_s2, 3),
+    )
+
+
+def _read_observer(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Observer | None:
+    every = _decoded(entries, topics.FC_CONTROL, flight_pb2.Control)
+    messages = [m for _, m in every if len(m.observer_ned_m_s2)]
+    if not messages:
+        return None
+    return _finite(
+        Observer,
+        t_us=_counts(messages, "source_us") - shift_us,
+        disturbance=_columns(messages, lambda m: m.observer_ned_m_s2, 3),
     )
 
 

@@ -94,6 +94,14 @@ class Control(_Track):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Observer(_Track):
+    """The on-board disturbance observer's estimate at t_us: (n, 3), m/s^2, NED."""
+
+    t_us: Times
+    disturbance: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Status(_Track):
     """State and failsafe (numbers as in flight.proto), battery voltage, counts since boot."""
 
@@ -185,6 +193,7 @@ class Flight:
     mocap: Mocap | None
     estimate: Estimate | None
     control: Control | None
+    observer: Observer | None
     status: Status | None
     link: LinkHealth | None
     recorded_inputs: RecordedInputs | None

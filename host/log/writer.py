@@ -245,8 +245,12 @@ class LogWriter:
         rate_integral: Sequence[float],
         interval_us: int,
         means: Sequence[float] | None,
+        observer_ned: Sequence[float] = (),
     ) -> bool:
-        """`/fc/control`; `means`: motor 4, gyro 3, specific force 3, or None for an invalid interval."""
+        """`/fc/control`; `means`: motor 4, gyro 3, specific force 3, or None for an invalid interval.
+
+        `observer_ned`: the disturbance observed, empty for none.
+        """
         message = self._messages.control
         message.source_us = source_us
         message.interval_us = 0 if means is None else interval_us
@@ -257,6 +261,7 @@ class LogWriter:
         message.motor_mean[:] = () if means is None else means[0:4]
         message.gyro_mean_rad_s[:] = () if means is None else means[4:7]
         message.force_mean_m_s2[:] = () if means is None else means[7:10]
+        message.observer_ned_m_s2[:] = observer_ned
         return self.write(topics.FC_CONTROL, message, log_us, publish_us)
 
     def text(self, log_us: int, publish_us: int, severity: int, text: str, name: str) -> bool:

@@ -1,7 +1,8 @@
 """phi, the closed loop as a model: rigid body, rotor lag and effects under the on-board law (paper IV-A).
 
 xdot = f(x, pi(z, x, x_bar)) + d, with the law and its memory z in continuous form: body-rate integral and
-rate filter are states (paper, remark on embedded integration), the estimator's errors too where asked for.
+rate filter are states (paper, remark on embedded integration), the estimator's errors too where asked for,
+the disturbance observer where it is on.
 Drives:
 
     reference  pi sees the model's own state; the whole flight follows from the reference
@@ -27,8 +28,9 @@ import numpy as np
 from firmware_model.law import step as law_step
 from firmware_model.law.constants import GRAVITY
 from firmware_model.law.dfbc import Reference, control
+from firmware_model.law.observer import GREATEST, bounded, disturbance_seen
 from firmware_model.law.ops import Ops
-from firmware_model.law.rotations import euler_to_matrix, mat_vec
+from firmware_model.law.rotations import dot, euler_to_matrix, mat_vec
 from host.codegen.ops import CASADI
 from host.effects import Effect
 from host.models import estimator
@@ -48,12 +50,15 @@ from host.models.dynamics import (
 )
 from host.models.lanes import LaneProgram, lane_program
 from host.vehicle import Vehicle, to_parameters
+from protocol.parameters import DEFAULTS
 
 Scalar = Any
 Drive = Literal["reference", "estimate", "inputs"]
 
 INTEGRAL = slice(16, 19)
-"""The rate integral in the state. Behind it, where asked for: filtered body rate 3, estimator's errors 12."""
+"""The rate integral in the state. Behind it, where asked for: filtered body rate 3, estimator's errors 12;
+where the observer is on: its estimate 3 (m/s^2, NED) and the collective thrust it reckons with (N).
+"""
 
 DRIVE_ROWS: Mapping[Drive, int] = {"reference": 22, "estimate": 34, "inputs": 6}
 """reference: flat outputs 14, fed-forward acceleration 3 and its derivative 3, voltage ratio, time. estimate:
@@ -122,13 +127,30 @@ class Phi:
         """Number of states."""
         if self.drive == "inputs":
             return STATE_SIZE
-        return self.errors.start + (estimator.SIZE if self._has_estimator else 0)
+        return self.observer.start + (4 if self.observes else 0)
 
     @property
     def errors(self) -> slice:
         """Where the estimator's errors are in the state; beyond its end without them."""
         start = INTEGRAL.stop + (3 if self.rate_filter else 0)
         return slice(start, start + estimator.SIZE)
+
+    @property
+    def observer(self) -> slice:
+        """Where the observer's four states are; beyond the state's end without them."""
+        start = self.errors.stop if self._has_estimator else self.errors.start
+        return slice(start, start + 4)
+
+    @cached_property
+    def observes(self) -> bool:
+        """Whether the law's disturbance observer is on, and its states are part of x."""
+        return self.drive != "inputs" and law_step.observer(self.firmware)[0] > 0.0
+
+    @property
+    def vectors(self) -> tuple[int, ...]:
+        """Where vectors of NED start in the state."""
+        errors = (self.errors.start, self.errors.start + 3) if self._has_estimator else ()
+        return (0, 3, *errors, *((self.observer.start,) if self.observes else ()))
 
     @property
     def _has_estimator(self) -> bool:
@@ -196,6 +218,7 @@ class Phi:
         """xdot with the law in the loop, from the rigid body's part of it."""
         gain, roll, pitch, prediction, age, interval, delay, *imu_bias = (flight[i] for i in range(10))
         a, rate_dot = body[V], body[RATE]
+        v_dot = a
         error_dot: list[Scalar] = []
         if self.drive == "estimate":
             p, v, rate = drive[22:25], drive[25:28], drive[31:34]
@@ -211,6 +234,7 @@ class Phi:
                     gains, e, R_true, R, v, a, rate, rate_dot,
                     age, prediction, mocap_latency_s(ops, parts), interval, imu_bias,
                 )  # fmt: skip
+                v_dot = [a[i] + error_dot[3 + i] for i in range(3)]
                 p = [p[i] + e[i] for i in range(3)]
                 v = [v[i] + e[3 + i] for i in range(3)]
                 rate = [rate[i] - e[9 + i] for i in range(3)]
@@ -230,11 +254,16 @@ class Phi:
             away = [alpha / corner for alpha in rate_dot]
         limit = law_step.integral_limit(self.firmware)
         integral = [ops.clip(x[INTEGRAL.start + i], -limit[i], limit[i]) for i in range(3)]
+        ff_accel = drive[14:17]
+        if self.observes:
+            start = self.observer.start
+            d_hat = bounded(ops, [x[start + i] for i in range(3)])
+            ff_accel = [ff_accel[i] + d_hat[i] for i in range(3)]
         reference = Reference(drive[0:3], drive[3:6], drive[6:9], drive[9:12], drive[12], drive[13])
         collective, torque, _, integral_dot = control(
             ops, k, law_step.body(self.firmware), p, v, R, rate,
             [rate[i] - slope_share * away[i] for i in range(3)], integral, reference,
-            drive[14:17], ff_jerk=drive[17:20], attitude_offset=(roll, pitch),
+            ff_accel, ff_jerk=drive[17:20], attitude_offset=(roll, pitch),
         )  # fmt: skip
         if not self.rate_filter:
             share = slope_share * k.filter_rate / (corner * corner)
@@ -246,13 +275,35 @@ class Phi:
             *(_held(ops, integral[i], integral_dot[i], limit[i]) for i in range(3)),
             *((corner * a for a in away) if self.rate_filter else ()),
             *error_dot,
+            *(self._observer_rates(ops, x, v_dot, R, gain, command) if self.observes else ()),
         ]
+
+    def _observer_rates(
+        self,
+        ops: Ops,
+        x: Sequence[Scalar],
+        v_dot: Sequence[Scalar],
+        R: Sequence[Scalar],
+        gain: Scalar,
+        command: Sequence[Scalar],
+    ) -> list[Scalar]:
+        """Derivative of the observer's states (`firmware_model.law.observer`); v_dot and R as estimated."""
+        *d_hat, thrust = (x[i] for i in range(self.observer.start, self.observer.stop))
+        bandwidth, lag = law_step.observer(self.firmware)
+        seen = disturbance_seen(v_dot, R, thrust, law_step.body(self.firmware).mass_kg)
+        rates = [bandwidth * (s - d) for d, s in zip(d_hat, seen, strict=True)]
+        square = dot(d_hat, d_hat)
+        growth = ops.maximum(dot(d_hat, rates), 0.0) / ops.maximum(square, GREATEST * GREATEST)
+        outward = ops.where(square >= GREATEST * GREATEST, growth, 0.0)  # stands at its bound
+        rates = [rate - outward * d for rate, d in zip(rates, d_hat, strict=True)]
+        given = gain * (command[0] + command[1] + command[2] + command[3])
+        return [*rates, (given - thrust) / (lag + self.hold_s)]
 
     @cached_property
     def firmware(self) -> tuple[float, ...]:
-        """The law's block `parameters`."""
+        """The law's block `parameters`; what the firmware of an old log did not have is at its default."""
         table = to_parameters(self.vehicle) if self.parameters is None else self.parameters
-        return law_step.parameter_vector(table)
+        return law_step.parameter_vector({**DEFAULTS, **table})
 
     @cached_property
     def function(self) -> casadi.Function:
@@ -293,6 +344,8 @@ class Phi:
         x = np.zeros(self.size)
         x[0:3], x[8] = p_ned, yaw
         x[THRUST] = self.vehicle.mass_kg * GRAVITY / 4.0
+        if self.observes:
+            x[self.observer.stop - 1] = self.vehicle.mass_kg * GRAVITY
         return x
 
 

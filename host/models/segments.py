@@ -21,7 +21,7 @@ class Segments:
 
     x0 (S, size): phi's state at the start, as measured. measured (S, N + 1, 12) with sigma (S, 12). drive
     (S, 2N + 1, rows) at the steps' starts, middles and ends. constants (S, 10). flight (S,): index of the
-    flight each is of.
+    flight each is of. vectors: where vectors of NED start in x0.
     """
 
     step_s: float
@@ -31,6 +31,7 @@ class Segments:
     drive: np.ndarray
     constants: np.ndarray
     flight: np.ndarray
+    vectors: tuple[int, ...] = (0, 3)
 
     @property
     def count(self) -> int:
@@ -53,6 +54,7 @@ class Segments:
             drive=self.drive[k],
             constants=self.constants[k],
             flight=self.flight[k],
+            vectors=self.vectors,
         )
 
     def turned(self, angles: np.ndarray) -> Segments:
@@ -63,7 +65,7 @@ class Segments:
         c, s = np.cos(angles), np.sin(angles)
         x0, measured, drive = self.x0.copy(), self.measured.copy(), self.drive.copy()
         for array, vectors, yaw in (
-            (x0, (0, 3), 8),
+            (x0, self.vectors, 8),
             (measured, (0, 3), 8),
             (drive, (0, 3, 6, 9, 14, 17), 12),
         ):
@@ -110,4 +112,5 @@ def cut(flights: Sequence[States], phi: Phi, *, steps: int) -> Segments:
         drive=stages,
         constants=constants,
         flight=flight,
+        vectors=phi.vectors,
     )

@@ -15,13 +15,14 @@ from scipy.spatial.transform import Rotation
 
 from firmware_model.law import step as law_step
 from firmware_model.law.allocation import command_to_thrust
-from host.log import Control, Estimate, Flight
+from host.log import Control, Estimate, Flight, Observer
 from host.models.bias import accelerometer_bias, standing_errors
 from host.models.phi import INTEGRAL, Phi, flight_constants
 from host.models.reference import block
 from host.models.smoothing import smooth
 from host.vehicle import Vehicle, to_parameters
 from protocol.blobs import FeedForward, Reference
+from protocol.parameters import DEFAULTS
 
 STEP_S = 0.02
 PLAUSIBLE_VOLTAGE = (0.5, 1.3)
@@ -50,6 +51,7 @@ class States:
 
     x (n, 12): p, v (NED), Theta, body rate (FRD); sigma (12,) of each. thrust (n, 4): lagged nominal rotor
     thrusts, N. integral (n, 3): the law's. voltage_ratio (n,). constants (10,): `flight_constants`.
+    observer (n, 3): the disturbance observed on board, m/s^2, NED; None where none was logged.
     """
 
     flight_id: str
@@ -66,6 +68,7 @@ class States:
     integral: np.ndarray
     voltage_ratio: np.ndarray
     constants: np.ndarray
+    observer: np.ndarray | None = None
 
     def initial(self, phi: Phi, k: int = 0) -> np.ndarray:
         """phi's state (size,) at sample k; the estimator's errors are what the accelerometer's bias makes."""
@@ -81,6 +84,9 @@ class States:
                 excess = R @ self.constants[7:10]
                 for i, per_bias in enumerate(standing_errors(gains, *self.constants[4:6])):
                     x[phi.errors.start + 3 * i : phi.errors.start + 3 * i + 3] = per_bias * excess
+            if phi.observes:
+                d_hat = np.zeros(3) if self.observer is None else self.observer[k]
+                x[phi.observer] = [*d_hat, self.constants[0] * self.thrust[k].sum()]
         return x
 
 
@@ -165,12 +171,21 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 
             mocap_interval_s=interval_s,
             accelerometer_bias=imu_bias,
         ),
+        observer=_observed(flight.observer, at),
     )
+
+
+def _observed(observer: Observer | None, at: np.ndarray) -> np.ndarray | None:
+    """The disturbance observed (n, 3) at times (n,) s, None where none was logged."""
+    if observer is None:
+        return None
+    t_s = observer.t_us * 1e-6
+    return np.column_stack([np.interp(at, t_s, observer.disturbance[:, i]) for i in range(3)])
 
 
 def _parameters(flight: Flight) -> Mapping[str, float]:
     table = flight.firmware_parameters
-    return to_parameters(flight.vehicle) if table is None else table
+    return to_parameters(flight.vehicle) if table is None else {**DEFAULTS, **table}
 
 
 def _noise(samples: np.ndarray) -> float:

@@ -109,6 +109,8 @@ class Gains(Strict):
     """Largest angular acceleration that the rate integral may ask for, rad/s^2."""
     rate_filter_hz: Positive
     """Corner of the first-order filter on the body rate."""
+    observer: NonNegative | None = None
+    """Bandwidth of the disturbance observer, 1/s; without it the observer is off."""
 
 
 def _read_only(mapping: Mapping[str, float]) -> Mapping[str, float]:

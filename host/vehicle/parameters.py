@@ -62,6 +62,7 @@ def _places() -> Iterator[tuple[str, tuple[str | int, ...]]]:
     yield "THRUST_C1", ("thrust_curve", 0)
     yield "THRUST_C2", ("thrust_curve", 1)
     yield "THRUST_MIN", ("thrust_max_n",)
+    yield "MOTOR_LAG", ("motor_lag_s",)
 
     yield from _axes("POS_P", "NED", "gains", "position_p")
     yield from _axes("VEL_D", "NED", "gains", "velocity_d")
@@ -71,6 +72,7 @@ def _places() -> Iterator[tuple[str, tuple[str | int, ...]]]:
     yield from _axes("RATE_D", "XYZ", "gains", "rate_d")
     yield from _axes("RATE_ILIM", "XYZ", "gains", "rate_integral_limit")
     yield "RATE_FILT_HZ", ("gains", "rate_filter_hz")
+    yield "OBS_GAIN", ("gains", "observer")
 
     yield "LIM_SPEED", ("limits", "speed_max_m_s")
     yield "LIM_TILT_DEG", ("limits", "tilt_max_deg")

@@ -35,6 +35,7 @@ def command(
     flight: int = 0,
     realtime: Annotated[bool, Parameter(negative="")] = False,
     as_flashed: Annotated[bool, Parameter(negative="")] = False,
+    parameter: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     feedforward: Path | None = None,
     output: Output = None,
     force: Force = False,
@@ -71,6 +72,8 @@ def command(
         Keep the simulation to the wall clock.
     as_flashed
         Fly with parameters on board that differ from the vehicle file.
+    parameter
+        Parameter to set on board before the flight, NAME=VALUE, over the vehicle file's; may be repeated.
     feedforward
         Feed-forward to fly with, a .ff file.
     output
@@ -106,6 +109,7 @@ def command(
         cameras=mocap or "the camera system",
         upload=port is None,
         as_flashed=as_flashed,
+        parameters=_parameters(parameter),
         model_id=model_of(reference),
         session={"seed": str(seed), "flight": str(flight), **_provenance()},
         camera_delay_us=None if port is None else round(1000 * mocap_delay_ms),
@@ -131,6 +135,25 @@ def command(
         raise
     say(*result.to_lines())
     emit(result.to_json(), json)
+
+
+def _parameters(assignments: tuple[str, ...]) -> dict[str, float]:
+    """Value by name of NAME=VALUE texts. Raises UsageError where one is not in the table or not allowed."""
+    from host.errors import UsageError
+    from protocol.parameters import BY_NAME
+
+    values = {}
+    for text in assignments:
+        name, _, value = text.partition("=")
+        if name not in BY_NAME:
+            raise UsageError(
+                f"--parameter {text}: no parameter {name}, give NAME=VALUE of the on-board table"
+            )
+        try:
+            values[name] = BY_NAME[name].check(float(value))
+        except ValueError as error:
+            raise UsageError(f"--parameter {text}: {error}") from None
+    return values
 
 
 def _fly_simulated(

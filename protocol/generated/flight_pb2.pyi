@@ -60,7 +60,7 @@ class Reference(_message.Message):
     def __init__(self, source_us: _Optional[int] = ..., reference_id: _Optional[str] = ..., reference_us: _Optional[int] = ..., p_ned_m: _Optional[_Iterable[float]] = ..., v_ned_m_s: _Optional[_Iterable[float]] = ..., a_ned_m_s2: _Optional[_Iterable[float]] = ..., j_ned_m_s3: _Optional[_Iterable[float]] = ..., yaw_rad: _Optional[float] = ..., yaw_rate_rad_s: _Optional[float] = ...) -> None: ...
 
 class Control(_message.Message):
-    __slots__ = ("source_us", "interval_us", "collective_n", "rate_cmd_rad_s", "torque_cmd_n_m", "rate_integral", "motor_mean", "gyro_mean_rad_s", "force_mean_m_s2")
+    __slots__ = ("source_us", "interval_us", "collective_n", "rate_cmd_rad_s", "torque_cmd_n_m", "rate_integral", "motor_mean", "gyro_mean_rad_s", "force_mean_m_s2", "observer_ned_m_s2")
     SOURCE_US_FIELD_NUMBER: _ClassVar[int]
     INTERVAL_US_FIELD_NUMBER: _ClassVar[int]
     COLLECTIVE_N_FIELD_NUMBER: _ClassVar[int]
@@ -70,6 +70,7 @@ class Control(_message.Message):
     MOTOR_MEAN_FIELD_NUMBER: _ClassVar[int]
     GYRO_MEAN_RAD_S_FIELD_NUMBER: _ClassVar[int]
     FORCE_MEAN_M_S2_FIELD_NUMBER: _ClassVar[int]
+    OBSERVER_NED_M_S2_FIELD_NUMBER: _ClassVar[int]
     source_us: int
     interval_us: int
     collective_n: float
@@ -79,7 +80,8 @@ class Control(_message.Message):
     motor_mean: _containers.RepeatedScalarFieldContainer[float]
     gyro_mean_rad_s: _containers.RepeatedScalarFieldContainer[float]
     force_mean_m_s2: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, source_us: _Optional[int] = ..., interval_us: _Optional[int] = ..., collective_n: _Optional[float] = ..., rate_cmd_rad_s: _Optional[_Iterable[float]] = ..., torque_cmd_n_m: _Optional[_Iterable[float]] = ..., rate_integral: _Optional[_Iterable[float]] = ..., motor_mean: _Optional[_Iterable[float]] = ..., gyro_mean_rad_s: _Optional[_Iterable[float]] = ..., force_mean_m_s2: _Optional[_Iterable[float]] = ...) -> None: ...
+    observer_ned_m_s2: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, source_us: _Optional[int] = ..., interval_us: _Optional[int] = ..., collective_n: _Optional[float] = ..., rate_cmd_rad_s: _Optional[_Iterable[float]] = ..., torque_cmd_n_m: _Optional[_Iterable[float]] = ..., rate_integral: _Optional[_Iterable[float]] = ..., motor_mean: _Optional[_Iterable[float]] = ..., gyro_mean_rad_s: _Optional[_Iterable[float]] = ..., force_mean_m_s2: _Optional[_Iterable[float]] = ..., observer_ned_m_s2: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Status(_message.Message):
     __slots__ = ("source_us", "state", "failsafe", "battery_v", "reference_id", "feedforward_id", "tracking_start_us", "loop_max_us", "loop_overruns", "receive_overruns", "saturated_ticks", "flight_ticks", "poses_used")

@@ -20,6 +20,7 @@ MESSAGES: dict[int, tuple[str, int, int]] = {
     52101: ("FC_ESTIMATE", 35, 62),
     52102: ("FC_STATUS", 103, 61),
     52103: ("RADIO_STATS", 151, 20),
+    52104: ("FC_OBSERVER", 140, 16),
     52110: ("UPLOAD_BEGIN", 112, 39),
     52111: ("UPLOAD_CHUNK", 128, 104),
     52112: ("UPLOAD_STATUS", 143, 73),

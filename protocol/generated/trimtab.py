@@ -675,6 +675,7 @@ MAVLINK_MSG_ID_FC_CONTROL = 52100
 MAVLINK_MSG_ID_FC_ESTIMATE = 52101
 MAVLINK_MSG_ID_FC_STATUS = 52102
 MAVLINK_MSG_ID_RADIO_STATS = 52103
+MAVLINK_MSG_ID_FC_OBSERVER = 52104
 MAVLINK_MSG_ID_UPLOAD_BEGIN = 52110
 MAVLINK_MSG_ID_UPLOAD_CHUNK = 52111
 MAVLINK_MSG_ID_UPLOAD_STATUS = 52112
@@ -1394,6 +1395,46 @@ class MAVLink_radio_stats_message(MAVLink_message):
 setattr(MAVLink_radio_stats_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_fc_observer_message(MAVLink_message):
+    """
+    What the disturbance observer of the law found by this tick; sent
+    while it is on.
+    """
+
+    id = MAVLINK_MSG_ID_FC_OBSERVER
+    msgname = "FC_OBSERVER"
+    fieldnames = ["tick", "disturbance"]
+    ordered_fieldnames = ["tick", "disturbance"]
+    fieldtypes = ["uint32_t", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"tick": "ms", "disturbance": "m/s/s"}
+    native_format = bytearray(b"<If")
+    orders = [0, 1]
+    lengths = [1, 3]
+    array_lengths = [0, 3]
+    crc_extra = 140
+    unpacker = struct.Struct("<I3f")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, tick: int, disturbance: Sequence[float]):
+        MAVLink_message.__init__(self, MAVLink_fc_observer_message.id, MAVLink_fc_observer_message.msgname)
+        self._fieldnames = MAVLink_fc_observer_message.fieldnames
+        self._instance_field = MAVLink_fc_observer_message.instance_field
+        self._instance_offset = MAVLink_fc_observer_message.instance_offset
+        self.tick = tick
+        self.disturbance = disturbance
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.tick, self.disturbance[0], self.disturbance[1], self.disturbance[2]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_fc_observer_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_upload_begin_message(MAVLink_message):
     """
     Announces a blob, or asks how far its transfer is; answered by
@@ -1664,6 +1705,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_FC_ESTIMATE: MAVLink_fc_estimate_message,
     MAVLINK_MSG_ID_FC_STATUS: MAVLink_fc_status_message,
     MAVLINK_MSG_ID_RADIO_STATS: MAVLink_radio_stats_message,
+    MAVLINK_MSG_ID_FC_OBSERVER: MAVLink_fc_observer_message,
     MAVLINK_MSG_ID_UPLOAD_BEGIN: MAVLink_upload_begin_message,
     MAVLINK_MSG_ID_UPLOAD_CHUNK: MAVLink_upload_chunk_message,
     MAVLINK_MSG_ID_UPLOAD_STATUS: MAVLink_upload_status_message,
@@ -2551,6 +2593,28 @@ class MAVLink(object):
 
         """
         self.send(self.radio_stats_encode(frames_sent, frames_received, messages_sent, refused, replaced, uart_overruns, bad_bytes), force_mavlink1=force_mavlink1)
+
+    def fc_observer_encode(self, tick: int, disturbance: Sequence[float]) -> MAVLink_fc_observer_message:
+        """
+        What the disturbance observer of the law found by this tick; sent
+        while it is on.
+
+        tick                      : Ticks since boot. [ms] (type:uint32_t)
+        disturbance               : Acceleration that gravity and nominal thrust do not account for, NED. [m/s/s] (type:float)
+
+        """
+        return MAVLink_fc_observer_message(tick, disturbance)
+
+    def fc_observer_send(self, tick: int, disturbance: Sequence[float], force_mavlink1: bool = False) -> None:
+        """
+        What the disturbance observer of the law found by this tick; sent
+        while it is on.
+
+        tick                      : Ticks since boot. [ms] (type:uint32_t)
+        disturbance               : Acceleration that gravity and nominal thrust do not account for, NED. [m/s/s] (type:float)
+
+        """
+        self.send(self.fc_observer_encode(tick, disturbance), force_mavlink1=force_mavlink1)
 
     def upload_begin_encode(self, size: int, target_system: int, kind: int, chunk: int, digest: Sequence[int]) -> MAVLink_upload_begin_message:
         """

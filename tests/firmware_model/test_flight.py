@@ -298,6 +298,39 @@ def test_pose_repeated_or_out_of_order_is_used_once(make_rig):
     assert rig.flight.poses.used == 2
 
 
+def observed(rig):
+    return rig.flight._memory[law.OBSERVER].tolist()
+
+
+def test_observer_finds_weak_rotors_in_the_climb_and_keeps_that_through_the_landing(make_rig, make_body):
+    rig = make_rig(parameters={"OBS_GAIN": 5.0}, body=make_body(gain=0.9))
+    rig.take_off()
+    while rig.body.p[2] > -0.4:
+        rig.tick()
+        assert observed(rig) == [0.0] * 3
+    rig.run(10.0, until=State.TRACKING)
+    assert observed(rig) == pytest.approx([0.0, 0.0, 9.81 / 0.9 - 9.81], abs=0.05)
+    assert rig.body.p[2] == pytest.approx(-1.0, abs=0.005)
+    rig.run(10.0, until=State.LANDING)
+    kept = observed(rig)
+    while rig.flight.state is State.LANDING:
+        assert observed(rig) == kept
+        rig.tick()
+    rig.tick()
+    assert observed(rig) == [0.0] * 3
+
+
+def test_observer_forgets_in_a_level_descent(make_rig, make_body):
+    rig = make_rig(parameters={"OBS_GAIN": 5.0}, body=make_body(gain=0.9))
+    rig.track()
+    rig.mocap = False
+    rig.run(2.0, until=State.FAILSAFE)
+    rig.tick()
+    assert observed(rig) == [0.0] * 3
+    rig.run(10.0, until=State.STANDBY)
+    assert "no touchdown noticed: motors off" not in rig.texts
+
+
 def test_parameters_of_the_law_are_the_tables(make_rig):
     rig = make_rig(parameters={"POS_P_N": 3.5})
     vector = dict(zip(law.PARAMETERS, rig.flight._law_parameters, strict=True))

@@ -36,6 +36,20 @@ def test_telemetry_comes_at_its_rates(flown):
     assert flown.host.lost == 0
 
 
+def test_observer_is_reported_while_it_is_on_ahead_of_the_control_message_of_its_tick(make_session, flown):
+    assert not flown.received(m.FcObserver)
+    session = make_session(parameters={"OBS_GAIN": 2.0})
+    session.run(1.0)
+    kinds = (m.FcControl, m.FcEstimate, m.FcObserver)
+    order = [message for message in session.inbox if isinstance(message, kinds)]
+    first = next(k for k, message in enumerate(order) if isinstance(message, m.FcEstimate))
+    whole = order[first : first + 3 * ((len(order) - first) // 3)]
+    assert len(whole) > 200
+    for k in range(0, len(whole), 3):
+        assert [type(message) for message in whole[k : k + 3]] == [m.FcEstimate, m.FcObserver, m.FcControl]
+        assert len({message.tick for message in whole[k : k + 3]}) == 1
+
+
 def test_running_sums_give_the_mean_of_what_the_motors_got(flown):
     decoder = IntervalDecoder()
     intervals = [i for i in map(decoder.push, flown.received(m.FcControl)) if i is not None]

@@ -59,6 +59,8 @@ def test_telemetry_and_chunks_have_the_sizes_of_the_budget() -> None:
     sizes = {name: longest + OVERHEAD for name, _, longest in MESSAGES.values()}
     assert sizes["FC_CONTROL"] == 96
     assert sizes["FC_ESTIMATE"] == 74
+    assert sizes["FC_OBSERVER"] == 28
+    assert sizes["FC_ESTIMATE"] + sizes["FC_OBSERVER"] <= FRAME_BYTES
     assert sizes["UPLOAD_CHUNK"] == FRAME_BYTES
     assert sizes["TIMESYNC"] == 28
     assert sizes["COMMAND_LONG"] == 45

@@ -96,6 +96,8 @@ def _random_steps(seed, lanes):
     parameters = np.tile(np.array(table)[:, None], lanes) * rng.uniform(0.9, 1.1, (1, lanes))
     allocation = slice(law.PARAMETERS.index("ALLOCATION_0"), None)
     parameters[allocation] = np.array(table)[allocation, None]
+    memory[law.OBSERVER], memory[law.OBSERVER_THRUST] = normal(3, 3.0), rng.uniform(0, 20, (1, lanes))
+    parameters[law.PARAMETERS.index("OBS_GAIN")] = rng.uniform(0, 10, lanes)
     return {
         "memory": memory,
         "gyro": normal(3, 8.0),
@@ -106,6 +108,7 @@ def _random_steps(seed, lanes):
         "mocap_age_s": rng.uniform(0, 0.06, (1, lanes)),
         "mocap_interval_s": rng.uniform(0.001, 0.2, (1, lanes)),
         "armed": (rng.uniform(size=(1, lanes)) > 0.1).astype(float),
+        "observing": (rng.uniform(size=(1, lanes)) > 0.3).astype(float),
         "feedback_weights": rng.uniform(0, 1, (2, lanes)),
         "piece": np.vstack([dt * rng.uniform(0, 1, (1, lanes)), *septic_coefficients(dt[0], *nodes)]),
         "yaw_piece": np.vstack(

@@ -12,6 +12,7 @@ from firmware_model.law.allocation import allocation_matrix, command_to_thrust
 from firmware_model.law.constants import GRAVITY
 from firmware_model.law.feedforward import GAIN, NEUTRAL, PREDICTION_TIME
 from firmware_model.law.flatness import flat_attitude
+from firmware_model.law.observer import GREATEST
 from firmware_model.law.ops import FLOAT
 from firmware_model.law.reference import septic_coefficients
 from firmware_model.law.rotations import (
@@ -44,6 +45,7 @@ def _hover_inputs(**changes):
         "mocap_age_s": (0.0,),
         "mocap_interval_s": (0.01,),
         "armed": (1.0,),
+        "observing": (1.0,),
         "feedback_weights": (1.0, 1.0),
         "piece": (0.5, *septic_coefficients(1.0, node, node)),
         "yaw_piece": (0.5, 0.0, 0.0, 0.0, 0.0),
@@ -169,6 +171,7 @@ def test_step_in_a_turned_world_gives_the_same_commands(random_steps):
     turned = {name: np.array(block) for name, block in inputs.items()}
     memory = turned["memory"]
     memory[0:6] = turn_all(memory[0:6])
+    memory[law.OBSERVER] = turn(memory[law.OBSERVER])
     memory[law.EST_Q] = quat_multiply(half, memory[law.EST_Q])
     turned["mocap_p"], turned["ff_accel_ned"] = turn(inputs["mocap_p"]), turn(inputs["ff_accel_ned"])
     turned["mocap_q"] = np.array(quat_multiply(half, inputs["mocap_q"]))
@@ -181,6 +184,9 @@ def test_step_in_a_turned_world_gives_the_same_commands(random_steps):
         scale = np.maximum(1.0, np.abs(np.array(one[name])).max(axis=0))
         assert (np.abs(np.array(one[name]) - np.array(other[name])) / scale).max() < 1e-9, name
     assert np.allclose(other["memory"][0:6], turn_all(np.array(one["memory"][0:6])), atol=1e-9)
+    observed = np.array(one["memory"])[law.OBSERVER]
+    assert np.allclose(np.array(other["memory"])[law.OBSERVER], turn(observed), atol=1e-9)
+    assert (np.linalg.norm(observed, axis=0) > 0.999 * GREATEST).mean() > 0.1  # bounds are in it
     assert np.allclose(other["memory"][10:19], one["memory"][10:19], atol=1e-9)
     assert np.allclose(quat_multiply(half, one["memory"][law.EST_Q]), other["memory"][law.EST_Q], atol=1e-12)
 
@@ -195,8 +201,9 @@ class _Flight:
 
     LAG_S, AGE, RADIUS, PACE = 0.033, 12, 2.0, 1.5
 
-    def __init__(self, drag=0.0, feedforward=NEUTRAL):
+    def __init__(self, drag=0.0, feedforward=NEUTRAL, observer=0.0):
         self.drag, self.feedforward = drag, feedforward
+        self.parameters = law.parameter_vector({**TABLE, "OBS_GAIN": observer})
         node = self.node(0.0)
         self.p, self.v = np.add(node[0:3], (0.2, -0.2, 0.1)), np.array(node[3:6])
         self.q, self.rate = (1.0, 0.0, 0.0, 0.0), np.zeros(3)
@@ -224,7 +231,7 @@ class _Flight:
             "mocap_new": (float(k % 10 == 0),), "mocap_p": late[0], "mocap_q": late[1],
             "mocap_age_s": (self.AGE * 1e-3,),
             "piece": (t - start, *septic_coefficients(0.1, self.node(start), self.node(start + 0.1))),
-            "feedforward": self.feedforward,
+            "feedforward": self.feedforward, "parameters": self.parameters,
         })  # fmt: skip
         self.memory = outputs["memory"]
         curve = (TABLE["THRUST_MAX"], TABLE["THRUST_C1"], TABLE["THRUST_C2"])
@@ -253,6 +260,47 @@ def test_closed_loop_with_drag_follows_better_with_its_feedforward():
     block[4:7] = [0.4, 0.4, 0.4]
     without, fed = _Flight(drag=0.4), _Flight(drag=0.4, feedforward=block)
     assert fed.worst_of_last_second() < 0.06 < 0.15 < without.worst_of_last_second()
+
+
+def test_closed_loop_with_drag_follows_better_with_its_observer():
+    """At 1.5 rad/s, with 5 rad/s of bandwidth, 0.3 of a drag is left; without a disturbance none is seen."""
+    without, observed = _Flight(drag=0.4), _Flight(drag=0.4, observer=5.0)
+    assert observed.worst_of_last_second() < 0.5 * without.worst_of_last_second()
+    seen = np.array(observed.memory[law.OBSERVER])
+    drag = -0.4 * observed.v
+    assert math.dist(seen, drag) < 0.4 * np.linalg.norm(drag)
+    still = _Flight(observer=5.0)
+    still.worst_of_last_second()
+    assert np.abs(still.memory[law.OBSERVER]).max() < 0.1
+
+
+def test_step_without_observer_gain_is_the_same_whether_it_observes_or_not(random_steps):
+    """Bit for bit: all outputs, with the estimate at 0 as it is then."""
+    inputs = random_steps(11, 2_000)
+    inputs["parameters"][law.PARAMETERS.index("OBS_GAIN")] = 0.0
+    inputs["memory"][law.OBSERVER] = 0.0
+    inputs["observing"][:] = 1.0
+    observing = law.step(NUMPY, {k: list(v) for k, v in inputs.items()})
+    inputs["observing"][:] = 0.0
+    inputs["memory"][law.OBSERVER_THRUST] = 0.0
+    off = law.step(NUMPY, {k: list(v) for k, v in inputs.items()})
+    for name, values in off.items():
+        rows = len(values) if name != "memory" else law.OBSERVER_THRUST.start
+        for one, other in zip(values[:rows], observing[name][:rows], strict=True):
+            np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(np.array(off["memory"][law.OBSERVER]), 0.0)
+
+
+def test_step_where_it_does_not_observe_keeps_and_uses_the_estimate_until_disarmed():
+    memory = list(law.initial_memory((0.0, 0.0, -1.0)))
+    memory[law.OBSERVER] = [0.0, 0.0, 0.5]
+    parameters = law.parameter_vector({**TABLE, "OBS_GAIN": 5.0})
+    kept = law.step(FLOAT, _hover_inputs(memory=memory, observing=(0.0,), parameters=parameters))
+    assert kept["memory"][law.OBSERVER] == [0.0, 0.0, 0.5]
+    assert kept["collective_n"] == pytest.approx([TABLE["MASS"] * (GRAVITY + 0.5)])
+    disarmed = law.step(FLOAT, _hover_inputs(memory=memory, armed=(0.0,), parameters=parameters))
+    assert disarmed["memory"][law.OBSERVER] == [0.0] * 3
+    assert disarmed["memory"][law.OBSERVER_THRUST] == [0.0]
 
 
 def test_closed_loop_reference_is_what_flatness_says(random_steps):

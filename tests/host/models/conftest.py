@@ -97,6 +97,7 @@ def fly_sampled(vehicle) -> Callable[..., np.ndarray]:
         latency_s: float = 0.0,
         age_ticks: int = 12,
         feedforward: tuple[float, ...] = law_feedforward.NEUTRAL,
+        observer: float = 0.0,
     ) -> np.ndarray:
         key = tuple((effect.name, tuple(theta)) for effect, theta in parts)
         if key not in engines:
@@ -115,8 +116,11 @@ def fly_sampled(vehicle) -> Callable[..., np.ndarray]:
         memory = list(
             law_step.initial_memory(x[0:3].tolist(), (np.cos(x[8] / 2), 0.0, 0.0, np.sin(x[8] / 2)))
         )
+        memory[law_step.OBSERVER_THRUST.start] = vehicle.mass_kg * 9.81
         law.inputs["memory"][:] = memoryview(np.array(memory))
-        law.inputs["parameters"][:] = memoryview(np.array(law_step.parameter_vector(to_parameters(vehicle))))
+        parameters = law_step.parameter_vector(to_parameters(vehicle) | {"OBS_GAIN": observer})
+        law.inputs["parameters"][:] = memoryview(np.array(parameters))
+        law.inputs["observing"][0] = 1.0
         law.inputs["feedforward"][:] = memoryview(np.array(feedforward))
         law.inputs["armed"][0] = 1.0
         law.inputs["feedback_weights"][:] = memoryview(np.ones(2))

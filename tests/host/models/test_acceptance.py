@@ -2,35 +2,64 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
+from typing import Any
 
 import numpy as np
 import pytest
 
+from host.effects import load_effects
 from host.learn.evaluate import predict, whole_flights
 from host.link.flight import FlightOrder
 from host.link.fly import fly_lockstep
+from host.link.summary import FlightResult
 from host.log import Flight, read_flight
 from host.models.phi import Phi
 from host.models.reference import flat_outputs
 from host.models.states import TooLittleData, flight_states
 from sitl.vehicle import SimulatedVehicle
 
+DRAGGED = """description = "Linear drag, nothing else"
+tolerances = false
+
+[turbulence]
+force_m_s2 = 0.0
+torque_rad_s2 = 0.0
+
+[effects.linear-drag]
+dx = 0.4
+dy = 0.4
+dz = 0.4
+"""
+DRAG = (load_effects()["linear-drag"], (0.4, 0.4, 0.4))
+
+
+@pytest.fixture(scope="module")
+def fly(tmp_path_factory, vehicle, make_reference) -> Callable[..., tuple[FlightResult, Flight]]:
+    """A flight of the vehicle as its file says; sensor noise and biases, radio with loss."""
+
+    def run(duration_s: float, index: int, world: str = "quiet", observer: float = 0.0) -> Any:
+        reference = make_reference(duration_s=duration_s, turning=index == 1)
+        start = reference.nodes_ned()[0].state
+        path = tmp_path_factory.mktemp("flight") / "quiet.mcap"
+        yaw = reference.yaw_nodes()[0].yaw
+        simulated = SimulatedVehicle.create(
+            vehicle, world=world, flight=index, start_ned=(start[0], start[1], 0.0), start_yaw=yaw
+        )
+        parameters = {"OBS_GAIN": observer} if observer else {}
+        order = FlightOrder(vehicle=vehicle, reference=reference, log_path=path, parameters=parameters)
+        with closing(simulated):
+            result = fly_lockstep(order, simulated)
+        return result, read_flight(path)
+
+    return run
+
 
 @pytest.fixture(scope="module", params=[(5.0, 0), (7.0, 1)], ids=["5s", "7s"])
-def flight(request, tmp_path_factory, vehicle, make_reference) -> Flight:
-    """A flight in still air of the vehicle as its file says; sensor noise and biases, radio with loss."""
-    duration_s, index = request.param
-    reference = make_reference(duration_s=duration_s, turning=index == 1)
-    start = reference.nodes_ned()[0].state
-    path = tmp_path_factory.mktemp("flight") / "quiet.mcap"
-    yaw = reference.yaw_nodes()[0].yaw
-    simulated = SimulatedVehicle.create(
-        vehicle, world="quiet", flight=index, start_ned=(start[0], start[1], 0.0), start_yaw=yaw
-    )
-    with closing(simulated):
-        fly_lockstep(FlightOrder(vehicle=vehicle, reference=reference, log_path=path), simulated)
-    return read_flight(path)
+def flight(request, fly) -> Flight:
+    """In still air, without the observer."""
+    return fly(*request.param)[1]
 
 
 def test_phi_whole_flight_in_an_empty_world_is_predicted_within_3_mm(flight):
@@ -41,6 +70,43 @@ def test_phi_whole_flight_in_an_empty_world_is_predicted_within_3_mm(flight):
     assert errors.velocity_rmse_m_s < 0.03
     attitude = predict(phi, np.zeros(0), states)[:, 6:9] - states.x[:, 6:9]
     assert np.sqrt((attitude**2).mean()) < 0.01
+
+
+@pytest.mark.parametrize(("duration_s", "index"), [(5.0, 0), (7.0, 1)])
+def test_phi_whole_flight_with_the_observer_on_is_predicted_within_3_mm(fly, duration_s, index):
+    _, flight = fly(duration_s, index, observer=5.0)
+    assert flight.observer is not None
+    assert len(flight.observer) == pytest.approx(100 * flight.duration_s, rel=0.1)
+    states = flight_states(flight)
+    phi = Phi(vehicle=flight.vehicle, parameters=flight.firmware_parameters)
+    assert phi.observes
+    assert states.observer is not None
+    np.testing.assert_array_equal(states.initial(phi)[phi.observer][:3], states.observer[0])
+    errors = whole_flights(phi, np.zeros(0), [states])
+    assert errors.position_rmse_m < 3e-3
+    assert errors.velocity_rmse_m_s < 0.03
+
+
+def test_observer_halves_the_tracking_error_under_drag_and_phi_predicts_both_flights(fly, tmp_path):
+    """Drag of 0.4/s; bandwidth 5 rad/s: sums of slow sines at 1.3 to 2.7 rad/s."""
+    world = tmp_path / "dragged.toml"
+    world.write_text(DRAGGED, encoding="utf-8")
+    tracked = []
+    for observer in (0.0, 5.0):
+        result, flight = fly(7.0, 1, str(world), observer)
+        tracked.append(result.tracking_rmse_m)
+        assert flight.firmware_parameters["OBS_GAIN"] == observer
+        states = flight_states(flight)
+        phi = Phi(vehicle=flight.vehicle, effects=(DRAG[0],), parameters=flight.firmware_parameters)
+        errors = whole_flights(phi, phi.theta([DRAG]), [states])
+        assert errors.position_rmse_m < 3e-3
+        without = whole_flights(phi, phi.theta_neutral, [states])
+        assert without.position_rmse_m > 3.0 * errors.position_rmse_m
+    assert tracked[1] < 0.6 * tracked[0]
+    assert states.observer is not None
+    drag = -0.4 * states.x[:, 3:6]
+    seen = np.sqrt(np.square(states.observer - drag).mean())
+    assert seen < 0.5 * np.sqrt(np.square(drag).mean())
 
 
 def test_flight_states_follow_the_reference_and_hover_thrust(flight):

@@ -12,6 +12,7 @@ from host.models.network import Layout, Network
 from host.models.phi import DRIVE_ROWS, Phi, flight_constants
 from host.models.reference import feedforward_rows, flat_outputs
 from host.models.rollout import half_steps, reference_drive, roll_out
+from host.vehicle import to_parameters
 from protocol.blobs import FeedForward
 
 EFFECTS = load_effects()
@@ -60,6 +61,50 @@ def test_phi_whole_flight_equals_the_sampled_loop(vehicle, make_reference, fly_s
     assert rmse(predicted, flown) < 0.1e-3
     reached = flat_outputs(reference, 0.01 * np.arange(len(flown)))[:3].T
     assert rmse(predicted, flown) < 0.05 * rmse(flown, reached)
+
+
+def observing(vehicle, bandwidth, **fields):
+    return Phi(vehicle=vehicle, parameters=to_parameters(vehicle) | {"OBS_GAIN": bandwidth}, **fields)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        (),
+        (DRAG,),
+        ((EFFECTS["thrust-gain"], (0.9,)), (EFFECTS["motor-lag"], (0.02,))),
+    ],
+    ids=lambda parts: "+".join(effect.name for effect, _ in parts) or "nominal",
+)
+def test_phi_with_observer_equals_the_sampled_loop(vehicle, make_reference, fly_sampled, parts):
+    reference = make_reference(turning=True)
+    effects = tuple(effect for effect, _ in parts)
+    flown = fly_sampled(reference, parts, observer=4.0)
+    late = {"mocap_age_s": 0.012, "mocap_interval_s": 0.01}
+    predicted = predict(observing(vehicle, 4.0, effects=effects), reference, parts, **late)
+    assert rmse(predicted, flown) < 0.1e-3
+    off = predict(Phi(vehicle=vehicle, effects=effects), reference, parts, **late)
+    if parts:
+        assert rmse(off, flown) > 5e-3
+
+
+def test_phi_with_observer_has_its_states_at_the_end_and_without_is_unchanged(vehicle):
+    off = Phi(vehicle=vehicle, parameters=to_parameters(vehicle))
+    assert not off.observes
+    assert off.size == 31
+    assert str(off.function) == str(observing(vehicle, 0.0).function)
+    on = observing(vehicle, 4.0)
+    assert on.size == on.observer.stop == 35
+    assert on.vectors == (0, 3, 19, 22, 31)
+    assert observing(vehicle, 4.0, drive="inputs").size == 16
+    x = on.hover((0.0, 0.0, -1.0), 0.0)
+    x[on.observer][:3] = (0.0, 0.0, 20.0)  # stands at its bound while what is seen would push it on
+    drive = np.zeros(DRIVE_ROWS["reference"])
+    drive[2], drive[20] = -1.0, 1.0
+    x[on.observer.stop - 1] = 30.0
+    xdot = np.array(on.function(x, drive, flight_constants(), [], np.zeros(3))).ravel()
+    np.testing.assert_allclose(xdot[on.observer][:2], 0.0, atol=1e-9)
+    assert xdot[on.observer][2] <= 0.0
 
 
 def test_phi_mocap_latency_equals_the_sampled_loop_with_late_poses(vehicle, make_reference, fly_sampled):
@@ -133,7 +178,7 @@ def test_phi_feedback_delay_of_nothing_is_the_plain_loop_and_acts_to_first_order
 
 
 def test_phi_lanes_equal_casadi_and_floats(vehicle, make_reference):
-    phi = Phi(vehicle=vehicle, effects=tuple(EFFECTS.values()), rate_filter=True)
+    phi = observing(vehicle, 4.0, effects=tuple(EFFECTS.values()), rate_filter=True)
     rng = np.random.default_rng(5)
     bound = phi.program.bind(3)
     start = flat_outputs(make_reference(), np.full(3, 1.7))

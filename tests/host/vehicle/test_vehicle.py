@@ -74,6 +74,16 @@ def test_id_changes_with_content_and_not_with_comments(research: Vehicle) -> Non
     assert research.replace(mass_kg=0.753).id != research.id
 
 
+def test_optional_observer_reaches_the_board_and_leaves_ids_without_it_alone(research: Vehicle) -> None:
+    assert research.gains.observer is None
+    assert "observer" not in research.to_toml()
+    assert to_parameters(research)["OBS_GAIN"] == 0.0
+    observed = research.replace(gains=research.gains.model_copy(update={"observer": 5.0}))
+    assert observed.id != research.id
+    assert to_parameters(observed)["OBS_GAIN"] == 5.0
+    assert parse_vehicle(observed.to_toml(), "again") == observed
+
+
 def test_vehicle_refuses_changes_in_place(research: Vehicle) -> None:
     with pytest.raises(ValueError, match="frozen"):
         research.mass_kg = 1.0  # pyright: ignore[reportAttributeAccessIssue]
