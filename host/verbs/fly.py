@@ -146,13 +146,11 @@ def _parameters(assignments: tuple[str, ...]) -> dict[str, float]:
     for text in assignments:
         name, _, value = text.partition("=")
         if name not in BY_NAME:
-            raise UsageError(
-                f"--parameter {text}: no parameter {name}, give NAME=VALUE of the on-board table"
-            )
+            raise UsageError(f"--parameter {text}: no parameter is called {name}, give NAME=VALUE")
         try:
             values[name] = BY_NAME[name].check(float(value))
         except ValueError as error:
-            raise UsageError(f"--parameter {text}: {error}") from None
+            raise UsageError(f"--parameter {text}: {error}; give NAME=VALUE") from None
     return values
 
 

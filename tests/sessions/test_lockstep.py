@@ -225,6 +225,31 @@ def test_session_with_other_parameters_on_board_needs_as_flashed(
     assert parameters["POS_P_N"] == 5.5
 
 
+def test_session_with_parameters_sets_them_on_board_and_tells_the_log(fly: Fly, simulate: Simulate) -> None:
+    simulated = simulate()
+    flight = read_flight(fly(simulated, parameters={"OBS_GAIN": 3.0}).log)
+    assert flight.firmware_parameters is not None
+    assert flight.firmware_parameters["OBS_GAIN"] == 3.0
+    assert flight.observer is not None
+    assert flight.control is not None
+    # One for each control message but those that came without their companion.
+    assert len(flight.control) - 50 < len(flight.observer) <= len(flight.control) + 1
+    assert set(flight.observer.t_us) - {int(flight.observer.t_us[0])} <= set(flight.control.t1_us)
+    seen = np.abs(flight.observer.disturbance).max(axis=0)
+    assert (seen > 0.0).all()
+    assert (seen < 0.5).all()
+
+    simulated.power_cycle(0)
+    with pytest.raises(UsageError, match=r"OBS_GAIN is 3, not 0.*--parameter"):
+        fly(simulated)
+
+
+def test_session_with_the_observer_stated_off_has_the_bytes_of_one_without(fly: Fly, flown: Flown) -> None:
+    result = fly(parameters={"OBS_GAIN": 0.0})
+    assert result.log.read_bytes() == flown[0].log.read_bytes()
+    assert flown[1].observer is None
+
+
 def test_session_reference_refused_on_board_names_node_and_reason(
     fly: Fly, figure_eight: Callable[..., Reference], vehicle: Vehicle, tmp_path: Path
 ) -> None:

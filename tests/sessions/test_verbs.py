@@ -13,6 +13,7 @@ import pytest
 
 from host import cli, output
 from host.effects import load_effects
+from host.log import read_flight
 from host.log.scan import scan
 from protocol.blobs import Reference
 
@@ -69,6 +70,15 @@ def test_fly_answers_with_the_documented_keys_and_leaves_log_and_truth(
     assert described["provenance"]["seed"] == "4"
     assert described["provenance"]["flight"] == "2"
     assert described["provenance"]["session_uid"] == truth["uid"]
+
+
+def test_fly_with_parameters_has_them_on_board_and_in_its_provenance(trimtab: Any, ref: str) -> None:
+    words = ("--parameter", "OBS_GAIN=2.5", "--parameter=HOLD_S=0.5")
+    assert trimtab("fly", ref, *words, "-o", "x.mcap")[0] == 0
+    flight = read_flight("x.mcap")
+    assert flight.firmware_parameters is not None
+    assert (flight.firmware_parameters["OBS_GAIN"], flight.firmware_parameters["HOLD_S"]) == (2.5, 0.5)
+    assert " ".join(words) in flight.metadata["command"]
 
 
 def test_fly_again_does_not_overwrite_unless_forced(trimtab: Any, ref: str, tmp_path: Path) -> None:
@@ -142,6 +152,9 @@ def test_fly_log_tells_nothing_of_world_seed_or_drawn_values(
         (("fly", "eight.ref", "--port", "/dev/null", "--mocap", "udp://127.0.0.1:1x"), 2, "HOST:PORT"),
         (("fly", "eight.ref", "--flight", "-1"), 2, "not negative"),
         (("fly", "eight.ref", "-o", "no/x.mcap"), 2, "folder"),
+        (("fly", "eight.ref", "--parameter", "OBS_GAIN"), 2, "give NAME=VALUE"),
+        (("fly", "eight.ref", "--parameter", "OBSERVE=1"), 2, "no parameter is called OBSERVE"),
+        (("fly", "eight.ref", "--parameter", "OBS_GAIN=99"), 2, "OBS_GAIN: 99 is outside 0..20 1/s"),
         (("upload", "eight.ref", "--port", "/dev/null"), 3, "cannot be opened as a serial port"),
         (("upload", "bad.ref", "--port", "/dev/null"), 2, "bad.ref"),
         (("log", "info", "bad.ref"), 5, "is no MCAP file"),

@@ -15,10 +15,15 @@ from host.learn.train import LOSS_SIGMA, Settings, train
 from host.models.phi import Phi
 from host.models.rollout import roll_out
 from host.models.segments import cut
-from host.vehicle import load_vehicle
+from host.vehicle import load_vehicle, to_parameters
 
 PHI = Phi(vehicle=load_vehicle("research"), estimator=False)
 WHOLE = Phi(vehicle=load_vehicle("research"))
+OBSERVING = Phi(
+    vehicle=load_vehicle("research"),
+    parameters=to_parameters(load_vehicle("research")) | {"OBS_GAIN": 4.0},
+    estimator=False,
+)
 NONE = np.zeros(0)
 WEIGHT = 1.0 / np.square(LOSS_SIGMA)
 
@@ -115,14 +120,18 @@ def test_region_covers_the_flights(make_states):
     assert covered.thrust_min_n < 0.752 * 9.81 < covered.thrust_max_n
 
 
-def test_segments_turned_are_flights_of_the_same_vehicle(make_states):
+@pytest.mark.parametrize("phi", [PHI, OBSERVING], ids=["plain", "observer"])
+def test_segments_turned_are_flights_of_the_same_vehicle(make_states, phi):
     """Rolled out from a turned start along a turned reference, the states are the turned states."""
-    segments = cut([make_states(1, drag=False)], PHI, steps=25)
+    states = make_states(1, drag=False)
+    seen = np.tile((0.5, -0.3, 0.2), (len(states.t_s), 1))
+    segments = cut([dataclasses.replace(states, observer=seen)], phi, steps=25)
+    assert phi is PHI or (segments.x0[:, phi.observer][:, :3] == seen[0]).all()
     angles = np.linspace(-3.0, 3.0, segments.count)
 
     def predicted(of):
         return roll_out(
-            PHI,
+            phi,
             x0=of.x0.T,
             drive=of.drive.transpose(1, 2, 0),
             flight=of.constants.T,

@@ -64,6 +64,15 @@ def test_flight_tracking_starts_where_the_vehicle_says_and_ends_with_the_referen
     assert flight.tracking_whole
 
 
+def test_observer_has_the_rows_that_came_whatever_their_interval(log_path: Path) -> None:
+    observer = read_flight(log_path).observer
+    assert observer is not None
+    at_ms = [ms for ms in range(0, 7000, 10) if ms % 50]
+    np.testing.assert_array_equal(observer.t_us, np.multiply(at_ms, 1000))
+    np.testing.assert_allclose(observer.disturbance[:, 0], np.multiply(at_ms, 1e-3))
+    np.testing.assert_allclose(observer.disturbance[:, 1:], [[0.0, -1.0]] * len(at_ms))
+
+
 def test_control_invalid_interval_is_left_out(log_path: Path) -> None:
     control = read_flight(log_path).control
     assert control is not None
