@@ -59,17 +59,19 @@ def error_rates(
     latency_s: Scalar,
     interval_s: Scalar,
     imu_bias: Sequence[Scalar],
+    tilted: Sequence[Scalar] = (0.0, 0.0, 0.0),
 ) -> list[Scalar]:
     """Derivative of the 12 states at these errors (`errors_of`).
 
     v, a: true velocity and acceleration (NED); rate, rate_dot: true body rate and its derivative (FRD).
     `age_s` is a pose's declared age at its use, `prediction_s` the feed-forward block's addition to it,
-    `latency_s` what nobody declared; poses come every `interval_s`. `imu_bias` is the accelerometer's (FRD).
+    `latency_s` what nobody declared; poses come every `interval_s`. `imu_bias` is the accelerometer's (FRD);
+    `tilted` what gravity in the frame of the poses is beside (0, 0, g), which the estimator does not know.
     """
     e_p, e_v, e_q, e_b = errors[0:3], errors[3:6], errors[6:9], errors[9:12]
     back = age_s + prediction_s  # what the estimate is predicted back by
     late = age_s + latency_s  # what the pose is really late by
-    force = mat_t_vec(R, (a[0], a[1], a[2] - GRAVITY))
+    force = mat_t_vec(R, (a[0] - tilted[0], a[1] - tilted[1], a[2] - tilted[2] - GRAVITY))
     predicted = mat_vec(R_estimated, [f + b for f, b in zip(force, imu_bias, strict=True)])
     e_a = (predicted[0] - a[0], predicted[1] - a[1], predicted[2] + GRAVITY - a[2])
 

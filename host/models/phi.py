@@ -31,7 +31,7 @@ from firmware_model.law.dfbc import Reference, control
 from firmware_model.law.observer import GREATEST, bounded, disturbance_seen
 from firmware_model.law.ops import Ops
 from firmware_model.law.rotations import dot, euler_to_matrix, mat_vec
-from host.codegen.ops import CASADI
+from host.codegen.ops import CASADI, NUMPY
 from host.effects import Effect
 from host.models import estimator
 from host.models.bias import standing_errors
@@ -42,6 +42,11 @@ from host.models.dynamics import (
     THRUST,
     Part,
     V,
+    command_delay_s,
+    gravity_ned,
+    memory_at_rest,
+    memory_rates,
+    memory_size,
     mocap_latency_s,
     motor_lag_s,
     rigid_body,
@@ -55,9 +60,13 @@ from protocol.parameters import DEFAULTS
 Scalar = Any
 Drive = Literal["reference", "estimate", "inputs"]
 
+_DELAY_FILTER_S = 0.004
+"""T of the late commands' filter."""
+
 INTEGRAL = slice(16, 19)
 """The rate integral in the state. Behind it, where asked for: filtered body rate 3, estimator's errors 12;
-where the observer is on: its estimate 3 (m/s^2, NED) and the collective thrust it reckons with (N).
+where the observer is on: its estimate 3 (m/s^2, NED) and the collective thrust it reckons with (N); where an
+effect delays the commands: these behind a short filter 4 (N); last the effects' own states.
 """
 
 DRIVE_ROWS: Mapping[Drive, int] = {"reference": 22, "estimate": 34, "inputs": 6}
@@ -125,9 +134,7 @@ class Phi:
     @property
     def size(self) -> int:
         """Number of states."""
-        if self.drive == "inputs":
-            return STATE_SIZE
-        return self.observer.start + (4 if self.observes else 0)
+        return self.memory.stop
 
     @property
     def errors(self) -> slice:
@@ -145,6 +152,19 @@ class Phi:
     def observes(self) -> bool:
         """Whether the law's disturbance observer is on, and its states are part of x."""
         return self.drive != "inputs" and law_step.observer(self.firmware)[0] > 0.0
+
+    @property
+    def commands(self) -> slice:
+        """Where the four late rotor commands are: there is one set where an effect delays them."""
+        start = self.observer.start + (4 if self.observes else 0)
+        late = any(effect.command_delay_s is not None for effect in self.effects)
+        return slice(start, start + (4 if late and self.drive != "inputs" else 0))
+
+    @property
+    def memory(self) -> slice:
+        """Where the effects' own states are."""
+        start = STATE_SIZE if self.drive == "inputs" else self.commands.stop
+        return slice(start, start + memory_size(self.effects))
 
     @property
     def vectors(self) -> tuple[int, ...]:
@@ -199,11 +219,13 @@ class Phi:
         parts = self.parts(theta)
         rows = DRIVE_ROWS[self.drive]
         voltage, t = (drive[4], drive[5]) if rows == 6 else (drive[20], drive[21])
-        body = rigid_body(ops, self.vehicle, parts, x, voltage, t, acceleration_ned)
+        own = [x[i] for i in range(self.memory.start, self.memory.stop)]
+        body = rigid_body(ops, self.vehicle, parts, x, voltage, t, acceleration_ned, memory=own)
+        own_rates = memory_rates(ops, self.vehicle, parts, x, own)
         lag = motor_lag_s(ops, self.vehicle, parts) + self.hold_s
         if self.drive == "inputs":
-            return [*body, *thrust_rates(x[THRUST], drive[0:4], lag)]
-        return self._with_law(ops, parts, x, drive, flight, body, lag)
+            return [*body, *thrust_rates(x[THRUST], drive[0:4], lag), *own_rates]
+        return [*self._with_law(ops, parts, x, drive, flight, body, lag), *own_rates]
 
     def _with_law(
         self,
@@ -233,6 +255,7 @@ class Phi:
                 error_dot = estimator.error_rates(
                     gains, e, R_true, R, v, a, rate, rate_dot,
                     age, prediction, mocap_latency_s(ops, parts), interval, imu_bias,
+                    gravity_ned(ops, parts) or (0.0, 0.0, 0.0),
                 )  # fmt: skip
                 v_dot = [a[i] + error_dot[3 + i] for i in range(3)]
                 p = [p[i] + e[i] for i in range(3)]
@@ -269,13 +292,20 @@ class Phi:
             share = slope_share * k.filter_rate / (corner * corner)
             torque = _behind(torque, rotor_torque(self.vehicle, x[THRUST]), k.rate_derivative, share, lag)
         _, command, _ = law_step.motors(ops, self.firmware, collective, torque, gain)
+        arriving, late_rates = command, []
+        if self.commands.stop > self.commands.start:
+            # exp(-D s) as 1 - D s / (1 + T s): right to second order in s where D = 2 T.
+            late_rates = [(u - x[self.commands.start + i]) / _DELAY_FILTER_S for i, u in enumerate(command)]
+            delay_s = command_delay_s(ops, parts)
+            arriving = [u - delay_s * rate for u, rate in zip(command, late_rates, strict=True)]
         return [
             *body,
-            *thrust_rates(x[THRUST], command, lag),
+            *thrust_rates(x[THRUST], arriving, lag),
             *(_held(ops, integral[i], integral_dot[i], limit[i]) for i in range(3)),
             *((corner * a for a in away) if self.rate_filter else ()),
             *error_dot,
             *(self._observer_rates(ops, x, v_dot, R, gain, command) if self.observes else ()),
+            *late_rates,
         ]
 
     def _observer_rates(
@@ -339,11 +369,18 @@ class Phi:
         """RK4 steps that one step of `step_s` must be split into: |eigenvalue| times step at most 1.5."""
         return max(1, math.ceil(self.stiffness * step_s / 1.5))
 
+    def at_rest(self, x: np.ndarray) -> np.ndarray:
+        """The effects' own states where the vehicle has long been at rest in state x, at neutral values."""
+        parts = self.parts(self.theta_neutral)
+        return np.array(memory_at_rest(NUMPY, self.vehicle, parts, list(x[:STATE_SIZE])), dtype=float)
+
     def hover(self, p_ned: Sequence[float], yaw: float) -> np.ndarray:
         """The state (size,) of the nominal vehicle at rest at p_ned."""
         x = np.zeros(self.size)
         x[0:3], x[8] = p_ned, yaw
         x[THRUST] = self.vehicle.mass_kg * GRAVITY / 4.0
+        x[self.commands] = self.vehicle.mass_kg * GRAVITY / 4.0
+        x[self.memory] = self.at_rest(x)
         if self.observes:
             x[self.observer.stop - 1] = self.vehicle.mass_kg * GRAVITY
         return x

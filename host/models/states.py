@@ -87,6 +87,9 @@ class States:
             if phi.observes:
                 d_hat = np.zeros(3) if self.observer is None else self.observer[k]
                 x[phi.observer] = [*d_hat, self.constants[0] * self.thrust[k].sum()]
+            if phi.commands.stop > phi.commands.start:
+                x[phi.commands] = self.thrust[k]
+        x[phi.memory] = phi.at_rest(x)
         return x
 
 

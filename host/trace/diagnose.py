@@ -114,7 +114,7 @@ def refit(
         white = evidence.whitened(lin, process, prior)
         step, covariance = evidence.posterior(white.gram, z, precision)
         sigma = np.sqrt(np.diag(covariance))
-        if np.abs(step).max() < 0.03 or (iteration >= 2 and (np.abs(step) / sigma).max() < 0.5):
+        if np.abs(step).max() < 0.03 or (iteration >= 1 and (np.abs(step) / sigma).max() < 1.0):
             break
         if iteration < iterations - 1:
             step = space.clipped(z + np.clip(step, -4.0, 4.0)) - z
