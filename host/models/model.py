@@ -19,7 +19,7 @@ Values = Mapping[str, Mapping[str, float]]
 """Effect name -> parameter key -> value."""
 Use = Literal["both", "effects", "adjustments", "none"]
 
-NUISANCES = frozenset({"thrust-curve", "gyro-feedthrough"})
+NUISANCES = frozenset({"thrust-curve"})
 """Adjustments that are no effects: what only the reading of a log needs."""
 
 

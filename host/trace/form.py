@@ -15,7 +15,7 @@ from firmware_model.law.rotations import euler_to_matrix, mat_t_vec
 from host.codegen.ops import CASADI
 from host.models import dynamics
 from host.models.lanes import LaneProgram, Lanes, lane_program
-from host.trace.parameters import FEEDTHROUGH, Space
+from host.trace.parameters import Space
 from host.vehicle import Vehicle
 
 Scalar = Any
@@ -32,7 +32,7 @@ CHANNELS = 12
 
 _STEP_INPUTS = {
     "body": STATES, "thrust": 4, "z": 0, "memory": 0, "local": LOCALS, "w": 6, "command": 4,
-    "attitude": 9, "rate": 3, "jolt": 6, "voltage": 1, "t_s": 1, "shift_s": 1,
+    "attitude": 9, "rate": 3, "voltage": 1, "t_s": 1, "shift_s": 1,
 }  # fmt: skip
 
 
@@ -128,9 +128,7 @@ class Form:
         """One step of the midpoint rule, rotors exactly: state after it, and what is measured in it."""
         names = list(_STEP_INPUTS)
         columns, scalars = self._symbols(*names)
-        body, thrust, z, memory, local, w, command, measured, rate, jolt, (voltage,), (t_s,), (shift,) = (
-            scalars
-        )
+        body, thrust, z, memory, local, w, command, measured, rate, (voltage,), (t_s,), (shift,) = scalars
         dt, vehicle, parts = self.dt_s, self.vehicle, self._parts(z)
         lag = dynamics.motor_lag_s(CASADI, vehicle, parts)
         target = self._commanded(z, command)
@@ -161,12 +159,10 @@ class Form:
         tilted = dynamics.gravity_ned(CASADI, parts) or (0.0, 0.0, 0.0)
         felt = [k2[3 + i] - tilted[i] - (GRAVITY if i == 2 else 0.0) for i in range(3)]
         felt = mat_t_vec(euler_to_matrix(CASADI, half[6:9]), felt)
-        through = self.space.theta(self._values(z)).get(FEEDTHROUGH, (0.0,) * 6)
-        heard = [through[i] * jolt[i] + through[3 + i] * jolt[3 + i] for i in range(3)]
         predicted = [
             *position,
             *_apart(measured, R),
-            *(body[9 + i] + 0.5 * dt * k2[9 + i] + heard[i] for i in range(3)),
+            *(body[9 + i] + 0.5 * dt * k2[9 + i] for i in range(3)),
             *(f + b for f, b in zip(felt, local[6:9], strict=True)),
         ]
         blocks = {

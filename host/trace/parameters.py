@@ -165,13 +165,6 @@ class Space:
         return len(names) == len(chosen) and all(not any_of or names & set(any_of) for any_of in needs)
 
 
-FEEDTHROUGH = "gyro-feedthrough"
-"""The adjustment for a loop that answers gyro noise within a step: the noise of a step and its command go
-together, which would else look like a delay. Six numbers, s: roll, pitch and yaw, of this step's change of
-torque and of the last one's."""
-
-_FEEDTHROUGH_S = 0.05
-
 _THRUST_CURVE = (("log_gain", 0.1, 1.5), ("linear", 0.2, 1.0))
 """The adjustment for an unknown thrust curve: key, scale, bound."""
 
@@ -208,15 +201,6 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
             )
             for key, scale, bound in _THRUST_CURVE
         ]  # fmt: skip
-    if "torque" not in unknown:
-        columns += [
-            Column(
-                owner=FEEDTHROUGH, key=f"{axis}{step}", unit="s", neutral=0.0, scale=_FEEDTHROUGH_S,
-                tolerance=_FEEDTHROUGH_S, lower=-1.0, upper=1.0,
-            )
-            for step in (0, 1)
-            for axis in "xyz"
-        ]  # fmt: skip
     mounting = 0.1 if "mounting-tilt" in unknown else 0.001
     torque = 0.02 if "torque" in unknown else 0.3
     accelerometer = 0.5 if "mounting-tilt" in unknown else 0.05
@@ -227,7 +211,7 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
         unknown=(*free, *(("thrust-curve",) if "thrust-curve" in unknown else ())),
         local_sigma=(mounting,) * 3 + (torque,) * 3 + (accelerometer,) * 3,
     )
-    fixed = {MASS, FEEDTHROUGH, *whole.unknown}
+    fixed = {MASS, *whole.unknown}
     candidates = tuple(name for name in whole.groups if name.partition(".")[0] not in fixed)
     return replace(whole, candidates=candidates)
 

@@ -126,7 +126,6 @@ def roll_out(
     inputs["body"][:] = x0.reshape(STATES, total)
     inputs["local"][:] = local.reshape(LOCALS, total)
     commands = _delayed(form, data.command, z)
-    jolts = _jolts(form.vehicle, data)
     inputs["thrust"][:] = _spun_up(form, commands[:pre], each)
     if form.memory:
         inputs["memory"][:] = _remembered(form, data, z).reshape(form.memory, total)
@@ -141,7 +140,6 @@ def roll_out(
         inputs["command"][:] = commands[pre + k]
         load("attitude", data.attitude[:, k])
         load("rate", data.rate[:, k])
-        load("jolt", jolts[:, k])
         load("voltage", data.voltage_ratio[:, k])
         load("t_s", data.start_s + k * data.dt_s)
         load("shift_s", data.shift_s[:, k])
@@ -166,18 +164,6 @@ def _delayed(form: Form, command: np.ndarray, z: np.ndarray) -> np.ndarray:
         each.append((1.0 - share) * now + share * before if share else now)
     lanes = np.transpose(np.array(each), (2, 3, 0, 1))
     return lanes.reshape(*lanes.shape[:2], -1)
-
-
-def _jolts(vehicle: Vehicle, data: Segments) -> np.ndarray:
-    """Change of the commanded torque into each step and into the one before, over nominal inertia (S, H, 6),
-    rad/s^2.
-    """
-    thrust = nominal_thrust(vehicle, data.command, in_newton=data.in_newton)
-    torque = np.stack(dynamics.rotor_torque(vehicle, list(np.moveaxis(thrust, -1, 0))), axis=-1)
-    turning = torque / np.array(vehicle.inertia_kg_m2)
-    change = np.diff(turning, axis=1, prepend=turning[:, :1])
-    steps = data.steps
-    return np.concatenate([change[:, -steps:], change[:, -steps - 1 : -1]], axis=-1)
 
 
 def _spun_up(form: Form, commands: np.ndarray, z: np.ndarray) -> np.ndarray:

@@ -114,6 +114,20 @@ def test_prior_precision_frees_only_the_selected_columns() -> None:
     np.testing.assert_allclose(precision, [100.0, 25.0, 1.0 / evidence.SLAB**2])
 
 
+def test_slope_of_the_evidence_is_that_of_differences(dense: Dense) -> None:
+    precision, h = PRIOR.precision(("a",)), 1e-5
+    point = np.array([PROCESS.log_lateral, PROCESS.log_axial, PROCESS.log_torque])
+
+    def value(logs: np.ndarray) -> float:
+        process = Process(log_lateral=logs[0], log_axial=logs[1], log_torque=logs[2])
+        white = evidence.whitened(dense.lin, process, PRIOR)
+        return evidence.log_evidence(white, dense.lin.z, precision, 0)
+
+    slope = evidence._evidence_and_slope(dense.lin, PROCESS, PRIOR, precision)[1]
+    for i, step in enumerate(h * np.eye(3)):
+        assert slope[i] == pytest.approx((value(point + step) - value(point - step)) / (2 * h), rel=1e-5)
+
+
 def test_fit_process_finds_the_variances_the_data_were_made_with() -> None:
     rng = np.random.default_rng(11)
     count, truth = 60, Process(log_lateral=np.log(0.4), log_axial=np.log(0.05), log_torque=np.log(3.0))

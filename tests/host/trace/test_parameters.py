@@ -15,8 +15,9 @@ EFFECTS = load_effects()
 
 def test_space_holds_every_candidate_but_mass_and_the_adjustments() -> None:
     found = space(VEHICLE, EFFECTS)
-    assert set(found.candidates) == set(EFFECTS) - {"mass"}
-    assert {"inertia", "frame-tilt"} <= set(found.groups)
+    rotors = {f"rotor-loss.loss_{i}" for i in (1, 2, 3, 4)}
+    assert set(found.candidates) == set(EFFECTS) - {"mass", "rotor-loss"} | rotors
+    assert "mass" in found.groups
     assert "thrust-curve" not in found.groups
     assert len(found.prior.spike) == len(found.columns)
 
@@ -46,6 +47,22 @@ def test_space_values_and_clipping_go_through_the_scales() -> None:
     assert found.values(z)[index] == pytest.approx(1.0 - EFFECTS["thrust-gain"].parameters[0].typical)
     z[index] = -1e6
     assert found.values(found.clipped(z))[index] == pytest.approx(EFFECTS["thrust-gain"].parameters[0].lower)
+
+
+def test_space_admits_one_rotor_lost_of_four() -> None:
+    found = space(VEHICLE, EFFECTS)
+    assert found.admissible(["rotor-loss.loss_1", "com-offset"])
+    assert not found.admissible(["rotor-loss.loss_1", "rotor-loss.loss_3"])
+    assert found.effect("rotor-loss.loss_3").name == "rotor-loss"
+    assert len(found.owners["rotor-loss"]) == 4
+
+
+def test_space_leaves_what_a_log_declares_unknown_free() -> None:
+    found = space(VEHICLE, EFFECTS, ["inertia", "pose-latency"])
+    assert {"inertia", "mocap-latency"} <= set(found.unknown)
+    index = found.owners["mocap-latency"][0]
+    assert found.columns[index].tolerance == 0.02
+    assert "mocap-latency" not in found.candidates
 
 
 def test_space_admits_wind_only_with_a_drag() -> None:

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from firmware_model.law.constants import GRAVITY
 from host.effects import load_effects
 from host.trace import segments
+from host.trace.form import Form
 from host.trace.parameters import space
 from host.trace.segments import Segments
 from host.vehicle import load_vehicle
@@ -17,6 +19,7 @@ from host.vehicle import load_vehicle
 VEHICLE = load_vehicle("research")
 SPACE = space(VEHICLE, load_effects())
 STEPS, PRE, DT = 60, 17, 0.01
+FORM = Form(VEHICLE, SPACE, dt_s=DT, in_newton=False, rate_driven=False)
 HOVER = np.sqrt(VEHICLE.mass_kg * GRAVITY / 4.0 / VEHICLE.thrust_max_n)
 
 
@@ -40,6 +43,8 @@ def make(command: np.ndarray, x0: np.ndarray) -> Segments:
         voltage_ratio=np.ones(n),
         sigma=np.ones((count, 4)),
         w=np.zeros((count, 6, 6)),
+        path_start_s=np.zeros(count),
+        paths=x0[:1, None].repeat(2, axis=1),
         in_newton=False,
         rate_driven=False,
     )
@@ -53,15 +58,12 @@ def test_roll_out_of_hover_at_a_velocity_moves_straight_on() -> None:
     x0 = np.zeros((1, 12))
     x0[0, 0:6] = [1.0, 2.0, -3.0, 0.5, -0.25, 0.1]
     data = make(np.full((1, PRE + STEPS, 4), HOVER), x0)
-    position, matrix, rate, force = segments.roll_out(
-        VEHICLE, SPACE, data, *lanes(data, np.zeros(len(SPACE.columns)))
-    )
+    predicted = segments.roll_out(FORM, data, *lanes(data, np.zeros(len(SPACE.columns))))[:, :, 0, 0]
     t = DT * np.arange(STEPS)
     expected = x0[0, :3, None] + x0[0, 3:6, None] * t
-    np.testing.assert_allclose(position[:, :, 0, 0].T, expected, atol=1e-9)
-    np.testing.assert_allclose(matrix[-1, :, 0, 0], np.eye(3).ravel(), atol=1e-12)
-    np.testing.assert_allclose(rate, 0.0, atol=1e-12)
-    np.testing.assert_allclose(force[:, :, 0, 0], np.tile([0.0, 0.0, -GRAVITY], (STEPS, 1)), atol=1e-9)
+    np.testing.assert_allclose(predicted[:, :3].T, expected, atol=1e-9)
+    np.testing.assert_allclose(predicted[:, 3:9], 0.0, atol=1e-12)
+    np.testing.assert_allclose(predicted[:, 9:], np.tile([0.0, 0.0, -GRAVITY], (STEPS, 1)), atol=1e-9)
 
 
 def test_roll_out_with_linear_drag_decays_exponentially() -> None:
@@ -71,7 +73,7 @@ def test_roll_out_with_linear_drag_decays_exponentially() -> None:
     z = np.zeros(len(SPACE.columns))
     z[SPACE.groups["linear-drag"][0]] = 1.0
     d = SPACE.values(z)[SPACE.groups["linear-drag"][0]]
-    position = segments.roll_out(VEHICLE, SPACE, data, *lanes(data, z))[0]
+    position = segments.roll_out(FORM, data, *lanes(data, z))
     t = DT * np.arange(STEPS)
     np.testing.assert_allclose(position[:, 0, 0, 0], 2.0 / d * (1.0 - np.exp(-d * t)), atol=5e-6)
 
@@ -80,7 +82,7 @@ def test_roll_out_answers_a_thrust_step_with_the_rotors_lag() -> None:
     command = np.full((1, PRE + STEPS, 4), HOVER)
     command[:, PRE:] = np.sqrt(1.2) * HOVER
     data = make(command, np.zeros((1, 12)))
-    force = segments.roll_out(VEHICLE, SPACE, data, *lanes(data, np.zeros(len(SPACE.columns))))[3]
+    force = segments.roll_out(FORM, data, *lanes(data, np.zeros(len(SPACE.columns))))[:, 9:]
     t = DT * (np.arange(STEPS) + 0.5)
     expected = -GRAVITY * (1.0 + 0.2 * (1.0 - np.exp(-t / VEHICLE.motor_lag_s)))
     np.testing.assert_allclose(force[:, 2, 0, 0], expected, atol=1e-9)
@@ -93,12 +95,12 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
     data = make(command, x0)
     z = 0.1 * rng.normal(size=len(SPACE.columns))
     local = np.zeros((1, segments.LOCALS))
-    kept = segments.basis(VEHICLE, SPACE, data, z, local)
+    kept = segments.basis(FORM, data, z, local)
 
     def residual(x0: np.ndarray, w: np.ndarray) -> np.ndarray:
         at = replace(data, x0=x0, w=w)
         lane = (at.x0.T[:, None, :], z[:, None], np.zeros((segments.LOCALS, 1, 2)))
-        return segments.residuals(at, *segments.roll_out(VEHICLE, SPACE, at, *lane))[0]
+        return segments.residuals(at, segments.roll_out(FORM, at, *lane))[0]
 
     h = 1e-4
     for column in (0, 4, 7, 10):
@@ -118,18 +120,65 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
     truth = 0.2 * rng.normal(size=(3, 12))
     data = make(np.full((3, PRE + STEPS, 4), HOVER), truth)
     z, local = np.zeros(len(SPACE.columns)), np.zeros((1, segments.LOCALS))
-    position, matrix, rate, force = segments.roll_out(VEHICLE, SPACE, data, *lanes(data, z))
+    attitude = data.attitude
+    for _ in range(4):  # the predicted attitude is told as what the measured one must turn by
+        rolled = segments.roll_out(FORM, replace(data, attitude=attitude), *lanes(data, z))
+        seen = np.transpose(rolled[:, :, 0], (2, 0, 1))
+        turn = Rotation.from_rotvec(seen[..., 3:6].reshape(-1, 3)).as_matrix()
+        attitude = (attitude.reshape(-1, 3, 3) @ turn).reshape(attitude.shape)
     measured = replace(
         data,
         x0=truth + 0.02 * rng.normal(size=truth.shape),
-        position=np.transpose(position[:, :, 0], (2, 0, 1)),
-        attitude=np.transpose(matrix[:, :, 0], (2, 0, 1)),
-        rate=np.transpose(rate[:, :, 0], (2, 0, 1)),
-        force=np.transpose(force[:, :, 0], (2, 0, 1)),
+        position=seen[..., :3],
+        attitude=attitude,
+        rate=seen[..., 6:9],
+        force=seen[..., 9:],
     )
-    kept = segments.basis(VEHICLE, SPACE, measured, z, local)
-    found = segments.fitted_x0(VEHICLE, SPACE, measured, z, local, kept, iterations=5)
+    kept = segments.basis(FORM, measured, z, local)
+    found = segments.fitted_x0(FORM, measured, z, local, kept, iterations=5)
     np.testing.assert_allclose(found, truth, atol=1e-6)
+
+
+def lane_of(data: Segments, **values: float) -> np.ndarray:
+    """Predicted measurements (H, 12) of the first segment with these parameters "effect__key"."""
+    z = np.zeros(len(SPACE.columns))
+    for i, column in enumerate(SPACE.columns):
+        name = f"{column.owner}__{column.key}".replace("-", "_")
+        z[i] = (values[name] - column.neutral) / column.scale if name in values else 0.0
+    return segments.roll_out(FORM, data, *lanes(data, z))[:, :, 0, 0]
+
+
+def test_delayed_commands_shift_the_answer_to_a_step() -> None:
+    command = np.full((1, PRE + STEPS, 4), HOVER)
+    command[:, PRE + 10 :] = np.sqrt(1.2) * HOVER
+    data = make(command, np.zeros((1, 12)))
+    prompt, late = lane_of(data)[:, 11], lane_of(data, actuation_delay__delay_s=0.02)[:, 11]
+    np.testing.assert_allclose(late[2:], prompt[:-2], atol=1e-9)
+    half = lane_of(data, actuation_delay__delay_s=0.005)[:, 11]
+    assert prompt[10] < half[10] < late[10]
+
+
+def test_one_rotors_loss_turns_about_all_axes() -> None:
+    data = make(np.full((1, PRE + STEPS, 4), HOVER), np.zeros((1, 12)))
+    rate = lane_of(data, rotor_loss__loss_2=0.1)[20, 6:9]
+    rotor = VEHICLE.rotors[1]
+    lost = -0.1 * VEHICLE.mass_kg * GRAVITY / 4.0
+    torque = np.array([-rotor.position_m[1], rotor.position_m[0], VEHICLE.torque_per_thrust_m]) * lost
+    np.testing.assert_allclose(rate, torque / np.array(VEHICLE.inertia_kg_m2) * 20.5 * DT, rtol=0.02)
+
+
+def test_slung_payload_swings_with_its_own_period_from_where_it_hung() -> None:
+    """The vehicle was measured to stand a metre off the payload's rest for a tenth of its period."""
+    data = make(np.full((1, PRE + STEPS, 4), HOVER), np.zeros((1, 12)))
+    paths = np.zeros((1, 11, 12))
+    paths[0, 0, 0] = 0.1  # the payload hung here, and the vehicle was put back at once
+    data = replace(data, paths=paths, path_start_s=np.array([0.2]))
+    length = 0.6
+    force = lane_of(data, slung_payload__ratio=1e-4, slung_payload__length_m=length)[:, 9]
+    t = 0.2 + DT * (np.arange(STEPS) + 0.5)
+    natural = np.sqrt(GRAVITY / length)
+    swing = 0.1 * np.exp(-0.05 * natural * t) * np.cos(natural * t)
+    np.testing.assert_allclose(force, 1e-4 * GRAVITY / length * swing, atol=1.5e-5)
 
 
 def test_measured_turn_reads_a_constant_torque_off_the_gyro() -> None:
@@ -137,7 +186,7 @@ def test_measured_turn_reads_a_constant_torque_off_the_gyro() -> None:
     ramp = 3.0 * DT * (np.arange(STEPS) + 0.5)
     rate = np.zeros((1, STEPS, 3))
     rate[0, :, 1] = ramp
-    w = segments.measured_turn(VEHICLE, SPACE, replace(data, rate=rate))
+    w = segments.measured_turn(FORM, replace(data, rate=rate))
     np.testing.assert_allclose(w[0, :, 4], 3.0, atol=1e-9)
     np.testing.assert_allclose(w[0, :, [0, 1, 2]], 0.0)
 
