@@ -30,7 +30,7 @@ EFFECT = Effect(
             description="power of the voltage ratio that thrust follows",
         ),
     ),
-    aliases=("thrust-gain", "mass"),
+    aliases=("thrust-gain", "mass", "ground-effect"),
     observable="flights from a full and from an emptier battery, or one long flight, with the voltage logged",
     closing=Closing(
         model="every rotor's thrust times a power of the measured voltage ratio",

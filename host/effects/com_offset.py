@@ -29,7 +29,7 @@ EFFECT = Effect(
     equation="tau_frd = -(x, y, 0) x (0, 0, -T) = (y T, -x T, 0)",
     source="2-10 mm after a change of battery or payload; rigid-body statics",
     parameters=(_axis("x", "ahead"), _axis("y", "to the right")),
-    aliases=("wind", "torque-bias", "rotor-loss"),
+    aliases=("wind", "torque-bias", "rotor-loss", "frame-tilt"),
     observable="changes of thrust, as in climbs and fast turns; in hover it is a torque bias",
     closing=Closing(
         model="a torque in proportion to the collective thrust",

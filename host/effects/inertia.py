@@ -28,7 +28,7 @@ EFFECT = Effect(
     equation="J = diag(x, y, z) J_nominal",
     source="payloads, batteries and drawings that left out the wiring: 10-30 %",
     parameters=(_axis("x", 0.02), _axis("y", 0.02), _axis("z", 0.04)),
-    aliases=("motor-lag", "actuation-delay", "thrust-gain"),
+    aliases=("motor-lag", "actuation-delay", "thrust-gain", "gyroscopic"),
     observable="quick turns; only thrust times arm over inertia shows, swing the vehicle for more",
     closing=Closing(
         model="the principal moments times constants",

@@ -32,7 +32,7 @@ EFFECT = Effect(
     equation="a_frd = -diag(dx, dy, dz) v_air_frd",
     source="Faessler, Franchi, Scaramuzza 2018 (dx 0.43-0.54, dy 0.24-0.39 1/s)",
     parameters=(_axis("dx", 0.4), _axis("dy", 0.35), _axis("dz", 0.2)),
-    aliases=("quadratic-drag", "wind", "mocap-latency"),
+    aliases=("quadratic-drag", "wind", "mocap-latency", "thrust-inflow", "translational-lift"),
     observable="speed along each body axis, beyond 1 m/s; from quadratic drag only over a range of speeds",
     closing=Closing(
         model="a drag force linear in the air speed, axis by axis",

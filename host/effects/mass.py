@@ -30,7 +30,7 @@ EFFECT = Effect(
             description="mass over the vehicle file's mass",
         ),
     ),
-    aliases=("thrust-gain", "battery-sag"),
+    aliases=("thrust-gain", "battery-sag", "ground-effect", "slung-payload"),
     observable="never apart from thrust in flight; weigh the vehicle",
     closing=Closing(
         model="the mass times a constant",

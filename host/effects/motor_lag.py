@@ -26,7 +26,7 @@ EFFECT = Effect(
             description="time constant beyond the vehicle file's",
         ),
     ),
-    aliases=("mocap-latency", "actuation-delay"),
+    aliases=("mocap-latency", "actuation-delay", "inertia", "thrust-inflow"),
     observable="quick turns of roll and pitch with the gyro in the log",
     closing=Closing(
         model="rotor thrust with the longer time constant",

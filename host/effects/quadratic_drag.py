@@ -36,7 +36,7 @@ EFFECT = Effect(
             description="half the air density times the drag area over mass, positive against the motion",
         ),
     ),
-    aliases=("linear-drag", "wind"),
+    aliases=("linear-drag", "wind", "translational-lift"),
     observable="level flight over a range of speeds, up to 4 m/s and beyond",
     closing=Closing(
         model="a drag force quadratic in the air speed",

@@ -30,7 +30,15 @@ EFFECT = Effect(
             description="thrust over the vehicle file's thrust, all rotors alike",
         ),
     ),
-    aliases=("mass", "battery-sag"),
+    aliases=(
+        "mass",
+        "battery-sag",
+        "ground-effect",
+        "inertia",
+        "rotor-loss",
+        "slung-payload",
+        "translational-lift",
+    ),
     observable="any flight; from mass only by weighing",
     closing=Closing(
         model="every rotor's thrust times a constant",

@@ -159,8 +159,8 @@ def _delayed(form: Form, command: np.ndarray, z: np.ndarray) -> np.ndarray:
     each = []
     for delay in form.delay_s(z):
         whole, share = divmod(float(delay) / form.dt_s, 1.0)
-        at = np.arange(command.shape[1]) - int(whole)
-        now, before = command[:, np.maximum(at, 0)], command[:, np.maximum(at - 1, 0)]
+        at = np.clip(np.arange(command.shape[1]) - int(whole), 0, command.shape[1] - 1)
+        now, before = command[:, at], command[:, np.maximum(at - 1, 0)]
         each.append((1.0 - share) * now + share * before if share else now)
     lanes = np.transpose(np.array(each), (2, 3, 0, 1))
     return lanes.reshape(*lanes.shape[:2], -1)

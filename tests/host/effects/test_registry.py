@@ -8,7 +8,7 @@ import pytest
 
 from host.effects import SLOTS, EffectError, load_effects
 
-NINE = {
+SHIPPED = {
     "linear-drag": ("dx", "dy", "dz"),
     "quadratic-drag": ("c",),
     "wind": ("wx", "wy"),
@@ -18,6 +18,16 @@ NINE = {
     "motor-lag": ("extra_s",),
     "com-offset": ("x", "y"),
     "mocap-latency": ("latency_s",),
+    "actuation-delay": ("delay_s",),
+    "frame-tilt": ("tilt_x", "tilt_y"),
+    "ground-effect": ("k",),
+    "gyroscopic": ("h",),
+    "inertia": ("x", "y", "z"),
+    "rotor-loss": ("loss_1", "loss_2", "loss_3", "loss_4"),
+    "slung-payload": ("ratio", "length_m"),
+    "thrust-inflow": ("k",),
+    "torque-bias": ("x", "y", "z"),
+    "translational-lift": ("k",),
 }
 
 WORKSPACE_EFFECT = """
@@ -39,9 +49,9 @@ def write(workspace: Path, file: str, text: str) -> None:
     (workspace / "effects" / file).write_text(text, encoding="utf-8")
 
 
-def test_load_effects_shipped_has_the_nine_with_their_keys():
+def test_load_effects_shipped_has_them_all_with_their_keys():
     effects = load_effects()
-    assert {name: effect.keys for name, effect in effects.items()} == NINE
+    assert {name: effect.keys for name, effect in effects.items()} == SHIPPED
     assert list(effects) == sorted(effects)
     assert all(len(effect.source_id) == 12 for effect in effects.values())
 
@@ -58,7 +68,7 @@ def test_load_effects_workspace_adds_an_effect(tmp_path):
     write(tmp_path, "roll_push.py", WORKSPACE_EFFECT.format(name="roll-push"))
     effects = load_effects(tmp_path)
     assert effects["roll-push"].keys == ("k",)
-    assert len(effects) == len(NINE) + 1
+    assert len(effects) == len(SHIPPED) + 1
 
 
 def test_load_effects_workspace_changed_file_changes_source_id(tmp_path):

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from host.effects import load_effects
 from host.log import Flight, Mocap, read_flight, write_imported
-from host.trace.data import TooLittleData, unknowns
+from host.trace.data import DT_S, TooLittleData, unknowns
+from host.trace.form import Form
 from host.trace.parameters import space
 from host.trace.score import CALIBRATION, Errors, noise_floor, predict_segments
 from host.vehicle import load_vehicle
@@ -32,8 +33,13 @@ def flight(
 
 
 def errors_of(held_out: Flight) -> Errors:
-    chosen = space(VEHICLE, load_effects(), unknowns([held_out]))
-    return predict_segments([held_out], VEHICLE, chosen, np.zeros(len(chosen.columns)))[0]
+    form = form_for(held_out)
+    return predict_segments([held_out], form, np.zeros(len(form.space.columns)))[0]
+
+
+def form_for(flight: Flight) -> Form:
+    chosen = space(VEHICLE, load_effects(), unknowns([flight]))
+    return Form(VEHICLE, chosen, dt_s=DT_S, in_newton=True, rate_driven=True)
 
 
 def test_predictions_know_nothing_of_what_is_measured_later(tmp_path: Path) -> None:
@@ -58,9 +64,9 @@ def test_predicted_and_measured_positions_are_of_the_same_time(tmp_path: Path) -
 
 def test_a_held_out_flight_too_short_to_predict_is_refused_by_name(tmp_path: Path) -> None:
     short, long = flight(tmp_path / "short.mcap", seconds=1.1), flight(tmp_path / "long.mcap")
-    chosen = space(VEHICLE, load_effects(), unknowns([long]))
+    form = form_for(long)
     with pytest.raises(TooLittleData, match=r"short\.mcap: too short"):
-        predict_segments([long, short], VEHICLE, chosen, np.zeros(len(chosen.columns)))
+        predict_segments([long, short], form, np.zeros(len(form.space.columns)))
 
 
 def test_noise_floor_without_twins_is_unknown(tmp_path: Path) -> None:

@@ -39,6 +39,8 @@ def data(motion_hz: float = 0.0, each: int = SEGMENTS) -> Segments:
         voltage_ratio=np.ones(n),
         sigma=np.ones((count, 4)),
         w=np.zeros((count, BINS, 6)),
+        path_start_s=np.zeros(count),
+        paths=np.zeros((FLIGHTS, 2, 12)),
         in_newton=False,
         rate_driven=False,
     )
