@@ -11,7 +11,8 @@ import pytest
 from host.vehicle import Vehicle, load_vehicle
 from sitl.draw import World, draw_world
 from sitl.plant import Plant, plant_parameters
-from sitl.plant_model import GRAVITY_M_S2, rotation
+from sitl.surroundings import GRAVITY_M_S2
+from sitl.vectors import rotation
 from sitl.world import WorldFile, load_world
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
