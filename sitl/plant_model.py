@@ -105,7 +105,9 @@ PARAMETERS = (
     Block("fan", 6),  # push m/s^2, width m, place NE, direction NE
     Block("wall", 4),  # pull m/s^2 at a metre, distance from the origin m, direction NE
     Block("payload", 2),  # mass kg, length of the line m
-    Block("slide", 4),  # share of the mass, stiffness 1/s^2, direction of the tray: x and z in FRD
+    Block(
+        "slide", 5
+    ),  # share of the mass, stiffness 1/s^2, direction of the tray: x, z in FRD, way to its end m
 )
 """The constants of one flight, in order."""
 
@@ -289,7 +291,7 @@ def _slide(
     ops: Any, P: Mapping[str, Any], slide: Vector, acceleration: Vector, turning: Vector, R: Vector
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
     """Centre of mass and its velocity in FRD with the battery where it has slid to, and its next state."""
-    share, _, along, down = P["slide"]
+    share, _, along, down, _ = P["slide"]
     s, rate = slide
     force = into_body(R, [acceleration[0], acceleration[1], acceleration[2] - GRAVITY_M_S2])
     rate = rate + TICK_S * battery_slide(ops, P, force, turning, s, rate)

@@ -30,8 +30,7 @@ _TRAY_M = 0.02  # below the origin
 _TRAY_FRICTION = 0.01
 _TRAY_SLIP_M_S = 0.005
 _TRAY_DAMPING = 1.5  # 1/s
-_TRAY_END_M = 0.03  # where foam stops the battery
-_TRAY_STOP = 4000.0  # 1/s^2
+_TRAY_STOP = 4000.0  # 1/s^2: the foam at its ends
 
 
 def wind(ops: Any, P: Mapping[str, Any], p: Vector) -> list[Scalar]:
@@ -132,8 +131,8 @@ def battery_slide(
     `force` is the specific force of the body and `turning` its angular acceleration, in FRD; `s` and `rate`
     are the way slid and its speed.
     """
-    _, stiffness, along, down = P["slide"]
+    _, stiffness, along, down, end = P["slide"]
     felt = (force[0] + turning[1] * _TRAY_M) * along + (force[2] + GRAVITY_M_S2) * down
     rub = _TRAY_FRICTION * GRAVITY_M_S2 * rate / ops.sqrt(rate * rate + _TRAY_SLIP_M_S * _TRAY_SLIP_M_S)
-    stop = _TRAY_STOP * (s - ops.minimum(ops.maximum(s, -_TRAY_END_M), _TRAY_END_M))
+    stop = _TRAY_STOP * (s - ops.minimum(ops.maximum(s, -end), end))
     return -felt - stiffness * s - _TRAY_DAMPING * rate - rub - stop

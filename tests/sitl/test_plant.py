@@ -11,7 +11,8 @@ import pytest
 
 from host.vehicle import Vehicle, load_vehicle
 from sitl.draw import World, draw_world
-from sitl.plant import Plant, pack, plant_engine, plant_parameters
+from sitl.plant import Plant, pack, plant_engine
+from sitl.plant_constants import plant_parameters
 from sitl.plant_model import PARAMETERS, PARTS, Block
 from sitl.surroundings import GRAVITY_M_S2
 from sitl.vectors import rotation

@@ -17,7 +17,8 @@ import pytest
 from host.codegen import NUMPY
 from host.vehicle import Vehicle, load_vehicle
 from sitl.draw import World, draw_world
-from sitl.plant import Plant, plant_parameters
+from sitl.plant import Plant
+from sitl.plant_constants import plant_parameters
 from sitl.plant_model import PARAMETERS, PARTS, STATE, TICK_S, tick
 from sitl.sensors import Mocap
 from sitl.surroundings import GRAVITY_M_S2, payload
