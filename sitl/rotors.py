@@ -15,7 +15,7 @@ _SAG_LOAD = -0.1  # a loaded motor gives way less than in proportion to voltage
 _GAIN_REYNOLDS = 0.3  # a propeller's thrust error shrinks as it turns faster
 _LOSS_REYNOLDS = 0.3  # so does what a damaged blade loses
 _LOSS_DRAG = 0.7  # share of the lost thrust that is saved as drag torque: a damaged blade still drags
-_GROUND_FADE_M = 6.0  # over and above the inverse square of height
+_GROUND_FADE_M = 10.0  # over and above the inverse square of height
 _GROUND_ROOT_M = 0.15  # height of the mirrored rotor's core: keeps the law finite
 _GROUND_MOST = 0.3  # thrust grows to at most 1 / (1 - this)
 
@@ -68,7 +68,7 @@ def ground_gain(ops: Any, P: Mapping[str, Any], height: Scalar, upright: Scalar)
     `upright` is the cosine of the tilt: a leaning rotor's wake comes back beside it.
     """
     near = ops.maximum(height, 0.0)
-    share = P["ground_effect"][0] * ops.exp(-near / _GROUND_FADE_M) * upright * upright
+    share = P["ground_effect"][0] * ops.exp(-near / _GROUND_FADE_M) * upright
     return 1 / (1 - ops.minimum(share / (near * near + _GROUND_ROOT_M * _GROUND_ROOT_M), _GROUND_MOST))
 
 
