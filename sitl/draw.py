@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from host.vehicle import Vehicle
-from sitl.kinds import BUILD_TOLERANCES, DRAG, KINDS, Kind, Quantity
+from sitl.kinds import DRAG, KINDS, Kind, Quantity
 from sitl.seeds import Purpose, world_generator
 from sitl.world import Draw, ImuSettings, MocapSettings, RadioSettings, Turbulence, WorldFile
 
@@ -34,10 +34,6 @@ class World:
         quantity = next(q for q in KINDS[kind].quantities if q.key == key)
         value = quantity.neutral + self.deviations.get((kind, key), 0.0)
         return min(max(value, quantity.lower), quantity.upper)
-
-    def build_factor(self, part: str, key: str) -> float:
-        """What to multiply a number of the vehicle file by: 1 plus the build's deviation."""
-        return 1.0 + self.deviations.get((part, key), 0.0)
 
 
 def draw_world(name: str, file: WorldFile, seed: int, vehicle: Vehicle) -> World:
@@ -71,18 +67,29 @@ def _draw_kinds(draw: Draw, stated: frozenset[str], seed: int) -> list[str]:
 
 
 def _draw_sizes(kind: Kind, draw: Draw, seed: int) -> dict[str, float]:
-    """The numbers of one kind: log-uniform multiples of the typical size, turned or mirrored."""
+    """The numbers of one kind: log-uniform multiples of the typical size, turned, mirrored or one alone.
+
+    Places, directions and lengths come evenly from intervals of their own.
+    """
     rng = world_generator(seed, Purpose.SIZES, list(KINDS).index(kind.name))
     low, high = (math.log(bound) for bound in draw.size)
+    count = len(kind.quantities)
     if kind.spread == "turned":
         angle = rng.uniform(0.0, 2.0 * math.pi)
         size = math.exp(rng.uniform(low, high))
         factors = [size * math.cos(angle), size * math.sin(angle)]
+        factors += [0.5 * math.exp(rng.uniform(low, high)) * rng.choice((-1.0, 1.0)) for _ in range(2, count)]
+    elif kind.spread == "one":
+        factors = [0.0] * count
+        factors[rng.integers(count)] = math.exp(rng.uniform(low, high))
     else:
-        factors = [math.exp(f) for f in rng.uniform(low, high, len(kind.quantities))]
+        factors = [math.exp(f) for f in rng.uniform(low, high, count)]
         if kind.spread == "either":
             factors = [f * rng.choice((-1.0, 1.0)) for f in factors]
-    return {q.key: _bounded(q, f) for q, f in zip(kind.quantities, factors, strict=True)}
+    return {
+        q.key: _bounded(q, f) if q.drawn is None else float(rng.uniform(*q.drawn))
+        for q, f in zip(kind.quantities, factors, strict=True)
+    }
 
 
 def _bounded(quantity: Quantity, factor: float) -> float:
@@ -96,9 +103,7 @@ def _draw_deviations(vehicle: Vehicle, seed: int) -> dict[tuple[str, str], float
     for kind in KINDS.values():
         for quantity in kind.quantities:
             share = float(rng.standard_normal())
-            sigma = 0.0 if kind.outside else vehicle.tolerance(kind.name, quantity.key, quantity.tolerance)
+            sigma = vehicle.tolerance(kind.name, quantity.key, quantity.tolerance) if kind.deviates else 0.0
             if sigma > 0.0:
                 deviations[kind.name, quantity.key] = sigma * (abs(share) if kind.one_sided else share)
-    for (part, key), default in BUILD_TOLERANCES.items():
-        deviations[part, key] = vehicle.tolerance(part, key, default) * float(rng.standard_normal())
     return deviations

@@ -2,21 +2,28 @@
 
 Written for the simulator, not read from the host's candidates: the names and keys agree because the
 documentation fixes them. `tolerance` is one sigma of the deviation that every drawn world carries
-unannounced; the vehicle file may override it. Blade flapping and the tether are outside the host's library.
+unannounced; the vehicle file may override it. The kinds marked `outside` are not in the host's library.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
-Spread = Literal["above", "either", "turned"]
-"""How sizes are drawn: each above neutral, on either side of it, or two numbers as one vector turned."""
+Spread = Literal["above", "either", "turned", "one"]
+"""How sizes are drawn: each above neutral, on either side of it, two numbers as one vector turned (a third
+of half the size on either side), or one of them above neutral and the others neutral."""
+
+_TURN = (-math.pi, math.pi)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """One number of a kind: its key in world files, typical distance from neutral, tolerance and bounds."""
+    """One number of a kind: its key in world files, typical distance from neutral, tolerance and bounds.
+
+    `drawn` is the interval from which it is drawn evenly, where it is a place, a direction or a length.
+    """
 
     key: str
     typical: float
@@ -24,23 +31,44 @@ class Quantity:
     lower: float
     upper: float
     neutral: float = 0.0
+    drawn: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """One kind of effect. `one_sided` tolerances deviate away from neutral only, as drag does."""
+    """One kind of effect. `one_sided` tolerances deviate away from neutral only, as drag does.
+
+    Kinds that no build has by accident do not deviate.
+    """
 
     name: str
     quantities: tuple[Quantity, ...]
     spread: Spread
     one_sided: bool = False
+    deviates: bool = True
     outside: bool = False
 
 
 def _number(
-    key: str, typical: float, tolerance: float, lower: float, upper: float, neutral: float = 0.0
+    key: str,
+    typical: float,
+    tolerance: float,
+    lower: float,
+    upper: float,
+    neutral: float = 0.0,
+    drawn: tuple[float, float] | None = None,
 ) -> Quantity:
-    return Quantity(key=key, typical=typical, tolerance=tolerance, lower=lower, upper=upper, neutral=neutral)
+    return Quantity(
+        key=key, typical=typical, tolerance=tolerance, lower=lower, upper=upper, neutral=neutral, drawn=drawn
+    )
+
+
+def _outside(name: str, *quantities: Quantity) -> Kind:
+    return Kind(name=name, quantities=quantities, spread="above", deviates=False, outside=True)
+
+
+def _place(key: str, typical: float, drawn: tuple[float, float], lower: float, upper: float) -> Quantity:
+    return _number(key, typical, 0.0, lower, upper, drawn=drawn)
 
 
 KINDS: dict[str, Kind] = {
@@ -85,36 +113,113 @@ KINDS: dict[str, Kind] = {
             spread="above",
             one_sided=True,
         ),
-        Kind(
-            name="blade-flapping",
-            quantities=(_number("moment", 2.0, 0.0, 0.0, 20.0),),  # rad/s^2 per m/s, at hover rotor speed
-            spread="above",
-            outside=True,
+        _outside("blade-flapping", _number("moment", 2.0, 0.0, 0.0, 20.0)),  # rad/s^2 per m/s, at hover speed
+        _outside(
+            "elastic-tether",
+            _number("stiffness", 0.5, 0.0, 0.0, 20.0),  # 1/s^2: N/m per kg
+            _number("damping", 0.05, 0.0, 0.0, 5.0),  # 1/s
+            _place("slack_m", 0.8, (0.6, 1.0), 0.0, 20.0),
+            _place("anchor_x_m", 0.5, (-1.0, 1.0), -50.0, 50.0),
+            _place("anchor_y_m", 0.5, (-1.0, 1.0), -50.0, 50.0),
+            _place("anchor_z_m", 0.0, (0.0, 0.0), -50.0, 50.0),
         ),
         Kind(
-            name="elastic-tether",
+            name="mass",
+            quantities=(_number("factor", 0.08, 0.01, 0.4, 2.5, neutral=1.0),),
+            spread="either",
+        ),
+        Kind(
+            name="inertia",
             quantities=(
-                _number("stiffness", 0.5, 0.0, 0.0, 20.0),  # 1/s^2: N/m per kg
-                _number("damping", 0.05, 0.0, 0.0, 5.0),  # 1/s
-                _number("slack_m", 0.8, 0.0, 0.0, 20.0),
-                _number("anchor_x_m", 0.5, 0.0, -50.0, 50.0),
-                _number("anchor_y_m", 0.5, 0.0, -50.0, 50.0),
-                _number("anchor_z_m", 0.0, 0.0, -50.0, 50.0),
+                _number("x", 0.2, 0.02, 0.4, 2.5, neutral=1.0),
+                _number("y", 0.2, 0.02, 0.4, 2.5, neutral=1.0),
+                _number("z", 0.2, 0.04, 0.4, 2.5, neutral=1.0),
+            ),
+            spread="either",
+        ),
+        Kind(name="translational-lift", quantities=(_number("k", 0.015, 0.001, -0.05, 0.2),), spread="above"),
+        Kind(name="thrust-inflow", quantities=(_number("k", 0.5, 0.01, -0.2, 3.0),), spread="above"),
+        Kind(
+            name="rotor-loss",
+            quantities=tuple(_number(f"loss_{i}", 0.1, 0.004, -0.2, 0.6) for i in (1, 2, 3, 4)),
+            spread="one",
+        ),
+        Kind(
+            name="actuation-delay",
+            quantities=(_number("delay_s", 0.006, 0.0003, 0.0, 0.03),),
+            spread="above",
+            one_sided=True,
+        ),
+        Kind(
+            name="frame-tilt",
+            quantities=(
+                _number("tilt_x", 0.015, 0.001, -0.1, 0.1),
+                _number("tilt_y", 0.015, 0.001, -0.1, 0.1),
+            ),
+            spread="turned",
+        ),
+        Kind(
+            name="ground-effect",
+            quantities=(_number("k", 0.012, 0.0005, 0.0, 0.05),),
+            spread="above",
+            deviates=False,
+        ),
+        Kind(
+            name="gyroscopic",
+            quantities=(_number("h", 4.0, 0.2, -2.0, 40.0),),
+            spread="above",
+            deviates=False,
+        ),
+        Kind(
+            name="torque-bias",
+            quantities=tuple(_number(key, 2.5, 0.3, -20.0, 20.0) for key in "xyz"),
+            spread="turned",
+        ),
+        Kind(
+            name="slung-payload",
+            quantities=(
+                _number("ratio", 0.08, 0.003, 0.0, 0.5),
+                _number("length_m", 0.3, 0.05, 0.15, 2.0, neutral=0.6, drawn=(0.4, 1.0)),
             ),
             spread="above",
-            outside=True,
+            deviates=False,
+        ),
+        _outside(
+            "motor-cant",
+            *(_number(f"cant_{i}", 0.026, 0.0, 0.0, 0.2) for i in (1, 2, 3, 4)),  # rad
+            *(_place(f"towards_{i}", 0.0, _TURN, *_TURN) for i in (1, 2, 3, 4)),  # rad, from x to y
+        ),
+        _outside(
+            "fan",
+            _number("push_m_s2", 1.0, 0.0, 0.0, 20.0),
+            _place("width_m", 0.8, (0.7, 0.9), 0.1, 10.0),
+            _place("x_m", 0.5, (-0.6, 0.6), -50.0, 50.0),
+            _place("y_m", 0.3, (-0.4, 0.4), -50.0, 50.0),
+            _place("towards", 0.0, _TURN, *_TURN),  # rad, from north to east
+        ),
+        _outside(
+            "wall-suction",
+            _number("pull_m_s2", 1.0, 0.0, 0.0, 20.0),  # at a metre
+            _place("distance_m", 2.4, (2.2, 2.6), 0.5, 50.0),  # of the wall from the origin
+            _place("towards", 0.0, _TURN, *_TURN),  # rad, from north to east
+        ),
+        _outside(
+            "dead-zone",
+            _number("width", 0.02, 0.0, 0.0, 0.3),  # half of it, as a command
+            _place("centre", 1.0, (0.99, 1.01), 0.1, 2.0),  # in hover commands
+        ),
+        _outside(
+            "uneven-lag", _number("ratio", 1.0, 0.0, 1.0, 10.0, neutral=1.0)
+        ),  # slowing over speeding up
+        _outside(
+            "shifting-battery",
+            _number("share", 0.25, 0.0, 0.0, 0.6),
+            _place("stiffness", 25.0, (18.0, 35.0), 5.0, 400.0),  # 1/s^2
+            _place("slope", 0.15, (0.1, 0.2), -0.5, 0.5),  # rad, the tray's front end down
         ),
     )
 }
 """Every kind by name."""
-
-BUILD_TOLERANCES = {
-    ("mass", "factor"): 0.01,
-    ("inertia", "x"): 0.02,
-    ("inertia", "y"): 0.02,
-    ("inertia", "z"): 0.04,
-}
-"""Shares by which mass and inertia of the build deviate: one sigma where the vehicle file states none."""
 
 DRAG = ("linear-drag", "quadratic-drag")
 """Wind acts through one of these."""

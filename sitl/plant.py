@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from array import array
+from collections import deque
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Protocol
-
-import numpy as np
 
 from host.codegen import CompiledEngine, function_engine, sx_function
 from host.vehicle import Vehicle
 from sitl.draw import World
-from sitl.plant_model import GRAVITY_M_S2, INPUTS, OUTPUTS, PARAMETERS, STATE, TICK_S, Block, rotation, tick
+from sitl.plant_constants import SINK_M, plant_parameters
+from sitl.plant_model import INPUTS, OUTPUTS, PARAMETERS, PARTS, STATE, TICK_S, Block, tick
 from sitl.seeds import Purpose, flight_generator
+from sitl.surroundings import GRAVITY_M_S2, LINE_STRETCH_M
+from sitl.vectors import rotation
 
-_SINK_M = 5e-4  # how far the resting vehicle presses its feet into the floor
-_FLOOR_DAMPING = 0.7
-_CELL_RESISTANCE_OHM_AH = 0.012  # of one cell, times its capacity
-_HOVER_POWER_W_PER_N = 15.0
 _SAG_START_DEPTH = 0.4  # flights in a world with battery-sag start full, down to this, or in between
-_BATTERY_SHARE = 0.3  # of the mass: the part that slid when the centre of mass is off
-_LAG_UNEVEN = 0.05  # a motor slower than its file brakes even more slowly than it speeds up
 _NOISE_BLOCK = 1024
+_DELAY_SPREAD = (0.05, -0.03, -0.05, 0.03)  # of each motor controller's delay
+_LYING_AT_M = (-0.12, 0.05)  # of a payload on the floor, from the vehicle
 
 
 class PlantPort(Protocol):
@@ -49,7 +46,7 @@ class Plant:
     """
 
     def __init__(self, vehicle: Vehicle, world: World, flight: int) -> None:
-        self._engine = plant_engine()
+        self._engine = plant_engine(PARTS.intersection(world.effects))
         inputs: Any = self._engine.inputs
         outputs: Any = self._engine.outputs
         self._state, self._command, self._noise = inputs["state"], inputs["command"], inputs["noise"]
@@ -58,14 +55,19 @@ class Plant:
         self.sensed = outputs["sensed"]
         values = plant_parameters(vehicle, world)
         inputs["parameters"][:] = pack(PARAMETERS, values)
-        self._full_v = values["battery"][1]
+        self._full_v = values["battery"][0]
         self._calm = world.turbulence.force_m_s2 == 0.0 and world.turbulence.torque_rad_s2 == 0.0
         self._rng = flight_generator(world.seed, flight, Purpose.TURBULENCE)
         self._charge_used_c = 0.0
-        if values["battery"][0]:
+        if "battery-sag" in world.effects:
             depth = flight_generator(world.seed, flight, Purpose.BATTERY).uniform(0.0, _SAG_START_DEPTH)
-            self._charge_used_c = depth * values["battery"][4]
-        self._com_frd = (*values["com_frd"], 0.0)
+            self._charge_used_c = depth * values["battery"][3]
+        self._com_frd = values["com_frd"]
+        self._line_m = values["payload"][1]
+        delays = [world.value("actuation-delay", "delay_s") / TICK_S * (1.0 + e) for e in _DELAY_SPREAD]
+        self._delayed = max(delays) > 0.0
+        self._delays = [(i, int(ticks), ticks - int(ticks)) for i, ticks in enumerate(delays)]
+        self._sent: deque[Sequence[float]] = deque(maxlen=int(max(delays)) + 2)
         self._gust_sd = (world.turbulence.force_m_s2, world.turbulence.torque_rad_s2)
         self._block = memoryview(b"")
         self._at = self._end = 0
@@ -78,7 +80,7 @@ class Plant:
         R, com = rotation(q_ned_frd), self._com_frd
         p = [p_ned[i] + sum(R[3 * i + k] * com[k] for k in range(3)) for i in range(3)]
         if p_ned[2] == 0.0:
-            p[2] += _SINK_M
+            p[2] += SINK_M
         force, torque = self._gust_sd
         gust = self._rng.standard_normal(6) * ([force] * 3 + [torque] * 3)
         state = {
@@ -91,9 +93,12 @@ class Plant:
             "gust": gust,
             "acceleration_ned": [0.0] * 3,
             "turning_frd": [0.0] * 3,
+            "payload_ned": [*self._hanging(p_ned), 0.0, 0.0, 0.0],
+            "slide": [0.0, 0.0],
         }
         self.state[:] = pack(STATE, state)
         self._at = self._end = 0
+        self._sent.extend([(0.0, 0.0, 0.0, 0.0)] * (self._sent.maxlen or 0))
         self.pose[:] = memoryview(array("d", [*p_ned, 0.0, 0.0, 0.0, *q_ned_frd]))
         self.sensed[:] = memoryview(array("d", [0.0, 0.0, 0.0, 0.0, 0.0, -GRAVITY_M_S2, self._full_v]))
 
@@ -104,84 +109,43 @@ class Plant:
             self._draw_noise()
             at = 0
         command = self._command
-        command[0], command[1], command[2], command[3] = motor_command
+        if self._delayed:
+            sent = self._sent
+            sent.appendleft(tuple(motor_command))
+            for i, whole, part in self._delays:
+                new = sent[whole][i]
+                command[i] = new + part * (sent[whole + 1][i] - new)
+        else:
+            command[0], command[1], command[2], command[3] = motor_command
         if not self._calm:
             self._at = after = at + 6
             self._noise[:] = self._block[at:after]
         self._state[:] = self.state
         self._engine()
 
+    def _hanging(self, p_ned: Sequence[float]) -> list[float]:
+        """Where a payload is at the start: under the vehicle, or on the floor beside it."""
+        x, y, z = p_ned
+        if z + self._line_m < 0.0:
+            return [x, y, z + self._line_m + LINE_STRETCH_M]
+        return [x + _LYING_AT_M[0], y + _LYING_AT_M[1], 0.0]
+
     def _draw_noise(self) -> None:
         self._block = self._rng.standard_normal(6 * _NOISE_BLOCK).data
         self._end = 6 * _NOISE_BLOCK
 
 
-@lru_cache(maxsize=1)
-def _traced() -> Any:
-    return sx_function(tick, INPUTS, OUTPUTS, "plant")
+@lru_cache(maxsize=32)
+def _traced(parts: frozenset[str]) -> Any:
+    return sx_function(partial(tick, parts=parts), INPUTS, OUTPUTS, "plant")
 
 
-def plant_engine() -> CompiledEngine:
-    """The plant's tick with memory of its own, compiled or not as `host.codegen` chooses."""
-    return function_engine(_traced(), INPUTS, OUTPUTS)
+def plant_engine(parts: frozenset[str] = PARTS) -> CompiledEngine:
+    """The tick of a world with these of `plant_model.PARTS`, with memory of its own.
 
-
-def plant_parameters(vehicle: Vehicle, world: World) -> dict[str, list[float]]:
-    """The plant's constants by the names of `plant_model.PARAMETERS`, from vehicle file and world.
-
-    Where the centre of mass is off the origin, the battery has slid there: the inertia follows.
+    Compiled or not as `host.codegen` chooses.
     """
-    mass = vehicle.mass_kg * world.build_factor("mass", "factor")
-    com = np.array([world.value("com-offset", "x"), world.value("com-offset", "y"), 0.0])
-    inertia = np.diag(
-        [
-            j * world.build_factor("inertia", axis)
-            for j, axis in zip(vehicle.inertia_kg_m2, "xyz", strict=True)
-        ]
-    )
-    slide = mass * (1.0 / _BATTERY_SHARE - 1.0)
-    inertia += slide * (com @ com * np.eye(3) - np.outer(com, com))
-    lag = vehicle.motor_lag_s + world.value("motor-lag", "extra_s")
-    uneven = _LAG_UNEVEN if "motor-lag" in world.effects else 0.0
-    tether = world.effects.get("elastic-tether", {})
-    stiffness = vehicle.mass_kg * GRAVITY_M_S2 / (4.0 * _SINK_M)
-    battery, turbulence = vehicle.battery, world.turbulence
-    keep = math.exp(-TICK_S / turbulence.correlation_s)
-    fresh = math.sqrt(1.0 - keep * keep)
-    return {
-        "mass_kg": [mass],
-        "inertia": _four(inertia),
-        "inertia_inverse": _four(np.linalg.inv(inertia)),
-        "com_frd": com[:2].tolist(),
-        "rotors_frd": [c for rotor in vehicle.rotors for c in rotor.position_m],
-        "spins": [1.0 if rotor.spin == "ccw" else -1.0 for rotor in vehicle.rotors],
-        "thrust_max_n": [vehicle.thrust_max_n],
-        "thrust_curve": list(vehicle.thrust_curve),
-        "torque_per_thrust_m": [vehicle.torque_per_thrust_m],
-        "hover_speed": [math.sqrt(vehicle.mass_kg * GRAVITY_M_S2 / (4.0 * vehicle.thrust_max_n))],
-        "rise_half_tick": [math.exp(-0.5 * TICK_S / (lag * (1.0 - uneven)))],
-        "fall_half_tick": [math.exp(-0.5 * TICK_S / (lag * (1.0 + uneven)))],
-        "thrust_gain": [world.value("thrust-gain", "gain")],
-        "linear_drag": [world.value("linear-drag", key) for key in ("dx", "dy", "dz")],
-        "quadratic_drag": [world.value("quadratic-drag", "c")],
-        "wind_ned": [world.value("wind", key) for key in ("wx", "wy")],
-        "flapping": [world.value("blade-flapping", "moment")],
-        "tether": [
-            tether.get(key, 0.0)
-            for key in ("stiffness", "damping", "slack_m", "anchor_x_m", "anchor_y_m", "anchor_z_m")
-        ],
-        "floor": [stiffness, 2.0 * _FLOOR_DAMPING * math.sqrt(stiffness * vehicle.mass_kg / 4.0)],
-        "sag_exponent": [world.value("battery-sag", "exponent")],
-        "battery": [
-            1.0 if "battery-sag" in world.effects else 0.0,
-            battery.full_v,
-            battery.empty_v,
-            battery.cells * _CELL_RESISTANCE_OHM_AH / battery.capacity_ah,
-            battery.capacity_ah * 3600.0,
-            _HOVER_POWER_W_PER_N * vehicle.mass_kg * GRAVITY_M_S2,
-        ],
-        "gust": [keep, fresh * turbulence.force_m_s2, fresh * turbulence.torque_rad_s2],
-    }
+    return function_engine(_traced(parts), INPUTS, OUTPUTS)
 
 
 def pack(layout: Sequence[Block], values: Mapping[str, Sequence[float]]) -> memoryview:
@@ -190,7 +154,3 @@ def pack(layout: Sequence[Block], values: Mapping[str, Sequence[float]]) -> memo
         if len(values[name]) != size:
             raise ValueError(f"{name} holds {len(values[name])} numbers, not {size}")
     return memoryview(array("d", [float(number) for name, _ in layout for number in values[name]]))
-
-
-def _four(tensor: np.ndarray) -> list[float]:
-    return [float(tensor[i, k]) for i, k in ((0, 0), (1, 1), (2, 2), (0, 1))]

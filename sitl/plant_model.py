@@ -11,14 +11,36 @@ FRD with the origin in the middle of the rotors; the state's p and v are the cen
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Any, NamedTuple
 
-Scalar = Any
-Vector = Sequence[Scalar]
+from sitl.rotors import ground_gain, rotor_speeds, rotor_thrust
+from sitl.surroundings import (
+    GRAVITY_M_S2,
+    battery_slide,
+    fan,
+    floor,
+    payload,
+    tether,
+    wall_suction,
+    wind,
+)
+from sitl.vectors import (
+    Scalar,
+    Vector,
+    add,
+    ahead,
+    cross,
+    dot,
+    into_body,
+    into_world,
+    quaternion_rate,
+    rotation,
+    symmetric,
+    unit,
+)
 
 TICK_S = 0.001
-GRAVITY_M_S2 = 9.81
 
 
 class Block(NamedTuple):
@@ -38,15 +60,18 @@ STATE = (
     Block("gust", 6),
     Block("acceleration_ned", 3),
     Block("turning_frd", 3),
+    Block("payload_ned", 6),
+    Block("slide", 2),
 )
 """Memory of a tick, in order. `gust`: three accelerations in NED (m/s^2) and three about FRD (rad/s^2);
-`acceleration_ned` and `turning_frd`: the accelerations of the centre of mass in the last tick."""
+`acceleration_ned` and `turning_frd`: the accelerations of the centre of mass in the last tick;
+`payload_ned`: position and velocity of a slung payload; `slide`: way and speed of a battery on its tray."""
 
 PARAMETERS = (
     Block("mass_kg", 1),
-    Block("inertia", 4),  # xx yy zz xy of the tensor's elements, about the centre of mass; xz and yz are 0
-    Block("inertia_inverse", 4),
-    Block("com_frd", 2),  # x, y of the centre of mass: in the plane of the origin
+    Block("inertia", 6),  # xx yy zz xy xz yz of the tensor's elements, about the centre of mass
+    Block("inertia_inverse", 6),
+    Block("com_frd", 3),
     Block("rotors_frd", 12),
     Block("spins", 4),
     Block("thrust_max_n", 1),
@@ -65,8 +90,24 @@ PARAMETERS = (
     Block("tether", 6),  # stiffness 1/s^2, damping 1/s, slack m, anchor NED
     Block("floor", 2),  # stiffness N/m and damping N s/m of one foot
     Block("sag_exponent", 1),
-    Block("battery", 6),  # sag switch 0/1, full V, empty V, resistance ohm, capacity C, hover power W
+    Block("battery", 5),  # full V, empty V, resistance ohm, capacity C, hover power W
     Block("gust", 3),  # memory over a tick, added sd of acceleration and of angular acceleration
+    Block("hover_inflow", 2),  # induced velocity at hover, m/s, and its fourth power
+    Block("translational_lift", 1),  # N of a rotor at hover speed, per m/s of induced velocity it is spared
+    Block("thrust_inflow", 1),  # N of a rotor at hover speed, per m/s along its axis
+    Block("rotor_loss", 4),
+    Block("ground_effect", 1),
+    Block("gyroscopic", 4),  # angular momentum of each rotor at hover speed about the way it turns, N m s
+    Block("torque_bias", 3),  # N m
+    Block("hover_thrust_n", 1),  # of all rotors
+    Block("cant", 12),  # direction of each rotor's thrust, FRD
+    Block("dead_zone", 2),  # centre and half-width, as commands
+    Block("fan", 6),  # push m/s^2, width m, place NE, direction NE
+    Block("wall", 4),  # pull m/s^2 at a metre, distance from the origin m, direction NE
+    Block("payload", 2),  # mass kg, length of the line m
+    Block(
+        "slide", 5
+    ),  # share of the mass, stiffness 1/s^2, direction of the tray: x, z in FRD, way to its end m
 )
 """The constants of one flight, in order."""
 
@@ -79,168 +120,194 @@ INPUTS = (
 OUTPUTS = (INPUTS[0], Block("pose", 10), Block("sensed", 7))
 """`pose`: p_ned, v_ned of the origin, q_ned_frd. `sensed`: rate_frd, specific_force_frd at the origin, V."""
 
+PARTS = frozenset(
+    {
+        "battery-sag",
+        "ground-effect",
+        "gyroscopic",
+        "slung-payload",
+        "blade-flapping",
+        "elastic-tether",
+        "motor-cant",
+        "fan",
+        "wall-suction",
+        "dead-zone",
+        "shifting-battery",
+    }
+)
+"""Kinds whose physics is left out of the tick of a world without them: no build deviates in these."""
+
 ROTOR_DRAG_SHARE = 0.5  # of the linear drag: goes with rotor speed; the rest is the frame
 _PLATE = (0.94, 1.06, 1.2)  # drag area seen along each body axis over the mean of x and y
-_WIND_HEIGHT_M = 1.5  # where a world's wind is given; slower below
-_WIND_SHEAR = 0.08
-_GAIN_REYNOLDS = 0.3  # a propeller's thrust error shrinks as it turns faster
-_SAG_LOAD = -0.1  # a loaded motor gives way less than in proportion to voltage
-_FRICTION = 0.8
-_SLIP_M_S = 0.05
-_WIND_FLOOR_M = 0.05
+_BIAS_WITH_THRUST = 0.3  # of a torque bias at hover: grows with thrust, as a bent arm's
 
 
-def tick(ops: Any, inputs: Mapping[str, Vector]) -> dict[str, list[Scalar]]:
+def tick(ops: Any, inputs: Mapping[str, Vector], parts: Container[str] = PARTS) -> dict[str, list[Scalar]]:
     """State, pose and sensed quantities after one millisecond with the motor command held.
 
     `ops` is the arithmetic (`where`, `exp`, ...) of floats, CasADi scalars or numpy lanes; `noise` six
-    standard normal numbers. Midpoint rule on the rigid body, with the way to the middle taken from the last
-    tick's accelerations: second order for one evaluation of the forces. Rotors and gusts follow exact
-    exponentials, the battery is stepped once.
+    standard normal numbers; `parts` what of `PARTS` the world has. Midpoint rule on the rigid body, with the
+    way to the middle taken from the last tick's accelerations: second order for one evaluation of the
+    forces. Rotors and gusts follow exact exponentials, battery, payload and tray are stepped once.
     """
     P = _cut(PARAMETERS, inputs["parameters"])
     x = _cut(STATE, inputs["state"])
     p, v, q, w = x["p_ned"], x["v_ned"], x["q_ned_frd"], x["rate_frd"]
-    voltage, charge = _battery(ops, P, x["rotor_speed"], x["charge_used_c"][0])
-    speeds, speeds_end = _rotor_speeds(ops, P, x["rotor_speed"], inputs["command"], voltage)
+    voltage, charge = P["battery"][0], x["charge_used_c"][0]
+    if "battery-sag" in parts:
+        voltage, charge = _battery(ops, P, x["rotor_speed"], charge)
+    speeds, speeds_end = rotor_speeds(ops, P, x["rotor_speed"], inputs["command"], voltage, parts)
     gust = _gust(P, x["gust"], inputs["noise"])
 
     half, h = 0.5 * TICK_S, TICK_S
-    w_half = _ahead(w, x["turning_frd"], half)
-    v_half = _ahead(v, x["acceleration_ned"], half)
-    q_half = _unit(ops, _ahead(q, _quaternion_rate(q, w), half))
-    R_half = rotation(q_half)
-    a, turning = _accelerations(ops, P, _ahead(p, v, half), v_half, R_half, w_half, speeds, gust)
-    p, v, w = _ahead(p, v_half, h), _ahead(v, a, h), _ahead(w, turning, h)
-    q = _unit(ops, _ahead(q, _quaternion_rate(q_half, w_half), h))
+    w_half = ahead(w, x["turning_frd"], half)
+    v_half = ahead(v, x["acceleration_ned"], half)
+    q_half = unit(ops, ahead(q, quaternion_rate(q, w), half))
+    p_half, R_half = ahead(p, v, half), rotation(q_half)
+    com, com_rate, slide = P["com_frd"], None, x["slide"]
+    if "shifting-battery" in parts:
+        com, com_rate, slide = _slide(ops, P, slide, x["acceleration_ned"], x["turning_frd"], R_half)
+    body = _Body(p_half, v_half, R_half, w_half, com)
+    line, hanging = None, x["payload_ned"]
+    if "slung-payload" in parts:
+        line, hanging = _hang(ops, P, body, hanging)
+    a, turning = _accelerations(ops, P, body, speeds, gust, line, parts)
+    p, v, w = ahead(p, v_half, h), ahead(v, a, h), ahead(w, turning, h)
+    q = unit(ops, ahead(q, quaternion_rate(q_half, w_half), h))
 
-    com = [*P["com_frd"], 0.0]
-    carried = _add(_cross(turning, com), _cross(w_half, _cross(w_half, com)))
-    force = _into_body(R_half, [a[0], a[1], a[2] - GRAVITY_M_S2])
+    carried = add(cross(turning, com), cross(w_half, cross(w_half, com)))
+    force = into_body(R_half, [a[0], a[1], a[2] - GRAVITY_M_S2])
     force = [f - c for f, c in zip(force, carried, strict=True)]
-    state = [*p, *v, *q, *w, *speeds_end, charge, *gust, *a, *turning]
-    pose = [*_origin(p, v, rotation(q), w, com), *q]
+    state = [*p, *v, *q, *w, *speeds_end, charge, *gust, *a, *turning, *hanging, *slide]
+    pose = [*_origin(p, v, rotation(q), w, com, com_rate), *q]
     return {"state": state, "pose": pose, "sensed": [*w, *force, voltage]}
+
+
+class _Body(NamedTuple):
+    """The rigid body in the middle of a tick: p and v in NED, R_ned_frd, body rate, centre of mass in FRD."""
+
+    p: Vector
+    v: Vector
+    R: Vector
+    w: Vector
+    com: Vector
 
 
 def _accelerations(
     ops: Any,
     P: Mapping[str, Any],
-    p: Vector,
-    v: Vector,
-    R: Vector,
-    w: Vector,
+    body: _Body,
     speeds: Vector,
     gust: Vector,
+    line: Vector | None,
+    parts: Container[str],
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Acceleration of the centre of mass in NED and angular acceleration in FRD."""
-    mass, com = P["mass_kg"][0], [*P["com_frd"], 0.0]
+    """Acceleration of the centre of mass in NED and angular acceleration in FRD.
+
+    `line` is the force in NED of a slung payload's line, at the origin; None without one.
+    """
+    p, v, R, w, com = body
+    mass = P["mass_kg"][0]
     arms = [[P["rotors_frd"][3 * i + k] - com[k] for k in range(3)] for i in range(4)]
-    wind = _wind(ops, P, p)
-    air = _into_body(R, [v[0] - wind[0], v[1] - wind[1], v[2]])
+    wind_ned = wind(ops, P, p)
+    air = into_body(R, [v[0] - wind_ned[0], v[1] - wind_ned[1], v[2]])
     force: list[Scalar] = [0.0, 0.0, 0.0]
     torque: list[Scalar] = [0.0, 0.0, 0.0]
 
     def push(arm: Vector, f: Vector) -> None:
-        for k, m in enumerate(_cross(arm, f)):
+        for k, m in enumerate(cross(arm, f)):
             force[k] = force[k] + f[k]
             torque[k] = torque[k] + m
 
     drag = [d * mass for d in P["linear_drag"]]
+    total: Scalar = 0.0
+    surplus: Scalar = 0.0
     for i, arm in enumerate(arms):
         relative = speeds[i] / P["hover_speed"][0]
-        gain = 1 + (P["thrust_gain"][0] - 1) / (1 + _GAIN_REYNOLDS * (relative - 1))
-        thrust = P["thrust_max_n"][0] * gain * speeds[i] * speeds[i]
-        hub = _add(air, _cross(w, arm))
+        hub = add(air, cross(w, arm))
+        thrust, braking = rotor_thrust(ops, P, i, speeds[i], relative, hub)
+        if "ground-effect" in parts:
+            thrust = thrust * ground_gain(ops, P, -p[2] - dot(R[6:9], arm), R[8])
+        total = total + thrust
         share = ROTOR_DRAG_SHARE / 4 * relative
-        push(arm, [-share * drag[0] * hub[0], -share * drag[1] * hub[1], -share * drag[2] * hub[2] - thrust])
-        flap = P["flapping"][0] / 4 * relative
-        torque[0] = torque[0] - flap * P["inertia"][0] * hub[1]
-        torque[1] = torque[1] + flap * P["inertia"][1] * hub[0]
-        torque[2] = torque[2] + P["spins"][i] * P["torque_per_thrust_m"][0] * thrust
+        braking = P["spins"][i] * P["torque_per_thrust_m"][0] * braking
+        if "motor-cant" in parts:
+            axis = P["cant"][3 * i : 3 * i + 3]
+            push(arm, [thrust * axis[k] - share * drag[k] * hub[k] for k in range(3)])
+            torque = [t - braking * c for t, c in zip(torque, axis, strict=True)]
+        else:
+            push(
+                arm,
+                [-share * drag[0] * hub[0], -share * drag[1] * hub[1], -share * drag[2] * hub[2] - thrust],
+            )
+            torque[2] = torque[2] + braking
+        if "blade-flapping" in parts:
+            flap = P["flapping"][0] / 4 * relative
+            torque[0] = torque[0] - flap * P["inertia"][0] * hub[1]
+            torque[1] = torque[1] + flap * P["inertia"][1] * hub[0]
+        if "gyroscopic" in parts:
+            surplus = surplus + P["gyroscopic"][i] * relative
+
+    if "gyroscopic" in parts:  # -w x L; a rotor that turns counter-clockwise from above points up
+        torque = [torque[0] + surplus * w[1], torque[1] - surplus * w[0], torque[2]]
+    bent = 1 - _BIAS_WITH_THRUST + _BIAS_WITH_THRUST * total / P["hover_thrust_n"][0]
+    torque = [t + bent * b for t, b in zip(torque, P["torque_bias"], strict=True)]
 
     middle = [-c for c in com]
-    flow = _add(air, _cross(w, middle))
-    speed = ops.sqrt(_dot(flow, flow))
+    flow = add(air, cross(w, middle))
+    speed = ops.sqrt(dot(flow, flow))
     frame = (1 - ROTOR_DRAG_SHARE, mass * speed)
     plate = [frame[0] * drag[k] + frame[1] * _PLATE[k] * P["quadratic_drag"][0] for k in range(3)]
     push(middle, [-c * u for c, u in zip(plate, flow, strict=True)])
+    if line is not None:
+        push(middle, into_body(R, line))
 
-    outside = _tether(ops, P, p, v)
-    floor_force, floor_torque = _floor(ops, P, p, v, R, w, arms)
-    outside = _add(outside, floor_force)
-    torque = _add(torque, floor_torque)
-    a = [f / mass + o / mass + g for f, o, g in zip(_into_world(R, force), outside, gust[:3], strict=True)]
+    outside, floor_torque = floor(ops, P, p, v, R, w, arms)
+    torque = add(torque, floor_torque)
+    if "elastic-tether" in parts:
+        outside = add(tether(ops, P, p, v), outside)
+    if "fan" in parts:
+        outside = add(outside, fan(ops, P, p, v))
+    if "wall-suction" in parts:
+        outside = add(outside, wall_suction(ops, P, p))
+    a = [f / mass + o / mass + g for f, o, g in zip(into_world(R, force), outside, gust[:3], strict=True)]
     a[2] = a[2] + GRAVITY_M_S2
-    momentum = _symmetric(P["inertia"], w)
-    turning = [t - c for t, c in zip(torque, _cross(w, momentum), strict=True)]
-    return a, _add(_symmetric(P["inertia_inverse"], turning), gust[3:])
+    momentum = symmetric(P["inertia"], w)
+    turning = [t - c for t, c in zip(torque, cross(w, momentum), strict=True)]
+    return a, add(symmetric(P["inertia_inverse"], turning), gust[3:])
 
 
-def _floor(
-    ops: Any, P: Mapping[str, Any], p: Vector, v: Vector, R: Vector, w: Vector, arms: Sequence[Vector]
-) -> tuple[list[Scalar], list[Scalar]]:
-    """Force in NED and torque in FRD of the floor: a damped spring under each rotor, friction on the body."""
-    down = R[6:9]
-    sway = _cross(down, w)  # w x arm, seen along the vertical, is arm . (down x w)
-    total: Scalar = 0.0
-    lever: list[Scalar] = [0.0, 0.0, 0.0]
-    for arm in arms:
-        depth = p[2] + _dot(arm, down)
-        press = ops.maximum(P["floor"][0] * depth + P["floor"][1] * (v[2] + _dot(arm, sway)), 0.0)
-        press = ops.where(depth > 0.0, press, 0.0)
-        total = total + press
-        lever = [old + press * a for old, a in zip(lever, arm, strict=True)]
-    grip = _FRICTION * total
-    slide = grip / ops.sqrt(v[0] * v[0] + v[1] * v[1] + _SLIP_M_S * _SLIP_M_S)
-    reach = ops.sqrt(arms[0][0] * arms[0][0] + arms[0][1] * arms[0][1])
-    turn = reach * w[2]
-    torque = _cross(down, lever)
-    torque[2] = torque[2] - grip * reach * turn / ops.sqrt(turn * turn + _SLIP_M_S * _SLIP_M_S)
-    return [-slide * v[0], -slide * v[1], -total], torque
+def _hang(ops: Any, P: Mapping[str, Any], body: _Body, hanging: Vector) -> tuple[list[Scalar], list[Scalar]]:
+    """Force in NED of a payload's line on the vehicle's origin, and the payload's state after the tick."""
+    hook = _origin(body.p, body.v, body.R, body.w, body.com)
+    p, v = hanging[:3], hanging[3:]
+    place = ahead(p, v, 0.5 * TICK_S)
+    a, line = payload(ops, P, hook[:3], hook[3:], place, v, wind(ops, P, place))
+    v = ahead(v, a, TICK_S)
+    return line, [*ahead(p, v, TICK_S), *v]
 
 
-def _tether(ops: Any, P: Mapping[str, Any], p: Vector, v: Vector) -> list[Scalar]:
-    """Force in NED of an elastic line from a fixed anchor to the centre of mass; slack below its length."""
-    stiffness, damping, slack, *anchor = P["tether"]
-    line = [a - b for a, b in zip(p, anchor, strict=True)]
-    length = ops.sqrt(_dot(line, line) + 1e-12)
-    pull = stiffness * (length - slack) + damping * _dot(line, v) / length
-    pull = ops.where(length > slack, ops.maximum(pull, 0.0), 0.0) * P["mass_kg"][0] / length
-    return [-pull * c for c in line]
-
-
-def _wind(ops: Any, P: Mapping[str, Any], p: Vector) -> list[Scalar]:
-    """Horizontal velocity of the air in NED: it grows with a low power of height."""
-    height = ops.maximum(-p[2], _WIND_FLOOR_M)
-    shear = ops.exp(_WIND_SHEAR * ops.log(height / _WIND_HEIGHT_M))
-    return [shear * component for component in P["wind_ned"]]
-
-
-def _rotor_speeds(
-    ops: Any, P: Mapping[str, Any], speeds: Vector, command: Vector, voltage: Scalar
-) -> tuple[list[Scalar], list[Scalar]]:
-    """Rotor speeds in the middle and at the end of the tick: each follows its command, first order."""
-    c1, c2 = P["thrust_curve"]
-    sag = 0.5 * P["sag_exponent"][0] * ops.log(voltage / P["battery"][1])
-    middle: list[Scalar] = []
-    end: list[Scalar] = []
-    for n, u in zip(speeds, command, strict=True):
-        load = 1 + _SAG_LOAD * (n / P["hover_speed"][0] - 1)
-        target = ops.sqrt(u * (c1 + c2 * u)) * ops.exp(sag * load)
-        keep = ops.where(target > n, P["rise_half_tick"][0], P["fall_half_tick"][0])
-        middle.append(target + (n - target) * keep)
-        end.append(target + (n - target) * keep * keep)
-    return middle, end
+def _slide(
+    ops: Any, P: Mapping[str, Any], slide: Vector, acceleration: Vector, turning: Vector, R: Vector
+) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
+    """Centre of mass and its velocity in FRD with the battery where it has slid to, and its next state."""
+    share, _, along, down, _ = P["slide"]
+    s, rate = slide
+    force = into_body(R, [acceleration[0], acceleration[1], acceleration[2] - GRAVITY_M_S2])
+    rate = rate + TICK_S * battery_slide(ops, P, force, turning, s, rate)
+    s = s + TICK_S * rate
+    way = [share * along, 0.0, share * down]
+    com = [c + s * u for c, u in zip(P["com_frd"], way, strict=True)]
+    return com, [rate * u for u in way], [s, rate]
 
 
 def _battery(ops: Any, P: Mapping[str, Any], speeds: Vector, charge: Scalar) -> tuple[Scalar, Scalar]:
     """Voltage under load at the start of the tick, V, and charge used at its end, C.
 
     The open-circuit voltage falls with depth of discharge like a lithium-polymer cell's; rotor power grows
-    with speed cubed. Without sag the voltage is the full one. Load: V^2 - V_oc V + R P = 0.
+    with speed cubed. Load: V^2 - V_oc V + R P = 0.
     """
-    sags, full, empty, resistance, capacity, hover_power = P["battery"]
+    full, empty, resistance, capacity, hover_power = P["battery"]
     power: Scalar = 0.0
     for n in speeds:
         relative = n / P["hover_speed"][0]
@@ -251,8 +318,7 @@ def _battery(ops: Any, P: Mapping[str, Any], speeds: Vector, charge: Scalar) -> 
     open_circuit = full - (full - empty) * used
     room = ops.maximum(open_circuit * open_circuit - 4 * resistance * power, 0.0)
     loaded = 0.5 * (open_circuit + ops.sqrt(room))
-    voltage = ops.where(sags > 0.5, loaded, full)
-    return voltage, charge + sags * TICK_S * power / voltage
+    return loaded, charge + TICK_S * power / loaded
 
 
 def _gust(P: Mapping[str, Any], gust: Vector, noise: Vector) -> list[Scalar]:
@@ -262,68 +328,16 @@ def _gust(P: Mapping[str, Any], gust: Vector, noise: Vector) -> list[Scalar]:
     return [keep * g + s * n for g, s, n in zip(gust, added, noise, strict=True)]
 
 
-def _origin(p: Vector, v: Vector, R: Vector, w: Vector, com: Vector) -> list[Scalar]:
+def _origin(
+    p: Vector, v: Vector, R: Vector, w: Vector, com: Vector, com_rate: Vector | None = None
+) -> list[Scalar]:
     """Position and velocity in NED of the body's origin, from those of the centre of mass."""
-    place = _into_world(R, com)
-    speed = _into_world(R, _cross(w, com))
+    place = into_world(R, com)
+    moving = cross(w, com)
+    if com_rate is not None:
+        moving = add(moving, com_rate)
+    speed = into_world(R, moving)
     return [a - b for a, b in zip([*p, *v], [*place, *speed], strict=True)]
-
-
-def rotation(q: Vector) -> list[Scalar]:
-    """R_ned_frd, row-major, of a unit quaternion, Hamilton and w first."""
-    w, x, y, z = q
-    xx, yy, zz = 2 * x * x, 2 * y * y, 2 * z * z
-    xy, xz, yz = 2 * x * y, 2 * x * z, 2 * y * z
-    wx, wy, wz = 2 * w * x, 2 * w * y, 2 * w * z
-    return [1 - yy - zz, xy - wz, xz + wy, xy + wz, 1 - xx - zz, yz - wx, xz - wy, yz + wx, 1 - xx - yy]
-
-
-def _quaternion_rate(q: Vector, w: Vector) -> list[Scalar]:
-    a, b, c, d = q
-    x, y, z = w
-    return [
-        -0.5 * (b * x + c * y + d * z),
-        0.5 * (a * x + c * z - d * y),
-        0.5 * (a * y + d * x - b * z),
-        0.5 * (a * z + b * y - c * x),
-    ]
-
-
-def _unit(ops: Any, q: Vector) -> list[Scalar]:
-    scale = 1 / ops.sqrt(_dot(q, q))
-    return [scale * c for c in q]
-
-
-def _ahead(y: Vector, slope: Vector, h: float) -> list[Scalar]:
-    return [a + h * b for a, b in zip(y, slope, strict=True)]
-
-
-def _into_world(R: Vector, u: Vector) -> list[Scalar]:
-    return [R[3 * i] * u[0] + R[3 * i + 1] * u[1] + R[3 * i + 2] * u[2] for i in range(3)]
-
-
-def _into_body(R: Vector, u: Vector) -> list[Scalar]:
-    return [R[i] * u[0] + R[3 + i] * u[1] + R[6 + i] * u[2] for i in range(3)]
-
-
-def _symmetric(m: Vector, u: Vector) -> list[Scalar]:
-    xx, yy, zz, xy = m
-    return [xx * u[0] + xy * u[1], xy * u[0] + yy * u[1], zz * u[2]]
-
-
-def _cross(a: Vector, b: Vector) -> list[Scalar]:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-
-
-def _dot(a: Vector, b: Vector) -> Scalar:
-    total: Scalar = a[0] * b[0]
-    for s, t in zip(a[1:], b[1:], strict=True):
-        total = total + s * t
-    return total
-
-
-def _add(a: Vector, b: Vector) -> list[Scalar]:
-    return [s + t for s, t in zip(a, b, strict=True)]
 
 
 def _cut(layout: Sequence[Block], values: Vector) -> dict[str, list[Scalar]]:

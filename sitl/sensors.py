@@ -15,6 +15,7 @@ from protocol.telemetry import TICK_US
 from sitl.world import ImuSettings, MocapSettings
 
 _BLOCK = 1024
+_BOW_PER_M = 0.02  # a tilted camera frame is bowed as well: its tilt changes along the way it leans
 _SEVEN = struct.Struct("7d")
 _STAMP_JITTER = (
     0.15  # of an undeclared latency: cameras stamped by a busy computer are late by varying amounts
@@ -60,18 +61,26 @@ class Mocap:
     """A camera system: poses at a fixed rate, noisy, arriving later than taken, some of them never.
 
     Stamps are honest up to `latency_s`: a pose shows the vehicle as it was that much before its stamp,
-    varying a little from pose to pose. `due_us` is when the camera next has work; `ready` holds the poses
+    varying a little from pose to pose. What they show is turned by `tilt`, positions and attitudes, about
+    the origin. `due_us` is when the camera next has work; `ready` holds the poses
     nobody has read.
 
     Args:
         settings: rate, noise, delay, gaps. latency_s: undeclared age of a pose at its stamp.
-        rng: the flight's generator.
+        rng: the flight's generator. tilt: turn of what is seen about north and east, rad.
     """
 
-    def __init__(self, settings: MocapSettings, latency_s: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        settings: MocapSettings,
+        latency_s: float,
+        rng: np.random.Generator,
+        tilt: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         self._settings = settings
         self._latency_us = latency_s * 1e6
         self._rng = rng
+        self._tilt = tilt
         self._period_us = 1_000_000 // settings.rate_hz
         self._gaps_us = [
             (round(start * 1e6), round((start + length) * 1e6)) for start, length in settings.gaps_s
@@ -117,7 +126,10 @@ class Mocap:
         if noise[7] < self._settings.dropout or any(a <= self._stamp_us < b for a, b in self._gaps_us):
             return
         x, y, z, vx, vy, vz, *q = pose
-        p = (x + vx * dt_s + noise[0], y + vy * dt_s + noise[1], z + vz * dt_s + noise[2])
+        p = (x + vx * dt_s, y + vy * dt_s, z + vz * dt_s)
+        if self._tilt != (0.0, 0.0):
+            p, q = _tilted(p, q, self._tilt)
+        p = (p[0] + noise[0], p[1] + noise[1], p[2] + noise[2])
         turn = [dt_s * w + e for w, e in zip(rate_frd, noise[3:6], strict=True)]
         arrival = self._stamp_us + self._settings.delay_us + int(noise[8] * self._settings.delay_jitter_us)
         if self._way:
@@ -143,4 +155,26 @@ def _turned(q: Sequence[float], turn: Sequence[float]) -> tuple[float, float, fl
         scale * (x + w * a + y * c - z * b),
         scale * (y + w * b + z * a - x * c),
         scale * (z + w * c + x * b - y * a),
+    )
+
+
+def _tilted(
+    p: Sequence[float], q: Sequence[float], tilt: tuple[float, float]
+) -> tuple[tuple[float, float, float], list[float]]:
+    """Position and attitude as seen from a frame that leans: both turned by a vector (tilt_x, tilt_y, 0)."""
+    size = math.hypot(*tilt)
+    lean = (tilt[1] * p[0] - tilt[0] * p[1]) / size
+    half = 0.5 * size * (1.0 + _BOW_PER_M * lean)
+    w, share = math.cos(half), math.sin(half) / size
+    x, y = share * tilt[0], share * tilt[1]
+    r, a, b, c = q
+    turned = [w * r - x * a - y * b, w * a + x * r + y * c, w * b + y * r - x * c, w * c + x * b - y * a]
+    twice = (2.0 * y * p[2], -2.0 * x * p[2], 2.0 * (x * p[1] - y * p[0]))
+    return (
+        (
+            p[0] + w * twice[0] + y * twice[2],
+            p[1] + w * twice[1] - x * twice[2],
+            p[2] + w * twice[2] + x * twice[1] - y * twice[0],
+        ),
+        turned,
     )

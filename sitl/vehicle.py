@@ -206,8 +206,12 @@ class SimulatedVehicle:
 
         self._imu = Imu(world.imu, flight_generator(seed, flight, Purpose.IMU))
         self._imu_errors = self._imu.errors()
-        latency_s = world.value("mocap-latency", "latency_s") if setting.plant is None else 0.0
-        self._camera = Mocap(world.mocap, latency_s, flight_generator(seed, flight, Purpose.MOCAP))
+        latency_s, tilt = 0.0, (0.0, 0.0)
+        if setting.plant is None:
+            latency_s = world.value("mocap-latency", "latency_s")
+            tilt = (world.value("frame-tilt", "tilt_x"), world.value("frame-tilt", "tilt_y"))
+        mocap_rng = flight_generator(seed, flight, Purpose.MOCAP)
+        self._camera = Mocap(world.mocap, latency_s, mocap_rng, tilt)
         self._camera_codec = Codec(*CAMERAS)
 
         self._flight_mcu = FlightMcu(

@@ -103,7 +103,7 @@ def fly(vehicle: SimulatedVehicle, *, until_s: float = 60.0) -> Session:
     return session
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def session_tools():
     """figure_eight, put_on_board and fly, for tests in this folder."""
     return figure_eight, put_on_board, fly

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 from host.vehicle import Vehicle, load_vehicle
 from sitl.draw import World, draw_world
-from sitl.plant import Plant, plant_parameters
-from sitl.plant_model import GRAVITY_M_S2, rotation
+from sitl.plant import Plant, pack, plant_engine
+from sitl.plant_constants import plant_parameters
+from sitl.plant_model import PARAMETERS, PARTS, Block
+from sitl.surroundings import GRAVITY_M_S2
+from sitl.vectors import rotation
 from sitl.world import WorldFile, load_world
 
+PAYLOAD = slice(30, 36)
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 STATE_P, STATE_V, STATE_Q, STATE_RATE, STATE_SPEED = (
     slice(0, 3),
@@ -39,6 +44,13 @@ def stated(vehicle: Vehicle, effects: dict[str, dict[str, float]]) -> World:
         {"description": "test", "tolerances": False, "effects": effects, "turbulence": calm}
     )
     return draw_world("test", file, 0, vehicle)
+
+
+def drawn(vehicle: Vehicle, kinds: tuple[str, ...]) -> World:
+    draw = {"count": (len(kinds), len(kinds)), "kinds": kinds}
+    return draw_world(
+        "test", WorldFile.model_validate({"description": "x", "tolerances": True, "draw": draw}), 2, vehicle
+    )
 
 
 def airborne(plant: Plant, **parts: object) -> None:
@@ -170,19 +182,86 @@ def test_plant_with_the_same_seed_repeats_its_states_to_the_bit(vehicle: Vehicle
     assert ends[0] != ends[2]
 
 
+@pytest.mark.parametrize("kinds", [("battery-sag", "motor-lag", "rotor-loss"), tuple(sorted(PARTS))])
 def test_plant_compiled_or_not_gives_the_same_bits(
-    vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch, require: Callable[[str], None]
+    vehicle: Vehicle,
+    kinds: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
+    require: Callable[[str], None],
 ) -> None:
     require("compiler")
+    world = drawn(vehicle, kinds)
     ends = []
     for engine in ("vm", "c"):
         monkeypatch.setenv("TRIMTAB_ENGINE", engine)
-        plant = Plant(vehicle, shipped("worn", vehicle, seed=2), 0)
+        plant = Plant(vehicle, world, 0)
         plant.reset((0.0, 0.0, 0.0), LEVEL)
         for k in range(2000):
             plant.step((0.5, 0.5, 0.52, 0.48 + 0.02 * (k % 2)))
         ends.append(bytes(plant.state))
     assert ends[0] == ends[1]
+
+
+@pytest.mark.parametrize("kind", sorted(PARTS - {"battery-sag"}))
+def test_part_at_its_neutral_changes_nothing(vehicle: Vehicle, kind: str) -> None:
+    """The tick with a part that does nothing, and without it: the same states to rounding."""
+    ends = []
+    for parts in (frozenset({kind}), frozenset[str]()):
+        engine = plant_engine(parts)
+        plant = Plant(vehicle, stated(vehicle, {}), 0)
+        plant.reset((0.0, 0.0, -2.0), LEVEL)
+        inputs: Any = engine.inputs
+        inputs["parameters"][:] = pack(PARAMETERS, plant_parameters(vehicle, stated(vehicle, {})))
+        inputs["state"][:] = plant.state
+        for k in range(300):
+            inputs["command"][:] = pack(
+                (Block("command", 4),), {"command": (0.5, 0.5, 0.52, 0.48 + 0.001 * k)}
+            )
+            engine()
+            inputs["state"][:] = engine.outputs["state"]
+        ends.append(np.array(engine.outputs["state"])[:18])
+    assert ends[0] == pytest.approx(ends[1], rel=1e-9, abs=1e-12)
+
+
+def test_payload_lies_slack_on_the_floor_and_weighs_in_the_air(vehicle: Vehicle) -> None:
+    world = stated(vehicle, {"slung-payload": {"ratio": 0.1, "length_m": 0.5}})
+    plant = Plant(vehicle, world, 0)
+    plant.reset((0.0, 0.0, 0.0), LEVEL)
+    for _ in range(1000):
+        plant.step((0.0, 0.0, 0.0, 0.0))
+    assert plant.pose[0:3].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=6e-4)
+    assert plant.state[PAYLOAD][2] == pytest.approx(0.003, abs=1e-3)
+
+    plant.reset((0.0, 0.0, -10.0), LEVEL)
+    share = math.sqrt(1.1 * vehicle.mass_kg * GRAVITY_M_S2 / (4.0 * vehicle.thrust_max_n))
+    for index in range(24)[STATE_SPEED]:
+        plant.state[index] = share
+    c1, c2 = vehicle.thrust_curve
+    u = 2.0 * share * share / (c1 + math.sqrt(c1 * c1 + 4.0 * c2 * share * share))
+    for _ in range(1500):
+        plant.step((u, u, u, u))
+    assert plant.pose[0:3].tolist() == pytest.approx([0.0, 0.0, -10.0], abs=5e-3)
+    assert plant.state[PAYLOAD][2] - plant.pose[2] == pytest.approx(0.506, abs=1e-3)
+
+
+def test_command_arrives_late_by_the_delay_of_the_world(vehicle: Vehicle) -> None:
+    plant = Plant(vehicle, stated(vehicle, {"actuation-delay": {"delay_s": 0.01}}), 0)
+    plant.reset((0.0, 0.0, -2.0), LEVEL)
+    first = [0, 0, 0, 0]
+    for k in range(20):
+        plant.step((0.5, 0.5, 0.5, 0.5))
+        for i, speed in enumerate(plant.state[STATE_SPEED]):
+            first[i] = first[i] or (k if speed > 0.0 else 0)
+    assert first == [10, 9, 9, 10]  # 10.5, 9.7, 9.5 and 10.3 ticks
+
+
+def test_heavier_vehicle_hovers_with_more_thrust(vehicle: Vehicle) -> None:
+    plant = Plant(vehicle, stated(vehicle, {"mass": {"factor": 1.2}}), 0)
+    airborne(
+        plant, speed=(math.sqrt(1.2 * vehicle.mass_kg * GRAVITY_M_S2 / (4.0 * vehicle.thrust_max_n)),) * 4
+    )
+    plant.step((0.0, 0.0, 0.0, 0.0))
+    assert plant.sensed[5] == pytest.approx(-GRAVITY_M_S2, rel=0.03)
 
 
 def test_battery_in_a_sagging_world_starts_elsewhere_every_flight_and_falls(vehicle: Vehicle) -> None:
