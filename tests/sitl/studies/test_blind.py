@@ -21,7 +21,23 @@ from sitl.studies.worlds import PlannedWorld
 
 ROOT = Path(__file__).parents[3]
 KEYS = set(
-    ["top1", "pairs_exact", "in_alias", "alias_size_mean", "false_alarm", "abstain_outside", "abstain_inside", "parameter_error_median", "parameter_error_p90", "coverage_2sigma", "width_over_bound", "after_over_floor_median", "after_over_floor_p90", "trace_s_median", "n"]
+    [
+        "top1",
+        "pairs_exact",
+        "in_alias",
+        "alias_size_mean",
+        "false_alarm",
+        "abstain_outside",
+        "abstain_inside",
+        "parameter_error_median",
+        "parameter_error_p90",
+        "coverage_2sigma",
+        "width_over_bound",
+        "after_over_floor_median",
+        "after_over_floor_p90",
+        "trace_s_median",
+        "n",
+    ]
 )
 
 RUN = """
