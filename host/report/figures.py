@@ -43,6 +43,8 @@ class Figure:
     alt: str
     width: int
     height: int
+    png: bytes = b""
+    """The same picture as PNG, where it was asked for."""
 
     @property
     def source(self) -> str:
@@ -50,13 +52,17 @@ class Figure:
         return "data:image/svg+xml;base64," + base64.b64encode(self.svg.encode()).decode()
 
 
-def _finish(canvas: Canvas, caption: str, alt: str) -> Figure:
+def _finish(canvas: Canvas, caption: str, alt: str, *, png: bool = False) -> Figure:
     width, height = (round(96 * inches) for inches in canvas.get_size_inches())
-    stream = io.StringIO()
+    stream, pixels = io.StringIO(), io.BytesIO()
     with matplotlib.rc_context(_STYLE):
         canvas.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+        if png:
+            canvas.savefig(pixels, format="png", dpi=120, metadata={"Software": None})
     plt.close(canvas)
-    return Figure(svg=stream.getvalue(), caption=caption, alt=alt, width=width, height=height)
+    return Figure(
+        svg=stream.getvalue(), caption=caption, alt=alt, width=width, height=height, png=pixels.getvalue()
+    )
 
 
 def _thin(count: int) -> np.ndarray:
@@ -135,3 +141,54 @@ def ranking(evidence: Mapping[str, float], kept: Sequence[str]) -> Figure:
         "or would gain with one that was not.",
         f"Candidates by log evidence in nats; the first three: {best}.",
     )
+
+
+def counts(table: Mapping[str, Mapping[str, int]], caption: str, *, rows: str, columns: str) -> Figure:
+    """A table of counts by row and column name, each cell shaded by its share of the row; also as PNG.
+
+    The columns come in the order of the rows where they share names, the others behind.
+    """
+    found = {column for row in table.values() for column in row}
+    names = [name for name in table if name in found] + sorted(found - set(table))
+    values = np.array([[row.get(name, 0) for name in names] for row in table.values()])
+    with matplotlib.rc_context({**_STYLE, "axes.grid": False}):
+        canvas, ax = plt.subplots(figsize=(3.2 + 0.42 * len(names), 2.4 + 0.3 * len(table)))
+        ax.imshow(values / values.sum(1, keepdims=True), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+        for (i, k), count in np.ndenumerate(values):
+            if count:
+                dark = count > 0.6 * values[i].sum()
+                ax.text(k, i, str(count), ha="center", va="center", color="white" if dark else NEUTRAL)
+        ax.set_xticks(range(len(names)), names, rotation=60, ha="right", rotation_mode="anchor")
+        ax.set_yticks(range(len(table)), list(table))
+        ax.set(xlabel=columns, ylabel=rows)
+    right = sum(table[name].get(name, 0) for name in table)
+    alt = f"{values.sum()} counts in {len(table)} rows and {len(names)} columns, {right} where names agree."
+    return _finish(canvas, caption, alt, png=True)
+
+
+def deviations(
+    families: Mapping[str, Sequence[float]], coverage: Mapping[str, tuple[float, float, float]], caption: str
+) -> Figure:
+    """By family: errors in standard deviations as points, and the share within two with its interval.
+
+    families: errors (n,). coverage: share, low and high. Also as PNG.
+    """
+    names = list(families)
+    with matplotlib.rc_context(_STYLE):
+        canvas, (left, right) = plt.subplots(1, 2, figsize=(8.4, 0.9 + 0.55 * len(names)), sharey=True)
+        for i, name in enumerate(names):
+            errors = np.clip(np.asarray(families[name], dtype=float), -6.0, 6.0)
+            spread = 0.28 * np.linspace(-1.0, 1.0, len(errors))
+            left.scatter(errors, i + spread, s=9, color=AFTER, alpha=0.6, linewidths=0)
+            if name in coverage:
+                share, low, high = (100.0 * number for number in coverage[name])
+                bar = np.array([[share - low], [high - share]])
+                right.errorbar([share], [i], xerr=np.maximum(bar, 0.0), fmt="o", color=AFTER, capsize=3)
+        left.axvspan(-2.0, 2.0, color=FLOOR, alpha=0.15, linewidth=0)
+        left.set(xlim=(-6.3, 6.3), xlabel="error, reported standard deviations (beyond 6 at the edge)")
+        left.set_yticks(range(len(names)), [f"{name} ({len(families[name])})" for name in names])
+        left.set_ylim(-0.6, len(names) - 0.4)
+        right.axvspan(90.0, 98.0, color=FLOOR, alpha=0.15, linewidth=0)
+        right.set(xlim=(0.0, 101.0), xlabel="within two, % (95 % interval; aim shaded)")
+    told = ", ".join(f"{name} {100 * share:.0f} %" for name, (share, _, _) in coverage.items())
+    return _finish(canvas, caption, f"Errors in standard deviations by family; within two: {told}.", png=True)

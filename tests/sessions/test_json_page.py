@@ -18,6 +18,7 @@ from host import cli, output
 from host.demo.compare import Comparison
 from host.link.upload import UploadResult
 from protocol.blobs import Reference
+from sitl.studies.scoring.metrics import summary
 
 ROOT = Path(__file__).parent.parent.parent
 MADE = ROOT / "tests" / "data"
@@ -168,3 +169,16 @@ def test_demo_prints_what_the_page_says(run: Callable[..., dict[str, Any]], log:
     compared = Comparison(first=(flight,), latency_s=0.0, no_new_plan="no", no_applied="no").to_json()
     told = {**run("trace", log), **compared, "seconds": 1.0, "steps": [{"step": "plan", "seconds": 1.0}]}
     check("demo", told, *documented("trace"))
+
+
+def test_study_prints_what_the_page_says() -> None:
+    row = {"effect": "wind", "key": "wx", "family": "aerodynamic", "turned": False, "true": 3.0}
+    row |= {"estimate": 3.0, "sd": 0.1, "bound_sd": 0.1, "neutral": 0.0, "typical": 1.0}
+    said = {"top1": True, "exact": True, "in_alias": True, "identifiable": True, "alias_sizes": [1]}
+    said |= {"verdict": "traced", "before_m": 0.1, "after_m": 0.1, "floor_m": 0.1, "trace_s": 1.0}
+    scores = [
+        {"world": "0000", "class": name, "kinds": ["wind"], "parameters": [row], **said}
+        for name in ("single", "pair", "none", "outside")
+    ]
+    told = {"study": "blind", "seed": 1, "worlds": 4, "folder": "f", "report": "f/report.html"}
+    check("study", {**told, **summary(scores)})

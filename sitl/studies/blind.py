@@ -1,0 +1,199 @@
+"""The blind study: draw worlds, fly them, seal their truths, trace the logs, score once.
+
+Every world has a folder of its own with a file for each stage that is done, so a run that was killed goes on
+where it was. One process, this one, writes the ledger; the work is done by others.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import wait as wait_for_any
+from pathlib import Path
+from typing import Any
+
+from host.vehicle import load_vehicle
+from sitl.studies.files import Ledger, StudyError, read_json, sha256_of, write_json
+from sitl.studies.flights import BLIND, SCORE, TRUTH, VERDICT, Programme, fly_and_seal, plan_references, trace
+from sitl.studies.scoring.metrics import baseline_rows, confusion, deviations, summary
+from sitl.studies.scoring.world import library, score_world
+from sitl.studies.table import failure, lines, table
+from sitl.studies.worlds import PlannedWorld, plan_worlds
+
+LEDGER, ORDER = "ledger.json", "study.json"
+Report = Callable[[float, float, str], None]
+"""Called with what is done, what there is to do, and a word on the last thing done."""
+
+_FLOWN, _JUDGED = 1.0, 2.0
+"""Shares of a world's work."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What one worker does with one world."""
+
+    world: PlannedWorld
+    folder: Path
+    references: Path
+    ledger: Path
+    vehicle: str
+    programme: Programme
+    with_baselines: bool
+
+
+def run(
+    *,
+    folder: Path,
+    seed: int,
+    worlds: int,
+    vehicle: str,
+    jobs: int,
+    with_baselines: bool = False,
+    programme: Programme = BLIND,
+    report: Report = lambda done, total, detail: None,
+) -> dict[str, Any]:
+    """The study's outcome as plain data: `answer` (the machine's object), `lines` (for people), `table`,
+    `baselines`, `confusion`, `deviations` (errors in reported sd by family), `wrong`, `scores`.
+
+    folder: state and results, made or gone on with. programme: what is flown in every world. jobs:
+    processes at a time. Raises StudyError where the folder is another study's or in use, a route cannot be
+    planned or a world not flown; SealBroken where a truth is not the one that was sealed.
+    """
+    planned = plan_worlds(seed, worlds, library())
+    folder = folder.absolute()
+    folder.mkdir(parents=True, exist_ok=True)
+    with _alone(folder):
+        references = plan_references(folder, vehicle, programme)
+        _same_order(folder, {
+            "study": "blind",
+            "seed": seed,
+            "worlds": worlds,
+            "vehicle": load_vehicle(vehicle).id,
+            "references": {path.stem: sha256_of(path) for path in sorted(references.glob("*.ref"))},
+            "kinds": sorted({kind for world in planned for kind in world.kinds}),
+        })  # fmt: skip
+        ledger = Ledger(folder / LEDGER)
+        tasks = [
+            Task(
+                world=world,
+                folder=folder / "worlds" / world.name,
+                references=references,
+                ledger=folder / LEDGER,
+                vehicle=vehicle,
+                programme=programme,
+                with_baselines=with_baselines,
+            )
+            for world in planned
+        ]
+        _work(tasks, ledger, jobs, report)
+        scores = [read_json(task.folder / SCORE) for task in tasks]
+    figures = summary(scores)
+    return {
+        "answer": {"study": "blind", "seed": seed, "worlds": worlds, "folder": str(folder), **figures},
+        "lines": lines(figures, scores),
+        "table": table(figures),
+        "baselines": baseline_rows(scores),
+        "confusion": confusion(scores),
+        "deviations": deviations(scores),
+        "wrong": [(score["world"], what) for score in scores if (what := failure(score)) is not None],
+        "scores": scores,
+    }
+
+
+def _work(tasks: list[Task], ledger: Ledger, jobs: int, report: Report) -> None:
+    """Nothing comes back; every task has its score. What was scored before is checked and left alone."""
+    to_fly: list[Task] = []
+    to_judge: list[Task] = []
+    done = 0.0
+    for task in tasks:
+        if (task.folder / VERDICT).is_file() or (task.folder / SCORE).is_file():
+            ledger.check(task.world.name, sha256_of(task.folder / TRUTH))
+        if (task.folder / SCORE).is_file():
+            done += _FLOWN + _JUDGED
+        else:
+            to_fly.append(task)
+    total = len(tasks) * (_FLOWN + _JUDGED)
+    report(done, total, "")
+    if not to_fly:
+        return
+    to_fly.reverse()
+    running: dict[Future[Any], tuple[Task, bool]] = {}
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(max_workers=jobs, mp_context=spawn, initializer=_end_with_parent)
+    try:
+        while to_fly or to_judge or running:
+            while len(running) < jobs and (to_fly or to_judge):
+                flown = bool(to_judge)
+                task = to_judge.pop() if flown else to_fly.pop()
+                running[pool.submit(judge if flown else fly, task)] = (task, flown)
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                task, flown = running.pop(future)
+                said = future.result()
+                if flown:
+                    done += _JUDGED
+                    report(done, total, f"world {task.world.name}: {said}")
+                else:
+                    ledger.record(task.world.name, said)
+                    to_judge.append(task)
+                    done += _FLOWN
+                    report(done, total, f"world {task.world.name} flown and sealed")
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def fly(task: Task) -> str:
+    """The SHA-256 of the sealed truth of the task's world, flown where it was not."""
+    task.folder.mkdir(parents=True, exist_ok=True)
+    return fly_and_seal(task.world, task.folder, task.references, task.vehicle, task.programme)
+
+
+def judge(task: Task) -> str:
+    """The verdict on the task's world, traced and scored where it was not."""
+    trace(task.folder, task.programme)
+    score = score_world(task.folder, Ledger(task.ledger), task.programme, with_baselines=task.with_baselines)
+    return score["verdict"]
+
+
+def _same_order(folder: Path, order: Mapping[str, Any]) -> None:
+    """Nothing comes back; the folder's study is this one. Raises StudyError where it is another."""
+    path = folder / ORDER
+    if not path.is_file():
+        write_json(path, order)
+        return
+    before = read_json(path)
+    different = [key for key in order if before.get(key) != order[key]]
+    if different:
+        raise StudyError(
+            f"{folder}: holds a study with another {', '.join(different)}; choose another folder with -o"
+        )
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Holds the folder for one process. Raises StudyError where another one has it."""
+    with (folder / "lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise StudyError(f"{folder}: a study runs there already") from None
+        yield
+
+
+def _end_with_parent() -> None:
+    """Nothing comes back; from now on this process ends when the one that started it does."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    sentinel = parent.sentinel
+
+    def watch() -> None:
+        wait_for_any([sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -1,0 +1,76 @@
+"""Files of a study: written whole or not at all, so that a killed run leaves nothing half."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+
+class StudyError(Exception):
+    """A study that cannot go on as asked; its text says why and what to do."""
+
+    exit_code = 2
+
+
+class SealBroken(StudyError):
+    """A truth that is not the one whose hash was recorded before tracing."""
+
+    exit_code = 1
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Nothing comes back; the file appears complete under its name, or the old one stays."""
+    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
+    with partial.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(partial, path)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Nothing comes back; `content` as a whole file, keys sorted. Raises ValueError on NaN or infinity."""
+    write_whole(path, (json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n").encode())
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """What a file written by `write_json` holds."""
+    return json.loads(path.read_bytes())
+
+
+def sha256_of(path: Path) -> str:
+    """The SHA-256 of a file, 64 hex digits."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+class Ledger:
+    """The hashes of all truths of a study, by world, recorded before anything was traced.
+
+    Written by one process alone. An entry never changes.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._hashes: dict[str, str] = read_json(path) if path.is_file() else {}
+
+    def record(self, world: str, digest: str) -> None:
+        """Nothing comes back; the hash is on disk. Raises SealBroken where another one is recorded."""
+        if world in self._hashes:
+            self.check(world, digest)
+            return
+        write_json(self._path, {**self._hashes, world: digest})
+        self._hashes[world] = digest
+
+    def check(self, world: str, digest: str) -> None:
+        """Nothing comes back. Raises SealBroken where no hash was recorded or another one."""
+        known = self._hashes.get(world)
+        if known is None:
+            raise SealBroken(f"world {world}: no hash of its truth was recorded before it was traced")
+        if known != digest:
+            raise SealBroken(
+                f"world {world}: its truth ({digest[:12]}) is not the one that was sealed ({known[:12]})"
+            )

@@ -1,0 +1,132 @@
+"""A world's flights: references planned once a study, flown through firmware and radio, the truth sealed."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from sitl.studies.commandline import run_apart, run_inside
+from sitl.studies.files import StudyError, read_json, sha256_of, write_json, write_whole
+from sitl.studies.worlds import PlannedWorld
+
+
+@dataclass(frozen=True, kw_only=True)
+class Programme:
+    """What is flown in every world: routes of a folder flown `twins` times each, and others held out."""
+
+    routes: Path
+    learning: tuple[str, ...]
+    held_out: tuple[str, ...]
+    twins: int = 2
+
+    def flights(self) -> list[tuple[str, str, int]]:
+        """Log name, route and flight index of every flight of a world, twins first."""
+        flights = [(f"{name}-{twin}", name) for name in self.learning for twin in range(1, self.twins + 1)]
+        flights += [(name, name) for name in self.held_out]
+        return [(log, name, index) for index, (log, name) in enumerate(flights, start=1)]
+
+    def logs(self, routes: tuple[str, ...]) -> list[str]:
+        """File names of the logs of these routes."""
+        return [f"{log}.mcap" for log, name, _ in self.flights() if name in routes]
+
+
+BLIND = Programme(
+    routes=Path(str(files("sitl.studies"))) / "routes",
+    learning=("eight", "low", "climbs", "sprint"),
+    held_out=("check-loop", "check-points"),
+)
+"""Speed, the ground and headings, vertical motion, accelerations in all directions; 12 s each."""
+
+TRUTH, VERDICT, SCORE = "truth.json", "verdict.json", "score.json"
+"""The three stages of a world; each file is there when its stage is done."""
+
+_LOG_TRUTH = ".truth.json"
+
+
+def plan_references(folder: Path, vehicle: str, programme: Programme) -> Path:
+    """The folder with the study's references, planned by the command line where they are not there yet.
+
+    Raises StudyError where one cannot be planned.
+    """
+    target = folder / "references"
+    target.mkdir(exist_ok=True)
+    for name in (*programme.learning, *programme.held_out):
+        if (target / f"{name}.ref").is_file():
+            continue
+        route = str(programme.routes / f"{name}.toml")
+        done = run_apart(["plan", route, "--vehicle", vehicle, "-o", f"{name}.ref", "--force"], target)
+        if done.code:
+            raise StudyError(
+                f"the study's route {name} cannot be planned for {vehicle}: {done.errors.strip()}"
+            )
+    return target
+
+
+def fly_and_seal(
+    world: PlannedWorld, folder: Path, references: Path, vehicle: str, programme: Programme
+) -> str:
+    """The SHA-256 of the world's truth, flown and sealed in `folder`; what is there already stays.
+
+    A flight that fails is part of the world too, as far as it has left a log.
+    """
+    if (folder / TRUTH).is_file():
+        return sha256_of(folder / TRUTH)
+    logs = folder / "flights"
+    logs.mkdir(parents=True, exist_ok=True)
+    file = folder / "world.toml"
+    write_whole(file, world.toml().encode())
+    flown = []
+    sealed: dict[str, Any] = {}
+    for name, route, index in programme.flights():
+        log = logs / f"{name}.mcap"
+        beside = log.with_name(log.name + _LOG_TRUTH)
+        if not beside.is_file():
+            words = ["fly", str(references / f"{route}.ref"), "--vehicle", vehicle, "--world", str(file)]
+            words += ["--world-seed", str(world.seed), "--flight", str(index), "--seed", str(index)]
+            done = run_inside([*words, "-o", str(log), "--force"])
+            if done.code not in (0, 1) or not beside.is_file():
+                raise StudyError(f"world {world.name}, flight {name}: {done.errors.strip()}")
+        sealed = read_json(beside)
+        flown.append({"log": log.name, "sha256": sha256_of(log)})
+    truth = {
+        "world": world.name,
+        "class": world.kind_class,
+        "kinds": list(world.kinds),
+        "file": world.toml(),
+        "seed": world.seed,
+        "vehicle": vehicle,
+        "effects": sealed["effects"],
+        "deviations": sealed["deviations"],
+        "turbulence": sealed["turbulence"],
+        "flights": flown,
+    }
+    write_json(folder / TRUTH, truth)
+    for beside in logs.glob(f"*{_LOG_TRUTH}"):
+        beside.unlink()
+    file.unlink()
+    return sha256_of(folder / TRUTH)
+
+
+def trace(folder: Path, programme: Programme) -> None:
+    """Nothing comes back; the verdict on the world's logs is a file in `folder`, made once.
+
+    The command line sees a folder that holds copies of the logs and nothing else.
+    """
+    if (folder / VERDICT).is_file():
+        return
+    bare = folder / "trace"
+    shutil.rmtree(bare, ignore_errors=True)
+    bare.mkdir()
+    for log in (folder / "flights").glob("*.mcap"):
+        shutil.copyfile(log, bare / log.name)
+    words = ["trace", *programme.logs(programme.learning)]
+    words += ["--hold-out", *programme.logs(programme.held_out)]
+    done = run_apart(words, bare)
+    write_json(
+        folder / VERDICT,
+        {"exit_code": done.code, "answer": done.data, "errors": done.errors, "trace_s": done.cpu_s},
+    )
+    shutil.rmtree(bare)

@@ -1,0 +1,123 @@
+"""What a world's flights allow to know, from its truth: separations, bounds, the error's floor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from host.effects import Effect
+from host.log import Flight
+from host.models.model import Model
+from host.trace import evidence
+from host.trace.data import segments_of
+from host.trace.diagnose import refit
+from host.trace.parameters import Space
+from host.trace.score import predict_flights, rmse
+from host.vehicle import Vehicle
+
+IDENTIFIABLE = 4.2
+"""Sigma by which an effect must stand out of every other one of the library, whatever size that takes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """Sigma of each true effect against each other candidate, and the Cramer-Rao bound (one sd) of each of
+    its parameters, by effect.
+    """
+
+    separation: Mapping[str, Mapping[str, float]]
+    sd: Mapping[str, Mapping[str, float]]
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether every true effect stands out of every alias."""
+        return all(
+            min(others.values(), default=np.inf) >= IDENTIFIABLE for others in self.separation.values()
+        )
+
+
+def bounds(
+    vehicle: Vehicle,
+    space: Space,
+    truth: Mapping[str, Mapping[str, float]],
+    flights: Sequence[Flight],
+    same: frozenset[str],
+) -> Bounds:
+    """What the flights allow to know of the effective parameters `truth`.
+
+    The library with the true effects is linearised along the flights, with the process noise that they show.
+    An effect of the set `same`, of which only ratios show, is no alias of another one.
+    """
+    names = tuple(sorted(truth))
+    data, _ = segments_of(flights)
+    at = refit(vehicle, space, data, names, None, iterations=4)
+    z = _scaled(space, truth)
+    gram = evidence.whitened(at.lin, at.process, space.prior).gram[1:, 1:]
+    separation = {}
+    for name in names:
+        others = [o for o in space.candidates if o not in truth and not {name, o} <= same]
+        separation[name] = {other: _separation(space, gram, names, z, name, other) for other in others}
+    sd = np.sqrt(np.diag(at.covariance)) * space.scale
+    return Bounds(
+        separation=separation,
+        sd={
+            name: {
+                space.columns[i].key: float(sd[i]) for i in space.groups[name] if space.columns[i].key in keys
+            }
+            for name, keys in truth.items()
+        },
+    )
+
+
+def _scaled(space: Space, truth: Mapping[str, Mapping[str, float]]) -> np.ndarray:
+    z = np.zeros(len(space.columns))
+    for name, values in truth.items():
+        for i in space.groups[name]:
+            column = space.columns[i]
+            z[i] = (values.get(column.key, column.neutral) - column.neutral) / column.scale
+    return z
+
+
+def _separation(
+    space: Space, gram: np.ndarray, names: Sequence[str], z: np.ndarray, effect: str, alias: str
+) -> float:
+    """lambda, lambda^2 = theta' S' (I - P) S theta: sigma of `effect` at its true size beside free others.
+
+    gram: (P, P) of the whitened columns. P projects on the alias and on the other true effects, all free, and
+    on everything else within its tolerance.
+    """
+    mine = list(space.groups[effect])
+    rest = [i for i in range(len(space.columns)) if i not in mine]
+    present = [name for name in names if name != effect]
+    inner = gram[np.ix_(rest, rest)] + np.diag(space.prior.precision([*present, alias])[rest])
+    cross = gram[np.ix_(rest, mine)]
+    information = gram[np.ix_(mine, mine)] - cross.T @ np.linalg.solve(inner, cross)
+    return float(np.sqrt(max(z[mine] @ information @ z[mine], 0.0)))
+
+
+def floor_m(
+    vehicle: Vehicle,
+    space: Space,
+    library: Mapping[str, Effect],
+    truth: Mapping[str, Mapping[str, float]],
+    deviations: Mapping[str, float],
+    held_out: Sequence[Flight],
+) -> float:
+    """Position RMSE, m, on the held-out flights of the model that holds the effective parameters and what
+    the build is off by.
+    """
+    adjustments: dict[str, dict[str, float]] = {}
+    neutral = {f"{c.owner}.{c.key}": c.neutral for c in space.columns}
+    for name, value in deviations.items():
+        owner, key = name.split(".")
+        if owner not in truth and name in neutral:
+            adjustments.setdefault(owner, {})[key] = neutral[name] + value
+    model = Model(
+        vehicle_id=vehicle.id,
+        vehicle_name=vehicle.name,
+        effects={name: dict(values) for name, values in truth.items()},
+        adjustments=adjustments,
+    )
+    return rmse(predict_flights(held_out, model, library))["position_rmse_m"]

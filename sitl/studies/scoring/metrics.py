@@ -1,0 +1,229 @@
+"""From the scores of many worlds to the figures of a blind study, each with its count and exact interval."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+from sitl.studies.scoring.world import NAMING
+
+SURE_SIGMA = 15.0
+"""Parameter errors count where the truth is at least typical and so many sigma of the bound."""
+
+FAMILIES = ("force", "torque", "timing", "aerodynamic")
+Scores = Sequence[Mapping[str, Any]]
+
+
+def exact_interval(hits: int, count: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Clopper-Pearson interval of a share of `hits` in `count`. Raises ValueError for an impossible count."""
+    if not 0 <= hits <= count or count < 1:
+        raise ValueError(f"{hits} hits of {count} are no share")
+    found = binomtest(hits, count).proportion_ci(confidence, method="exact")
+    return float(found.low), float(found.high)
+
+
+def summary(scores: Scores) -> dict[str, Any]:
+    """The figures of a study as plain data: the machine's keys, None where nothing was counted.
+
+    `n` and `interval` have the keys of the figures; `by_family` has coverage and width once more by family.
+    """
+    single, pair, none, outside = (
+        [s for s in scores if s["class"] == c] for c in ("single", "pair", "none", "outside")
+    )
+    inside = [*single, *pair]
+    hits = {
+        "top1": [s["top1"] for s in single if s["identifiable"]],
+        "top1_all": [s["top1"] for s in single],
+        "pairs_exact": [s["exact"] for s in pair],
+        "pairs_exact_identifiable": [s["exact"] for s in pair if s["identifiable"]],
+        "in_alias": [s["in_alias"] for s in inside],
+        "in_alias_identifiable": [s["in_alias"] for s in inside if s["identifiable"]],
+        "false_alarm": [s["verdict"] != "nothing-missing" for s in none],
+        "abstain_outside": [s["verdict"] == "outside-library" for s in outside],
+        "abstain_inside": [s["verdict"] == "outside-library" for s in inside],
+    }
+    rows = [row for s in inside for row in s["parameters"]]
+    errors = relative_errors(inside)
+    covered = [_covers(row) for row in rows]
+    widths = [row["sd"] / row["bound_sd"] for row in rows if row["sd"]]
+    judged = [s for s in inside if s["after_m"] is not None and s["floor_m"]]
+    over = [s["after_m"] / s["floor_m"] for s in judged]
+    sizes = [size for s in inside if s["verdict"] in NAMING for size in s["alias_sizes"]]
+    times = [s["trace_s"] for s in scores if s["trace_s"] is not None]
+    steady = [e["error"] for e in errors if e["family"] != "torque"]
+    turning = [e["error"] for e in errors if e["family"] == "torque"]
+    return {
+        **{name: _share(found) for name, found in hits.items()},
+        "alias_size_mean": _mean(sizes),
+        "alias_size_max": max(sizes, default=None),
+        "parameter_error_median": _quantile(steady, 0.5),
+        "parameter_error_p90": _quantile(steady, 0.9),
+        "parameter_error_torque_median": _quantile(turning, 0.5),
+        "parameter_error_torque_p90": _quantile(turning, 0.9),
+        "coverage_2sigma": _share(covered),
+        "width_over_bound": _quantile(widths, 0.5),
+        "by_family": {name: _family([row for row in rows if row["family"] == name]) for name in FAMILIES},
+        "after_over_floor_median": _quantile(over, 0.5),
+        "after_over_floor_p90": _quantile(over, 0.9),
+        "before_mm_median": _millimetres(judged, "before_m"),
+        "after_mm_median": _millimetres(judged, "after_m"),
+        "floor_mm_median": _millimetres(judged, "floor_m"),
+        "trace_s_median": _quantile(times, 0.5),
+        "trace_s_max": max(times, default=None),
+        "n": {
+            **{name: len(found) for name, found in hits.items()},
+            "alias_size_mean": len(sizes),
+            "parameter_error": len(steady),
+            "parameter_error_torque": len(turning),
+            "coverage_2sigma": len(covered),
+            "width_over_bound": len(widths),
+            "after_over_floor": len(over),
+            "trace_s": len(times),
+            "worlds": len(scores),
+        },
+        "interval": {
+            **{name: _interval(found) for name, found in hits.items()},
+            "coverage_2sigma": _interval(covered),
+        },
+    }
+
+
+def _family(rows: Scores) -> dict[str, Any]:
+    """Coverage and width of the parameters of one family."""
+    covered = [_covers(row) for row in rows]
+    return {
+        "coverage_2sigma": _share(covered),
+        "interval": _interval(covered),
+        "n": len(covered),
+        "width_over_bound": _quantile((row["sd"] / row["bound_sd"] for row in rows if row["sd"]), 0.5),
+    }
+
+
+def relative_errors(scores: Scores) -> list[dict[str, Any]]:
+    """Errors over the truth's distance from neutral, of truths at least typical and SURE_SIGMA strong.
+
+    Two numbers that were drawn as one vector count as one: the length of the error over that of the vector.
+    """
+    out = []
+    for score in scores:
+        groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+        for row in score["parameters"]:
+            key = "" if row["turned"] else row["key"]
+            groups.setdefault((row["effect"], key), []).append(row)
+        for (effect, key), rows in groups.items():
+            size = float(np.linalg.norm([r["true"] - r["neutral"] for r in rows]))
+            if size < rows[0]["typical"] or size < SURE_SIGMA * max(r["bound_sd"] for r in rows):
+                continue
+            off = [_estimate(r) - r["true"] for r in rows]
+            out.append(
+                {
+                    "world": score["world"],
+                    "effect": effect,
+                    "key": key,
+                    "family": rows[0]["family"],
+                    "error": float(np.linalg.norm(off)) / size,
+                }
+            )
+    return out
+
+
+def is_right(score: Mapping[str, Any]) -> bool:
+    """Whether a verdict is the one that was to be hoped for."""
+    wanted = {"none": "nothing-missing", "outside": "outside-library"}
+    if score["class"] in wanted:
+        return score["verdict"] == wanted[score["class"]]
+    return bool(score["exact"])
+
+
+def deviations(scores: Scores) -> dict[str, list[float]]:
+    """Errors of all parameters of effects named rightly, in reported standard deviations, by family."""
+    out: dict[str, list[float]] = {name: [] for name in FAMILIES}
+    for score in scores:
+        for row in score["parameters"]:
+            if row["estimate"] is not None and row["sd"] > 0.0:
+                out[row["family"]].append((row["estimate"] - row["true"]) / row["sd"])
+    return out
+
+
+def baseline_rows(scores: Scores) -> list[dict[str, Any]]:
+    """Rows of texts for the methods that were set beside tracing, empty where none were.
+
+    Sets are judged on worlds with effects of the library, false alarms on those with nothing.
+    """
+    judged = [s for s in scores if s["baselines"]]
+    methods = list(dict.fromkeys(name for s in judged for name in s["baselines"]))
+    return [_baseline_row(name, [s for s in judged if name in s["baselines"]]) for name in methods]
+
+
+def _baseline_row(method: str, scores: Scores) -> dict[str, Any]:
+    inside = [s for s in scores if s["class"] in ("single", "pair")]
+    none = [s for s in scores if s["class"] == "none"]
+    said = [s["baselines"][method] for s in scores]
+    naming = [s for s in inside if s["baselines"][method]["names"] is not None]
+    quiet = [s for s in none if s["baselines"][method]["names"] is not None]
+    terms = [len(s["baselines"][method]["names"]) for s in naming]
+    errors = [1e3 * one["after_m"] for one in said if one["after_m"] is not None]
+    return {
+        "method": method,
+        "first": _of(sum(s["baselines"][method]["first_right"] for s in naming), len(naming)),
+        "exact": _of(sum(s["baselines"][method]["exact"] for s in naming), len(naming)),
+        "false_alarm": _of(sum(bool(s["baselines"][method]["names"]) for s in quiet), len(quiet)),
+        "terms": f"{np.mean(terms):.1f}" if terms else "-",
+        "error": f"{np.median(errors):.1f} mm" if errors else "-",
+    }
+
+
+def _of(hits: int, count: int) -> str:
+    return f"{hits} of {count}" if count else "-"
+
+
+def confusion(scores: Scores) -> dict[str, dict[str, int]]:
+    """Worlds by what was true (a kind, a pair of kinds, or nothing) and what was named first.
+
+    A verdict that names nothing counts under its own word.
+    """
+    table: dict[str, dict[str, int]] = {}
+    order = ("single", "outside", "pair", "none")
+    for s in sorted(scores, key=lambda s: (order.index(s["class"]), s["kinds"])):
+        row = {"none": "nothing", "pair": "a pair"}.get(s["class"]) or s["kinds"][0]
+        column = "exact set" if s["class"] == "pair" and s["exact"] else _column(s)
+        table.setdefault(row, {})
+        table[row][column] = table[row].get(column, 0) + 1
+    return table
+
+
+def _column(score: Mapping[str, Any]) -> str:
+    return score["named"][0] if score["verdict"] == "traced" and score["named"] else score["verdict"]
+
+
+def _estimate(row: Mapping[str, Any]) -> float:
+    return row["neutral"] if row["estimate"] is None else row["estimate"]
+
+
+def _covers(row: Mapping[str, Any]) -> bool:
+    return row["estimate"] is not None and abs(row["estimate"] - row["true"]) <= 2.0 * row["sd"]
+
+
+def _share(found: Sequence[bool]) -> float | None:
+    return sum(found) / len(found) if found else None
+
+
+def _interval(found: Sequence[bool]) -> list[float] | None:
+    return list(exact_interval(sum(found), len(found))) if found else None
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def _quantile(values: Iterable[float], share: float) -> float | None:
+    found = list(values)
+    return float(np.quantile(found, share)) if found else None
+
+
+def _millimetres(scores: Scores, key: str) -> float | None:
+    value = _quantile([s[key] for s in scores if s[key] is not None], 0.5)
+    return None if value is None else 1e3 * value

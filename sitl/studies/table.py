@@ -1,0 +1,92 @@
+"""The table of a blind study for people: each figure with count, exact interval and target."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from sitl.studies.scoring.metrics import is_right
+
+Row = dict[str, Any]
+
+_SHARES = (
+    ("top1", "top-1 on identifiable single effects", ">= 95 %"),
+    ("pairs_exact", "exact set on pairs", ">= 85 %"),
+    ("in_alias", "truth inside the alias set", ">= 99 %"),
+    ("false_alarm", "false alarms where nothing is missing", "<= 2 %"),
+    ("abstain_outside", "abstention outside the library", ">= 90 %"),
+    ("abstain_inside", "abstention inside the library", "<= 3 %"),
+)
+_NUMBERS = (
+    ("parameter_error_median", "parameter error, median", "<= 3 %", "parameter_error", "%"),
+    ("parameter_error_p90", "parameter error, 90th percentile", "<= 10 %", "parameter_error", "%"),
+    ("parameter_error_torque_p90", "the same of torques", "<= 15 %", "parameter_error_torque", "%"),
+    (
+        "after_over_floor_median",
+        "held-out error after, over floor, median",
+        "<= 1.05",
+        "after_over_floor",
+        "",
+    ),
+    ("after_over_floor_p90", "the same, 90th percentile", "<= 1.10", "after_over_floor", ""),
+    ("after_mm_median", "held-out error after, median", "", "after_over_floor", "mm"),
+    ("floor_mm_median", "its floor, median", "", "after_over_floor", "mm"),
+    ("alias_size_mean", "size of the alias set, mean", "<= 1.5", "alias_size_mean", ""),
+    ("alias_size_max", "size of the alias set, greatest", "<= 4", "alias_size_mean", ""),
+    ("trace_s_median", "processor time of a trace, median", "<= 15 s", "trace_s", "s"),
+)
+
+
+def table(figures: Mapping[str, Any]) -> list[Row]:
+    """Rows of texts: figure, value, n, interval, target."""
+    rows = []
+    for key, label, target in _SHARES:
+        rows.append(_share_row(label, target, figures[key], figures["n"][key], figures["interval"][key]))
+    for name, found in figures["by_family"].items():
+        label = f"2-sigma coverage, {name}"
+        rows.append(_share_row(label, "90-98 %", found["coverage_2sigma"], found["n"], found["interval"]))
+    for name, found in figures["by_family"].items():
+        width = _text(found["width_over_bound"], "")
+        rows.append(_row(f"width over the bound, {name}", width, found["n"], "", "<= 1.5"))
+    for key, label, target, counted, unit in _NUMBERS:
+        rows.append(_row(label, _text(figures[key], unit), figures["n"][counted], "", target))
+    return rows
+
+
+def lines(figures: Mapping[str, Any], scores: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The table as text, then each world that was judged wrongly."""
+    rows = [{"figure": "", "value": "", "n": "n", "interval": "95 %", "target": "target"}, *table(figures)]
+    widths = {key: max(len(str(row[key])) for row in rows) for key in rows[0]}
+    out = ["  ".join(str(row[key]).ljust(width) for key, width in widths.items()).rstrip() for row in rows]
+    for score in scores:
+        wrong = failure(score)
+        if wrong:
+            out.append(f"world {score['world']}: {wrong}")
+    return out
+
+
+def failure(score: Mapping[str, Any]) -> str | None:
+    """What went wrong with a world, in a line; None where nothing did."""
+    kinds, named = " + ".join(score["kinds"]) or "nothing", ", ".join(score["named"]) or "nothing named"
+    if is_right(score):
+        return None
+    weak = "" if score["identifiable"] in (None, True) else ", not identifiable"
+    said = "; ".join(score["reasons"]) or score["errors"].strip()
+    return f"{kinds}{weak}: {score['verdict']}, {named}{f' ({said})' if said else ''}"
+
+
+def _share_row(label: str, target: str, share: float | None, n: int, interval: Sequence[float] | None) -> Row:
+    between = "" if interval is None else f"{100 * interval[0]:.1f}-{100 * interval[1]:.1f} %"
+    return _row(label, _text(share, "%"), n, between, target)
+
+
+def _row(label: str, value: str, n: int, interval: str, target: str) -> Row:
+    return {"figure": label, "value": value, "n": n, "interval": interval, "target": target}
+
+
+def _text(value: float | None, unit: str) -> str:
+    if value is None:
+        return "-"
+    if unit == "%":
+        return f"{100 * value:.1f} %"
+    return f"{value:.3g}{' ' + unit if unit else ''}"

@@ -1,0 +1,50 @@
+"""The page of a study and its pictures, from an outcome as the study hands it over."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from host.errors import UsageError
+from host.report.study import page, pictures
+from host.studies import find_study
+
+OUTCOME = {
+    "answer": {
+        "seed": 3,
+        "worlds": 4,
+        "by_family": {
+            "timing": {"coverage_2sigma": 0.5, "interval": [0.01, 0.99], "n": 2},
+            "force": {"coverage_2sigma": None, "interval": None, "n": 0},
+        },
+    },
+    "table": [{"figure": "top-1 <b>", "value": "50 %", "n": 2, "interval": "1-99 %", "target": ">= 95 %"}],
+    "baselines": [],
+    "confusion": {"motor-lag": {"motor-lag": 3, "undecided": 1}, "nothing": {"nothing-missing": 2}},
+    "deviations": {"timing": [0.4, -9.0], "force": []},
+    "wrong": [("0001", "motor-lag: undecided, motor-lag")],
+}
+
+
+def test_pictures_are_drawn_for_what_was_counted() -> None:
+    drawn = pictures(OUTCOME)
+    assert list(drawn) == ["confusion", "coverage"]
+    assert all(picture.png.startswith(b"\x89PNG") for picture in drawn.values())
+    assert "6 counts in 2 rows and 3 columns, 3 where names agree" in drawn["confusion"].alt
+    assert "timing 50 %" in drawn["coverage"].alt
+    assert list(pictures({**OUTCOME, "deviations": {"timing": []}})) == ["confusion"]
+
+
+def test_page_holds_table_pictures_and_wrong_worlds_and_nothing_from_elsewhere() -> None:
+    html = page(OUTCOME, pictures(OUTCOME), {"version": "1"})
+    assert "<title>Blind study of 4 worlds, seed 3 " in html
+    assert "top-1 &lt;b&gt;" in html
+    assert "motor-lag: undecided, motor-lag" in html
+    assert html.count("<img ") == 2
+    assert not re.search(r'(src|href)="(?!data:)', html)
+
+
+def test_study_that_nobody_has_is_refused() -> None:
+    with pytest.raises(UsageError, match="no study called nosuch"):
+        find_study("nosuch")

@@ -1,0 +1,184 @@
+"""A study from end to end, killed on its way and gone on with; what was scored is never traced again."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sitl.studies import blind
+from sitl.studies.files import Ledger, SealBroken, StudyError, read_json, sha256_of
+from sitl.studies.flights import SCORE, TRUTH, VERDICT, Programme, fly_and_seal, plan_references
+from sitl.studies.worlds import PlannedWorld
+
+ROOT = Path(__file__).parents[3]
+KEYS = set(
+    [
+        "top1",
+        "pairs_exact",
+        "in_alias",
+        "alias_size_mean",
+        "false_alarm",
+        "abstain_outside",
+        "abstain_inside",
+        "parameter_error_median",
+        "parameter_error_p90",
+        "coverage_2sigma",
+        "width_over_bound",
+        "after_over_floor_median",
+        "after_over_floor_p90",
+        "trace_s_median",
+        "n",
+    ]
+)
+
+RUN = """
+import json, sys
+from pathlib import Path
+from sitl.studies import blind
+from sitl.studies.flights import Programme
+
+def main():
+    programme = Programme(routes=Path(sys.argv[2]), learning=("one",), held_out=("two",))
+    outcome = blind.run(
+        folder=Path(sys.argv[1]), seed=3, worlds=4, vehicle="research", jobs=2, programme=programme,
+        report=lambda done, total, detail: print(f"{done:g} of {total:g} {detail}", flush=True),
+    )
+    print(json.dumps(outcome["answer"]))
+
+if __name__ == "__main__":
+    main()
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("study")
+    (folder / "run.py").write_text(RUN)
+    return folder
+
+
+def start(study: Path, programme: Programme) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, str(study / "run.py"), str(study / "state"), str(programme.routes)],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def stages(study: Path) -> Iterator[tuple[Path, str]]:
+    for name in (TRUTH, VERDICT, SCORE):
+        for path in sorted((study / "state").glob(f"worlds/*/{name}")):
+            yield path, sha256_of(path)
+
+
+@pytest.fixture(scope="module")
+def killed(study: Path, short_programme: Programme) -> dict[Path, str]:
+    """What a study that was killed after its first score had done by then."""
+    process = start(study, short_programme)
+    assert process.stdout is not None
+    try:
+        for line in process.stdout:
+            if line.split()[0] == "3" or ": " in line:
+                break
+    finally:
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        process.stdout.read()  # until the workers, which end with it, have let go of the pipe
+        process.stdout.close()
+    return dict(stages(study))
+
+
+@pytest.fixture(scope="module")
+def answer(study: Path, short_programme: Programme, killed: dict[Path, str]) -> dict[str, Any]:
+    process = start(study, short_programme)
+    out, _ = process.communicate()
+    assert process.returncode == 0
+    return json.loads(out.splitlines()[-1])
+
+
+@pytest.mark.full
+def test_killed_study_goes_on_and_leaves_what_was_done(
+    study: Path, killed: dict[Path, str], answer: dict[str, Any]
+) -> None:
+    scored = [path for path in killed if path.name == SCORE]
+    assert 1 <= len(scored) < 4
+    after = dict(stages(study))
+    assert {path: after[path] for path in killed} == killed
+    assert len(after) == 12
+    assert answer["n"]["worlds"] == 4
+    assert set(answer) >= KEYS
+    assert not list((study / "state").glob("worlds/*/trace"))
+
+
+@pytest.mark.full
+def test_truths_are_sealed_in_the_ledger(study: Path, answer: dict[str, Any]) -> None:
+    ledger = read_json(study / "state" / "ledger.json")
+    truths = {path.parent.name: digest for path, digest in stages(study) if path.name == TRUTH}
+    assert ledger == truths
+    for name in truths:
+        logs = {path.name for path in (study / "state" / "worlds" / name / "flights").iterdir()}
+        assert logs == {"one-1.mcap", "one-2.mcap", "two.mcap"}
+
+
+@pytest.mark.full
+def test_finished_study_says_the_same_without_work_and_refuses_a_changed_truth(
+    study: Path, answer: dict[str, Any], short_programme: Programme
+) -> None:
+    def again(**other: Any) -> dict[str, Any]:
+        usual = {"seed": 3, "worlds": 4, "vehicle": "research", "jobs": 1, "programme": short_programme}
+        return blind.run(folder=study / "state", **{**usual, **other})["answer"]
+
+    assert again() == answer
+    with pytest.raises(StudyError, match="another seed"):
+        again(seed=4)
+    truth = study / "state" / "worlds" / "0001" / TRUTH
+    kept = truth.read_bytes()
+    truth.write_bytes(kept + b" ")
+    try:
+        with pytest.raises(SealBroken, match="world 0001"):
+            again()
+    finally:
+        truth.write_bytes(kept)
+
+
+def test_world_is_flown_and_sealed_once(tmp_path: Path, short_programme: Programme) -> None:
+    references = plan_references(tmp_path, "research", short_programme)
+    world = PlannedWorld(name="0000", kind_class="single", kinds=("motor-lag",), seed=77, turbulence=1.0)
+    folder = tmp_path / "0000"
+    folder.mkdir()
+    digest = fly_and_seal(world, folder, references, "research", short_programme)
+    truth = read_json(folder / TRUTH)
+    assert digest == sha256_of(folder / TRUTH)
+    assert set(truth["effects"]) == {"motor-lag"}
+    assert {f["log"]: f["sha256"] for f in truth["flights"]} == {
+        path.name: sha256_of(path) for path in (folder / "flights").iterdir()
+    }
+    assert not list(folder.glob("*.toml"))
+    # The same seeds make the same logs and truth, and what is sealed is not flown again.
+    again = tmp_path / "again"
+    again.mkdir()
+    assert fly_and_seal(world, again, references, "research", short_programme) == digest
+    shutil.rmtree(folder / "flights")
+    assert fly_and_seal(world, folder, references, "research", short_programme) == digest
+    assert not (folder / "flights").exists()
+    Ledger(tmp_path / "ledger.json").record("0000", digest)
+
+
+def test_folder_in_use_is_refused(tmp_path: Path, short_programme: Programme) -> None:
+    with (
+        blind._alone(tmp_path),
+        pytest.raises(StudyError, match="runs there already"),
+        blind._alone(tmp_path),
+    ):
+        pass

@@ -1,0 +1,199 @@
+"""Scoring against verdicts whose right score is known, and effective parameters of known plants."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from host.effects import load_effects
+from host.log import Flight, read_flight
+from host.trace.parameters import space
+from host.vehicle import load_vehicle
+from sitl.studies.scoring.bounds import Bounds
+from sitl.studies.scoring.effective import effective
+from sitl.studies.scoring.metrics import confusion, exact_interval, is_right, relative_errors, summary
+from sitl.studies.scoring.names import collapsed
+from sitl.studies.scoring.world import judge, parameter_rows
+from sitl.studies.table import failure, lines
+
+DATA = Path(__file__).parents[2] / "data"
+VEHICLE = load_vehicle("research")
+EFFECTS = load_effects()
+SPACE = space(VEHICLE, EFFECTS)
+CLEAR = Bounds(separation={"x": {"y": 9.0}}, sd={})
+HAZY = Bounds(separation={"x": {"y": 9.0, "z": 4.1}}, sd={})
+
+
+def verdict(said: str, *names: str, aliases: dict[str, list[str]] | None = None) -> dict[str, Any]:
+    effects = [
+        {
+            "name": name,
+            "parameters": {
+                key: {"value": neutral + 1.0, "sd": 0.1, "unit": "1"}
+                for key, neutral in zip(EFFECTS[name].keys, EFFECTS[name].neutral, strict=True)
+            },
+            "probability": 1.0,
+            "aliases": [{"name": a, "probability": 0.1} for a in (aliases or {}).get(name, [])],
+        }
+        for name in names
+    ]
+    answer = {"verdict": said, "effects": effects, "reasons": [], "before": {}, "after": {}}
+    return {"exit_code": 0, "answer": answer, "errors": "", "trace_s": 10.0}
+
+
+@pytest.mark.parametrize(
+    ("hits", "count", "low", "high"),
+    [
+        (0, 200, 0.0, 1.0 - 0.025 ** (1 / 200)),  # closed form without a hit
+        (80, 80, 0.025 ** (1 / 80), 1.0),
+        (4, 20, 0.0573, 0.4366),  # Clopper-Pearson in common tables
+        (81, 263, 0.2527, 0.3676),  # Newcombe 1998, table I
+        (1, 29, 0.0009, 0.1776),  # the same
+    ],
+)
+def test_exact_interval_is_the_known_one(hits: int, count: int, low: float, high: float) -> None:
+    assert exact_interval(hits, count) == pytest.approx((low, high), abs=6e-5)
+
+
+def test_exact_interval_of_impossible_count_is_refused() -> None:
+    with pytest.raises(ValueError, match="3 hits of 2"):
+        exact_interval(3, 2)
+
+
+def test_undecided_on_an_identifiable_world_is_a_miss() -> None:
+    said = verdict("undecided", "motor-lag")
+    assert not judge(["motor-lag"], said, CLEAR, EFFECTS)["top1"]
+    assert not judge(["motor-lag"], said, CLEAR, EFFECTS)["exact"]
+    assert judge(["motor-lag"], said, HAZY, EFFECTS)["top1"]
+    assert judge(["motor-lag"], verdict("traced", "motor-lag"), CLEAR, EFFECTS)["top1"]
+
+
+def test_truth_among_the_aliases_is_in_the_alias_set_and_no_hit() -> None:
+    said = verdict("undecided", "wind", "linear-drag", aliases={"linear-drag": ["quadratic-drag"]})
+    score = judge(["quadratic-drag"], said, HAZY, EFFECTS)
+    assert score["in_alias"]
+    assert not score["top1"]
+    assert sorted(score["alias_sizes"]) == [1, 2]
+
+
+def test_mass_named_as_thrust_gain_is_right_and_scored_on_the_ratio() -> None:
+    assert collapsed(["thrust-gain"], ["mass"]) == collapsed(["mass"], ["mass"])
+    assert collapsed(["thrust-gain", "inertia"], ["mass"]) == collapsed(["mass"], ["mass"])
+    assert collapsed(["inertia"], ["mass"]) != collapsed(["mass"], ["mass"])
+    assert judge(["mass"], verdict("traced", "thrust-gain"), CLEAR, EFFECTS)["exact"]
+    truth = {"effects": {"mass": {"factor": 1.25}}, "deviations": {"thrust-gain.gain": 0.0}}
+    answer = verdict("traced", "thrust-gain")["answer"]
+    answer["effects"][0]["parameters"]["gain"] = {"value": 0.81, "sd": 0.004, "unit": "1"}
+    known = Bounds(separation={}, sd={"mass": {"factor": 0.005}})
+    (row,) = parameter_rows(truth, {"mass": {"factor": 1.25}}, answer, known, SPACE)
+    assert row["true"] == pytest.approx(0.8)
+    assert (row["estimate"], row["sd"]) == (pytest.approx(0.81), pytest.approx(0.004))
+
+
+def row(effect: str, key: str, family: str, **numbers: Any) -> dict[str, Any]:
+    usual = {"turned": False, "neutral": 0.0, "typical": 1.0, "bound_sd": 0.01}
+    return {"effect": effect, "key": key, "family": family, **usual, **numbers}
+
+
+def score(kind_class: str, kinds: list[str], said: dict[str, Any], **more: Any) -> dict[str, Any]:
+    known = CLEAR if kind_class in ("single", "pair") else None
+    base = {"world": "0000", "class": kind_class, "kinds": kinds, "parameters": [], "floor_m": None}
+    return {**base, "baselines": None, **judge(kinds, said, known, EFFECTS), **more}
+
+
+SCORES = [
+    score(
+        "single",
+        ["motor-lag"],
+        verdict("traced", "motor-lag"),
+        parameters=[row("motor-lag", "extra_s", "timing", true=2.0, estimate=2.1, sd=0.02)],
+        after_m=0.021,
+        floor_m=0.02,
+    ),
+    score("single", ["quadratic-drag"], verdict("traced", "linear-drag")),
+    score(
+        "pair",
+        ["linear-drag", "wind"],
+        verdict("traced", "linear-drag", "wind"),
+        parameters=[
+            row("wind", "wx", "aerodynamic", turned=True, true=3.0, estimate=3.0, sd=0.1),
+            row("wind", "wy", "aerodynamic", turned=True, true=4.0, estimate=4.5, sd=0.1),
+        ],
+        after_m=0.03,
+        floor_m=0.03,
+    ),
+    score("none", [], verdict("nothing-missing")),
+    score("none", [], verdict("traced", "com-offset")),
+    score("outside", ["elastic-tether"], verdict("outside-library")),
+    score("outside", ["blade-flapping"], verdict("traced", "com-offset")),
+]
+
+
+def test_summary_of_known_scores_is_counted_right() -> None:
+    found = summary(SCORES)
+    assert (found["top1"], found["n"]["top1"]) == (0.5, 2)
+    assert (found["pairs_exact"], found["false_alarm"], found["abstain_outside"]) == (1.0, 0.5, 0.5)
+    assert (found["in_alias"], found["abstain_inside"]) == (pytest.approx(2 / 3), 0.0)
+    # 0.1 of 2, and (0, 0.5) of the vector (3, 4).
+    assert [e["error"] for e in relative_errors(SCORES)] == [pytest.approx(0.05), pytest.approx(0.1)]
+    assert found["coverage_2sigma"] == pytest.approx(1 / 3)
+    assert found["by_family"]["aerodynamic"]["coverage_2sigma"] == 0.5
+    assert found["by_family"]["torque"] == {
+        "coverage_2sigma": None,
+        "interval": None,
+        "n": 0,
+        "width_over_bound": None,
+    }
+    assert found["width_over_bound"] == pytest.approx(10.0)
+    assert found["after_over_floor_median"] == pytest.approx(1.025)
+
+
+def test_small_and_weak_truths_have_no_parameter_error() -> None:
+    small = row("motor-lag", "extra_s", "timing", true=0.9, estimate=9.0, sd=1.0)
+    weak = row("motor-lag", "extra_s", "timing", true=1.4, estimate=9.0, sd=1.0, bound_sd=0.1)
+    assert relative_errors([score("single", ["motor-lag"], verdict("traced"), parameters=[small])]) == []
+    assert relative_errors([score("single", ["motor-lag"], verdict("traced"), parameters=[weak])]) == []
+
+
+def test_table_names_every_world_that_was_judged_wrongly() -> None:
+    assert [is_right(s) for s in SCORES] == [True, False, True, True, False, True, False]
+    text = "\n".join(lines(summary(SCORES), SCORES))
+    assert text.count("world 0000:") == 3
+    assert failure(SCORES[1]) == "quadratic-drag: traced, linear-drag"
+    assert confusion(SCORES)["quadratic-drag"] == {"linear-drag": 1}
+    assert confusion(SCORES)["a pair"] == {"exact set": 1}
+
+
+@pytest.fixture(scope="module")
+def flights() -> list[Flight]:
+    return [read_flight(DATA / f"{name}.mcap") for name in ("a1", "b1")]
+
+
+@pytest.mark.parametrize(
+    ("drawn", "within"),
+    [
+        ({"thrust-gain": {"gain": 0.9}}, 0.005),
+        ({"motor-lag": {"extra_s": 0.015}}, 0.001),
+        ({"com-offset": {"x": 0.004, "y": -0.003}}, 0.0002),
+        ({"linear-drag": {"dx": 0.4, "dy": 0.3, "dz": 0.2}}, 0.03),
+    ],
+)
+def test_effective_parameters_are_near_the_plants_and_not_the_same(
+    drawn: dict[str, dict[str, float]], within: float, flights: list[Flight]
+) -> None:
+    found = effective(VEHICLE, drawn, SPACE, flights)
+    for name, values in drawn.items():
+        for key, value in values.items():
+            assert found[name][key] == pytest.approx(value, abs=within)
+            assert found[name][key] != value
+
+
+def test_effective_parameters_of_what_acts_on_the_pose_are_the_drawn_ones(flights: list[Flight]) -> None:
+    drawn = {"mocap-latency": {"latency_s": 0.013}}
+    assert effective(VEHICLE, drawn, SPACE, flights) == drawn
+
+
+def test_what_the_library_lacks_has_no_effective_parameters(flights: list[Flight]) -> None:
+    assert effective(VEHICLE, {"blade-flapping": {"moment": 2.0}}, SPACE, flights) == {}
