@@ -1,0 +1,506 @@
+"""Refinement over the closed loop: whole flights rolled out from their references by phi.
+
+Command-driven segments see the gyro's noise in what drives them and in what they are compared with, which
+biases lag, delay and inertia. Here nothing measured drives the model: the reference does, through the law, so
+timing, inertia, thrust over mass and aerodynamic terms come out unbiased; a constant torque does not, the
+law's integral hides it. Poses and body rate, in bins, less their prediction are one coloured process in all
+channels at once, since a gust shows in position, attitude and rate: a vector autoregression, fitted to what
+is left, whitens it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from host.codegen.ops import NUMPY
+from host.log import Flight
+from host.models.dynamics import mocap_latency_s as latency_of
+from host.models.phi import Phi
+from host.models.rollout import half_steps, reference_drive, roll_out
+from host.models.states import States, flight_states
+from host.trace.data import _averaged, signals
+from host.trace.diagnose import Fit
+from host.trace.evidence import LOG_ODDS, Prior
+from host.trace.evidence import whitened as whitened_segments
+from host.trace.parameters import Space
+from host.vehicle import Vehicle
+
+STEP_S = 0.02
+PER_BIN = 2
+BIN_S = PER_BIN * STEP_S
+LEAD_S = 0.3
+"""Time after the reference's start that is not compared: the start's own errors die away in it."""
+
+CHANNELS = 9
+"""Of a bin: position (heading frame), attitude (FRD), body rate (FRD)."""
+
+ORDERS = (1, 2, 3, 4, 6)
+TORQUE = ("com-offset", "torque-bias", "rotor-loss")
+"""Effects that the law's integral hides from the outside; the segments' estimate is kept for them."""
+
+AGREE = 2.0
+"""Standard deviations of their difference within which two estimates agree."""
+
+SETTLED = 0.3
+"""Greatest step, in standard deviations, that is taken without looking at the roll-outs again."""
+
+JACKKNIFE_PRIOR = 7.0
+"""Flights that a jackknife is taken to have seen with the expected spread."""
+
+_Z_STEP = 1e-4
+_ITERATIONS = 4
+_LINE = (1.0, 0.5, 0.25, 0.1)
+
+Method = Literal["segments", "closed-loop"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """A flight's means over `bins` of BIN_S, from the reference's start.
+
+    states: for its start, law and constants. drive (2n + 1, 22). pose_s (m,) s, of the pose's stamp, and
+    pose_bin (m,). measured (bins, 9): p NED, Theta, body rate FRD; known (bins,) where all were. yaw (bins,)
+    of the reference.
+    """
+
+    states: States
+    drive: np.ndarray
+    pose_s: np.ndarray
+    pose_bin: np.ndarray
+    measured: np.ndarray
+    known: np.ndarray
+    yaw: np.ndarray
+
+    @property
+    def bins(self) -> int:
+        """How many bins."""
+        return len(self.measured)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Whitening:
+    """A vector autoregression: r_k = sum_i a_i r_{k-i} + e_k, e of covariance `innovation` (9, 9).
+
+    coefficients (order, 9, 9).
+    """
+
+    coefficients: np.ndarray
+    innovation: np.ndarray
+
+    @property
+    def order(self) -> int:
+        """How many earlier bins are looked at."""
+        return len(self.coefficients)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClosedFit:
+    """A set of effects fitted over the closed loop, comparable with others of the same recordings and order.
+
+    z (P,) and covariance (P, P) scaled; grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] by
+    flight; residuals: (bins, 9) a flight, in m, rad, rad/s.
+    """
+
+    effects: tuple[str, ...]
+    z: np.ndarray
+    covariance: np.ndarray
+    log_evidence: float
+    whitening: Whitening
+    grams: np.ndarray
+    residuals: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refined:
+    """Both estimates combined: z (P,) and covariance (P, P) scaled, and which method each parameter is of.
+
+    disagreement (P,): difference of the two in standard deviations of it.
+    """
+
+    z: np.ndarray
+    covariance: np.ndarray
+    method: tuple[Method, ...]
+    disagreement: np.ndarray
+    closed: ClosedFit
+
+
+def record(flight: Flight, latency_s: float = 0.0) -> Recording:
+    """The recording of a flight with reference, law and telemetry; `latency_s` dates its starting state.
+
+    Raises TooLittleData where the log lacks something.
+    """
+    states = flight_states(flight, latency_s=latency_s)
+    s = signals(flight)
+    start = s.span_s[0]
+    duration = min(states.reference.nodes[-1].t_us * 1e-6, s.span_s[1] - start)
+    bins = int(duration / BIN_S)
+    grid = half_steps(0.0, bins * PER_BIN, STEP_S)
+    drive = reference_drive(
+        states.reference,
+        grid,
+        feedforward=states.feedforward,
+        voltage_ratio=np.interp(grid, states.t_s, states.voltage_ratio),
+    )
+    t = s.pose_s - start
+    inside = (t >= 0.0) & (t < bins * BIN_S)
+    pose_bin = (t[inside] / BIN_S).astype(int)
+    angles = _euler(s.R[inside])
+    poses = np.column_stack([s.p[inside], angles])
+    count = np.bincount(pose_bin, minlength=bins)
+    sums = np.column_stack([np.bincount(pose_bin, column, minlength=bins) for column in poses.T])
+    rate, share = _averaged(start + BIN_S * np.arange(bins + 1), s.imu_s, s.gyro)
+    late = BIN_S * (np.arange(bins) + 0.5) < LEAD_S
+    return Recording(
+        states=states,
+        drive=drive,
+        pose_s=t[inside],
+        pose_bin=pose_bin,
+        measured=np.column_stack([sums / np.maximum(count, 1)[:, None], rate]),
+        known=(count > 0) & (share > 0.5) & ~late,
+        yaw=drive[PER_BIN :: 2 * PER_BIN, 12],
+    )
+
+
+def _euler(R: np.ndarray) -> np.ndarray:
+    """Theta (n, 3) of R_ned_frd (n, 3, 3), yaw unwrapped."""
+    roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])
+    pitch = -np.arcsin(np.clip(R[:, 2, 0], -1.0, 1.0))
+    return np.column_stack([roll, pitch, np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))])
+
+
+class Loop:
+    """phi with a space's effects over recordings: residuals and their slopes."""
+
+    def __init__(self, recordings: Sequence[Recording], vehicle: Vehicle, space: Space) -> None:
+        self.recordings, self.space = tuple(recordings), space
+        self.phi = Phi(
+            vehicle=vehicle,
+            effects=tuple(space.effects[name] for name in space.parts),
+            parameters=recordings[0].states.parameters,
+        )
+        self._rows = [i for name in space.parts for i in space.groups[name]]
+        longest = max(len(recording.drive) for recording in recordings)
+        self._drive = np.stack([_held(recording.drive, longest) for recording in recordings], axis=2)
+        self._flight = np.stack([recording.states.constants for recording in recordings], axis=1)
+        self._x0 = np.stack([recording.states.initial(self.phi) for recording in recordings], axis=1)
+
+    @property
+    def moves(self) -> np.ndarray:
+        """(P,) whether phi has the column; what it lacks stays within its prior."""
+        return np.isin(np.arange(len(self.space.columns)), self._rows)
+
+    @property
+    def known(self) -> list[np.ndarray]:
+        """Per flight (bins,) where everything was measured."""
+        return [recording.known for recording in self.recordings]
+
+    def predicted(self, z: np.ndarray) -> list[np.ndarray]:
+        """Per flight the means (lanes, bins, 9) as measured, for scaled parameters z (P, lanes)."""
+        flights, lanes = len(self.recordings), z.shape[1]
+        theta = self.space.values(z)[self._rows]
+        samples = roll_out(
+            self.phi,
+            x0=np.repeat(self._x0, lanes, axis=1),
+            drive=self._drive,
+            flight=self._flight,
+            theta=np.tile(theta, (1, flights)),
+            step_s=STEP_S,
+            lane_flight=np.repeat(np.arange(flights), lanes),
+            compiled=True,
+        ).reshape(-1, 12, flights, lanes)
+        latency = [float(latency_of(NUMPY, self.phi.parts(theta[:, lane]))) for lane in range(lanes)]
+        return [
+            _means(recording, samples[: recording.bins * PER_BIN + 1, :, index], np.array(latency))
+            for index, recording in enumerate(self.recordings)
+        ]
+
+    def residuals(self, z: np.ndarray) -> list[np.ndarray]:
+        """Per flight measured minus predicted (lanes, bins, 9) for z (P, lanes); the rate less its mean."""
+        out = []
+        for recording, predicted in zip(self.recordings, self.predicted(z), strict=True):
+            r = recording.measured - predicted
+            r[..., 5] = np.angle(np.exp(1j * r[..., 5]))
+            out.append(_in_body(recording, r))
+        return out
+
+    def linearised(self, z: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Per flight the residual (bins, 9) at z (P,) and its negative slopes (P, bins, 9)."""
+        lanes = np.repeat(z[:, None], 1 + len(self._rows), axis=1)
+        for lane, row in enumerate(self._rows):
+            lanes[row, 1 + lane] += _Z_STEP
+        base, slopes = [], []
+        for r in self.residuals(lanes):
+            full = np.zeros((len(z), *r.shape[1:]))
+            full[self._rows] = (r[0] - r[1:]) / _Z_STEP
+            base.append(r[0])
+            slopes.append(full)
+        return base, slopes
+
+
+def _held(drive: np.ndarray, length: int) -> np.ndarray:
+    """The drive with its last row repeated up to `length` rows."""
+    return np.concatenate([drive, np.repeat(drive[-1:], length - len(drive), axis=0)])
+
+
+def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> np.ndarray:
+    """(lanes, bins, 9) of states (n, 12, lanes): poses as stamped, `latency_s` (lanes,) old; mean rates."""
+    lanes, bins = samples.shape[2], recording.bins
+    out = np.empty((lanes, bins, CHANNELS))
+    for late in np.unique(latency_s):
+        mine = latency_s == late
+        poses = samples[:, (0, 1, 2, 6, 7, 8)][:, :, mine].reshape(len(samples), -1)
+        mean = _pose_means(recording, float(late), len(samples)) @ poses
+        out[mine, :, :6] = mean.reshape(bins, 6, -1).transpose(2, 0, 1)
+    rate = samples[:, 9:12]
+    simpson = rate[0:-1:2] + 4.0 * rate[1::2] + rate[2::2]
+    out[:, :, 6:] = np.transpose(simpson / 6.0, (2, 0, 1))
+    return out
+
+
+def _pose_means(recording: Recording, latency_s: float, count: int) -> csr_array:
+    """(bins, count): means over each bin's poses of what samples every STEP_S show `latency_s` earlier.
+
+    Between samples the cubic through four of them.
+    """
+    t = np.maximum(recording.pose_s - latency_s, 0.0) / STEP_S
+    k = np.clip(t.astype(int), 1, count - 3)
+    u = t - k
+    weights = np.column_stack(
+        [
+            -u * (u - 1.0) * (u - 2.0) / 6.0,
+            (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
+            -(u + 1.0) * u * (u - 2.0) / 2.0,
+            (u + 1.0) * u * (u - 1.0) / 6.0,
+        ]
+    )
+    poses = np.maximum(np.bincount(recording.pose_bin, minlength=recording.bins), 1)
+    weights /= poses[recording.pose_bin][:, None]
+    rows = np.repeat(recording.pose_bin, 4)
+    columns = (k[:, None] + np.arange(-1, 3)).ravel()
+    return csr_array((weights.ravel(), (rows, columns)), shape=(recording.bins, count))
+
+
+def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
+    """Differences (lanes, bins, 9) of p, Theta, rate as position along the heading, turn and rate in FRD.
+
+    The rate loses its mean over the flight: the gyro's bias.
+    """
+    out = np.empty_like(r)
+    c, s = np.cos(recording.yaw), np.sin(recording.yaw)
+    out[..., 0] = c * r[..., 0] + s * r[..., 1]
+    out[..., 1] = c * r[..., 1] - s * r[..., 0]
+    out[..., 2] = r[..., 2]
+    roll, pitch = recording.measured[:, 3], recording.measured[:, 4]
+    out[..., 3] = r[..., 3] - np.sin(pitch) * r[..., 5]
+    out[..., 4] = np.cos(roll) * r[..., 4] + np.sin(roll) * np.cos(pitch) * r[..., 5]
+    out[..., 5] = np.cos(roll) * np.cos(pitch) * r[..., 5] - np.sin(roll) * r[..., 4]
+    out[..., 6:] = r[..., 6:] - r[..., recording.known, 6:].mean(-2, keepdims=True)
+    return out
+
+
+def autoregression(
+    residuals: Sequence[np.ndarray], known: Sequence[np.ndarray], order: int, *, skip: int = 0
+) -> Whitening:
+    """The autoregression of residuals (bins, 9) by flight, where the `order` bins before are known, or
+    `skip`.
+    """
+    past, now = [], []
+    for r, whole in zip(residuals, known, strict=True):
+        at = _stretches(whole, max(order, skip))
+        past.append(np.concatenate([r[at - i] for i in range(1, order + 1)], axis=1))
+        now.append(r[at])
+    X, Y = np.concatenate(past), np.concatenate(now)
+    found, *_ = np.linalg.lstsq(X, Y, rcond=None)
+    left = Y - X @ found
+    return Whitening(
+        coefficients=np.swapaxes(found.reshape(order, CHANNELS, CHANNELS), 1, 2),
+        innovation=left.T @ left / len(Y),
+    )
+
+
+def _stretches(known: np.ndarray, order: int) -> np.ndarray:
+    """Bins that are known with the `order` bins before them."""
+    run = np.convolve(known.astype(int), np.ones(order + 1, dtype=int))[: len(known)]
+    at = np.flatnonzero(run == order + 1)
+    return at[at >= order]
+
+
+def whitened(white: Whitening, columns: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Columns (m, bins, 9) of a flight as (m, n): innovations of unit covariance."""
+    at = _stretches(known, white.order)
+    out = columns[:, at].copy()
+    for i, a in enumerate(white.coefficients, start=1):
+        out -= columns[:, at - i] @ a.T
+    root = np.linalg.cholesky(white.innovation)
+    return np.linalg.solve(root, out.reshape(-1, CHANNELS).T).T.reshape(len(columns), -1)
+
+
+def _grams(
+    white: Whitening, loop: Loop, base: Sequence[np.ndarray], slopes: Sequence[np.ndarray]
+) -> np.ndarray:
+    """(flights, 1 + P, 1 + P) of the whitened [residual | slopes]."""
+    grams = []
+    for recording, r, s in zip(loop.recordings, base, slopes, strict=True):
+        columns = whitened(white, np.concatenate([r[None], s]), recording.known)
+        grams.append(columns @ columns.T)
+    return np.stack(grams)
+
+
+def closed_loop(flights: Sequence[Flight], vehicle: Vehicle, space: Space, fit: Fit) -> Loop:
+    """The closed loop of `flights`, all with reference and law; poses are as late as `fit` says.
+
+    Raises TooLittleData where a log lacks something.
+    """
+    values = space.theta(list(space.values(fit.z)))
+    latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
+    return Loop([record(flight, latency_s) for flight in flights], vehicle, space)
+
+
+def order_of(loop: Loop, z: np.ndarray) -> int:
+    """The order of ORDERS whose autoregression describes the residuals at z (P,) best, by Schwarz's
+    criterion.
+    """
+    left = [r[0] for r in loop.residuals(z[:, None])]
+
+    def criterion(order: int) -> float:
+        # The same bins for all orders, or the longest would have the fewest to explain.
+        innovation = autoregression(left, loop.known, order, skip=max(ORDERS)).innovation
+        count = sum(len(_stretches(known, max(ORDERS))) for known in loop.known)
+        return count * float(np.linalg.slogdet(innovation)[1]) + order * CHANNELS**2 * np.log(count)
+
+    return min(ORDERS, key=criterion)
+
+
+def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> ClosedFit:
+    """The set of `effects` fitted over the closed loop from z (P,): Gauss-Newton with line search.
+
+    The whitening is fitted again to what every linear step leaves.
+    """
+    space = loop.space
+    precision = space.prior.precision(effects)
+    z = space.clipped(z)
+    for iteration in range(_ITERATIONS):
+        base, slopes = loop.linearised(z)
+        step = np.zeros(len(z))
+        for _ in range(3):
+            left = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
+            white = autoregression(left, loop.known, order)
+            grams = _grams(white, loop, base, slopes)
+            step, covariance = _posterior(grams.sum(0), z, precision)
+        small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < SETTLED
+        if small or iteration == _ITERATIONS - 1:
+            break
+        moved = _line_search(loop, white, precision, z, step)
+        if np.array_equal(moved, z):
+            break
+        z = moved
+    count = sum(len(_stretches(k, order)) for k in loop.known)
+    log_det = count * float(np.linalg.slogdet(white.innovation)[1])
+    return ClosedFit(
+        effects=tuple(sorted(effects)),
+        z=space.clipped(z + step),
+        covariance=covariance,
+        log_evidence=_log_evidence(grams.sum(0), z, precision, log_det, len(effects)),
+        whitening=white,
+        grams=grams,
+        residuals=tuple(base),
+    )
+
+
+def _posterior(gram: np.ndarray, z: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    covariance = np.linalg.inv(gram[1:, 1:] + np.diag(precision))
+    return covariance @ (gram[0, 1:] - precision * z), covariance
+
+
+def _log_evidence(
+    gram: np.ndarray, z: np.ndarray, precision: np.ndarray, log_det: float, count: int
+) -> float:
+    normal = gram[1:, 1:] + np.diag(precision)
+    rhs = gram[0, 1:] - precision * z
+    quadratic = gram[0, 0] + precision @ (z * z) - rhs @ np.linalg.solve(normal, rhs)
+    occam = float(np.linalg.slogdet(normal)[1] - np.log(precision).sum())
+    return float(-0.5 * (quadratic + occam + log_det) + LOG_ODDS * count)
+
+
+def _line_search(
+    loop: Loop, white: Whitening, precision: np.ndarray, z: np.ndarray, step: np.ndarray
+) -> np.ndarray:
+    """The best of z and a few points along the step, by the cost of real roll-outs; z if none is better."""
+    shares = (0.0, *_LINE)
+    points = np.column_stack([loop.space.clipped(z + share * step) for share in shares])
+    cost = (precision[:, None] * points**2).sum(0)
+    for recording, r in zip(loop.recordings, loop.residuals(points), strict=True):
+        cost += (whitened(white, r, recording.known) ** 2).sum(1)
+    return points[:, int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))]
+
+
+def refine(loop: Loop, fit: Fit, order: int) -> Refined:
+    """`fit`'s set of effects with what the closed loop says better: all but TORQUE and what phi lacks.
+
+    Both estimates rest on the same flights, so they are not multiplied: each parameter has the estimate and
+    the interval of one method, and none is correlated with one of the other. Where the two differ by more
+    than AGREE standard deviations, the rest is added to the interval.
+    """
+    closed = fit_loop(loop, fit.effects, fit.z, order)
+    hidden = np.array([column.owner in TORQUE for column in loop.space.columns])
+    mine = loop.moves & ~hidden
+    covariance = np.where(np.outer(mine, mine), closed.covariance, 0.0)
+    covariance += np.where(np.outer(~mine, ~mine), fit.covariance, 0.0)
+    spread = np.sqrt(np.diag(fit.covariance) + np.diag(closed.covariance))
+    disagreement = np.where(loop.moves, (closed.z - fit.z) / spread, 0.0)
+    beyond = np.maximum(np.abs(disagreement) - AGREE, 0.0) * spread
+    return Refined(
+        z=np.where(mine, closed.z, fit.z),
+        covariance=covariance + np.diag(beyond**2),
+        method=tuple("closed-loop" if m else "segments" for m in mine),
+        disagreement=disagreement,
+        closed=closed,
+    )
+
+
+def log_evidences(refined: Iterable[Refined]) -> dict[tuple[str, ...], float]:
+    """Log evidence by set, nats, comparable between sets. Raises ValueError for fits of different orders."""
+    fits = [each.closed for each in refined]
+    if len({fit.whitening.order for fit in fits}) > 1:
+        raise ValueError("fits whitened by autoregressions of different orders cannot be compared")
+    return {fit.effects: fit.log_evidence for fit in fits}
+
+
+def flight_grams(fit: Fit, prior: Prior) -> np.ndarray:
+    """(flights, 1 + P, 1 + P) of [residual | slopes] of command-driven segments, flights' nuisances
+    integrated out.
+    """
+    grams = whitened_segments(fit.lin, fit.process, prior).local_gram
+    m = 1 + fit.lin.parameters
+    precision = 1.0 / prior.local**2
+    rhs = grams[:, m:, :m].copy()
+    rhs[:, :, 0] -= precision * fit.lin.local
+    inner = grams[:, m:, m:] + np.diag(precision)
+    return grams[:, :m, :m] - np.swapaxes(rhs, 1, 2) @ np.linalg.solve(inner, rhs)
+
+
+def jackknife_by_flight(grams: np.ndarray, z: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """(P,) factors >= 1 on the standard deviations for what repeats within a flight but not between flights.
+
+    grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] at z (P,), linearised; the prior's
+    precision (P,). Each parameter's spread over the fits that leave one flight out (Efron's jackknife), over
+    its posterior's; since so few flights tell a spread badly, it counts as much as JACKKNIFE_PRIOR flights
+    that spread as expected. Sum the Grams of flights of one reference first to leave out references.
+    """
+    total = grams.sum(0)
+    count = len(grams)
+    if count < 2:
+        return np.ones(len(z))
+    _, covariance = _posterior(total, z, precision)
+    # A parameter's prior does not vary between flights: expected is the data's share of the variance.
+    expected = np.diag(covariance @ total[1:, 1:] @ covariance)
+    steps = np.stack([_posterior(total - gram, z, precision)[0] for gram in grams])
+    spread = (count - 1) / count * ((steps - steps.mean(0)) ** 2).sum(0)
+    ratio = spread / np.maximum(expected, 1e-300)
+    variance = (JACKKNIFE_PRIOR + (count - 1) * ratio) / (JACKKNIFE_PRIOR + count - 1)
+    return np.sqrt(np.maximum(variance, 1.0))
