@@ -183,16 +183,12 @@ class Loop:
             effects=tuple(space.effects[name] for name in space.parts),
             parameters=recordings[0].states.parameters,
         )
-        self._rows = [i for name in space.parts for i in space.groups[name]]
+        self._slopes: list[np.ndarray] = []
+        self._rows = [i for name in space.parts for i in space.owners[name]]
         longest = max(len(recording.drive) for recording in recordings)
         self._drive = np.stack([_held(recording.drive, longest) for recording in recordings], axis=2)
         self._flight = np.stack([recording.states.constants for recording in recordings], axis=1)
         self._x0 = np.stack([recording.states.initial(self.phi) for recording in recordings], axis=1)
-
-    @property
-    def moves(self) -> np.ndarray:
-        """(P,) whether phi has the column; what it lacks stays within its prior."""
-        return np.isin(np.arange(len(self.space.columns)), self._rows)
 
     @property
     def known(self) -> list[np.ndarray]:
@@ -228,18 +224,26 @@ class Loop:
             out.append(_in_body(recording, r))
         return out
 
-    def linearised(self, z: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Per flight the residual (bins, 9) at z (P,) and its negative slopes (P, bins, 9)."""
-        lanes = np.repeat(z[:, None], 1 + len(self._rows), axis=1)
-        for lane, row in enumerate(self._rows):
+    def linearised(self, z: np.ndarray, effects: Sequence[str]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Per flight the residual (bins, 9) at z (P,) and its negative slopes (P, bins, 9).
+
+        The first call computes all slopes; later ones those of `effects` alone, for what stays within its
+        tolerance hardly changes them.
+        """
+        chosen = {i for name in effects for i in self.space.groups[name]}
+        rows = [i for i in self._rows if not self._slopes or i in chosen]
+        lanes = np.repeat(z[:, None], 1 + len(rows), axis=1)
+        for lane, row in enumerate(rows):
             lanes[row, 1 + lane] += _Z_STEP
-        base, slopes = [], []
-        for r in self.residuals(lanes):
-            full = np.zeros((len(z), *r.shape[1:]))
-            full[self._rows] = (r[0] - r[1:]) / _Z_STEP
-            base.append(r[0])
-            slopes.append(full)
-        return base, slopes
+        residuals = self.residuals(lanes)
+        if not self._slopes:
+            self._slopes = [np.zeros((len(z), *r.shape[1:])) for r in residuals]
+        slopes = [kept.copy() for kept in self._slopes]
+        for each, r in zip(slopes, residuals, strict=True):
+            each[rows] = (r[0] - r[1:]) / _Z_STEP
+        if len(rows) == len(self._rows):
+            self._slopes = slopes
+        return [r[0] for r in residuals], slopes
 
 
 def _held(drive: np.ndarray, length: int) -> np.ndarray:
@@ -385,7 +389,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
     precision = space.prior.precision(effects)
     z = space.clipped(z)
     for iteration in range(_ITERATIONS):
-        base, slopes = loop.linearised(z)
+        base, slopes = loop.linearised(z, effects)
         step = np.zeros(len(z))
         for _ in range(3):
             left = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
@@ -448,11 +452,12 @@ def refine(loop: Loop, fit: Fit, order: int) -> Refined:
     """
     closed = fit_loop(loop, fit.effects, fit.z, order)
     hidden = np.array([column.owner in TORQUE for column in loop.space.columns])
-    mine = loop.moves & ~hidden
+    shown = np.einsum("fii->i", closed.grams)[1:] > 0.0
+    mine = shown & ~hidden
     covariance = np.where(np.outer(mine, mine), closed.covariance, 0.0)
     covariance += np.where(np.outer(~mine, ~mine), fit.covariance, 0.0)
     spread = np.sqrt(np.diag(fit.covariance) + np.diag(closed.covariance))
-    disagreement = np.where(loop.moves, (closed.z - fit.z) / spread, 0.0)
+    disagreement = np.where(shown, (closed.z - fit.z) / spread, 0.0)
     beyond = np.maximum(np.abs(disagreement) - AGREE, 0.0) * spread
     return Refined(
         z=np.where(mine, closed.z, fit.z),
