@@ -355,12 +355,12 @@ def _grams(
     return np.stack(grams)
 
 
-def closed_loop(flights: Sequence[Flight], vehicle: Vehicle, space: Space, fit: Fit) -> Loop:
-    """The closed loop of `flights`, all with reference and law; poses are as late as `fit` says.
+def closed_loop(flights: Sequence[Flight], vehicle: Vehicle, space: Space, z: np.ndarray) -> Loop:
+    """The closed loop of `flights`, all with reference and law; poses are as late as z (P,) says.
 
     Raises TooLittleData where a log lacks something.
     """
-    values = space.theta(list(space.values(fit.z)))
+    values = space.theta(list(space.values(z)))
     latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
     return Loop([record(flight, latency_s) for flight in flights], vehicle, space)
 
@@ -444,14 +444,18 @@ def _line_search(
 
 
 def refine(loop: Loop, fit: Fit, order: int) -> Refined:
-    """`fit`'s set of effects with what the closed loop says better: all but TORQUE and what phi lacks.
+    """`fit`'s set of effects over the closed loop, whitened to `order`, combined with `fit`."""
+    return combined(loop.space, fit, fit_loop(loop, fit.effects, fit.z, order))
+
+
+def combined(space: Space, fit: Fit, closed: ClosedFit) -> Refined:
+    """The segments' fit with what the closed loop says better: all but TORQUE and what phi lacks.
 
     Both estimates rest on the same flights, so they are not multiplied: each parameter has the estimate and
     the interval of one method, and none is correlated with one of the other. Where the two differ by more
     than AGREE standard deviations, the rest is added to the interval.
     """
-    closed = fit_loop(loop, fit.effects, fit.z, order)
-    hidden = np.array([column.owner in TORQUE for column in loop.space.columns])
+    hidden = np.array([column.owner in TORQUE for column in space.columns])
     shown = np.einsum("fii->i", closed.grams)[1:] > 0.0
     mine = shown & ~hidden
     covariance = np.where(np.outer(mine, mine), closed.covariance, 0.0)
