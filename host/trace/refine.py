@@ -11,7 +11,7 @@ is left, whitens it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -41,10 +41,17 @@ CHANNELS = 9
 
 ORDERS = (1, 2, 3, 4, 6)
 TORQUE = ("com-offset", "torque-bias", "rotor-loss")
-"""Effects that the law's integral hides from the outside; the segments' estimate is kept for them."""
+"""Effects that the law's integral hides from the outside; the segments' estimate is kept for them where the
+two agree.
+"""
 
 AGREE = 2.0
 """Standard deviations of their difference within which two estimates agree."""
+
+LOOP_DISCREPANCY = {"motor-lag": 0.04, "mocap-latency": 0.02, "inertia": 0.06, "translational-lift": 0.03}
+"""One sigma, in typical sizes, of what phi itself may be off by, 0.01 for the others: what it reads into
+flights of a simulated vehicle without noise, turbulence or effect.
+"""
 
 SETTLED = 0.3
 """Greatest step, in standard deviations, that is taken without looking at the roll-outs again."""
@@ -173,22 +180,42 @@ def _euler(R: np.ndarray) -> np.ndarray:
     return np.column_stack([roll, pitch, np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))])
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Alike:
+    """Flights of one firmware setting: their indices, phi, and what it is driven by."""
+
+    flights: tuple[int, ...]
+    phi: Phi
+    x0: np.ndarray
+    drive: np.ndarray
+    constants: np.ndarray
+
+
 class Loop:
     """phi with a space's effects over recordings: residuals and their slopes."""
 
     def __init__(self, recordings: Sequence[Recording], vehicle: Vehicle, space: Space) -> None:
         self.recordings, self.space = tuple(recordings), space
-        self.phi = Phi(
-            vehicle=vehicle,
-            effects=tuple(space.effects[name] for name in space.parts),
-            parameters=recordings[0].states.parameters,
-        )
-        self._slopes: list[np.ndarray] = []
         self._rows = [i for name in space.parts for i in space.owners[name]]
-        longest = max(len(recording.drive) for recording in recordings)
-        self._drive = np.stack([_held(recording.drive, longest) for recording in recordings], axis=2)
-        self._flight = np.stack([recording.states.constants for recording in recordings], axis=1)
-        self._x0 = np.stack([recording.states.initial(self.phi) for recording in recordings], axis=1)
+        self._slopes: list[np.ndarray] = []
+        effects = tuple(space.effects[name] for name in space.parts)
+        settings: dict[tuple[tuple[str, float], ...], list[int]] = {}
+        for index, recording in enumerate(recordings):
+            settings.setdefault(tuple(sorted((recording.states.parameters or {}).items())), []).append(index)
+        self._alike: list[_Alike] = []
+        for flights in settings.values():
+            chosen = [recordings[index] for index in flights]
+            phi = Phi(vehicle=vehicle, effects=effects, parameters=chosen[0].states.parameters)
+            longest = max(len(recording.drive) for recording in chosen)
+            self._alike.append(
+                _Alike(
+                    flights=tuple(flights),
+                    phi=phi,
+                    x0=np.stack([recording.states.initial(phi) for recording in chosen], axis=1),
+                    drive=np.stack([_held(recording.drive, longest) for recording in chosen], axis=2),
+                    constants=np.stack([recording.states.constants for recording in chosen], axis=1),
+                )
+            )
 
     @property
     def known(self) -> list[np.ndarray]:
@@ -197,23 +224,28 @@ class Loop:
 
     def predicted(self, z: np.ndarray) -> list[np.ndarray]:
         """Per flight the means (lanes, bins, 9) as measured, for scaled parameters z (P, lanes)."""
-        flights, lanes = len(self.recordings), z.shape[1]
+        lanes = z.shape[1]
         theta = self.space.values(z)[self._rows]
-        samples = roll_out(
-            self.phi,
-            x0=np.repeat(self._x0, lanes, axis=1),
-            drive=self._drive,
-            flight=self._flight,
-            theta=np.tile(theta, (1, flights)),
-            step_s=STEP_S,
-            lane_flight=np.repeat(np.arange(flights), lanes),
-            compiled=True,
-        ).reshape(-1, 12, flights, lanes)
-        latency = [float(latency_of(NUMPY, self.phi.parts(theta[:, lane]))) for lane in range(lanes)]
-        return [
-            _means(recording, samples[: recording.bins * PER_BIN + 1, :, index], np.array(latency))
-            for index, recording in enumerate(self.recordings)
-        ]
+        parts = [self._alike[0].phi.parts(theta[:, lane]) for lane in range(lanes)]
+        latency_s = np.array([float(latency_of(NUMPY, each)) for each in parts])
+        found: dict[int, np.ndarray] = {}
+        for alike in self._alike:
+            count = len(alike.flights)
+            samples = roll_out(
+                alike.phi,
+                x0=np.repeat(alike.x0, lanes, axis=1),
+                drive=alike.drive,
+                flight=alike.constants,
+                theta=np.tile(theta, (1, count)),
+                step_s=STEP_S,
+                lane_flight=np.repeat(np.arange(count), lanes),
+                compiled=True,
+            ).reshape(-1, 12, count, lanes)
+            for k, index in enumerate(alike.flights):
+                recording = self.recordings[index]
+                own = samples[: recording.bins * PER_BIN + 1, :, k]
+                found[index] = _means(recording, own, latency_s)
+        return [found[index] for index in range(len(self.recordings))]
 
     def residuals(self, z: np.ndarray) -> list[np.ndarray]:
         """Per flight measured minus predicted (lanes, bins, 9) for z (P, lanes); the rate less its mean."""
@@ -386,7 +418,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
     The whitening is fitted again to what every linear step leaves.
     """
     space = loop.space
-    precision = space.prior.precision(effects)
+    precision = prior_of(space).precision(effects)
     z = space.clipped(z)
     for iteration in range(_ITERATIONS):
         base, slopes = loop.linearised(z, effects)
@@ -414,6 +446,17 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         grams=grams,
         residuals=tuple(base),
     )
+
+
+def prior_of(space: Space) -> Prior:
+    """The prior over the closed loop: a parameter left out moves within tolerance and LOOP_DISCREPANCY."""
+    tolerance = np.array([column.tolerance / column.scale for column in space.columns])
+    return replace(space.prior, spike=np.hypot(tolerance, loop_discrepancy(space)))
+
+
+def loop_discrepancy(space: Space) -> np.ndarray:
+    """LOOP_DISCREPANCY (P,) of every column."""
+    return np.array([LOOP_DISCREPANCY.get(column.owner, 0.01) for column in space.columns])
 
 
 def _posterior(gram: np.ndarray, z: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -449,19 +492,23 @@ def refine(loop: Loop, fit: Fit, order: int) -> Refined:
 
 
 def combined(space: Space, fit: Fit, closed: ClosedFit) -> Refined:
-    """The segments' fit with what the closed loop says better: all but TORQUE and what phi lacks.
+    """The segments' fit with what the closed loop says better: all that phi has, but TORQUE where both agree.
 
     Both estimates rest on the same flights, so they are not multiplied: each parameter has the estimate and
-    the interval of one method, and none is correlated with one of the other. Where the two differ by more
-    than AGREE standard deviations, the rest is added to the interval.
+    the interval of one method, and none is correlated with one of the other. The closed loop's interval is
+    widened by its jackknife and by what phi may be off by; and where the two differ by more than AGREE
+    standard deviations, discrepancies included, by the rest.
     """
-    hidden = np.array([column.owner in TORQUE for column in space.columns])
     shown = np.einsum("fii->i", closed.grams)[1:] > 0.0
-    mine = shown & ~hidden
-    covariance = np.where(np.outer(mine, mine), closed.covariance, 0.0)
-    covariance += np.where(np.outer(~mine, ~mine), fit.covariance, 0.0)
-    spread = np.sqrt(np.diag(fit.covariance) + np.diag(closed.covariance))
+    widened = jackknife_by_flight(closed.grams, closed.z, prior_of(space).precision(closed.effects))
+    own = closed.covariance * np.outer(widened, widened) + np.diag(loop_discrepancy(space) ** 2)
+    read_into = np.array([column.discrepancy for column in space.columns])
+    spread = np.sqrt(np.diag(fit.covariance) + read_into**2 + np.diag(own))
     disagreement = np.where(shown, (closed.z - fit.z) / spread, 0.0)
+    torque = np.array([column.owner in TORQUE for column in space.columns])
+    mine = shown & ~(torque & (np.abs(disagreement) <= AGREE))
+    covariance = np.where(np.outer(mine, mine), own, 0.0)
+    covariance += np.where(np.outer(~mine, ~mine), fit.covariance, 0.0)
     beyond = np.maximum(np.abs(disagreement) - AGREE, 0.0) * spread
     return Refined(
         z=np.where(mine, closed.z, fit.z),

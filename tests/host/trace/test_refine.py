@@ -136,31 +136,33 @@ def fitted(library: Space, size: float) -> Fit:
 
 def test_torque_is_taken_from_segments_and_timing_from_the_loop(library: Space) -> None:
     count = len(library.columns)
-    z = np.linspace(0.05, 0.25, count)
+    z = np.full(count, 0.16)
+    com = library.groups["com-offset"]
+    z[com[1]] = 0.5
+    lacking = library.groups["quadratic-drag"][0]
+    grams = np.stack([np.diag(np.r_[1.0, np.full(count, 1e4)])] * 3)
+    grams[:, 1 + lacking] = 0.0
     answer = ClosedFit(
         effects=("motor-lag",),
         z=z,
         covariance=0.02**2 * (0.5 * np.eye(count) + 0.5),
         log_evidence=0.0,
         whitening=Whitening(coefficients=np.zeros((1, 9, 9)), innovation=np.eye(9)),
-        grams=np.ones((2, 1 + count, 1 + count)),
+        grams=grams,
         residuals=(),
     )
-    lacking = 1 + library.groups["quadratic-drag"][0]
-    answer.grams[:, lacking] = answer.grams[:, :, lacking] = 0.0
     refined = closed.combined(library, fitted(library, 0.15), answer)
+    own = np.hypot(0.02, closed.loop_discrepancy(library))
     for i, column in enumerate(library.columns):
-        kept = column.owner in ("com-offset", "quadratic-drag")
-        assert refined.method[i] == ("segments" if kept else "closed-loop")
+        kept = i in (com[0], lacking)
+        assert refined.method[i] == ("segments" if kept else "closed-loop"), column
         assert refined.z[i] == (0.15 if kept else z[i])
-        spread = np.hypot(0.01, 0.02)
-        beyond = max(abs(z[i] - 0.15) / spread - closed.AGREE, 0.0) * spread
-        own = 0.01 if kept else 0.02
-        if column.owner == "quadratic-drag":
-            beyond = 0.0
-        assert refined.covariance[i, i] == pytest.approx(own**2 + beyond**2)
-    com, lag = library.groups["com-offset"][0], library.groups["motor-lag"][0]
-    assert refined.covariance[com, lag] == 0.0
+        if i != com[1]:
+            assert refined.covariance[i, i] == pytest.approx((0.01 if kept else own[i]) ** 2)
+    spread = np.sqrt(0.01**2 + library.columns[com[1]].discrepancy ** 2 + own[com[1]] ** 2)
+    beyond = 0.35 - closed.AGREE * spread
+    assert refined.covariance[com[1], com[1]] == pytest.approx(own[com[1]] ** 2 + beyond**2)
+    assert refined.covariance[com[0], library.groups["motor-lag"][0]] == 0.0
     np.linalg.cholesky(refined.covariance)
 
 
