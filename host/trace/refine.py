@@ -70,18 +70,15 @@ Method = Literal["segments", "closed-loop"]
 class Recording:
     """A flight's means over `bins` of BIN_S, from the reference's start.
 
-    states: for its start, law and constants. drive (2n + 1, 22). pose_s (m,) s, of the pose's stamp, and
-    pose_bin (m,). measured (bins, 9): p NED, Theta, body rate FRD; known (bins,) where all were. yaw (bins,)
-    of the reference.
+    states: for its start, law and constants. pose_s (m,) s, of the pose's stamp, and pose_bin (m,). measured
+    (bins, 9): p NED, Theta, body rate FRD; known (bins,) where all were.
     """
 
     states: States
-    drive: np.ndarray
     pose_s: np.ndarray
     pose_bin: np.ndarray
     measured: np.ndarray
     known: np.ndarray
-    yaw: np.ndarray
 
     @property
     def bins(self) -> int:
@@ -146,13 +143,6 @@ def record(flight: Flight, latency_s: float = 0.0) -> Recording:
     start = s.span_s[0]
     duration = min(states.reference.nodes[-1].t_us * 1e-6, s.span_s[1] - start)
     bins = int(duration / BIN_S)
-    grid = half_steps(0.0, bins * PER_BIN, STEP_S)
-    drive = reference_drive(
-        states.reference,
-        grid,
-        feedforward=states.feedforward,
-        voltage_ratio=np.interp(grid, states.t_s, states.voltage_ratio),
-    )
     t = s.pose_s - start
     inside = (t >= 0.0) & (t < bins * BIN_S)
     pose_bin = (t[inside] / BIN_S).astype(int)
@@ -164,12 +154,10 @@ def record(flight: Flight, latency_s: float = 0.0) -> Recording:
     late = BIN_S * (np.arange(bins) + 0.5) < LEAD_S
     return Recording(
         states=states,
-        drive=drive,
         pose_s=t[inside],
         pose_bin=pose_bin,
         measured=np.column_stack([sums / np.maximum(count, 1)[:, None], rate]),
         known=(count > 0) & (share > 0.5) & ~late,
-        yaw=drive[PER_BIN :: 2 * PER_BIN, 12],
     )
 
 
@@ -182,10 +170,11 @@ def _euler(R: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Alike:
-    """Flights of one firmware setting: their indices, phi, and what it is driven by."""
+    """Flights of one firmware setting: their indices, phi in `fine` steps to STEP_S, and what drives it."""
 
     flights: tuple[int, ...]
     phi: Phi
+    fine: int
     x0: np.ndarray
     drive: np.ndarray
     constants: np.ndarray
@@ -206,13 +195,17 @@ class Loop:
         for flights in settings.values():
             chosen = [recordings[index] for index in flights]
             phi = Phi(vehicle=vehicle, effects=effects, parameters=chosen[0].states.parameters)
-            longest = max(len(recording.drive) for recording in chosen)
+            fine = phi.substeps(STEP_S)
+            steps = max(recording.bins for recording in chosen) * PER_BIN * fine
+            stages = half_steps(0.0, steps, STEP_S / fine)
+            drives = [_drive(recording.states, stages) for recording in chosen]
             self._alike.append(
                 _Alike(
                     flights=tuple(flights),
                     phi=phi,
+                    fine=fine,
                     x0=np.stack([recording.states.initial(phi) for recording in chosen], axis=1),
-                    drive=np.stack([_held(recording.drive, longest) for recording in chosen], axis=2),
+                    drive=np.stack(drives, axis=2),
                     constants=np.stack([recording.states.constants for recording in chosen], axis=1),
                 )
             )
@@ -237,7 +230,8 @@ class Loop:
                 drive=alike.drive,
                 flight=alike.constants,
                 theta=np.tile(theta, (1, count)),
-                step_s=STEP_S,
+                step_s=STEP_S / alike.fine,
+                every=alike.fine,
                 lane_flight=np.repeat(np.arange(count), lanes),
                 compiled=True,
             ).reshape(-1, 12, count, lanes)
@@ -278,9 +272,14 @@ class Loop:
         return [r[0] for r in residuals], slopes
 
 
-def _held(drive: np.ndarray, length: int) -> np.ndarray:
-    """The drive with its last row repeated up to `length` rows."""
-    return np.concatenate([drive, np.repeat(drive[-1:], length - len(drive), axis=0)])
+def _drive(states: States, stages: np.ndarray) -> np.ndarray:
+    """(n, 22): what drives phi at times (n,) since the reference's start, which is held at its end."""
+    return reference_drive(
+        states.reference,
+        stages,
+        feedforward=states.feedforward,
+        voltage_ratio=np.interp(stages, states.t_s, states.voltage_ratio),
+    )
 
 
 def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> np.ndarray:
@@ -327,7 +326,7 @@ def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
     The rate loses its mean over the flight: the gyro's bias.
     """
     out = np.empty_like(r)
-    c, s = np.cos(recording.yaw), np.sin(recording.yaw)
+    c, s = np.cos(recording.measured[:, 5]), np.sin(recording.measured[:, 5])
     out[..., 0] = c * r[..., 0] + s * r[..., 1]
     out[..., 1] = c * r[..., 1] - s * r[..., 0]
     out[..., 2] = r[..., 2]
