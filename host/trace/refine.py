@@ -1,11 +1,11 @@
 """Refinement over the closed loop: whole flights rolled out from their references by phi.
 
 Command-driven segments see the gyro's noise in what drives them and in what they are compared with, which
-biases lag, delay and inertia. Here nothing measured drives the model: the reference does, through the law, so
-timing, inertia, thrust over mass and aerodynamic terms come out unbiased; a constant torque does not, the
-law's integral hides it. Poses and body rate, in bins, less their prediction are one coloured process in all
-channels at once, since a gust shows in position, attitude and rate: a vector autoregression, fitted to what
-is left, whitens it.
+biases lag, delay and inertia. Here nothing measured drives the model: the reference does, through the law,
+and timing, inertia, thrust over mass and aerodynamic terms come out without that bias; of a constant torque
+the law's integral hides a part. Poses and body rate, in bins, less their prediction are one coloured process
+in all channels at once, since a gust shows in position, attitude and rate: a vector autoregression, fitted to
+what is left, whitens it.
 """
 
 from __future__ import annotations
@@ -41,9 +41,7 @@ CHANNELS = 9
 
 ORDERS = (1, 2, 3, 4, 6)
 TORQUE = ("com-offset", "torque-bias", "rotor-loss")
-"""Effects that the law's integral hides from the outside; the segments' estimate is kept for them where the
-two agree.
-"""
+"""Effects that the law's integral hides in part from the outside: the segments may know them better."""
 
 AGREE = 2.0
 """Standard deviations of their difference within which two estimates agree."""
@@ -491,23 +489,23 @@ def refine(loop: Loop, fit: Fit, order: int) -> Refined:
 
 
 def combined(space: Space, fit: Fit, closed: ClosedFit) -> Refined:
-    """The segments' fit with what the closed loop says better: all that phi has, but TORQUE where both agree.
+    """The closed loop's estimate of all that phi has, but of TORQUE where the segments know it better.
 
     Both estimates rest on the same flights, so they are not multiplied: each parameter has the estimate and
     the interval of one method, and none is correlated with one of the other. The closed loop's interval is
-    widened by its jackknife and by what phi may be off by; and where the two differ by more than AGREE
-    standard deviations, discrepancies included, by the rest.
+    widened by its jackknife and by what phi may be off by, the segments' by what is read into them
+    (`Column.discrepancy`); where the two differ by more than AGREE standard deviations, the rest is added.
     """
     shown = np.einsum("fii->i", closed.grams)[1:] > 0.0
     widened = jackknife_by_flight(closed.grams, closed.z, prior_of(space).precision(closed.effects))
     own = closed.covariance * np.outer(widened, widened) + np.diag(loop_discrepancy(space) ** 2)
     read_into = np.array([column.discrepancy for column in space.columns])
-    spread = np.sqrt(np.diag(fit.covariance) + read_into**2 + np.diag(own))
-    disagreement = np.where(shown, (closed.z - fit.z) / spread, 0.0)
+    theirs = fit.covariance + np.diag(read_into**2)
     torque = np.array([column.owner in TORQUE for column in space.columns])
-    mine = shown & ~(torque & (np.abs(disagreement) <= AGREE))
-    covariance = np.where(np.outer(mine, mine), own, 0.0)
-    covariance += np.where(np.outer(~mine, ~mine), fit.covariance, 0.0)
+    mine = shown & ~(torque & (np.diag(theirs) < np.diag(own)))
+    covariance = np.where(np.outer(mine, mine), own, 0.0) + np.where(np.outer(~mine, ~mine), theirs, 0.0)
+    spread = np.sqrt(np.diag(theirs) + np.diag(own))
+    disagreement = np.where(shown, (closed.z - fit.z) / spread, 0.0)
     beyond = np.maximum(np.abs(disagreement) - AGREE, 0.0) * spread
     return Refined(
         z=np.where(mine, closed.z, fit.z),

@@ -134,35 +134,37 @@ def fitted(library: Space, size: float) -> Fit:
     return cast(Fit, made)
 
 
-def test_torque_is_taken_from_segments_and_timing_from_the_loop(library: Space) -> None:
+def test_timing_is_taken_from_the_loop_and_torque_from_whichever_knows_it_better(library: Space) -> None:
     count = len(library.columns)
-    z = np.full(count, 0.16)
-    com = library.groups["com-offset"]
-    z[com[1]] = 0.5
+    com, lag = library.groups["com-offset"], library.groups["motor-lag"][0]
     lacking = library.groups["quadratic-drag"][0]
+    z, covariance = np.full(count, 0.16), 0.02**2 * (0.5 * np.eye(count) + 0.5)
+    z[lag] = 2.0
+    covariance[com[0], com[0]] = 0.5**2
     grams = np.stack([np.diag(np.r_[1.0, np.full(count, 1e4)])] * 3)
     grams[:, 1 + lacking] = 0.0
     answer = ClosedFit(
         effects=("motor-lag",),
         z=z,
-        covariance=0.02**2 * (0.5 * np.eye(count) + 0.5),
+        covariance=covariance,
         log_evidence=0.0,
         whitening=Whitening(coefficients=np.zeros((1, 9, 9)), innovation=np.eye(9)),
         grams=grams,
         residuals=(),
     )
     refined = closed.combined(library, fitted(library, 0.15), answer)
-    own = np.hypot(0.02, closed.loop_discrepancy(library))
+    own = np.sqrt(np.diag(covariance) + closed.loop_discrepancy(library) ** 2)
+    theirs = np.hypot(0.01, [column.discrepancy for column in library.columns])
     for i, column in enumerate(library.columns):
         kept = i in (com[0], lacking)
         assert refined.method[i] == ("segments" if kept else "closed-loop"), column
         assert refined.z[i] == (0.15 if kept else z[i])
-        if i != com[1]:
-            assert refined.covariance[i, i] == pytest.approx((0.01 if kept else own[i]) ** 2)
-    spread = np.sqrt(0.01**2 + library.columns[com[1]].discrepancy ** 2 + own[com[1]] ** 2)
-    beyond = 0.35 - closed.AGREE * spread
-    assert refined.covariance[com[1], com[1]] == pytest.approx(own[com[1]] ** 2 + beyond**2)
-    assert refined.covariance[com[0], library.groups["motor-lag"][0]] == 0.0
+        if i != lag:
+            assert refined.covariance[i, i] == pytest.approx((theirs[i] if kept else own[i]) ** 2)
+    beyond = 1.85 - closed.AGREE * np.hypot(own[lag], theirs[lag])
+    assert beyond > 0.5
+    assert refined.covariance[lag, lag] == pytest.approx(own[lag] ** 2 + beyond**2)
+    assert refined.covariance[com[0], lag] == 0.0
     np.linalg.cholesky(refined.covariance)
 
 
