@@ -10,6 +10,7 @@ what is left, whitens it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -33,6 +34,9 @@ from host.vehicle import Vehicle
 STEP_S = 0.02
 PER_BIN = 2
 BIN_S = PER_BIN * STEP_S
+STABLE = 2.5
+"""|eigenvalue| times step that RK4 stays stable at; what is that fast need not be exact here."""
+
 LEAD_S = 0.3
 """Time after the reference's start that is not compared: the start's own errors die away in it."""
 
@@ -193,7 +197,7 @@ class Loop:
         for flights in settings.values():
             chosen = [recordings[index] for index in flights]
             phi = Phi(vehicle=vehicle, effects=effects, parameters=chosen[0].states.parameters)
-            fine = phi.substeps(STEP_S)
+            fine = max(1, math.ceil(phi.stiffness * STEP_S / STABLE))
             steps = max(recording.bins for recording in chosen) * PER_BIN * fine
             stages = half_steps(0.0, steps, STEP_S / fine)
             drives = [_drive(recording.states, stages) for recording in chosen]
