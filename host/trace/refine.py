@@ -109,11 +109,12 @@ class ClosedFit:
     """A set of effects fitted over the closed loop, comparable with others of the same recordings and order.
 
     z (P,) and covariance (P, P) scaled; grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] by
-    flight; residuals: (bins, 9) a flight, in m, rad, rad/s.
+    flight, and residuals, (bins, 9) a flight in m, rad, rad/s, linearised at `at` (P,).
     """
 
     effects: tuple[str, ...]
     z: np.ndarray
+    at: np.ndarray
     covariance: np.ndarray
     log_evidence: float
     whitening: Whitening
@@ -441,6 +442,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
     return ClosedFit(
         effects=tuple(sorted(effects)),
         z=space.clipped(z + step),
+        at=z,
         covariance=covariance,
         log_evidence=_log_evidence(grams.sum(0), z, precision, log_det, len(effects)),
         whitening=white,
@@ -501,7 +503,7 @@ def combined(space: Space, fit: Fit, closed: ClosedFit) -> Refined:
     (`Column.discrepancy`); where the two differ by more than AGREE standard deviations, the rest is added.
     """
     shown = np.einsum("fii->i", closed.grams)[1:] > 0.0
-    widened = jackknife_by_flight(closed.grams, closed.z, prior_of(space).precision(closed.effects))
+    widened = jackknife_by_flight(closed.grams, closed.at, prior_of(space).precision(closed.effects))
     own = closed.covariance * np.outer(widened, widened) + np.diag(loop_discrepancy(space) ** 2)
     read_into = np.array([column.discrepancy for column in space.columns])
     theirs = fit.covariance + np.diag(read_into**2)
@@ -526,6 +528,24 @@ def log_evidences(refined: Iterable[Refined]) -> dict[tuple[str, ...], float]:
     if len({fit.whitening.order for fit in fits}) > 1:
         raise ValueError("fits whitened by autoregressions of different orders cannot be compared")
     return {fit.effects: fit.log_evidence for fit in fits}
+
+
+def gains(space: Space, closed: ClosedFit) -> dict[str, float]:
+    """Nats that the evidence over the closed loop gains by each further candidate, greatest first.
+
+    In the fit's linearisation and whitening: a hint which sets to fit, for the whitening has taken up a part
+    of what the candidate explains.
+    """
+    gram, prior = closed.grams.sum(0), prior_of(space)
+
+    def evidence(names: tuple[str, ...]) -> float:
+        return _log_evidence(gram, closed.at, prior.precision(names), 0.0, len(names))
+
+    base = evidence(closed.effects)
+    fresh = [name for name in space.candidates if name not in closed.effects]
+    sets = {name: (*closed.effects, name) for name in fresh}
+    found = {name: evidence(names) - base for name, names in sets.items() if space.admissible(names)}
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def flight_grams(fit: Fit, prior: Prior) -> np.ndarray:

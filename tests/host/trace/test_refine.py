@@ -79,6 +79,12 @@ def test_shipped_flights_show_what_their_world_holds(library: Space) -> None:
             error = abs(values[i] - truth[column.owner][column.key])
             assert error < 3.0 * sd[i], column
             assert error < 0.15 * abs(truth[column.owner][column.key] - column.neutral), column
+    without = closed.fit_loop(whole, PRESENT[::2], start, fit.whitening.order)
+    found = closed.gains(library, without)
+    assert next(iter(found)) == "motor-lag"
+    assert found["motor-lag"] == pytest.approx(fit.log_evidence - without.log_evidence, abs=3.0)
+    assert found["motor-lag"] > 3.0
+    assert max(closed.gains(library, fit).values()) < 0.0
 
 
 def test_parameters_of_simulated_flights_lie_within_their_intervals(library: Space, loop: Loop) -> None:
@@ -146,6 +152,7 @@ def test_timing_is_taken_from_the_loop_and_torque_from_whichever_knows_it_better
     answer = ClosedFit(
         effects=("motor-lag",),
         z=z,
+        at=z,
         covariance=covariance,
         log_evidence=0.0,
         whitening=Whitening(coefficients=np.zeros((1, 9, 9)), innovation=np.eye(9)),
