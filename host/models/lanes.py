@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping
 import casadi
 import numpy as np
 
+from host.codegen import compile_function
+
 FEW = 48
 """Up to as many lanes CasADi's virtual machine is faster: about 3 us a lane against 300 us for all."""
 
@@ -81,8 +83,12 @@ class LaneProgram:
                 raise ValueError(f"output {function.name_out(i)} of {function.name()} is not a dense column")
         self._build, self.operations = self._emit()
 
-    def bind(self, lanes: int) -> Lanes:
-        """The program with its own arrays for `lanes` lanes."""
+    def bind(self, lanes: int, *, compiled: bool = False) -> Lanes:
+        """The program with its own arrays for `lanes` lanes; `compiled`: in C where a compiler works."""
+        if compiled:
+            function, kind = compile_function(self.function)
+            if kind == "c":
+                return Lanes(self, self._build, lanes, function)
         return Lanes(self, self._build, lanes)
 
     def _emit(self) -> tuple[Callable[..., Callable[[], None]], int]:
@@ -141,17 +147,24 @@ class LaneProgram:
 class Lanes:
     """A bound program: write `inputs`, call, read `outputs`. Arrays are (rows, lanes), fixed for life.
 
-    Few lanes go through CasADi's virtual machine one after the other, many through numpy together.
+    Few lanes go through CasADi's virtual machine one after the other, many through numpy together; any number
+    one after the other through the compiled function where one is given.
     """
 
-    def __init__(self, program: LaneProgram, build: Callable[..., Callable[[], None]], lanes: int) -> None:
+    def __init__(
+        self,
+        program: LaneProgram,
+        build: Callable[..., Callable[[], None]],
+        lanes: int,
+        compiled: casadi.Function | None = None,
+    ) -> None:
         if lanes < 1:
             raise ValueError(f"lanes must be at least 1, got {lanes}")
         self.lanes = lanes
         self.inputs: Mapping[str, np.ndarray]
         self.outputs: Mapping[str, np.ndarray]
-        if lanes <= FEW:
-            self._one_by_one(program.function)
+        if compiled is not None or lanes <= FEW:
+            self._one_by_one(compiled or program.function)
         else:
             self._together(program, build)
 

@@ -41,6 +41,20 @@ def test_lane_program_every_operation_equals_casadi(lanes):
             np.testing.assert_allclose(got[:, lane], np.array(want).ravel(), rtol=1e-13, atol=1e-14)
 
 
+@pytest.mark.parametrize("lanes", [3, FEW])
+def test_compiled_lanes_have_the_same_bits_as_the_virtual_machine(lanes):
+    program = lane_program(every_operation())
+    interpreted, compiled = program.bind(lanes), program.bind(lanes, compiled=True)
+    rng = np.random.default_rng(2)
+    for name, array in interpreted.inputs.items():
+        array[:] = rng.standard_normal(array.shape)
+        compiled.inputs[name][:] = array
+    interpreted()
+    compiled()
+    for name, array in interpreted.outputs.items():
+        assert array.tobytes() == compiled.outputs[name].tobytes(), name
+
+
 @pytest.mark.parametrize("lanes", [3, FEW + 3])
 def test_lane_program_two_bindings_do_not_share_arrays(lanes):
     program = lane_program(every_operation())

@@ -1,0 +1,583 @@
+"""Refinement over the closed loop: whole flights rolled out from their references by phi.
+
+Command-driven segments see the gyro's noise in what drives them and in what they are compared with, which
+biases lag, delay and inertia. Here nothing measured drives the model: the reference does, through the law,
+and timing, inertia, thrust over mass and aerodynamic terms come out without that bias; of a constant torque
+the law's integral hides a part. Poses and body rate, in bins, less their prediction are one coloured process
+in all channels at once, since a gust shows in position, attitude and rate: a vector autoregression, fitted to
+what is left, whitens it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from host.codegen.ops import NUMPY
+from host.log import Flight
+from host.models.dynamics import mocap_latency_s as latency_of
+from host.models.phi import Phi
+from host.models.rollout import half_steps, reference_drive, roll_out
+from host.models.states import States, flight_states
+from host.trace.data import _averaged, signals
+from host.trace.diagnose import Fit
+from host.trace.evidence import LOG_ODDS, Prior
+from host.trace.evidence import whitened as whitened_segments
+from host.trace.parameters import Space
+from host.vehicle import Vehicle
+
+STEP_S = 0.02
+PER_BIN = 2
+BIN_S = PER_BIN * STEP_S
+STABLE = 2.5
+"""|eigenvalue| times step that RK4 stays stable at; what is that fast need not be exact here."""
+
+LEAD_S = 0.3
+"""Time after the reference's start that is not compared: the start's own errors die away in it."""
+
+CHANNELS = 9
+"""Of a bin: position (heading frame), attitude (FRD), body rate (FRD)."""
+
+ORDERS = (1, 2, 3, 4, 6)
+TORQUE = ("com-offset", "torque-bias", "rotor-loss")
+"""Effects that the law's integral hides in part from the outside: the segments may know them better."""
+
+AGREE = 2.0
+"""Standard deviations of their difference within which two estimates agree."""
+
+LOOP_DISCREPANCY = {"motor-lag": 0.04, "mocap-latency": 0.02, "inertia": 0.06, "translational-lift": 0.03}
+"""One sigma, in typical sizes, of what phi itself may be off by, 0.01 for the others: what it reads into
+flights of a simulated vehicle without noise, turbulence or effect.
+"""
+
+SETTLED = 0.3
+"""Greatest step, in standard deviations, that is taken without looking at the roll-outs again."""
+
+JACKKNIFE_PRIOR = 7.0
+"""Flights that a jackknife is taken to have seen with the expected spread."""
+
+_Z_STEP = 1e-4
+_ITERATIONS = 4
+_LINE = (1.0, 0.5, 0.25, 0.1)
+
+Method = Literal["segments", "closed-loop"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """A flight's means over `bins` of BIN_S, from the reference's start.
+
+    states: for its start, law and constants. pose_s (m,) s, of the pose's stamp, and pose_bin (m,). measured
+    (bins, 9): p NED, Theta, body rate FRD; known (bins,) where all were.
+    """
+
+    states: States
+    pose_s: np.ndarray
+    pose_bin: np.ndarray
+    measured: np.ndarray
+    known: np.ndarray
+
+    @property
+    def bins(self) -> int:
+        """How many bins."""
+        return len(self.measured)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Whitening:
+    """A vector autoregression: r_k = sum_i a_i r_{k-i} + e_k, e of covariance `innovation` (9, 9).
+
+    coefficients (order, 9, 9).
+    """
+
+    coefficients: np.ndarray
+    innovation: np.ndarray
+
+    @property
+    def order(self) -> int:
+        """How many earlier bins are looked at."""
+        return len(self.coefficients)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClosedFit:
+    """A set of effects fitted over the closed loop, comparable with others of the same recordings and order.
+
+    z (P,) and covariance (P, P) scaled; grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] by
+    flight, and residuals, (bins, 9) a flight in m, rad, rad/s, linearised at `at` (P,).
+    """
+
+    effects: tuple[str, ...]
+    z: np.ndarray
+    at: np.ndarray
+    covariance: np.ndarray
+    log_evidence: float
+    whitening: Whitening
+    grams: np.ndarray
+    residuals: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refined:
+    """Both estimates combined: z (P,) and covariance (P, P) scaled, and which method each parameter is of.
+
+    disagreement (P,): difference of the two in standard deviations of it.
+    """
+
+    z: np.ndarray
+    covariance: np.ndarray
+    method: tuple[Method, ...]
+    disagreement: np.ndarray
+    closed: ClosedFit
+
+
+def record(flight: Flight, latency_s: float = 0.0) -> Recording:
+    """The recording of a flight with reference, law and telemetry; `latency_s` dates its starting state.
+
+    Raises TooLittleData where the log lacks something.
+    """
+    states = flight_states(flight, latency_s=latency_s)
+    s = signals(flight)
+    start = s.span_s[0]
+    duration = min(states.reference.nodes[-1].t_us * 1e-6, s.span_s[1] - start)
+    bins = int(duration / BIN_S)
+    t = s.pose_s - start
+    inside = (t >= 0.0) & (t < bins * BIN_S)
+    pose_bin = (t[inside] / BIN_S).astype(int)
+    angles = _euler(s.R[inside])
+    poses = np.column_stack([s.p[inside], angles])
+    count = np.bincount(pose_bin, minlength=bins)
+    sums = np.column_stack([np.bincount(pose_bin, column, minlength=bins) for column in poses.T])
+    rate, share = _averaged(start + BIN_S * np.arange(bins + 1), s.imu_s, s.gyro)
+    late = BIN_S * (np.arange(bins) + 0.5) < LEAD_S
+    return Recording(
+        states=states,
+        pose_s=t[inside],
+        pose_bin=pose_bin,
+        measured=np.column_stack([sums / np.maximum(count, 1)[:, None], rate]),
+        known=(count > 0) & (share > 0.5) & ~late,
+    )
+
+
+def _euler(R: np.ndarray) -> np.ndarray:
+    """Theta (n, 3) of R_ned_frd (n, 3, 3), yaw unwrapped."""
+    roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])
+    pitch = -np.arcsin(np.clip(R[:, 2, 0], -1.0, 1.0))
+    return np.column_stack([roll, pitch, np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Alike:
+    """Flights of one firmware setting: their indices, phi in `fine` steps to STEP_S, and what drives it."""
+
+    flights: tuple[int, ...]
+    phi: Phi
+    fine: int
+    x0: np.ndarray
+    drive: np.ndarray
+    constants: np.ndarray
+
+
+class Loop:
+    """phi with a space's effects over recordings: residuals and their slopes."""
+
+    def __init__(self, recordings: Sequence[Recording], vehicle: Vehicle, space: Space) -> None:
+        self.recordings, self.space = tuple(recordings), space
+        self._rows = [i for name in space.parts for i in space.owners[name]]
+        self._slopes: list[np.ndarray] = []
+        effects = tuple(space.effects[name] for name in space.parts)
+        settings: dict[tuple[tuple[str, float], ...], list[int]] = {}
+        for index, recording in enumerate(recordings):
+            settings.setdefault(tuple(sorted((recording.states.parameters or {}).items())), []).append(index)
+        self._alike: list[_Alike] = []
+        for flights in settings.values():
+            chosen = [recordings[index] for index in flights]
+            phi = Phi(vehicle=vehicle, effects=effects, parameters=chosen[0].states.parameters)
+            fine = max(1, math.ceil(phi.stiffness * STEP_S / STABLE))
+            steps = max(recording.bins for recording in chosen) * PER_BIN * fine
+            stages = half_steps(0.0, steps, STEP_S / fine)
+            drives = [_drive(recording.states, stages) for recording in chosen]
+            self._alike.append(
+                _Alike(
+                    flights=tuple(flights),
+                    phi=phi,
+                    fine=fine,
+                    x0=np.stack([recording.states.initial(phi) for recording in chosen], axis=1),
+                    drive=np.stack(drives, axis=2),
+                    constants=np.stack([recording.states.constants for recording in chosen], axis=1),
+                )
+            )
+
+    @property
+    def known(self) -> list[np.ndarray]:
+        """Per flight (bins,) where everything was measured."""
+        return [recording.known for recording in self.recordings]
+
+    def predicted(self, z: np.ndarray) -> list[np.ndarray]:
+        """Per flight the means (lanes, bins, 9) as measured, for scaled parameters z (P, lanes)."""
+        lanes = z.shape[1]
+        theta = self.space.values(z)[self._rows]
+        parts = [self._alike[0].phi.parts(theta[:, lane]) for lane in range(lanes)]
+        latency_s = np.array([float(latency_of(NUMPY, each)) for each in parts])
+        found: dict[int, np.ndarray] = {}
+        for alike in self._alike:
+            count = len(alike.flights)
+            samples = roll_out(
+                alike.phi,
+                x0=np.repeat(alike.x0, lanes, axis=1),
+                drive=alike.drive,
+                flight=alike.constants,
+                theta=np.tile(theta, (1, count)),
+                step_s=STEP_S / alike.fine,
+                every=alike.fine,
+                lane_flight=np.repeat(np.arange(count), lanes),
+                compiled=True,
+            ).reshape(-1, 12, count, lanes)
+            for k, index in enumerate(alike.flights):
+                recording = self.recordings[index]
+                own = samples[: recording.bins * PER_BIN + 1, :, k]
+                found[index] = _means(recording, own, latency_s)
+        return [found[index] for index in range(len(self.recordings))]
+
+    def residuals(self, z: np.ndarray) -> list[np.ndarray]:
+        """Per flight measured minus predicted (lanes, bins, 9) for z (P, lanes); the rate less its mean."""
+        out = []
+        for recording, predicted in zip(self.recordings, self.predicted(z), strict=True):
+            r = recording.measured - predicted
+            r[..., 5] = np.angle(np.exp(1j * r[..., 5]))
+            out.append(_in_body(recording, r))
+        return out
+
+    def linearised(self, z: np.ndarray, effects: Sequence[str]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Per flight the residual (bins, 9) at z (P,) and its negative slopes (P, bins, 9).
+
+        The first call computes all slopes; later ones those of `effects` alone, for what stays within its
+        tolerance hardly changes them.
+        """
+        chosen = {i for name in effects for i in self.space.groups[name]}
+        rows = [i for i in self._rows if not self._slopes or i in chosen]
+        lanes = np.repeat(z[:, None], 1 + len(rows), axis=1)
+        for lane, row in enumerate(rows):
+            lanes[row, 1 + lane] += _Z_STEP
+        residuals = self.residuals(lanes)
+        if not self._slopes:
+            self._slopes = [np.zeros((len(z), *r.shape[1:])) for r in residuals]
+        slopes = [kept.copy() for kept in self._slopes]
+        for each, r in zip(slopes, residuals, strict=True):
+            each[rows] = (r[0] - r[1:]) / _Z_STEP
+        if len(rows) == len(self._rows):
+            self._slopes = slopes
+        return [r[0] for r in residuals], slopes
+
+
+def _drive(states: States, stages: np.ndarray) -> np.ndarray:
+    """(n, 22): what drives phi at times (n,) since the reference's start, which is held at its end."""
+    return reference_drive(
+        states.reference,
+        stages,
+        feedforward=states.feedforward,
+        voltage_ratio=np.interp(stages, states.t_s, states.voltage_ratio),
+    )
+
+
+def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> np.ndarray:
+    """(lanes, bins, 9) of states (n, 12, lanes): poses as stamped, `latency_s` (lanes,) old; mean rates."""
+    lanes, bins = samples.shape[2], recording.bins
+    out = np.empty((lanes, bins, CHANNELS))
+    for late in np.unique(latency_s):
+        mine = latency_s == late
+        poses = samples[:, (0, 1, 2, 6, 7, 8)][:, :, mine].reshape(len(samples), -1)
+        mean = _pose_means(recording, float(late), len(samples)) @ poses
+        out[mine, :, :6] = mean.reshape(bins, 6, -1).transpose(2, 0, 1)
+    rate = samples[:, 9:12]
+    simpson = rate[0:-1:2] + 4.0 * rate[1::2] + rate[2::2]
+    out[:, :, 6:] = np.transpose(simpson / 6.0, (2, 0, 1))
+    return out
+
+
+def _pose_means(recording: Recording, latency_s: float, count: int) -> csr_array:
+    """(bins, count): means over each bin's poses of what samples every STEP_S show `latency_s` earlier.
+
+    Between samples the cubic through four of them.
+    """
+    t = np.maximum(recording.pose_s - latency_s, 0.0) / STEP_S
+    k = np.clip(t.astype(int), 1, count - 3)
+    u = t - k
+    weights = np.column_stack(
+        [
+            -u * (u - 1.0) * (u - 2.0) / 6.0,
+            (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
+            -(u + 1.0) * u * (u - 2.0) / 2.0,
+            (u + 1.0) * u * (u - 1.0) / 6.0,
+        ]
+    )
+    poses = np.maximum(np.bincount(recording.pose_bin, minlength=recording.bins), 1)
+    weights /= poses[recording.pose_bin][:, None]
+    rows = np.repeat(recording.pose_bin, 4)
+    columns = (k[:, None] + np.arange(-1, 3)).ravel()
+    return csr_array((weights.ravel(), (rows, columns)), shape=(recording.bins, count))
+
+
+def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
+    """Differences (lanes, bins, 9) of p, Theta, rate as position along the heading, turn and rate in FRD.
+
+    The rate loses its mean over the flight: the gyro's bias.
+    """
+    out = np.empty_like(r)
+    c, s = np.cos(recording.measured[:, 5]), np.sin(recording.measured[:, 5])
+    out[..., 0] = c * r[..., 0] + s * r[..., 1]
+    out[..., 1] = c * r[..., 1] - s * r[..., 0]
+    out[..., 2] = r[..., 2]
+    roll, pitch = recording.measured[:, 3], recording.measured[:, 4]
+    out[..., 3] = r[..., 3] - np.sin(pitch) * r[..., 5]
+    out[..., 4] = np.cos(roll) * r[..., 4] + np.sin(roll) * np.cos(pitch) * r[..., 5]
+    out[..., 5] = np.cos(roll) * np.cos(pitch) * r[..., 5] - np.sin(roll) * r[..., 4]
+    out[..., 6:] = r[..., 6:] - r[..., recording.known, 6:].mean(-2, keepdims=True)
+    return out
+
+
+def autoregression(
+    residuals: Sequence[np.ndarray], known: Sequence[np.ndarray], order: int, *, skip: int = 0
+) -> Whitening:
+    """The autoregression of residuals (bins, 9) by flight, where the `order` bins before are known, or
+    `skip`.
+    """
+    past, now = [], []
+    for r, whole in zip(residuals, known, strict=True):
+        at = _stretches(whole, max(order, skip))
+        past.append(np.concatenate([r[at - i] for i in range(1, order + 1)], axis=1))
+        now.append(r[at])
+    X, Y = np.concatenate(past), np.concatenate(now)
+    found, *_ = np.linalg.lstsq(X, Y, rcond=None)
+    left = Y - X @ found
+    return Whitening(
+        coefficients=np.swapaxes(found.reshape(order, CHANNELS, CHANNELS), 1, 2),
+        innovation=left.T @ left / len(Y),
+    )
+
+
+def _stretches(known: np.ndarray, order: int) -> np.ndarray:
+    """Bins that are known with the `order` bins before them."""
+    run = np.convolve(known.astype(int), np.ones(order + 1, dtype=int))[: len(known)]
+    at = np.flatnonzero(run == order + 1)
+    return at[at >= order]
+
+
+def whitened(white: Whitening, columns: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Columns (m, bins, 9) of a flight as (m, n): innovations of unit covariance."""
+    at = _stretches(known, white.order)
+    out = columns[:, at].copy()
+    for i, a in enumerate(white.coefficients, start=1):
+        out -= columns[:, at - i] @ a.T
+    root = np.linalg.cholesky(white.innovation)
+    return np.linalg.solve(root, out.reshape(-1, CHANNELS).T).T.reshape(len(columns), -1)
+
+
+def _grams(
+    white: Whitening, loop: Loop, base: Sequence[np.ndarray], slopes: Sequence[np.ndarray]
+) -> np.ndarray:
+    """(flights, 1 + P, 1 + P) of the whitened [residual | slopes]."""
+    grams = []
+    for recording, r, s in zip(loop.recordings, base, slopes, strict=True):
+        columns = whitened(white, np.concatenate([r[None], s]), recording.known)
+        grams.append(columns @ columns.T)
+    return np.stack(grams)
+
+
+def closed_loop(flights: Sequence[Flight], vehicle: Vehicle, space: Space, z: np.ndarray) -> Loop:
+    """The closed loop of `flights`, all with reference and law; poses are as late as z (P,) says.
+
+    Raises TooLittleData where a log lacks something.
+    """
+    values = space.theta(list(space.values(z)))
+    latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
+    return Loop([record(flight, latency_s) for flight in flights], vehicle, space)
+
+
+def order_of(loop: Loop, z: np.ndarray) -> int:
+    """The order of ORDERS whose autoregression describes the residuals at z (P,) best, by Schwarz's
+    criterion.
+    """
+    left = [r[0] for r in loop.residuals(z[:, None])]
+
+    def criterion(order: int) -> float:
+        # The same bins for all orders, or the longest would have the fewest to explain.
+        innovation = autoregression(left, loop.known, order, skip=max(ORDERS)).innovation
+        count = sum(len(_stretches(known, max(ORDERS))) for known in loop.known)
+        return count * float(np.linalg.slogdet(innovation)[1]) + order * CHANNELS**2 * np.log(count)
+
+    return min(ORDERS, key=criterion)
+
+
+def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> ClosedFit:
+    """The set of `effects` fitted over the closed loop from z (P,): Gauss-Newton with line search.
+
+    The whitening is fitted again to what every linear step leaves.
+    """
+    space = loop.space
+    precision = prior_of(space).precision(effects)
+    z = space.clipped(z)
+    for iteration in range(_ITERATIONS):
+        base, slopes = loop.linearised(z, effects)
+        step = np.zeros(len(z))
+        for _ in range(3):
+            left = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
+            white = autoregression(left, loop.known, order)
+            grams = _grams(white, loop, base, slopes)
+            step, covariance = _posterior(grams.sum(0), z, precision)
+        small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < SETTLED
+        if small or iteration == _ITERATIONS - 1:
+            break
+        moved = _line_search(loop, white, precision, z, step)
+        if np.array_equal(moved, z):
+            break
+        z = moved
+    count = sum(len(_stretches(k, order)) for k in loop.known)
+    log_det = count * float(np.linalg.slogdet(white.innovation)[1])
+    return ClosedFit(
+        effects=tuple(sorted(effects)),
+        z=space.clipped(z + step),
+        at=z,
+        covariance=covariance,
+        log_evidence=_log_evidence(grams.sum(0), z, precision, log_det, len(effects)),
+        whitening=white,
+        grams=grams,
+        residuals=tuple(base),
+    )
+
+
+def prior_of(space: Space) -> Prior:
+    """The prior over the closed loop: a parameter left out moves within tolerance and LOOP_DISCREPANCY."""
+    tolerance = np.array([column.tolerance / column.scale for column in space.columns])
+    return replace(space.prior, spike=np.hypot(tolerance, loop_discrepancy(space)))
+
+
+def loop_discrepancy(space: Space) -> np.ndarray:
+    """LOOP_DISCREPANCY (P,) of every column."""
+    return np.array([LOOP_DISCREPANCY.get(column.owner, 0.01) for column in space.columns])
+
+
+def _posterior(gram: np.ndarray, z: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    covariance = np.linalg.inv(gram[1:, 1:] + np.diag(precision))
+    return covariance @ (gram[0, 1:] - precision * z), covariance
+
+
+def _log_evidence(
+    gram: np.ndarray, z: np.ndarray, precision: np.ndarray, log_det: float, count: int
+) -> float:
+    normal = gram[1:, 1:] + np.diag(precision)
+    rhs = gram[0, 1:] - precision * z
+    quadratic = gram[0, 0] + precision @ (z * z) - rhs @ np.linalg.solve(normal, rhs)
+    occam = float(np.linalg.slogdet(normal)[1] - np.log(precision).sum())
+    return float(-0.5 * (quadratic + occam + log_det) + LOG_ODDS * count)
+
+
+def _line_search(
+    loop: Loop, white: Whitening, precision: np.ndarray, z: np.ndarray, step: np.ndarray
+) -> np.ndarray:
+    """The best of z and a few points along the step, by the cost of real roll-outs; z if none is better."""
+    shares = (0.0, *_LINE)
+    points = np.column_stack([loop.space.clipped(z + share * step) for share in shares])
+    cost = (precision[:, None] * points**2).sum(0)
+    for recording, r in zip(loop.recordings, loop.residuals(points), strict=True):
+        cost += (whitened(white, r, recording.known) ** 2).sum(1)
+    return points[:, int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))]
+
+
+def refine(loop: Loop, fit: Fit, order: int) -> Refined:
+    """`fit`'s set of effects over the closed loop, whitened to `order`, combined with `fit`."""
+    return combined(loop.space, fit, fit_loop(loop, fit.effects, fit.z, order))
+
+
+def combined(space: Space, fit: Fit, closed: ClosedFit) -> Refined:
+    """The closed loop's estimate of all that phi has, but of TORQUE where the segments know it better.
+
+    Both estimates rest on the same flights, so they are not multiplied: each parameter has the estimate and
+    the interval of one method, and none is correlated with one of the other. The closed loop's interval is
+    widened by its jackknife and by what phi may be off by, the segments' by what is read into them
+    (`Column.discrepancy`); where the two differ by more than AGREE standard deviations, the rest is added.
+    """
+    shown = np.einsum("fii->i", closed.grams)[1:] > 0.0
+    widened = jackknife_by_flight(closed.grams, closed.at, prior_of(space).precision(closed.effects))
+    own = closed.covariance * np.outer(widened, widened) + np.diag(loop_discrepancy(space) ** 2)
+    read_into = np.array([column.discrepancy for column in space.columns])
+    theirs = fit.covariance + np.diag(read_into**2)
+    torque = np.array([column.owner in TORQUE for column in space.columns])
+    mine = shown & ~(torque & (np.diag(theirs) < np.diag(own)))
+    covariance = np.where(np.outer(mine, mine), own, 0.0) + np.where(np.outer(~mine, ~mine), theirs, 0.0)
+    spread = np.sqrt(np.diag(theirs) + np.diag(own))
+    disagreement = np.where(shown, (closed.z - fit.z) / spread, 0.0)
+    beyond = np.maximum(np.abs(disagreement) - AGREE, 0.0) * spread
+    return Refined(
+        z=np.where(mine, closed.z, fit.z),
+        covariance=covariance + np.diag(beyond**2),
+        method=tuple("closed-loop" if m else "segments" for m in mine),
+        disagreement=disagreement,
+        closed=closed,
+    )
+
+
+def log_evidences(refined: Iterable[Refined]) -> dict[tuple[str, ...], float]:
+    """Log evidence by set, nats, comparable between sets. Raises ValueError for fits of different orders."""
+    fits = [each.closed for each in refined]
+    if len({fit.whitening.order for fit in fits}) > 1:
+        raise ValueError("fits whitened by autoregressions of different orders cannot be compared")
+    return {fit.effects: fit.log_evidence for fit in fits}
+
+
+def gains(space: Space, closed: ClosedFit) -> dict[str, float]:
+    """Nats that the evidence over the closed loop gains by each further candidate, greatest first.
+
+    In the fit's linearisation and whitening: a hint which sets to fit, for the whitening has taken up a part
+    of what the candidate explains.
+    """
+    gram, prior = closed.grams.sum(0), prior_of(space)
+
+    def evidence(names: tuple[str, ...]) -> float:
+        return _log_evidence(gram, closed.at, prior.precision(names), 0.0, len(names))
+
+    base = evidence(closed.effects)
+    fresh = [name for name in space.candidates if name not in closed.effects]
+    sets = {name: (*closed.effects, name) for name in fresh}
+    found = {name: evidence(names) - base for name, names in sets.items() if space.admissible(names)}
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def flight_grams(fit: Fit, prior: Prior) -> np.ndarray:
+    """(flights, 1 + P, 1 + P) of [residual | slopes] of command-driven segments, flights' nuisances
+    integrated out.
+    """
+    grams = whitened_segments(fit.lin, fit.process, prior).local_gram
+    m = 1 + fit.lin.parameters
+    precision = 1.0 / prior.local**2
+    rhs = grams[:, m:, :m].copy()
+    rhs[:, :, 0] -= precision * fit.lin.local
+    inner = grams[:, m:, m:] + np.diag(precision)
+    return grams[:, :m, :m] - np.swapaxes(rhs, 1, 2) @ np.linalg.solve(inner, rhs)
+
+
+def jackknife_by_flight(grams: np.ndarray, z: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """(P,) factors >= 1 on the standard deviations for what repeats within a flight but not between flights.
+
+    grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] at z (P,), linearised; the prior's
+    precision (P,). Each parameter's spread over the fits that leave one flight out (Efron's jackknife), over
+    its posterior's; since so few flights tell a spread badly, it counts as much as JACKKNIFE_PRIOR flights
+    that spread as expected. Sum the Grams of flights of one reference first to leave out references.
+    """
+    total = grams.sum(0)
+    count = len(grams)
+    if count < 2:
+        return np.ones(len(z))
+    _, covariance = _posterior(total, z, precision)
+    # A parameter's prior does not vary between flights: expected is the data's share of the variance.
+    expected = np.diag(covariance @ total[1:, 1:] @ covariance)
+    steps = np.stack([_posterior(total - gram, z, precision)[0] for gram in grams])
+    spread = (count - 1) / count * ((steps - steps.mean(0)) ** 2).sum(0)
+    ratio = spread / np.maximum(expected, 1e-300)
+    variance = (JACKKNIFE_PRIOR + (count - 1) * ratio) / (JACKKNIFE_PRIOR + count - 1)
+    return np.sqrt(np.maximum(variance, 1.0))
