@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from host.models.model import Model
-from host.trace.data import Audit
+from host.trace.audit import Audit, lines
 from host.trace.diagnose import Diagnosis
 from host.trace.parameters import Space
 from host.trace.score import Errors
@@ -117,7 +117,7 @@ class Trace:
             a, b = self.next_flight.separates
             sigma = self.next_flight.expected_sigma
             out.append(f"fly {self.next_flight.route} next: it separates {a} from {b} by {sigma:.1f} sigma")
-        return out
+        return out + [f"data: {line}" for line in lines(self.audits)]
 
     def to_json(self, *, model_path: str | None, report_path: str | None) -> dict[str, Any]:
         """The JSON object of `trimtab trace`."""
@@ -152,4 +152,5 @@ class Trace:
             "report": report_path,
             "reasons": list(self.reasons),
             "possible": [{"name": name, "probability": p} for name, p in self.possible.items()],
+            "audit": [audit.to_json() for audit in self.audits],
         }

@@ -14,7 +14,8 @@ from host.log import Flight
 from host.models.model import Covariance, Model, Region
 from host.models.states import battery_of
 from host.trace import evidence
-from host.trace.data import SEGMENT_S, segments_of, signals, unknowns
+from host.trace.audit import without_twins
+from host.trace.data import SEGMENT_S, segments_of
 from host.trace.diagnose import ALIAS_PROBABILITY, Diagnosis, Fit, diagnose
 from host.trace.form import Form
 from host.trace.parameters import MASS, Space, space, tolerance_of
@@ -30,6 +31,7 @@ from host.trace.score import (
 )
 from host.trace.segments import nominal_thrust
 from host.trace.separate import NextFlight, propose
+from host.trace.signals import signals, unknowns
 from host.trace.twins import Leftover, leftover
 from host.vehicle import Vehicle
 
@@ -143,7 +145,7 @@ def run(
         space=chosen,
         diagnosis=diagnosis,
         leftover=rest,
-        audits=audits,
+        audits=without_twins(audits, twins),
     )
 
 
