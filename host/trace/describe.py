@@ -8,12 +8,12 @@ variance they leave. A group that has none explains nothing, however well it fit
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from host.trace.fields import Form, fit_forms
+from host.trace.fields import CLEAR, WITHIN, Form, fit_forms
 from host.trace.segments import BIN_S, Segments
 from host.trace.twins import FORCE_FLOOR, TORQUE_FLOOR
 from host.vehicle import Vehicle
@@ -34,7 +34,9 @@ ANSWERS: dict[Channel, tuple[str, ...]] = {"force": ("thrust", "attitude"), "tor
 """What the law turns against any disturbance: it goes with one whatever its cause, so it names none where a
 cause explains as much."""
 
-_FLOORS: dict[Channel, float] = {"force": FORCE_FLOOR, "torque": TORQUE_FLOOR}
+FLOORS: dict[Channel, float] = {"force": FORCE_FLOOR, "torque": TORQUE_FLOOR}
+"""Explained disturbance, rms, below which it is not worth a name."""
+
 _CENTRES = 16
 _DRAWS = 400
 _RIDGES = 10.0 ** np.arange(-3.0, 3.1)
@@ -77,27 +79,41 @@ class Bins:
 
 @dataclass(frozen=True, kw_only=True)
 class Skill:
-    """Held-out skill of one group, 1 - MSE / variance, and the interval that holds it with 95 %."""
+    """Held-out skill of one group, 1 - MSE / variance, and the interval that holds it with 95 %.
+
+    `rms` is what the group explains, in the channel's unit; `counts`: that it is more than nothing, and more
+    than what is worth a name.
+    """
 
     group: str
     skill: float
     low: float
     high: float
-
-    @property
-    def counts(self) -> bool:
-        """Whether the group explains something."""
-        return self.low > 0.0 and self.skill > LEAST_SKILL
+    rms: float
+    counts: bool
 
 
 @dataclass(frozen=True, kw_only=True)
 class Slope:
-    """A leading linear dependence: change of one axis by a unit of a quantity."""
+    """A leading linear dependence: change of one axis by a unit of a quantity.
+
+    curve (k, 2): mean quantity and mean disturbance on that axis, from low to high.
+    """
 
     axis: str
     quantity: str
     value: float
     unit: str
+    curve: np.ndarray
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `slopes`."""
+        return {
+            "axis": self.axis,
+            "quantity": self.quantity,
+            "value": round(self.value, 4),
+            "unit": self.unit,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +135,7 @@ class Dependence:
         """For people."""
         if self.group is None:
             names = ", ".join(skill.group for skill in self.skills)
-            return [f"the {self.channel} depends on none of them ({names}): none has skill on held-out data"]
+            return [f"the {self.channel} depends on none of {names}: none explains it on held-out data"]
         best = self.skill_of(self.group)
         span = f"held-out skill {best.skill:.2f}, {best.low:.2f} to {best.high:.2f}"
         if self.group == "constant":
@@ -177,8 +193,17 @@ class Description:
         def told(one: Dependence) -> dict[str, Any]:
             return {
                 "group": one.group,
-                "skills": [{k: _number(v) for k, v in vars(skill).items()} for skill in one.skills],
-                "slopes": [{k: _number(v) for k, v in vars(slope).items()} for slope in one.slopes],
+                "skills": [
+                    {
+                        "group": skill.group,
+                        "skill": round(skill.skill, 4),
+                        "low": round(skill.low, 4),
+                        "high": round(skill.high, 4),
+                        "rms": round(skill.rms, 4),
+                    }
+                    for skill in one.skills
+                ],
+                "slopes": [slope.to_json() for slope in one.slopes],
                 "mean": [round(value, 4) for value in one.mean],
             }
 
@@ -193,10 +218,6 @@ class Description:
             "form": None if self.form is None else self.form.to_json(),
             "words": self.lines(),
         }
-
-
-def _number(value: str | float) -> str | float:
-    return value if isinstance(value, str) else round(value, 4)
 
 
 def bins_of(w: np.ndarray, data: Segments, references: Sequence[str | None], vehicle: Vehicle) -> Bins:
@@ -251,15 +272,31 @@ def describe(
     """
     bins = bins_of(w, data, references, vehicle)
     folds, held_out = _folds(bins)
-    force = _dependence("force", bins, folds)
+    forms = fit_forms(bins.p, bins.force_ned, folds)
+    force = _dependence("force", bins, folds, [errors for _, errors in forms])
     torque = None if data.rate_driven else _dependence("torque", bins, folds)
     cells, pushes = _grid(bins)
-    form = None
-    if force.group == "position":
-        form = fit_forms(
-            bins.p, bins.force_ned, folds, _baseline(bins, folds), force.skill_of("position").skill
-        )
-    return Description(held_out=held_out, force=force, torque=torque, cells=cells, pushes=pushes, form=form)
+    return Description(
+        held_out=held_out,
+        force=force,
+        torque=torque,
+        cells=cells,
+        pushes=pushes,
+        form=_clear_form(bins, folds, force, forms),
+    )
+
+
+def _clear_form(
+    bins: Bins, folds: np.ndarray, force: Dependence, forms: Sequence[tuple[Form, np.ndarray]]
+) -> Form | None:
+    """The closed form of most skill where the force depends on position and the form says as much."""
+    if force.group != "position":
+        return None
+    constant = _constant(bins, world=True)
+    left = _held_out(_grams(constant, bins.w[:, :3], bins), bins, folds, constant.shape[2]).sum()
+    scored = [replace(form, skill=1.0 - float(errors.sum() / left)) for form, errors in forms]
+    best = max(scored, key=lambda form: form.skill)
+    return best if best.skill > max(CLEAR, force.skill_of("position").skill - WITHIN) else None
 
 
 def _folds(bins: Bins) -> tuple[np.ndarray, Literal["reference", "blocks"]]:
@@ -337,24 +374,33 @@ def _bumps(p: np.ndarray) -> np.ndarray:
     return np.exp(-0.5 * (apart / width) ** 2)
 
 
-def _dependence(channel: Channel, bins: Bins, folds: np.ndarray) -> Dependence:
-    """Every group's skill for a channel, the group of most skill and its slopes."""
+def _dependence(
+    channel: Channel, bins: Bins, folds: np.ndarray, forms: Sequence[np.ndarray] = ()
+) -> Dependence:
+    """Every group's skill for a channel, the group of most skill and its slopes.
+
+    `forms` are squared errors (n,) of closed forms of position: a force of a small place that one reference
+    alone went through shows in them, not in a smooth fit.
+    """
     y = bins.w[:, :3] if channel == "force" else bins.w[:, 3:]
     world = channel == "force"
     constant = _constant(bins, world)
     base = _grams(constant, y, bins)
     unit = _units(bins)
     left = _held_out(base, bins, folds, constant.shape[2])
-    skills = [_skill("constant", left, (y**2).sum(1), bins, unit)]
+    skills = [_skill(channel, "constant", left, np.bincount(bins.segment, (y**2).sum(1)), bins, unit)]
     features = _features(bins)
     for group, (basis, _, _, natural) in features.items():
         columns = _columns(_standard(basis), bins.R if natural and world else None)
         grams = _grams(np.concatenate([constant, columns], axis=2), y, bins)
         errors = _held_out(grams, bins, folds, constant.shape[2])
-        skills.append(_skill(group, errors, left, bins, unit))
+        tried = [errors]
+        if group == "position":
+            tried += [np.bincount(bins.segment, squares) for squares in forms]
+        scored = [_skill(channel, group, each, left, bins, unit) for each in tried]
+        skills.append(max(scored, key=lambda skill: skill.skill))
     x, y_, z = (float(value) for value in y.mean(0))
-    steady = np.linalg.norm(y.mean(0)) > _FLOORS[channel]
-    good = [skill for skill in skills if skill.counts and (steady or skill.group != "constant")]
+    good = [skill for skill in skills if skill.counts]
     best = max(good, key=_rank(channel, good)).group if good else None
     slopes = ()
     if best in features:
@@ -449,23 +495,25 @@ def _units(bins: Bins) -> np.ndarray:
     return unit.reshape(-1)
 
 
-def _skill(group: str, errors: np.ndarray, left: np.ndarray, bins: Bins, unit: np.ndarray) -> Skill:
+def _skill(
+    channel: Channel, group: str, errors: np.ndarray, left: np.ndarray, bins: Bins, unit: np.ndarray
+) -> Skill:
     """Skill of errors over those `left` without the group, and its interval over pieces drawn again."""
-    if len(left) == len(bins.w):
-        left = np.bincount(bins.segment, left)
     sums = np.column_stack([np.bincount(unit, errors), np.bincount(unit, left)])
     rng = np.random.default_rng(0)
     drawn = sums[rng.integers(len(sums), size=(_DRAWS, len(sums)))].sum(1)
     spread = 1.0 - drawn[:, 0] / np.maximum(drawn[:, 1], 1e-300)
     low, high = np.quantile(spread, [0.025, 0.975])
     skill = 1.0 - float(errors.sum()) / max(float(left.sum()), 1e-300)
-    return Skill(group=group, skill=skill, low=float(low), high=float(high))
-
-
-def _baseline(bins: Bins, folds: np.ndarray) -> float:
-    """Held-out squared error of constant pushes."""
-    constant = _constant(bins, world=True)
-    return float(_held_out(_grams(constant, bins.w[:, :3], bins), bins, folds, constant.shape[2]).sum())
+    rms = float(np.sqrt(max(float(left.sum() - errors.sum()), 0.0) / len(bins.w)))
+    return Skill(
+        group=group,
+        skill=skill,
+        low=float(low),
+        high=float(high),
+        rms=rms,
+        counts=bool(low > 0.0 and skill > LEAST_SKILL and rms > FLOORS[channel]),
+    )
 
 
 def _slopes(
@@ -491,10 +539,17 @@ def _slopes(
             quantity=names[int(k)],
             value=float(slope[k, i]),
             unit=f"{UNITS[channel]} a {unit}",
+            curve=_curve(linear[:, k], target[:, i]),
         )
         for k, i in np.argwhere(does >= _LEADING * does.max())
     ]
     return tuple(sorted(found, key=lambda s: -does[names.index(s.quantity), axes.index(s.axis)]))
+
+
+def _curve(quantity: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Mean quantity and value (k, 2) of tenths of the rows, in the quantity's order."""
+    order = np.argsort(quantity, kind="stable")
+    return np.array([[quantity[part].mean(), value[part].mean()] for part in np.array_split(order, 10)])
 
 
 def _grid(bins: Bins) -> tuple[np.ndarray, np.ndarray]:

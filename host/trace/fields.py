@@ -57,24 +57,22 @@ def _along(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
     return (theta[1] * np.exp(np.clip(p @ n / theta[2], -30.0, 30.0)))[:, None] * n
 
 
-def fit_forms(p: np.ndarray, force: np.ndarray, folds: np.ndarray, left: float, smooth: float) -> Form | None:
-    """The closed form of most held-out skill for a force (n, 3) at places p (n, 3), NED; None: none is clear.
+def fit_forms(p: np.ndarray, force: np.ndarray, folds: np.ndarray) -> list[tuple[Form, np.ndarray]]:
+    """Every closed form of a force (n, 3) at places p (n, 3), NED, and its held-out squared errors (n,).
 
-    folds (n,) says where each row is held out, `left` the squared error that constants leave there, `smooth`
-    the skill of the smooth fit on position.
+    folds (n,) says where each row is held out. The forms' skill is not known yet.
     """
     found = []
     for name, law, starts, bounds, said in _laws(p, force):
         best = _fitted(law, p, force, starts, bounds)
-        error = 0.0
+        errors = np.empty(len(p))
         for fold in np.unique(folds):
             out = folds == fold
-            theta = _fitted(law, p[~out], force[~out], [best, *starts], bounds)
-            error += float(((force[out] - law(theta, p[out])) ** 2).sum())
+            theta = _fitted(law, p[~out], force[~out], [best, starts[0]], bounds)
+            errors[out] = ((force[out] - law(theta, p[out])) ** 2).sum(1)
         parameters, words = said(best)
-        found.append(Form(name=name, parameters=parameters, words=words, skill=1.0 - error / left))
-    form = max(found, key=lambda form: form.skill)
-    return form if form.skill > max(CLEAR, smooth - WITHIN) else None
+        found.append((Form(name=name, parameters=parameters, words=words, skill=np.nan), errors))
+    return found
 
 
 def _fitted(
@@ -87,7 +85,7 @@ def _fitted(
             np.clip(start, *bounds),
             bounds=bounds,
             x_scale="jac",
-            max_nfev=60,
+            max_nfev=40,
         )
         for start in starts
     ]
@@ -101,7 +99,7 @@ def _laws(p: np.ndarray, force: np.ndarray) -> list[tuple[str, Law, list[np.ndar
     floor = np.array([middle[0], middle[1], p[:, 2].max() + 0.5])
     top = p[np.linalg.norm(force, axis=1).argsort()[-max(5, len(p) // 20) :]].mean(0)
     strong = float(np.quantile(np.linalg.norm(force, axis=1), 0.95))
-    push = force[np.linalg.norm(force, axis=1) > 0.7 * strong].mean(0)
+    push = force[np.linalg.norm(force, axis=1) >= 0.7 * strong].mean(0)
     slope = strong / max(size, 0.1)
     point = [
         np.r_[c, k, slack] for c in (middle, floor) for k in (slope, -slope) for slack in (0.05, 0.3 * size)
