@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 
+from host.trace.describe import UNITS, Dependence, Description
 from host.trace.score import Errors
 
 BEFORE, AFTER, FLOOR, NEUTRAL = "#b5482f", "#1f6f8b", "#8a8a8a", "#444444"
@@ -192,3 +193,79 @@ def deviations(
         right.set(xlim=(0.0, 101.0), xlabel="within two, % (95 % interval; aim shaded)")
     told = ", ".join(f"{name} {100 * share:.0f} %" for name, (share, _, _) in coverage.items())
     return _finish(canvas, caption, f"Errors in standard deviations by family; within two: {told}.", png=True)
+
+
+def dependence(told: Description) -> Figure:
+    """Held-out skill of every group for force and torque, and beside it what the best group shows.
+
+    A force that depends on position as arrows from above and from the side, else the leading slopes.
+    """
+    channels = [one for one in (told.force, told.torque) if one is not None]
+    with matplotlib.rc_context(_STYLE):
+        canvas, axes = plt.subplots(
+            len(channels), 3, figsize=(9.6, 3.2 * len(channels)), squeeze=False, width_ratios=(1.1, 1.0, 1.0)
+        )
+        for row, one in zip(axes, channels, strict=True):
+            _skills(row[0], one)
+            if one.channel == "force" and one.group == "position":
+                _field(row[1], told, "east", "north", (1, 0))
+                _field(row[2], told, "north", "height", (0, 2))
+            else:
+                _curves(row[1:], one)
+    return _finish(
+        canvas,
+        "What the disturbance outside the library depends on: held-out skill of each group of quantities "
+        "(bars hold it with 95 %), and the disturbance as the best group shows it.",
+        " ".join(told.lines()),
+    )
+
+
+def _skills(ax: Any, one: Dependence) -> None:
+    shown = list(reversed(one.skills))
+    for k, skill in enumerate(shown):
+        colour = AFTER if skill.group == one.group else FLOOR
+        low, high = (float(np.clip(x, -0.25, 1.0)) for x in (skill.low, skill.high))
+        ax.plot([low, high], [k, k], color=colour, linewidth=5.0, alpha=0.5, solid_capstyle="butt")
+        ax.plot(np.clip(skill.skill, -0.25, 1.0), k, "o", color=colour, markersize=4.5)
+    ax.set_yticks(range(len(shown)), [skill.group for skill in shown])
+    ax.axvline(0.0, color=NEUTRAL, linewidth=0.8)
+    ax.set(xlim=(-0.27, 1.02), xlabel="held-out skill", title=one.channel)
+
+
+def _field(ax: Any, told: Description, across: str, up: str, take: tuple[int, int]) -> None:
+    """Arrows of the mean force in a plane; height is up."""
+    sign = np.array([1.0, -1.0 if up == "height" else 1.0])
+    place, push = told.cells[:, take] * sign, told.pushes[:, take] * sign
+    longest = max(float(np.linalg.norm(told.pushes, axis=1).max()), 1e-9)
+    span = max(float(np.ptp(told.cells, axis=0).max()), 0.1)
+    arrows = ax.quiver(
+        *place.T, *push.T, color=AFTER, angles="xy", scale_units="xy", scale=4.0 * longest / span, width=0.008
+    )
+    size = float(f"{0.5 * longest:.1g}")
+    ax.quiverkey(arrows, 0.8, 1.04, size, f"{size:g} m/s$^2$", labelpos="E", coordinates="axes")
+    ends = np.concatenate([place, place + push * span / (4.0 * longest)])
+    ax.update_datalim(ends)
+    if told.form is not None and told.form.name in ("point", "place"):
+        keys = ("north_m", "east_m", "down_m")
+        centre = np.array([told.form.parameters[key] for key in keys])[list(take)] * sign
+        ax.plot(*centre, "x", color=BEFORE, markersize=9, markeredgewidth=2)
+    ax.autoscale_view()
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.set(xlabel=f"{across}, m", ylabel=f"{up}, m")
+
+
+def _curves(row: Any, one: Dependence) -> None:
+    """The two leading slopes, or that there is none."""
+    unit = UNITS[one.channel].replace("^2", "$^2$")
+    for k, ax in enumerate(row):
+        if k >= len(one.slopes):
+            ax.axis("off")
+            if k == 0:
+                x, y, z = one.mean
+                steady = f"constant: ({x:.2g}, {y:.2g}, {z:.2g}) {unit}"
+                ax.text(0.0, 0.5, "none of them explains it" if one.group is None else steady)
+            continue
+        slope = one.slopes[k]
+        ax.plot(*slope.curve.T, "o-", color=AFTER, markersize=4.0, linewidth=1.0)
+        ax.locator_params(nbins=5)
+        ax.set(xlabel=slope.quantity, ylabel=f"{one.channel} {slope.axis}, {unit}")

@@ -58,6 +58,7 @@ def page(
         sentence=sentence(result),
         result=result,
         figures=pictures,
+        outside=None if result.description is None else figures.dependence(result.description),
         errors=_table(result),
         flights=flights,
         held_out=held_out,

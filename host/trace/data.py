@@ -3,211 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from firmware_model.law.allocation import allocation_matrix, invert4
-from firmware_model.law.constants import GRAVITY
 from host.log import Flight
-from host.models.states import TooLittleData, battery_of
+from host.models.states import TooLittleData
+from host.trace.audit import Audit, audit
 from host.trace.segments import BIN_S, PATH_S, Segments
-from host.vehicle import Vehicle
+from host.trace.signals import Signals, averaged, noise, pose_interval_s, signals, unknowns
 
 DT_S = 0.01
 SEGMENT_S = 0.6
 LAGS = 5
 """Run-up of the rotors before a segment, in nominal lags."""
 
-SIGMA_FLOOR = (1e-3, 3e-3, 5e-3, 0.02)
-"""Least sigma of position (m), attitude (rad), rate (rad/s) and specific force (m/s^2): smoothed logs look
-quieter than they are.
-"""
-
-_TILT_LIMIT = np.deg2rad(75.0)
 _MISSING = 0.4
 """A segment that misses a greater share of its commands, or of the poses its log's rate gives, is left
 out.
 """
-
-
-WITHOUT_INPUTS = frozenset({"thrust", "motor-lag", "inertia", "torque"})
-"""What a log of poses alone leaves unknown."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Signals:
-    """A flight's measurements and inputs on one clock, seconds since arm.
-
-    pose_s (n,), p (n, 3) NED, R (n, 3, 3) R_ned_frd; input_s (m, 2) begin and end of each command interval,
-    command (m, 4) as motor command or N; gyro and force (m', 3) FRD over imu_s (m', 2), empty where not
-    logged; voltage_s (k,), voltage_ratio (k,). span_s: the part of the flight used.
-    """
-
-    pose_s: np.ndarray
-    p: np.ndarray
-    R: np.ndarray
-    input_s: np.ndarray
-    command: np.ndarray
-    in_newton: bool
-    imu_s: np.ndarray
-    gyro: np.ndarray
-    force: np.ndarray
-    voltage_s: np.ndarray
-    voltage_ratio: np.ndarray
-    span_s: tuple[float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Audit:
-    """What a flight gave: seconds used, segments kept and left out, its largest gap, and remarks in words."""
-
-    log: str
-    used_s: float
-    segments: int
-    left_out: int
-    largest_gap_s: float
-    remarks: tuple[str, ...]
-
-
-def signals(flight: Flight) -> Signals:
-    """The flight's measurements and inputs. Raises TooLittleData when it has no poses or no tracking phase.
-
-    Where nothing recorded drives the model, thrust is taken as hover's and what that gets wrong is left to
-    the nuisances; where torque is unknown and no gyro was logged, the body rate is that of the poses.
-    """
-    if flight.mocap is None or len(flight.mocap) < 100:
-        raise TooLittleData(f"{flight.path}: fewer than 100 poses; log /mocap/pose in flight")
-    vehicle = flight.vehicle
-    pose_s = flight.mocap.t_us * 1e-6
-    R = Rotation.from_quat(flight.mocap.q[:, [1, 2, 3, 0]]).as_matrix()
-    if flight.control is not None:
-        c = flight.control
-        input_s = np.column_stack([c.t0_us, c.t1_us]) * 1e-6
-        command, in_newton = c.motor_mean, False
-        imu_s, gyro, force = input_s, c.gyro_mean, c.force_mean
-    elif flight.recorded_inputs is not None and flight.recorded_inputs.level != "reference":
-        r = flight.recorded_inputs
-        input_s = _intervals(r.t_us)
-        imu_s, gyro, force = _recorded_imu(flight)
-        if r.motor is not None:
-            command, in_newton = r.motor, False
-        else:
-            assert r.thrust_n is not None
-            assert r.torque_n_m is not None
-            command, in_newton = _rotor_thrusts(vehicle, r.thrust_n, r.torque_n_m), True
-    else:
-        # No input at all, or only a reference and not the law that flew it: the poses speak of lateral
-        # forces.
-        hover_n = vehicle.mass_kg * GRAVITY / 4.0
-        input_s, command, in_newton = pose_s[[0, -1]][None, :], np.full((1, 4), hover_n), True
-        imu_s, gyro, force = _recorded_imu(flight)
-    if "torque" in unknowns([flight]) and not len(gyro):
-        imu_s, gyro = _turned(pose_s, R)
-    voltage_s, voltage_ratio = battery_of(flight)
-    if flight.tracking is None:
-        raise TooLittleData(f"{flight.path}: no tracking phase; the flight ended before its reference began")
-    span_s = (flight.tracking[0] * 1e-6, flight.tracking[1] * 1e-6)
-    if np.count_nonzero((pose_s >= span_s[0]) & (pose_s <= span_s[1])) < 10:
-        raise TooLittleData(f"{flight.path}: fewer than 10 poses in the tracking phase; fly or log longer")
-    return Signals(
-        pose_s=pose_s,
-        p=flight.mocap.p,
-        R=R,
-        input_s=input_s,
-        command=command,
-        in_newton=in_newton,
-        imu_s=imu_s,
-        gyro=gyro,
-        force=force,
-        voltage_s=voltage_s,
-        voltage_ratio=voltage_ratio,
-        span_s=span_s,
-    )
-
-
-def _turned(pose_s: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Intervals (n - 1, 2) between poses and the body rate (n - 1, 3) that turns one into the next."""
-    turn = Rotation.from_matrix(R)
-    step = np.diff(pose_s)
-    rate = (turn[:-1].inv() * turn[1:]).as_rotvec() / step[:, None]
-    return np.column_stack([pose_s[:-1], pose_s[1:]]), rate
-
-
-def _recorded_imu(flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Intervals, gyro and specific force of an imported log; empty where not recorded."""
-    imu, none = flight.recorded_imu, np.zeros((0, 3))
-    if imu is None:
-        return np.zeros((0, 2)), none, none
-    gyro = none if imu.gyro is None else imu.gyro
-    return _intervals(imu.t_us), gyro, none if imu.specific_force is None else imu.specific_force
-
-
-def _intervals(t_us: np.ndarray) -> np.ndarray:
-    """Begin and end (n, 2) in s of the intervals that samples held until the next one cover."""
-    t = t_us * 1e-6
-    return np.column_stack([t, np.append(t[1:], t[-1] + np.median(np.diff(t)))])
-
-
-def _rotor_thrusts(vehicle: Vehicle, thrust_n: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """Rotor thrusts (n, 4) in N that the vehicle file's allocation gives to a collective and a torque."""
-    rotors = vehicle.rotors
-    matrix = allocation_matrix(
-        [r.position_m for r in rotors], [r.spin_sign for r in rotors], vehicle.torque_per_thrust_m
-    )
-    inverse = np.array(invert4(matrix)).reshape(4, 4)
-    return np.column_stack([thrust_n, torque]) @ inverse.T
-
-
-def pose_interval_s(s: Signals) -> float:
-    """Median time between poses."""
-    return float(np.median(np.diff(s.pose_s)))
-
-
-def noise(s: Signals) -> np.ndarray:
-    """Sigma (4,) of position (m), attitude (rad), rate (rad/s), force (m/s^2), from the signals' third
-    differences.
-    """
-    inside = (s.pose_s >= s.span_s[0]) & (s.pose_s <= s.span_s[1])
-    turn = Rotation.from_matrix(s.R[inside])
-    small = (turn[:-1].inv() * turn[1:]).as_rotvec()
-    flying = (s.imu_s[:, 0] >= s.span_s[0]) & (s.imu_s[:, 1] <= s.span_s[1])
-    spread = (
-        _robust(np.diff(s.p[inside], 3, axis=0)) / np.sqrt(20.0),
-        _robust(np.diff(small, 2, axis=0)) / np.sqrt(20.0),
-        *(
-            _robust(np.diff(x[flying], 3, axis=0)) / np.sqrt(20.0) if len(x) > 20 else 0.0
-            for x in (s.gyro, s.force)
-        ),
-    )
-    return np.maximum(spread, SIGMA_FLOOR)
-
-
-def _robust(x: np.ndarray) -> float:
-    """Standard deviation from the median absolute value."""
-    return float(1.4826 * np.median(np.abs(x)))
-
-
-def _averaged(
-    edges_s: np.ndarray, interval_s: np.ndarray, value: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Means (n, k) of interval data between grid edges (n + 1,), and the share (n,) of each step that has
-    data.
-    """
-    length = np.maximum(interval_s[:, 1] - interval_s[:, 0], 1e-9)
-    knots = np.ravel(interval_s)
-    order = np.argsort(knots, kind="stable")
-    area = np.ravel(np.column_stack([np.zeros(len(length)), length]))
-    covered = np.interp(edges_s, knots[order], np.cumsum(area)[order])
-    share = np.clip(np.diff(covered) / np.diff(edges_s), 0.0, 1.0)
-    out = np.empty((len(edges_s) - 1, value.shape[1]))
-    for i in range(value.shape[1]):
-        steps = np.ravel(np.column_stack([np.zeros(len(length)), length * value[:, i]]))
-        total = np.interp(edges_s, knots[order], np.cumsum(steps)[order])
-        out[:, i] = np.diff(total) / np.maximum(np.diff(covered), 1e-9)
-    return out, share
 
 
 def segments_of(
@@ -259,20 +75,6 @@ def _paths(flights: Sequence[Flight]) -> np.ndarray:
     return np.stack([np.pad(path, ((0, longest - len(path)), (0, 0)), mode="edge") for path in each])
 
 
-def unknowns(flights: Sequence[Flight]) -> frozenset[str]:
-    """Everything that any of the logs declares unknown, or cannot know without recorded inputs."""
-    declared = {word for flight in flights for word in flight.metadata.get("unknown", "").split()}
-    if any(_without_inputs(flight) for flight in flights):
-        declared |= WITHOUT_INPUTS
-    return frozenset(declared)
-
-
-def _without_inputs(flight: Flight) -> bool:
-    """Whether nothing that was recorded says what the rotors did."""
-    recorded = flight.recorded_inputs
-    return flight.control is None and (recorded is None or recorded.level == "reference")
-
-
 def _cut(
     flight: Flight, index: int, segment_s: float, rate_driven: bool
 ) -> tuple[list[dict[str, Any]], Audit]:
@@ -283,10 +85,10 @@ def _cut(
     begin = max(s.span_s[0], s.pose_s[0] + (pre + 2) * DT_S, s.input_s[0, 0] + (pre + 2) * DT_S)
     count = int((s.span_s[1] - begin) / segment_s)
     grid = begin + DT_S * np.arange(-pre, count * steps + 1)
-    command, covered = _averaged(grid, s.input_s, s.command)
+    command, covered = averaged(grid, s.input_s, s.command)
     nothing = np.zeros((len(grid) - 1, 3)), np.zeros(len(grid) - 1)
-    rate, rate_share = _averaged(grid, s.imu_s, s.gyro) if len(s.gyro) else nothing
-    force, force_share = _averaged(grid, s.imu_s, s.force) if len(s.force) else nothing
+    rate, rate_share = averaged(grid, s.imu_s, s.gyro) if len(s.gyro) else nothing
+    force, force_share = averaged(grid, s.imu_s, s.force) if len(s.force) else nothing
     ratio = np.interp(grid, s.voltage_s, s.voltage_ratio)
     nearest = np.round((s.pose_s - begin) / DT_S).astype(int) + pre
     distance = np.abs(s.pose_s - (begin + DT_S * (nearest - pre)))
@@ -297,25 +99,28 @@ def _cut(
     at[nearest[keep]] = keep
     fewest = (1.0 - _MISSING) * min(1.0, DT_S / pose_interval_s(s))
 
+    health = audit(flight)
     found: list[dict[str, Any]] = []
-    out_gap = out_tilt = 0
+    thin, lost = 0, dict[str, int]()
     for k in range(count):
         a = pre + k * steps
+        start_s = float(grid[a] - s.span_s[0])
+        bad = health.overlaps(start_s, start_s + segment_s)
+        if bad is not None:
+            lost[bad.reason] = lost.get(bad.reason, 0) + 1
+            continue
         pick = at[a : a + steps]
         here = pick >= 0
         fed = covered[a - pre : a + steps] > 0.5
         if here.mean() < fewest or fed.mean() < 1 - _MISSING or not here[: max(2, steps // 6)].any():
-            out_gap += 1
+            thin += 1
             continue
         R = s.R[np.where(here, pick, 0)]
-        if np.arccos(np.clip(R[here][:, 2, 2], -1, 1)).max() > _TILT_LIMIT:
-            out_tilt += 1
-            continue
         found.append(
             {
                 "in_newton": s.in_newton,
                 "flight": np.array(index),
-                "start_s": np.array(grid[a] - s.span_s[0]),
+                "start_s": np.array(start_s),
                 "x0": _initial(s, grid[a], rate[a] if rate_share[a] > 0.5 else np.zeros(3)),
                 "position": s.p[np.where(here, pick, 0)],
                 "attitude": R.reshape(steps, 9),
@@ -332,23 +137,15 @@ def _cut(
                 "sigma": sigma,
             }
         )
-    remarks = []
-    if out_gap:
-        remarks.append(f"{out_gap} segments with gaps in poses or commands")
-    if out_tilt:
-        remarks.append(f"{out_tilt} segments beyond {np.rad2deg(_TILT_LIMIT):.0f} deg of tilt")
-    if not len(s.gyro):
-        remarks.append("no gyro: delay and latency are hard to tell apart")
-    if _without_inputs(flight):
-        remarks.append("no inputs recorded: only forces across the thrust show")
-    inside = s.pose_s[(s.pose_s >= s.span_s[0]) & (s.pose_s <= s.span_s[1])]
-    return found, Audit(
-        log=flight.path.name,
+    remarks = [f"{n} segments with {reason}" for reason, n in lost.items()]
+    if thin:
+        remarks.append(f"{thin} segments with gaps in poses or commands")
+    return found, replace(
+        health,
         used_s=len(found) * segment_s,
         segments=len(found),
-        left_out=out_gap + out_tilt,
-        largest_gap_s=float(np.diff(inside).max()),
-        remarks=tuple(remarks),
+        left_out=thin + sum(lost.values()),
+        remarks=(*remarks, *health.remarks),
     )
 
 

@@ -9,12 +9,14 @@ from typing import Any, Literal
 import numpy as np
 
 from host.models.model import Model
-from host.trace.data import Audit
+from host.trace.audit import Audit, lines
+from host.trace.describe import Description
 from host.trace.diagnose import Diagnosis
 from host.trace.parameters import Space
 from host.trace.score import Errors
 from host.trace.separate import NextFlight
 from host.trace.twins import Leftover
+from host.trace.unexplained import Unexplained
 
 Verdict = Literal["traced", "nothing-missing", "undecided", "outside-library"]
 
@@ -67,6 +69,10 @@ class Trace:
     diagnosis: Diagnosis
     leftover: Leftover
     audits: tuple[Audit, ...]
+    description: Description | None
+    """What the disturbance outside the library depends on; None where the verdict is another."""
+    unexplained: Unexplained | None
+    """The network's errors on what is left, where one was trained."""
 
     @property
     def evidence(self) -> dict[str, float]:
@@ -103,6 +109,8 @@ class Trace:
             names = ", ".join(f"{name} ({p:.2f})" for name, p in self.possible.items())
             out.append(f"  not excluded beside them: {names}" if self.effects else f"  not excluded: {names}")
         out += [f"  {reason}" for reason in self.reasons]
+        if self.description is not None:
+            out += [f"  {line}" for line in self.description.lines()]
         if self.before_score is not None and self.after_score is not None:
             how = "whole flights" if self.horizon_s is None else f"{self.horizon_s} s ahead"
             out.append(
@@ -113,14 +121,18 @@ class Trace:
             )
         else:
             out.append("no flight held out: no error before and after; add --hold-out LOG")
+        if self.unexplained is not None:
+            out.append(self.unexplained.line())
         if self.next_flight is not None:
             a, b = self.next_flight.separates
             sigma = self.next_flight.expected_sigma
             out.append(f"fly {self.next_flight.route} next: it separates {a} from {b} by {sigma:.1f} sigma")
-        return out
+        return out + [f"data: {line}" for line in lines(self.audits)]
 
-    def to_json(self, *, model_path: str | None, report_path: str | None) -> dict[str, Any]:
-        """The JSON object of `trimtab trace`."""
+    def to_json(
+        self, *, model_path: str | None, report_path: str | None, network_path: str | None = None
+    ) -> dict[str, Any]:
+        """The JSON object of `trimtab trace`; the paths are those of files written."""
         null = {"position_rmse_m": None, "velocity_rmse_m_s": None}
         return {
             "verdict": self.verdict,
@@ -152,4 +164,7 @@ class Trace:
             "report": report_path,
             "reasons": list(self.reasons),
             "possible": [{"name": name, "probability": p} for name, p in self.possible.items()],
+            "description": None if self.description is None else self.description.to_json(),
+            "unexplained": None if self.unexplained is None else self.unexplained.to_json(network_path),
+            "audit": [audit.to_json() for audit in self.audits],
         }

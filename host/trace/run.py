@@ -14,7 +14,9 @@ from host.log import Flight
 from host.models.model import Covariance, Model, Region
 from host.models.states import battery_of
 from host.trace import evidence
-from host.trace.data import SEGMENT_S, segments_of, signals, unknowns
+from host.trace.audit import without_twins
+from host.trace.data import SEGMENT_S, segments_of
+from host.trace.describe import describe
 from host.trace.diagnose import ALIAS_PROBABILITY, Diagnosis, Fit, diagnose
 from host.trace.form import Form
 from host.trace.parameters import MASS, Space, space, tolerance_of
@@ -30,7 +32,9 @@ from host.trace.score import (
 )
 from host.trace.segments import nominal_thrust
 from host.trace.separate import NextFlight, propose
+from host.trace.signals import signals, unknowns
 from host.trace.twins import Leftover, leftover
+from host.trace.unexplained import unexplained
 from host.vehicle import Vehicle
 
 WEIGHED = 0.005
@@ -88,12 +92,14 @@ def run(
     vehicle: Vehicle | None = None,
     manoeuvres: Manoeuvres | None = None,
     provenance: Mapping[str, object] | None = None,
+    network: bool = False,
     report: Report = lambda _: None,
 ) -> Trace:
     """The trace of `flights`, scored on `held_out`.
 
     `manoeuvres` gives flat outputs (14, n) by route, from which the next flight is chosen where the data
-    cannot decide. Raises UsageError (logs that do not belong together) and TooLittleData.
+    cannot decide. With `network`, one learns what is left where the cause is outside the library. Raises
+    UsageError (logs that do not belong together) and TooLittleData.
     """
     airframe = check_logs(flights, held_out, vehicle)
     report("reading segments")
@@ -102,7 +108,7 @@ def run(
     form = Form(airframe, chosen, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
     diagnosis = diagnose(form, data, report)
     fit, twins = diagnosis.best, twins_of(flights)
-    rest = _leftover(fit, fit.z, twins)
+    rest = leftover(_left(fit, fit.z), fit.data, twins)
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
     verdict = _verdict(fit, rest, aliases)
     added = verdict != "outside-library"
@@ -111,7 +117,7 @@ def run(
     if not added:
         # How much is missing counts from the model that is kept: what the library fitted in its stead may be
         # wild.
-        missing = _leftover(diagnosis.nothing, z, twins)
+        missing = leftover(_left(diagnosis.nothing, z), diagnosis.nothing.data, twins)
         rest = missing if missing.reasons else rest
     model = _model(airframe, chosen, fit, z, flights, named, added, provenance)
 
@@ -123,6 +129,13 @@ def run(
         report("looking for the flight that decides")
         effect, alias = _closest(aliases)
         following = propose(form, fit, effect, alias, manoeuvres())
+    told = more = None
+    if not added:
+        report("describing what is outside the library")
+        nothing = diagnosis.nothing
+        told = describe(_left(nothing, z), nothing.data, [f.reference_id for f in flights], airframe)
+        if network and drive == "reference":
+            more = unexplained(flights, held_out, model, effects, told, report)
     return Trace(
         verdict=verdict,
         reasons=rest.reasons,
@@ -143,7 +156,9 @@ def run(
         space=chosen,
         diagnosis=diagnosis,
         leftover=rest,
-        audits=audits,
+        audits=without_twins(audits, twins),
+        description=told,
+        unexplained=more,
     )
 
 
@@ -153,10 +168,11 @@ def _observable(effects: Mapping[str, Effect], flights: Sequence[Flight]) -> dic
     return {name: effect for name, effect in effects.items() if sagged or name != "battery-sag"}
 
 
-def _leftover(fit: Fit, z: np.ndarray, twins: Sequence[tuple[int, int]]) -> Leftover:
-    """What the model with scaled parameters z (P,) leaves, in the fit's linearisation."""
-    w = evidence.disturbances(fit.lin, fit.process, z - fit.z, np.zeros_like(fit.local))
-    return leftover(w, fit.data, twins)
+def _left(fit: Fit, z: np.ndarray) -> np.ndarray:
+    """Disturbance (segments, bins, 6) that the model with scaled parameters z (P,) leaves, in the fit's
+    linearisation.
+    """
+    return evidence.disturbances(fit.lin, fit.process, z - fit.z, np.zeros_like(fit.local))
 
 
 def _substitutes(diagnosis: Diagnosis, chosen: Space, name: str) -> dict[str, float]:

@@ -20,12 +20,13 @@ from host.models.dynamics import mocap_latency_s as latency_of
 from host.models.model import Model
 from host.models.phi import Phi
 from host.models.rollout import half_steps, reference_drive, roll_out
-from host.models.states import flight_states
+from host.models.states import TooLittleData, flight_states
 from host.trace import evidence, segments
-from host.trace.data import DT_S, SEGMENT_S, TooLittleData, pose_interval_s, segments_of, signals
+from host.trace.data import DT_S, SEGMENT_S, segments_of
 from host.trace.diagnose import starting_process
 from host.trace.form import Form
 from host.trace.segments import Segments
+from host.trace.signals import pose_interval_s, signals
 
 CALIBRATION = 0.25
 """Share of a held-out flight that its own nuisances are fitted to, where recorded inputs drive the model."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 MODEL_NAME = "trace.model.toml"
 REPORT_NAME = "trace.html"
 JSON_NAME = "trace.json"
+NETWORK_NAME = "unexplained.model.toml"
 
 
 def command(
@@ -25,6 +26,7 @@ def command(
     hold_out: Annotated[list[Path] | None, Parameter(name="--hold-out", consume_multiple=True)] = None,
     vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None,
     output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None,
+    network: Annotated[bool, Parameter(negative="--no-network")] = True,
     workspace: WorkspaceFolder = None,
     json: Json = False,
     force: Force = False,
@@ -41,6 +43,8 @@ def command(
         Vehicle the logs must be of; without it, the one they name.
     output
         Folder for model, report and JSON; made if missing. Nothing is written without it.
+    network
+        Where the cause is outside the library, train a network on what is left: some ten seconds more.
     """
     from host import artefacts
     from host.effects import load_effects
@@ -58,7 +62,7 @@ def command(
     space = open_workspace(workspace)
     wanted = None if vehicle is None else space.vehicle(vehicle)
     if output is not None:
-        artefacts.check_folder(output, (MODEL_NAME, REPORT_NAME, JSON_NAME), force)
+        artefacts.check_folder(output, (MODEL_NAME, REPORT_NAME, JSON_NAME, NETWORK_NAME), force)
     flights = [read_flight(path) for path in logs]
     held_out = [read_flight(path) for path in hold_out or ()]
     airframe = wanted or flights[0].vehicle
@@ -70,23 +74,28 @@ def command(
             vehicle=wanted,
             manoeuvres=lambda: manoeuvres(space, airframe),
             provenance=artefacts.provenance(parents={f"log {i}": f.id for i, f in enumerate(flights)}),
+            network=network,
             report=lambda step: progress.advance(0.0, step),
         )
-    model_path = report_path = None
+    model_path = report_path = network_path = None
     if output is not None:
         from host.models.file import write_model
         from host.report.trace import page
 
         model_path, report_path = str(output / MODEL_NAME), str(output / REPORT_NAME)
-        answer = result.to_json(model_path=model_path, report_path=report_path)
+        if result.unexplained is not None:
+            network_path = str(output / NETWORK_NAME)
+        answer = result.to_json(model_path=model_path, report_path=report_path, network_path=network_path)
         report = page(result, flights, held_out, answer)
         output.mkdir(exist_ok=True)
         write_model(result.model, output / MODEL_NAME, force=force)
+        if result.unexplained is not None:
+            write_model(result.unexplained.model, output / NETWORK_NAME, force=force)
         artefacts.write_atomic(output / REPORT_NAME, report, force)
         artefacts.write_atomic(output / JSON_NAME, json_text(answer), force)
         say(f"model, report and JSON are in {output}: {MODEL_NAME}, {REPORT_NAME}, {JSON_NAME}")
     say(*result.lines())
-    emit(result.to_json(model_path=model_path, report_path=report_path), json)
+    emit(result.to_json(model_path=model_path, report_path=report_path, network_path=network_path), json)
 
 
 def manoeuvres(space: Workspace, vehicle: Vehicle) -> dict[str, np.ndarray]:

@@ -9,7 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from host.log import Battery, Mocap, RecordedInputs, read_flight, write_imported
-from host.trace.data import TooLittleData, _averaged, segments_of, signals, unknowns
+from host.models.states import TooLittleData
+from host.trace.data import segments_of
+from host.trace.signals import averaged, signals, unknowns
 from host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
@@ -45,7 +47,7 @@ def log(
 def test_averages_over_steps_hold_the_area_under_intervals() -> None:
     intervals = np.array([[0.0, 0.1], [0.1, 0.3], [0.5, 0.6]])
     values = np.array([[1.0], [3.0], [5.0]])
-    means, share = _averaged(np.array([0.0, 0.2, 0.4, 0.6]), intervals, values)
+    means, share = averaged(np.array([0.0, 0.2, 0.4, 0.6]), intervals, values)
     np.testing.assert_allclose(means[:, 0], [2.0, 3.0, 5.0])
     np.testing.assert_allclose(share, [1.0, 0.5, 0.5])
 

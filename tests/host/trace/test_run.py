@@ -11,7 +11,7 @@ import pytest
 from host.effects import load_effects
 from host.errors import UsageError
 from host.log import Battery, Mocap, read_flight, write_imported
-from host.trace.data import TooLittleData
+from host.models.states import TooLittleData
 from host.trace.run import check_logs, run
 from host.vehicle import Vehicle, load_vehicle
 

@@ -10,10 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from host.effects import load_effects
 from host.log import Flight, Mocap, read_flight, write_imported
-from host.trace.data import DT_S, TooLittleData, unknowns
+from host.models.states import TooLittleData
+from host.trace.data import DT_S
 from host.trace.form import Form
 from host.trace.parameters import space
 from host.trace.score import CALIBRATION, Errors, noise_floor, predict_segments
+from host.trace.signals import unknowns
 from host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")

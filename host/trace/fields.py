@@ -1,0 +1,155 @@
+"""Closed descriptions of a force that depends on the place: towards a point, at a place, along a line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+CLEAR = 0.5
+"""Held-out skill from which on a closed form is said."""
+
+WITHIN = 0.05
+"""How far a closed form may fall behind the smooth fit: it has a tenth of its freedom."""
+
+Law = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Form:
+    """A closed form by name with its parameters, in words, and its held-out skill."""
+
+    name: str
+    parameters: dict[str, float]
+    words: str
+    skill: float
+
+    def to_json(self) -> dict[str, Any]:
+        """The value of `form`."""
+        return {
+            "name": self.name,
+            "parameters": {key: round(value, 4) for key, value in self.parameters.items()},
+            "words": self.words,
+            "skill": round(self.skill, 4),
+        }
+
+
+def _to_point(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Force (n, 3) towards a point, growing with the distance beyond a slack: c, stiffness, slack."""
+    reach = theta[:3] - p
+    distance = np.linalg.norm(reach, axis=1)
+    beyond = np.maximum(distance - theta[4], 0.0)
+    return (theta[3] * beyond / np.maximum(distance, 1e-6))[:, None] * reach
+
+
+def _at_place(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """A push (n, 3) strongest at a place, Gaussian about it: c, push, width."""
+    apart = np.linalg.norm(p - theta[:3], axis=1)
+    return np.exp(-0.5 * (apart / theta[6]) ** 2)[:, None] * theta[3:6]
+
+
+def _along(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """A push (n, 3) along a level direction that grows exponentially that way: azimuth, push at 0, length."""
+    n = np.array([np.cos(theta[0]), np.sin(theta[0]), 0.0])
+    return (theta[1] * np.exp(np.clip(p @ n / theta[2], -30.0, 30.0)))[:, None] * n
+
+
+def fit_forms(p: np.ndarray, force: np.ndarray, folds: np.ndarray) -> list[tuple[Form, np.ndarray]]:
+    """Every closed form of a force (n, 3) at places p (n, 3), NED, and its held-out squared errors (n,).
+
+    folds (n,) says where each row is held out. The forms' skill is not known yet.
+    """
+    found = []
+    for name, law, starts, bounds, said in _laws(p, force):
+        best = _fitted(law, p, force, starts, bounds)
+        errors = np.empty(len(p))
+        for fold in np.unique(folds):
+            out = folds == fold
+            theta = _fitted(law, p[~out], force[~out], [best, starts[0]], bounds)
+            errors[out] = ((force[out] - law(theta, p[out])) ** 2).sum(1)
+        parameters, words = said(best)
+        found.append((Form(name=name, parameters=parameters, words=words, skill=np.nan), errors))
+    return found
+
+
+def _fitted(
+    law: Law, p: np.ndarray, force: np.ndarray, starts: list[np.ndarray], bounds: tuple[Any, Any]
+) -> np.ndarray:
+    """Parameters of least squares, the best of several starts."""
+    fits = [
+        least_squares(
+            lambda theta: (law(theta, p) - force).reshape(-1),
+            np.clip(start, *bounds),
+            bounds=bounds,
+            x_scale="jac",
+            max_nfev=40,
+        )
+        for start in starts
+    ]
+    return min(fits, key=lambda fit: fit.cost).x
+
+
+def _laws(p: np.ndarray, force: np.ndarray) -> list[tuple[str, Law, list[np.ndarray], Any, Any]]:
+    """Each form with its law, starts, bounds and the words for its parameters."""
+    low, high, middle = p.min(0) - 2.0, p.max(0) + 2.0, p.mean(0)
+    size = float(np.ptp(p, axis=0).max())
+    floor = np.array([middle[0], middle[1], p[:, 2].max() + 0.5])
+    top = p[np.linalg.norm(force, axis=1).argsort()[-max(5, len(p) // 20) :]].mean(0)
+    strong = float(np.quantile(np.linalg.norm(force, axis=1), 0.95))
+    push = force[np.linalg.norm(force, axis=1) >= 0.7 * strong].mean(0)
+    slope = strong / max(size, 0.1)
+    point = [
+        np.r_[c, k, slack] for c in (middle, floor) for k in (slope, -slope) for slack in (0.05, 0.3 * size)
+    ]
+    turns = np.linspace(0.0, 2.0 * np.pi, 6, endpoint=False)
+    wide = max(2.0 * size, 1.0)
+
+    def said_point(x: np.ndarray) -> tuple[dict[str, float], str]:
+        way = "pulls towards" if x[3] > 0.0 else "pushes away from"
+        n, e, d = x[:3]
+        words = f"{way} ({n:.2f}, {e:.2f}, {d:.2f}), {abs(x[3]):.2g} m/s^2 a metre"
+        if x[4] > 0.1:
+            words += f" beyond {x[4]:.2g} m"
+        keys = ("north_m", "east_m", "down_m", "per_s2", "slack_m")
+        return dict(zip(keys, map(float, x), strict=True)), words
+
+    def said_place(x: np.ndarray) -> tuple[dict[str, float], str]:
+        words = (
+            f"pushes by ({x[3]:.2g}, {x[4]:.2g}, {x[5]:.2g}) m/s^2 at ({x[0]:.2f}, {x[1]:.2f}, {x[2]:.2f}), "
+            f"and half as much {1.18 * x[6]:.2g} m from there"
+        )
+        keys = ("north_m", "east_m", "down_m", "push_north", "push_east", "push_down", "width_m")
+        return dict(zip(keys, map(float, x), strict=True)), words
+
+    def said_along(x: np.ndarray) -> tuple[dict[str, float], str]:
+        azimuth = float(np.rad2deg(x[0]) % 360.0)
+        n = np.array([np.cos(x[0]), np.sin(x[0]), 0.0])
+        most = float(x[1] * np.exp((p @ n).max() / x[2]))
+        way = "pushes" if most > 0.0 else "pushes back"
+        words = (
+            f"{way} towards azimuth {azimuth:.0f} deg, twice as much each {0.69 * x[2]:.2g} m that way, "
+            f"up to {abs(most):.2g} m/s^2 where it was flown"
+        )
+        values = {"azimuth_deg": azimuth, "length_m": float(x[2]), "greatest_m_s2": most}
+        return values, words
+
+    return [
+        ("point", _to_point, point, (np.r_[low, -50.0, 0.0], np.r_[high, 50.0, wide]), said_point),
+        (
+            "place",
+            _at_place,
+            [np.r_[c, push, w] for c in (top, middle) for w in (0.2 * size + 0.1, 0.5 * size + 0.1)],
+            (np.r_[low, -50.0, -50.0, -50.0, 0.1], np.r_[high, 50.0, 50.0, 50.0, wide]),
+            said_place,
+        ),
+        (
+            "along",
+            _along,
+            [np.array([a, s * strong * 0.3, 0.4 * size + 0.1]) for a in turns for s in (1.0, -1.0)],
+            (np.array([-0.1, -50.0, 0.1]), np.array([2.0 * np.pi + 0.1, 50.0, wide])),
+            said_along,
+        ),
+    ]

@@ -1,0 +1,254 @@
+"""The audit of logs: silent on ordinary flights, and one log with each defect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from host.log import Flight, RecordedImu, RecordedInputs, read_flight
+from host.trace.audit import (
+    CONTACT,
+    IMPACT,
+    JUMP,
+    NO_COMMANDS,
+    NO_POSES,
+    SATURATED,
+    SINGULAR,
+    TILTED,
+    Stretch,
+    audit,
+    lines,
+    without_twins,
+)
+from host.trace.data import segments_of
+
+DATA = Path(__file__).parents[2] / "data"
+BEGIN_S, END_S = 3.0, 3.5
+
+
+@pytest.fixture(scope="module")
+def flight() -> Flight:
+    return read_flight(DATA / "a1.mcap")
+
+
+def between(flight: Flight, t_us: np.ndarray, begin_s: float = BEGIN_S, end_s: float = END_S) -> np.ndarray:
+    """Samples from begin_s to end_s since tracking began."""
+    assert flight.tracking is not None
+    t_s = (t_us - flight.tracking[0]) * 1e-6
+    return (t_s >= begin_s) & (t_s < end_s)
+
+
+def poses(flight: Flight, keep: Any = None, **arrays: np.ndarray) -> Flight:
+    """The flight with other poses, of which only the rows `keep` are left."""
+    assert flight.mocap is not None
+    new = replace(flight.mocap, **arrays)
+    if keep is not None:
+        new = replace(new, **{name: values[keep] for name, values in vars(new).items()})
+    return replace(flight, mocap=new)
+
+
+def commands(flight: Flight, keep: Any = None, **arrays: np.ndarray) -> Flight:
+    assert flight.control is not None
+    new = replace(flight.control, **arrays)
+    if keep is not None:
+        new = replace(new, **{name: values[keep] for name, values in vars(new).items()})
+    return replace(flight, control=new)
+
+
+def changed(values: np.ndarray, where: np.ndarray, to: Any) -> np.ndarray:
+    out = values.copy()
+    out[where] = to
+    return out
+
+
+def the_stretch(flight: Flight, reason: str) -> Stretch:
+    """The one stretch of the flight, which no segment may touch."""
+    found = audit(flight)
+    assert [stretch.reason for stretch in found.stretches] == [reason]
+    (stretch,) = found.stretches
+    data, (cut,) = segments_of([flight])
+    assert not ((data.start_s < stretch.end_s) & (data.start_s + 0.6 > stretch.start_s)).any()
+    assert any(reason in remark for remark in cut.remarks)
+    assert 0 < cut.left_out <= 3
+    assert f"not used from {stretch}" in lines([cut])[0]
+    return stretch
+
+
+@pytest.mark.parametrize("name", ["a1", "a2", "b1", "b2", "c1"])
+def test_ordinary_flights_are_used_whole_and_without_a_remark(name: str) -> None:
+    found = audit(read_flight(DATA / f"{name}.mcap"))
+    assert found.stretches == ()
+    assert found.remarks == ()
+
+
+def test_rates_are_those_of_the_topics_with_how_they_were_taken(flight: Flight) -> None:
+    rates = {rate.topic: rate for rate in audit(flight).rates}
+    assert rates["/mocap/pose"].median_hz == pytest.approx(100.0)
+    assert rates["/mocap/pose"].sampling == "sampled"
+    assert rates["/fc/control"].sampling == "averaged"
+    assert 90.0 < rates["/fc/control"].worst_hz <= 100.0
+
+
+def test_poses_that_thin_out_for_a_second_are_told(flight: Flight) -> None:
+    assert flight.mocap is not None
+    count = np.arange(len(flight.mocap))
+    thin = poses(flight, ~between(flight, flight.mocap.t_us, 2.0, 3.5) | (count % 4 == 0))
+    (remark,) = audit(thin).remarks
+    assert remark.startswith("/mocap/pose at 100 Hz falls to 2")
+
+
+def test_a_gap_in_the_poses_is_left_out(flight: Flight) -> None:
+    assert flight.mocap is not None
+    stretch = the_stretch(poses(flight, ~between(flight, flight.mocap.t_us)), NO_POSES)
+    assert stretch.start_s == pytest.approx(BEGIN_S, abs=0.015)
+    assert stretch.end_s == pytest.approx(END_S, abs=0.015)
+
+
+def test_a_gap_in_the_commands_is_left_out(flight: Flight) -> None:
+    assert flight.control is not None
+    gone = between(flight, flight.control.t1_us)
+    assert the_stretch(commands(flight, ~gone), NO_COMMANDS).end_s == pytest.approx(END_S, abs=0.015)
+    last = int(np.flatnonzero(gone)[-1])
+    one = commands(flight, ~gone | (np.arange(len(gone)) == last))
+    assert one.control is not None
+    t0_us = changed(one.control.t0_us, one.control.t1_us == flight.control.t1_us[last], 0)
+    t0_us[1:] = np.where(t0_us[1:] == 0, one.control.t1_us[:-1], t0_us[1:])
+    wide = commands(one, t0_us=t0_us)  # one mean over the whole gap
+    assert the_stretch(wide, NO_COMMANDS).start_s == pytest.approx(BEGIN_S, abs=0.02)
+
+
+def test_a_camera_clock_that_jumps_is_left_out_where_it_does(flight: Flight) -> None:
+    assert flight.mocap is not None
+    assert flight.tracking is not None
+    t_us = flight.mocap.t_us.copy()
+    t_us[t_us > flight.tracking[0] + 3_000_000] -= 5_000
+    stretch = the_stretch(poses(flight, t_us=t_us), JUMP)
+    assert stretch.start_s <= BEGIN_S <= stretch.end_s
+
+
+def test_a_vehicle_clock_that_runs_back_is_left_out_where_it_does(flight: Flight) -> None:
+    assert flight.control is not None
+    late = np.arange(len(flight.control)) >= np.flatnonzero(between(flight, flight.control.t1_us))[0]
+    stepped = commands(
+        flight, t0_us=flight.control.t0_us - 4_000 * late, t1_us=flight.control.t1_us - 4_000 * late
+    )
+    the_stretch(stepped, JUMP)
+
+
+def test_clocks_that_drift_apart_are_told(flight: Flight) -> None:
+    link = flight.link
+    assert link is not None
+    ramp = np.linspace(0.0, 8_000.0, len(link))
+    (remark,) = audit(
+        replace(flight, link=replace(link, clock_offset_us=link.clock_offset_us + ramp))
+    ).remarks
+    assert "clocks drift apart by" in remark
+
+
+def test_repeated_time_stamps_are_counted(flight: Flight) -> None:
+    assert flight.mocap is not None
+    twice = np.flatnonzero(between(flight, flight.mocap.t_us))[[3, 9, 20]]
+    t_us = changed(flight.mocap.t_us, twice + 1, flight.mocap.t_us[twice])
+    (remark,) = audit(poses(flight, t_us=t_us)).remarks
+    assert remark.startswith("/mocap/pose: 3 time stamps are repeated")
+
+
+def test_a_vehicle_as_low_as_it_stood_touches_the_ground(flight: Flight) -> None:
+    assert flight.mocap is not None
+    p = flight.mocap.p.copy()
+    p[between(flight, flight.mocap.t_us), 2] = flight.mocap.p[0, 2] - 0.02
+    stretch = the_stretch(poses(flight, p=p), CONTACT)
+    assert stretch.start_s == pytest.approx(BEGIN_S, abs=0.35)
+    assert stretch.end_s == pytest.approx(END_S, abs=0.35)
+
+
+def test_rotors_below_weight_without_a_fall_are_carried_by_the_ground(flight: Flight) -> None:
+    assert flight.mocap is not None
+    assert flight.control is not None
+    where = between(flight, flight.mocap.t_us)
+    airborne = flight.mocap.p[:, 2] < -0.4
+    p = flight.mocap.p.copy()
+    p[where, 2] = p[airborne, 2].max()
+    motor = flight.control.motor_mean.copy()
+    motor[between(flight, flight.control.t1_us)] *= 0.8
+    # A log that begins in the air and never shows the floor.
+    started = flight.control.t1_us > flight.mocap.t_us[airborne][0]
+    low = commands(poses(flight, airborne, p=p), started, motor_mean=motor)
+    the_stretch(replace(low, kind="imported"), CONTACT)
+    assert audit(commands(poses(flight, airborne), started)).stretches == ()
+
+
+def test_an_impact_is_left_out(flight: Flight) -> None:
+    assert flight.control is not None
+    hit = np.flatnonzero(between(flight, flight.control.t1_us))[:2]
+    the_stretch(
+        commands(flight, force_mean=changed(flight.control.force_mean, hit, [30.0, 0.0, -9.8])), IMPACT
+    )
+
+
+@pytest.mark.parametrize("limit", [0.0, 1.0])
+def test_a_motor_at_its_limit_is_left_out(flight: Flight, limit: float) -> None:
+    assert flight.control is not None
+    motor = flight.control.motor_mean.copy()
+    motor[between(flight, flight.control.t1_us), 2] = limit
+    assert the_stretch(commands(flight, motor_mean=motor), SATURATED).end_s == pytest.approx(END_S, abs=0.02)
+
+
+def test_rotors_clipped_for_a_share_of_the_ticks_are_told(flight: Flight) -> None:
+    assert flight.status is not None
+    clipped = replace(flight.status, saturated_ticks=flight.status.flight_ticks // 20)
+    (remark,) = audit(replace(flight, status=clipped)).remarks
+    assert remark.startswith("rotors clipped on 5 % of the ticks")
+
+
+@pytest.mark.parametrize(("angles_deg", "reason"), [((0.0, 0.0, 78.0), TILTED), ((0.0, 85.0, 0.0), SINGULAR)])
+def test_attitudes_that_the_model_cannot_hold_are_left_out(
+    flight: Flight, angles_deg: tuple[float, float, float], reason: str
+) -> None:
+    assert flight.mocap is not None
+    q = Rotation.from_euler("ZYX", angles_deg, degrees=True).as_quat(scalar_first=True)
+    turned = changed(flight.mocap.q, between(flight, flight.mocap.t_us), q)
+    assert the_stretch(poses(flight, q=turned), reason).start_s == pytest.approx(BEGIN_S, abs=0.03)
+
+
+def test_sampled_commands_say_what_they_cost(flight: Flight) -> None:
+    assert flight.control is not None
+    c = flight.control
+    inputs = RecordedInputs(t_us=c.t1_us, level="motor", motor=c.motor_mean)
+    imu = RecordedImu(t_us=c.t1_us, gyro=c.gyro_mean, specific_force=c.force_mean)
+    sampled = replace(flight, control=None, recorded_inputs=inputs, recorded_imu=imu)
+    (remark,) = audit(sampled).remarks
+    assert remark.startswith("sampled commands make false lag and inertia")
+    deaf = audit(replace(sampled, recorded_imu=None)).remarks
+    assert any(remark.startswith("no gyro") for remark in deaf)
+    slow = RecordedInputs(t_us=c.t1_us[::5], level="motor", motor=c.motor_mean[::5])
+    assert any(
+        "too slow to show" in remark for remark in audit(replace(sampled, recorded_inputs=slow)).remarks
+    )
+
+
+def test_a_flight_without_inputs_says_so(flight: Flight) -> None:
+    remarks = audit(replace(flight, control=None)).remarks
+    assert any(remark.startswith("no inputs recorded") for remark in remarks)
+    assert any(remark.startswith("no gyro") for remark in remarks)
+
+
+def test_a_flight_without_a_twin_says_so(flight: Flight) -> None:
+    found = without_twins([audit(flight)] * 3, [(0, 2)])
+    assert [len(one.remarks) for one in found] == [0, 1, 0]
+    assert found[1].remarks[0].startswith("no twin")
+
+
+def test_the_audit_of_a_flight_says_the_same_to_machines(flight: Flight) -> None:
+    assert flight.mocap is not None
+    _, (cut,) = segments_of([poses(flight, ~between(flight, flight.mocap.t_us))])
+    told = cut.to_json()
+    assert told["stretches"][0]["reason"] == NO_POSES
+    assert told["segments"] == cut.segments
+    assert told["used_s"] == pytest.approx(0.6 * cut.segments)
+    assert set(told["rates"][0]) == {"topic", "median_hz", "worst_hz", "sampling"}

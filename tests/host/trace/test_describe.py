@@ -1,0 +1,150 @@
+"""Disturbances of known form along flown paths: what carries them is found, and of noise nothing is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from host.log import read_flight
+from host.report.figures import dependence
+from host.trace.data import segments_of
+from host.trace.describe import Bins, Description, bins_of, describe
+from host.trace.segments import Segments
+from host.vehicle import load_vehicle
+
+DATA = Path(__file__).parents[2] / "data"
+VEHICLE = load_vehicle("research")
+REFERENCES = ("a", "a", "b", "b", "c")
+Push = Callable[[Bins], np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def data() -> Segments:
+    names = ("a1", "a2", "b1", "b2", "c1")
+    return segments_of([read_flight(DATA / f"{name}.mcap") for name in names])[0]
+
+
+def noise(shape: tuple[int, ...]) -> np.ndarray:
+    """Force and torque as turbulence leaves them: correlated from bin to bin."""
+    rng = np.random.default_rng(5)
+    w = rng.normal(size=shape)
+    for k in range(1, shape[1]):
+        w[:, k] = 0.75 * w[:, k - 1] + 0.66 * w[:, k]
+    return w * np.array([0.05, 0.05, 0.05, 0.6, 0.6, 0.6])
+
+
+def described(data: Segments, force: Push | None = None, torque: Push | None = None) -> Description:
+    """The description of noise plus a force in NED and a torque in body axes."""
+    shape = (len(data.flight), data.bins, 6)
+    w = noise(shape)
+    bins = bins_of(w, data, REFERENCES, VEHICLE)
+    if force is not None:
+        w[:, :, :3] += np.einsum("nij,ni->nj", bins.R, force(bins)).reshape(*shape[:2], 3)
+    if torque is not None:
+        w[:, :, 3:] += torque(bins).reshape(*shape[:2], 3)
+    return describe(w, data, REFERENCES, VEHICLE)
+
+
+def tether(bins: Bins) -> np.ndarray:
+    reach = np.array([0.4, -0.3, 0.0]) - bins.p
+    distance = np.linalg.norm(reach, axis=1, keepdims=True)
+    return 0.6 * np.maximum(distance - 0.8, 0.0) * reach / distance
+
+
+def test_noise_depends_on_nothing_and_is_said_so(data: Segments) -> None:
+    found = described(data)
+    assert found.held_out == "reference"
+    assert found.force.group is None
+    assert found.torque is not None
+    assert found.torque.group is None
+    assert found.form is None
+    assert "none of" in found.lines()[0]
+    assert {s.group for s in found.force.skills} == {
+        "constant", "position", "time", "body velocity", "attitude", "body rate", "thrust",
+    }  # fmt: skip
+
+
+def test_a_tether_is_a_force_of_position_towards_its_anchor(data: Segments) -> None:
+    found = described(data, tether)
+    assert found.force.group == "position"
+    assert found.force.skill_of("position").low > 0.0
+    form = found.form
+    assert form is not None
+    assert form.name == "point"
+    anchor = [form.parameters[key] for key in ("north_m", "east_m", "down_m")]
+    np.testing.assert_allclose(anchor, [0.4, -0.3, 0.0], atol=0.15)
+    assert form.parameters["per_s2"] == pytest.approx(0.6, rel=0.1)
+    assert form.parameters["slack_m"] == pytest.approx(0.8, abs=0.15)
+    assert form.skill > 0.9
+    assert "pulls towards" in found.lines()[1]
+    bins = bins_of(noise((len(data.flight), data.bins, 6)), data, REFERENCES, VEHICLE)
+    np.testing.assert_allclose(found.pushes, tether(replace(bins, p=found.cells)), atol=0.1)
+
+
+def test_a_push_at_a_place_is_found_there(data: Segments) -> None:
+    place, push = np.array([0.0, 0.5, -1.2]), np.array([0.0, 1.5, 0.0])
+
+    def fan(bins: Bins) -> np.ndarray:
+        return np.exp(-0.5 * (np.linalg.norm(bins.p - place, axis=1, keepdims=True) / 0.4) ** 2) * push
+
+    found = described(data, fan)
+    assert found.force.group == "position"
+    assert found.form is not None
+    assert found.form.name == "place"
+    assert found.form.parameters["push_east"] == pytest.approx(1.5, rel=0.2)
+    assert found.form.parameters["width_m"] == pytest.approx(0.4, rel=0.2)
+
+
+def test_a_force_in_proportion_to_body_velocity_shows_its_slope(data: Segments) -> None:
+    def drag(bins: Bins) -> np.ndarray:
+        return np.einsum("nij,nj->ni", bins.R, bins.v_frd * [-0.4, 0.0, 0.0])
+
+    found = described(data, drag).force
+    assert found.group == "body velocity"
+    assert [(s.axis, s.quantity) for s in found.slopes] == [("x", "velocity x")]
+    assert found.slopes[0].value == pytest.approx(-0.4, rel=0.1)
+
+
+def test_a_torque_of_velocity_is_told_apart_from_the_force(data: Segments) -> None:
+    found = described(data, torque=lambda bins: 3.0 * bins.v_frd[:, [1, 0, 2]] * [-1.0, 1.0, 0.0])
+    assert found.force.group is None
+    assert found.torque is not None
+    assert found.torque.group == "body velocity"
+    assert {(s.axis, s.quantity) for s in found.torque.slopes} == {("x", "velocity y"), ("y", "velocity x")}
+
+
+def test_a_constant_torque_is_called_constant(data: Segments) -> None:
+    found = described(data, torque=lambda bins: np.tile([0.0, 2.0, 0.0], (len(bins.w), 1))).torque
+    assert found is not None
+    assert found.group == "constant"
+    assert found.mean[1] == pytest.approx(2.0, abs=0.2)
+    assert found.slopes == ()
+
+
+def test_one_reference_is_judged_on_blocks_and_says_so(data: Segments) -> None:
+    first = data.take(data.flight < 2)
+    w = noise((len(first.flight), first.bins, 6))
+    found = describe(w, first, ("a", "a"), VEHICLE)
+    assert found.held_out == "blocks"
+    assert "one reference" in found.lines()[-1]
+    assert found.force.group is None
+
+
+def test_gyro_errors_say_nothing_of_torque(data: Segments) -> None:
+    driven = replace(data, rate_driven=True)
+    w = noise((len(data.flight), data.bins, 6))
+    found = describe(w, driven, REFERENCES, VEHICLE)
+    assert found.torque is None
+    assert found.to_json()["torque"] is None
+
+
+def test_the_picture_shows_field_and_slopes(data: Segments) -> None:
+    found = described(data, tether, lambda bins: 3.0 * bins.v_frd)
+    shown = dependence(found)
+    assert "pulls towards" in shown.alt
+    assert shown.svg.startswith("<?xml")
+    assert dependence(described(data)).alt.count("none of") == 2
