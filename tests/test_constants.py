@@ -26,7 +26,7 @@ def _is_tick(node: ast.AST) -> bool:
     ("found", "homes"),
     [
         # The plant is written apart from host and firmware, and has its own.
-        (_is_gravity, {"firmware_model/law/constants.py", "sitl/plant_model.py"}),
+        (_is_gravity, {"firmware_model/law/constants.py", "sitl/surroundings.py"}),
         (_is_tick, {"protocol/telemetry.py"}),
     ],
 )

@@ -94,9 +94,10 @@ def test_unknown_world_names_the_known_ones() -> None:
         load_world("nowhere/at-all.toml")
 
 
-def test_drawn_world_depends_on_file_and_seed_alone(vehicle: Vehicle) -> None:
-    file = load_world("drawn")[1]
-    first, again, other = (draw_world("drawn", file, seed, vehicle) for seed in (7, 7, 8))
+@pytest.mark.parametrize("name", ["drawn", "drawn-pair", "drawn-outside"])
+def test_drawn_world_depends_on_file_and_seed_alone(vehicle: Vehicle, name: str) -> None:
+    file = load_world(name)[1]
+    first, again, other = (draw_world(name, file, seed, vehicle) for seed in (7, 7, 8))
     assert dataclasses.asdict(first) == dataclasses.asdict(again)
     assert first.effects != other.effects
     assert first.deviations != other.deviations
