@@ -11,9 +11,8 @@ what is left, whitens it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -21,14 +20,16 @@ from scipy.sparse import csr_array
 from host.codegen.ops import NUMPY
 from host.log import Flight
 from host.models.dynamics import mocap_latency_s as latency_of
-from host.models.phi import Phi
+from host.models.phi import INTEGRAL, Phi
 from host.models.rollout import half_steps, reference_drive, roll_out
 from host.models.states import States, flight_states
-from host.trace.data import _averaged, signals
-from host.trace.diagnose import Fit
+from host.trace.data import averaged
+from host.trace.diagnose import Fit, Method
 from host.trace.evidence import LOG_ODDS, Prior
 from host.trace.evidence import whitened as whitened_segments
 from host.trace.parameters import Space
+from host.trace.search import Names
+from host.trace.signals import signals
 from host.vehicle import Vehicle
 
 STEP_S = 0.02
@@ -40,8 +41,10 @@ STABLE = 2.5
 LEAD_S = 0.3
 """Time after the reference's start that is not compared: the start's own errors die away in it."""
 
-CHANNELS = 9
-"""Of a bin: position (heading frame), attitude (FRD), body rate (FRD)."""
+CHANNELS = 12
+"""Of a bin: position (heading frame), attitude (FRD), body rate (FRD), the law's rate integral (FRD): what it
+holds is the torque that something else takes.
+"""
 
 ORDERS = (1, 2, 3, 4, 6)
 TORQUE = ("com-offset", "torque-bias", "rotor-loss")
@@ -65,15 +68,13 @@ _Z_STEP = 1e-4
 _ITERATIONS = 4
 _LINE = (1.0, 0.5, 0.25, 0.1)
 
-Method = Literal["segments", "closed-loop"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
     """A flight's means over `bins` of BIN_S, from the reference's start.
 
     states: for its start, law and constants. pose_s (m,) s, of the pose's stamp, and pose_bin (m,). measured
-    (bins, 9): p NED, Theta, body rate FRD; known (bins,) where all were.
+    (bins, 12): p NED, Theta, body rate and rate integral FRD; known (bins,) where all were.
     """
 
     states: States
@@ -90,9 +91,9 @@ class Recording:
 
 @dataclass(frozen=True, kw_only=True)
 class Whitening:
-    """A vector autoregression: r_k = sum_i a_i r_{k-i} + e_k, e of covariance `innovation` (9, 9).
+    """A vector autoregression: r_k = sum_i a_i r_{k-i} + e_k, e of covariance `innovation` (12, 12).
 
-    coefficients (order, 9, 9).
+    coefficients (order, 12, 12).
     """
 
     coefficients: np.ndarray
@@ -109,7 +110,7 @@ class ClosedFit:
     """A set of effects fitted over the closed loop, comparable with others of the same recordings and order.
 
     z (P,) and covariance (P, P) scaled; grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] by
-    flight, and residuals, (bins, 9) a flight in m, rad, rad/s, linearised at `at` (P,).
+    flight, and residuals, (bins, 12) a flight in m, rad, rad/s, linearised at `at` (P,).
     """
 
     effects: tuple[str, ...]
@@ -153,13 +154,15 @@ def record(flight: Flight, latency_s: float = 0.0) -> Recording:
     poses = np.column_stack([s.p[inside], angles])
     count = np.bincount(pose_bin, minlength=bins)
     sums = np.column_stack([np.bincount(pose_bin, column, minlength=bins) for column in poses.T])
-    rate, share = _averaged(start + BIN_S * np.arange(bins + 1), s.imu_s, s.gyro)
+    rate, share = averaged(start + BIN_S * np.arange(bins + 1), s.imu_s, s.gyro)
+    at = BIN_S * (np.arange(bins) + 0.5)
+    integral = np.column_stack([np.interp(at, states.t_s, column) for column in states.integral.T])
     late = BIN_S * (np.arange(bins) + 0.5) < LEAD_S
     return Recording(
         states=states,
         pose_s=t[inside],
         pose_bin=pose_bin,
-        measured=np.column_stack([sums / np.maximum(count, 1)[:, None], rate]),
+        measured=np.column_stack([sums / np.maximum(count, 1)[:, None], rate, integral]),
         known=(count > 0) & (share > 0.5) & ~late,
     )
 
@@ -219,7 +222,7 @@ class Loop:
         return [recording.known for recording in self.recordings]
 
     def predicted(self, z: np.ndarray) -> list[np.ndarray]:
-        """Per flight the means (lanes, bins, 9) as measured, for scaled parameters z (P, lanes)."""
+        """Per flight the means (lanes, bins, 12) as measured, for scaled parameters z (P, lanes)."""
         lanes = z.shape[1]
         theta = self.space.values(z)[self._rows]
         parts = [self._alike[0].phi.parts(theta[:, lane]) for lane in range(lanes)]
@@ -236,8 +239,9 @@ class Loop:
                 step_s=STEP_S / alike.fine,
                 every=alike.fine,
                 lane_flight=np.repeat(np.arange(count), lanes),
+                rows=INTEGRAL.stop,
                 compiled=True,
-            ).reshape(-1, 12, count, lanes)
+            ).reshape(-1, INTEGRAL.stop, count, lanes)
             for k, index in enumerate(alike.flights):
                 recording = self.recordings[index]
                 own = samples[: recording.bins * PER_BIN + 1, :, k]
@@ -245,7 +249,7 @@ class Loop:
         return [found[index] for index in range(len(self.recordings))]
 
     def residuals(self, z: np.ndarray) -> list[np.ndarray]:
-        """Per flight measured minus predicted (lanes, bins, 9) for z (P, lanes); the rate less its mean."""
+        """Per flight measured minus predicted (lanes, bins, 12) for z (P, lanes); the rate less its mean."""
         out = []
         for recording, predicted in zip(self.recordings, self.predicted(z), strict=True):
             r = recording.measured - predicted
@@ -254,7 +258,7 @@ class Loop:
         return out
 
     def linearised(self, z: np.ndarray, effects: Sequence[str]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Per flight the residual (bins, 9) at z (P,) and its negative slopes (P, bins, 9).
+        """Per flight the residual (bins, 12) at z (P,) and its negative slopes (P, bins, 12).
 
         The first call computes all slopes; later ones those of `effects` alone, for what stays within its
         tolerance hardly changes them.
@@ -286,7 +290,9 @@ def _drive(states: States, stages: np.ndarray) -> np.ndarray:
 
 
 def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> np.ndarray:
-    """(lanes, bins, 9) of states (n, 12, lanes): poses as stamped, `latency_s` (lanes,) old; mean rates."""
+    """(lanes, bins, 12) of states (n, 19, lanes): poses as stamped, `latency_s` (lanes,) old; mean rates and
+    integrals.
+    """
     lanes, bins = samples.shape[2], recording.bins
     out = np.empty((lanes, bins, CHANNELS))
     for late in np.unique(latency_s):
@@ -294,7 +300,7 @@ def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> 
         poses = samples[:, (0, 1, 2, 6, 7, 8)][:, :, mine].reshape(len(samples), -1)
         mean = _pose_means(recording, float(late), len(samples)) @ poses
         out[mine, :, :6] = mean.reshape(bins, 6, -1).transpose(2, 0, 1)
-    rate = samples[:, 9:12]
+    rate = samples[:, (9, 10, 11, *range(INTEGRAL.start, INTEGRAL.stop))]
     simpson = rate[0:-1:2] + 4.0 * rate[1::2] + rate[2::2]
     out[:, :, 6:] = np.transpose(simpson / 6.0, (2, 0, 1))
     return out
@@ -324,7 +330,7 @@ def _pose_means(recording: Recording, latency_s: float, count: int) -> csr_array
 
 
 def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
-    """Differences (lanes, bins, 9) of p, Theta, rate as position along the heading, turn and rate in FRD.
+    """Differences (lanes, bins, 12) as measured, with position along the heading and the turn in FRD.
 
     The rate loses its mean over the flight: the gyro's bias.
     """
@@ -337,14 +343,15 @@ def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
     out[..., 3] = r[..., 3] - np.sin(pitch) * r[..., 5]
     out[..., 4] = np.cos(roll) * r[..., 4] + np.sin(roll) * np.cos(pitch) * r[..., 5]
     out[..., 5] = np.cos(roll) * np.cos(pitch) * r[..., 5] - np.sin(roll) * r[..., 4]
-    out[..., 6:] = r[..., 6:] - r[..., recording.known, 6:].mean(-2, keepdims=True)
+    out[..., 6:9] = r[..., 6:9] - r[..., recording.known, 6:9].mean(-2, keepdims=True)
+    out[..., 9:] = r[..., 9:]
     return out
 
 
 def autoregression(
     residuals: Sequence[np.ndarray], known: Sequence[np.ndarray], order: int, *, skip: int = 0
 ) -> Whitening:
-    """The autoregression of residuals (bins, 9) by flight, where the `order` bins before are known, or
+    """The autoregression of residuals (bins, 12) by flight, where the `order` bins before are known, or
     `skip`.
     """
     past, now = [], []
@@ -369,7 +376,7 @@ def _stretches(known: np.ndarray, order: int) -> np.ndarray:
 
 
 def whitened(white: Whitening, columns: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Columns (m, bins, 9) of a flight as (m, n): innovations of unit covariance."""
+    """Columns (m, bins, 12) of a flight as (m, n): innovations of unit covariance."""
     at = _stretches(known, white.order)
     out = columns[:, at].copy()
     for i, a in enumerate(white.coefficients, start=1):
@@ -489,9 +496,37 @@ def _line_search(
     return points[:, int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))]
 
 
-def refine(loop: Loop, fit: Fit, order: int) -> Refined:
-    """`fit`'s set of effects over the closed loop, whitened to `order`, combined with `fit`."""
-    return combined(loop.space, fit, fit_loop(loop, fit.effects, fit.z, order))
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopFitter:
+    """Fits sets of effects to whole flights over the closed loop, whitened to one order."""
+
+    loop: Loop
+    order: int
+
+    @property
+    def space(self) -> Space:
+        """The parameters."""
+        return self.loop.space
+
+    @property
+    def prior(self) -> Prior:
+        """Their prior."""
+        return prior_of(self.loop.space)
+
+    def fit(self, effects: Sequence[str], start: ClosedFit) -> ClosedFit:
+        """The set `effects` fitted from `start`."""
+        z = start.z.copy()
+        for name in set(start.effects) - set(effects):
+            z[list(self.space.groups[name])] = 0.0
+        return fit_loop(self.loop, effects, z, self.order)
+
+    def scorers(self, fit: ClosedFit) -> list[Callable[[Names], float]]:
+        """Log evidence of any set in the fit's linearisation and whitening.
+
+        A hint for sets with more effects, since the whitening has taken up a part of what they explain.
+        """
+        gram, prior = fit.grams.sum(0), self.prior
+        return [lambda names: _log_evidence(gram, fit.at, prior.precision(names), 0.0, len(names))]
 
 
 def combined(space: Space, fit: Fit, closed: ClosedFit) -> Refined:
@@ -520,32 +555,6 @@ def combined(space: Space, fit: Fit, closed: ClosedFit) -> Refined:
         disagreement=disagreement,
         closed=closed,
     )
-
-
-def log_evidences(refined: Iterable[Refined]) -> dict[tuple[str, ...], float]:
-    """Log evidence by set, nats, comparable between sets. Raises ValueError for fits of different orders."""
-    fits = [each.closed for each in refined]
-    if len({fit.whitening.order for fit in fits}) > 1:
-        raise ValueError("fits whitened by autoregressions of different orders cannot be compared")
-    return {fit.effects: fit.log_evidence for fit in fits}
-
-
-def gains(space: Space, closed: ClosedFit) -> dict[str, float]:
-    """Nats that the evidence over the closed loop gains by each further candidate, greatest first.
-
-    In the fit's linearisation and whitening: a hint which sets to fit, for the whitening has taken up a part
-    of what the candidate explains.
-    """
-    gram, prior = closed.grams.sum(0), prior_of(space)
-
-    def evidence(names: tuple[str, ...]) -> float:
-        return _log_evidence(gram, closed.at, prior.precision(names), 0.0, len(names))
-
-    base = evidence(closed.effects)
-    fresh = [name for name in space.candidates if name not in closed.effects]
-    sets = {name: (*closed.effects, name) for name in fresh}
-    found = {name: evidence(names) - base for name, names in sets.items() if space.admissible(names)}
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def flight_grams(fit: Fit, prior: Prior) -> np.ndarray:

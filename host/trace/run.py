@@ -17,9 +17,10 @@ from host.trace import evidence
 from host.trace.audit import without_twins
 from host.trace.data import SEGMENT_S, segments_of
 from host.trace.describe import describe
-from host.trace.diagnose import ALIAS_PROBABILITY, Diagnosis, Fit, diagnose
+from host.trace.diagnose import Diagnosis, Fit, Method, SegmentFitter, refit
 from host.trace.form import Form
 from host.trace.parameters import MASS, Space, space, tolerance_of
+from host.trace.refine import LoopFitter, closed_loop, combined, fit_loop, order_of
 from host.trace.result import Named, Trace, Value, Verdict
 from host.trace.score import (
     Errors,
@@ -30,7 +31,8 @@ from host.trace.score import (
     rmse,
     twins_of,
 )
-from host.trace.segments import nominal_thrust
+from host.trace.search import search
+from host.trace.segments import Segments, nominal_thrust
 from host.trace.separate import NextFlight, propose
 from host.trace.signals import signals, unknowns
 from host.trace.twins import Leftover, leftover
@@ -44,6 +46,9 @@ thrust.
 
 SAG_SEEN = 0.01
 """Share of the full voltage by which a battery must have left it: less is the voltmeter's noise."""
+
+ALIAS_PROBABILITY = 0.05
+"""What the data gives an effect more than is not excluded."""
 
 Report = Callable[[str], None]
 Manoeuvres = Callable[[], Mapping[str, np.ndarray]]
@@ -106,23 +111,23 @@ def run(
     chosen = space(airframe, _observable(effects, flights), unknowns([*flights, *held_out]))
     data, audits = segments_of(flights)
     form = Form(airframe, chosen, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
-    diagnosis = diagnose(form, data, report)
+    drive = drive_of([*flights, *held_out])
+    diagnosis = _diagnosis(form, data, flights if drive == "reference" else (), report)
     fit, twins = diagnosis.best, twins_of(flights)
-    rest = leftover(_left(fit, fit.z), fit.data, twins)
+    rest = leftover(_left(fit, diagnosis.z), fit.data, twins)
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
     verdict = _verdict(fit, rest, aliases)
     added = verdict != "outside-library"
     named = _named(airframe, chosen, diagnosis, aliases) if added else ()
-    z = fit.z if added else _reading(chosen, diagnosis)
+    z = diagnosis.z if added else _reading(chosen, diagnosis)
     if not added:
         # How much is missing counts from the model that is kept: what the library fitted in its stead may be
         # wild.
         missing = leftover(_left(diagnosis.nothing, z), diagnosis.nothing.data, twins)
         rest = missing if missing.reasons else rest
-    model = _model(airframe, chosen, fit, z, flights, named, added, provenance)
+    model = _model(chosen, diagnosis, z, flights, named, added, provenance)
 
     report("predicting the held-out flights")
-    drive = drive_of([*flights, *held_out])
     before, after, middle = _errors(drive, form, diagnosis, added, model, held_out, effects)
     following: NextFlight | None = None
     if verdict == "undecided" and manoeuvres is not None:
@@ -159,6 +164,36 @@ def run(
         audits=without_twins(audits, twins),
         description=told,
         unexplained=more,
+    )
+
+
+def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Report) -> Diagnosis:
+    """What is missing, by whole `flights` over the closed loop, or by segments where there are none.
+
+    The segments are fitted in both cases: they show what the kept set leaves, and some torques better.
+    """
+    nothing = refit(form, data, (), None, iterations=3)
+    report("no effect fitted")
+    if not flights:
+        found = search(SegmentFitter(form=form), nothing, report)
+        best, z, covariance = found.best, found.best.z, found.best.covariance
+        method: tuple[Method, ...] = ("segments",) * len(z)
+    else:
+        loop = closed_loop(flights, form.vehicle, form.space, nothing.z)
+        order = order_of(loop, nothing.z)
+        found = search(LoopFitter(loop=loop, order=order), fit_loop(loop, (), nothing.z, order), report)
+        best = refit(form, nothing.data, found.best.effects, nothing)
+        refined = combined(form.space, best, found.best)
+        z, covariance, method = refined.z, refined.covariance, refined.method
+    return Diagnosis(
+        best=best,
+        nothing=nothing,
+        z=z,
+        covariance=covariance,
+        method=method,
+        inclusion=found.inclusion,
+        weights=found.weights,
+        sets=found.sets,
     )
 
 
@@ -216,10 +251,9 @@ def _closest(aliases: Mapping[str, Mapping[str, float]]) -> tuple[str, str]:
 def _named(
     vehicle: Vehicle, chosen: Space, diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]
 ) -> tuple[Named, ...]:
-    fit = diagnosis.best
-    values, sd = chosen.values(fit.z), np.sqrt(np.diag(fit.covariance)) * chosen.scale
+    values, sd = chosen.values(diagnosis.z), np.sqrt(np.diag(diagnosis.covariance)) * chosen.scale
     out = []
-    for name in fit.effects:
+    for name in diagnosis.best.effects:
         effect = chosen.effect(name)
         parameters = {
             chosen.columns[i].key: Value(value=float(values[i]), sd=float(sd[i]), unit=chosen.columns[i].unit)
@@ -232,7 +266,7 @@ def _named(
         sentence = None
         if name == "thrust-gain" and tolerance_of(vehicle, MASS, "factor", 0.01) >= WEIGHED:
             others[MASS] = diagnosis.inclusion[name]
-            ratio, ratio_sd = _thrust_over_mass(chosen, fit)
+            ratio, ratio_sd = _thrust_over_mass(chosen, diagnosis)
             sentence = (
                 f"only thrust over mass shows: {ratio:.4f} +- {2 * ratio_sd:.4f} times the nominal ratio; "
                 "weigh the vehicle to tell mass from thrust"
@@ -250,11 +284,11 @@ def _named(
     return tuple(out)
 
 
-def _thrust_over_mass(chosen: Space, fit: Fit) -> tuple[float, float]:
+def _thrust_over_mass(chosen: Space, diagnosis: Diagnosis) -> tuple[float, float]:
     """The ratio of thrust gain to mass factor and its standard deviation, to first order."""
     pair = [chosen.groups["thrust-gain"][0], chosen.groups[MASS][0]]
-    gain, mass = chosen.values(fit.z)[pair]
-    covariance = (fit.covariance * np.outer(chosen.scale, chosen.scale))[np.ix_(pair, pair)]
+    gain, mass = chosen.values(diagnosis.z)[pair]
+    covariance = (diagnosis.covariance * np.outer(chosen.scale, chosen.scale))[np.ix_(pair, pair)]
     slope = np.array([1.0 / mass, -gain / mass**2])
     return float(gain / mass), float(np.sqrt(slope @ covariance @ slope))
 
@@ -271,9 +305,8 @@ def _possible(diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]) 
 
 
 def _model(
-    vehicle: Vehicle,
     chosen: Space,
-    fit: Fit,
+    diagnosis: Diagnosis,
     z: np.ndarray,
     flights: Sequence[Flight],
     named: Sequence[Named],
@@ -294,12 +327,12 @@ def _model(
         tables[owner in found][owner] = table
     covariance = None
     if added:
-        scaled = fit.covariance * np.outer(chosen.scale, chosen.scale)
+        scaled = diagnosis.covariance * np.outer(chosen.scale, chosen.scale)
         covariance = Covariance(
             names=tuple(f"{c.owner}.{c.key}" for c in chosen.columns),
             matrix=tuple(tuple(float(x) for x in row) for row in 0.5 * (scaled + scaled.T)),
         )
-    data = fit.data
+    data, vehicle = diagnosis.best.data, flights[0].vehicle
     tilt = np.arccos(np.clip(data.attitude[:, :, 8], -1.0, 1.0))
     speed = np.linalg.norm(np.diff(data.position, axis=1), axis=2) / data.dt_s
     seen = data.pose_weight[:, 1:] * data.pose_weight[:, :-1] > 0
@@ -347,7 +380,7 @@ def _errors(
     before = predict(_reading(chosen, diagnosis), None)
     if not added:
         return before, before, before
-    z = diagnosis.best.z
+    z = diagnosis.z
     middle = z.copy()
     middle[named] = 0.0
     return before, predict(z, model), predict(middle, bare)

@@ -1,0 +1,181 @@
+"""The search for the set of missing effects: forward steps, swaps and drops, each screened in a
+linearisation, then fitted; the smallest set that explains the flights is kept.
+
+What fits a set is a `Fitter`: command-driven segments (`host.trace.diagnose`) or whole flights over the
+closed loop (`host.trace.refine`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from host.trace.evidence import Prior
+from host.trace.parameters import Space
+
+MAX_EFFECTS = 6
+BEAM = 25
+WITHIN_NATS = float(np.log(20.0))
+"""The smallest set whose evidence is this close to the best one is kept."""
+
+WORTH_FITTING = 12.0
+"""Nats: a set that the screening finds this far behind its best one is not fitted."""
+
+BEARS = 4.0
+"""Tolerances beyond which an effect is there for another to act through it."""
+
+Names = tuple[str, ...]
+Report = Callable[[str], None]
+
+
+class Fitted(Protocol):
+    """One set of effects fitted: its evidence in nats and scaled parameters z (P,)."""
+
+    @property
+    def effects(self) -> Names: ...
+    @property
+    def log_evidence(self) -> float: ...
+    @property
+    def z(self) -> np.ndarray: ...
+
+
+F = TypeVar("F", bound=Fitted)
+
+
+class Fitter(Protocol[F]):
+    """Fits sets of effects, and judges others in the linearisation of a fit."""
+
+    @property
+    def space(self) -> Space: ...
+    @property
+    def prior(self) -> Prior: ...
+    def fit(self, effects: Sequence[str], start: F) -> F:
+        """The set `effects` fitted from `start`."""
+        ...
+
+    def scorers(self, fit: F) -> list[Callable[[Names], float]]:
+        """Log evidence of any set in `fit`'s linearisation, one way or several; the last as in the fit."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found(Generic[F]):
+    """What the search ends with.
+
+    `best` is the kept set, `inclusion` each candidate's posterior probability, `weights` the relative
+    posterior weight of every set considered, `sets` the evidence of every fitted one.
+    """
+
+    best: F
+    inclusion: Mapping[str, float]
+    weights: Mapping[Names, float]
+    sets: Mapping[Names, float]
+
+
+def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Found[F]:
+    """The missing effects, from the fit of `nothing`: as many as the evidence pays, up to MAX_EFFECTS."""
+    space = fitter.space
+    fits: dict[Names, F] = {(): nothing}
+    current = nothing
+    for _ in range(2 * MAX_EFFECTS):
+        trials: list[Names] = []
+        for score in fitter.scorers(current):
+            depth = min(MAX_EFFECTS, len(current.effects) + 2)
+            trials += _proposals(screen(space, score, depth), current.effects)
+        for names in dict.fromkeys(trials):
+            if names not in fits:
+                fits[names] = fitter.fit(names, current)
+                report(f"{', '.join(names) or 'no effect'} fitted")
+        best = max(fits.values(), key=lambda fit: (fit.log_evidence, fit.effects))
+        if best.effects == current.effects:
+            break
+        current = best
+    borne = {names: fit for names, fit in fits.items() if _borne(fitter, fit)}
+    kept = _smallest(borne)
+    weights = _weights(fitter, kept, borne, frozenset(fits) - frozenset(borne))
+    total = sum(weights.values())
+    return Found(
+        best=kept,
+        inclusion={
+            name: sum(w for names, w in weights.items() if name in names) / total for name in space.candidates
+        },
+        weights=weights,
+        sets={names: fit.log_evidence for names, fit in fits.items()},
+    )
+
+
+def screen(space: Space, score: Callable[[Names], float], depth: int) -> dict[Names, float]:
+    """The score of every admissible set up to `depth` effects that a beam search visits."""
+    scores: dict[Names, float] = {(): score(())}
+    frontier: list[Names] = [()]
+    for _ in range(depth):
+        fresh: dict[Names, float] = {}
+        for names in frontier:
+            for extra in _extensions(space, names):
+                grown = tuple(sorted((*names, *extra)))
+                if len(grown) <= depth and grown not in scores and grown not in fresh:
+                    fresh[grown] = score(grown)
+        scores.update(fresh)
+        frontier = sorted(fresh, key=lambda names: (-fresh[names], names))[:BEAM]
+    return scores
+
+
+def _extensions(space: Space, names: Names) -> list[Names]:
+    """What may be added in one step: an effect, or an effect together with one that it requires."""
+    free = [name for name in space.candidates if name not in names]
+    alone = {name for name in free if space.admissible((*names, name))}
+    out: list[Names] = [(name,) for name in free if name in alone]
+    pairs = [pair for pair in combinations(free, 2) if not set(pair) <= alone]
+    return out + [pair for pair in pairs if space.admissible((*names, *pair))]
+
+
+def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
+    """The best set overall, the best with one more, the best with one swapped, and every set with one fewer
+    that may still be it.
+    """
+    order = sorted(scores, key=lambda names: (-scores[names], names))
+    have = set(current)
+    more = [n for n in order if len(n) > len(have) and have <= set(n)][:1]
+    swapped = (
+        [n for n in order if len(n) == len(have) and len(set(n) & have) == len(have) - 1][:1] if have else []
+    )
+    least = scores[order[0]] - WORTH_FITTING
+    fewer = [n for n in order if len(n) == len(have) - 1 and set(n) <= have and scores[n] > least]
+    return [*order[:1], *more, *swapped, *fewer]
+
+
+def _borne(fitter: Fitter[F], fit: F) -> bool:
+    """Whether what an effect acts through was itself found: beyond BEARS times its tolerance.
+
+    Wind on a drag within tolerance is a force of some 0.01 m/s^2, as the slow part of turbulence is.
+    """
+    space = fitter.space
+    beyond = np.abs(fit.z) > BEARS * fitter.prior.spike
+    found = {name for name in fit.effects if beyond[list(space.groups[name])].any()}
+    needs = (space.effect(name).requires_any for name in fit.effects)
+    return all(not any_of or found & set(any_of) for any_of in needs)
+
+
+def _smallest(fits: Mapping[Names, F]) -> F:
+    """The smallest set within WITHIN_NATS of the greatest evidence; of several, the most probable."""
+    top = max(fit.log_evidence for fit in fits.values())
+    close = [fit for fit in fits.values() if fit.log_evidence > top - WITHIN_NATS]
+    return min(close, key=lambda fit: (len(fit.effects), -fit.log_evidence, fit.effects))
+
+
+def _weights(
+    fitter: Fitter[F], kept: F, fits: Mapping[Names, F], left_out: frozenset[Names]
+) -> dict[Names, float]:
+    """Posterior weights, greatest 1, of the fitted sets and of the kept fit's linearised neighbours."""
+    depth = min(MAX_EFFECTS, len(kept.effects) + 1)
+    scores = screen(fitter.space, fitter.scorers(kept)[-1], depth)
+    shift = kept.log_evidence - scores[kept.effects]
+    scores = {names: score + shift for names, score in scores.items()}
+    scores.update({names: fit.log_evidence for names, fit in fits.items()})
+    scores = {names: score for names, score in scores.items() if names not in left_out}
+    top = max(scores.values())
+    return {names: float(np.exp(value - top)) for names, value in scores.items()}
