@@ -141,7 +141,7 @@ class Dependence:
         if self.group == "constant":
             x, y, z = self.mean
             return [
-                f"the {self.channel} is constant ({span}): in the mean "
+                f"of the {self.channel} only a constant part shows ({span}): in the mean "
                 f"({x:.2g}, {y:.2g}, {z:.2g}) {UNITS[self.channel]} in body axes"
             ]
         near = [
@@ -155,6 +155,8 @@ class Dependence:
             for s in near
         )
         out = [f"the {self.channel} depends on {best.group} ({span}{others})"]
+        if self.group in answers:
+            out.append(f"  the law answers any disturbance with {best.group}: it need not be the cause")
         return out + [
             f"  {self.channel} {s.axis}: {s.value:+.3g} {s.unit} of {s.quantity}" for s in self.slopes
         ]
@@ -272,7 +274,8 @@ def describe(
     """
     bins = bins_of(w, data, references, vehicle)
     folds, held_out = _folds(bins)
-    forms = fit_forms(bins.p, bins.force_ned, folds)
+    steady = np.einsum("nij,njk->nik", bins.R, _constant(bins, world=True))
+    forms = fit_forms(bins.p, bins.force_ned, folds, steady)
     force = _dependence("force", bins, folds, [errors for _, errors in forms])
     torque = None if data.rate_driven else _dependence("torque", bins, folds)
     cells, pushes = _grid(bins)
@@ -295,8 +298,8 @@ def _clear_form(
     constant = _constant(bins, world=True)
     left = _held_out(_grams(constant, bins.w[:, :3], bins), bins, folds, constant.shape[2]).sum()
     scored = [replace(form, skill=1.0 - float(errors.sum() / left)) for form, errors in forms]
-    best = max(scored, key=lambda form: form.skill)
-    return best if best.skill > max(CLEAR, force.skill_of("position").skill - WITHIN) else None
+    most = max(CLEAR, *(form.skill - WITHIN for form in scored), force.skill_of("position").skill - WITHIN)
+    return next((form for form in scored if form.skill >= most), None)
 
 
 def _folds(bins: Bins) -> tuple[np.ndarray, Literal["reference", "blocks"]]:

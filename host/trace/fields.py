@@ -1,4 +1,4 @@
-"""Closed descriptions of a force that depends on the place: towards a point, at a place, along a line."""
+"""Closed descriptions of a force that depends on the place: towards a point, at a place, a jet, a wall."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ CLEAR = 0.5
 """Held-out skill from which on a closed form is said."""
 
 WITHIN = 0.05
-"""How far a closed form may fall behind the smooth fit: it has a tenth of its freedom."""
+"""How far a form may fall behind a richer one, another form or the smooth fit, and still be said."""
+
+_EACH = 3
+"""Rows from one to the next that is fitted: neighbours are hardly two measurements."""
 
 Law = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -57,19 +60,34 @@ def _along(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
     return (theta[1] * np.exp(np.clip(p @ n / theta[2], -30.0, 30.0)))[:, None] * n
 
 
-def fit_forms(p: np.ndarray, force: np.ndarray, folds: np.ndarray) -> list[tuple[Form, np.ndarray]]:
+def _jet(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """A level push (n, 3) along an axis, Gaussian across it: azimuth, offset to its right, push, width."""
+    n = np.array([np.cos(theta[0]), np.sin(theta[0]), 0.0])
+    right = np.array([-n[1], n[0], 0.0])
+    return (theta[2] * np.exp(-0.5 * ((p @ right - theta[1]) / theta[3]) ** 2))[:, None] * n
+
+
+def fit_forms(
+    p: np.ndarray, force: np.ndarray, folds: np.ndarray, steady: np.ndarray
+) -> list[tuple[Form, np.ndarray]]:
     """Every closed form of a force (n, 3) at places p (n, 3), NED, and its held-out squared errors (n,).
 
-    folds (n,) says where each row is held out. The forms' skill is not known yet.
+    folds (n,) says where each row is held out; columns `steady` (n, 3, k) take what the form leaves. The
+    forms' skill is not known yet; those of fewest parameters come first.
     """
     found = []
     for name, law, starts, bounds, said in _laws(p, force):
-        best = _fitted(law, p, force, starts, bounds)
+        best = _fitted(law, p[::_EACH], force[::_EACH], starts, bounds)
         errors = np.empty(len(p))
         for fold in np.unique(folds):
             out = folds == fold
-            theta = _fitted(law, p[~out], force[~out], [best, starts[0]], bounds)
-            errors[out] = ((force[out] - law(theta, p[out])) ** 2).sum(1)
+            seen = np.flatnonzero(~out)[::_EACH]
+            theta = _fitted(law, p[seen], force[seen], [best, starts[0]], bounds)
+            left = force - law(theta, p)
+            rest = np.linalg.lstsq(
+                steady[~out].reshape(-1, steady.shape[2]), left[~out].reshape(-1), rcond=None
+            )
+            errors[out] = ((left[out] - steady[out] @ rest[0]) ** 2).sum(1)
         parameters, words = said(best)
         found.append((Form(name=name, parameters=parameters, words=words, skill=np.nan), errors))
     return found
@@ -136,7 +154,34 @@ def _laws(p: np.ndarray, force: np.ndarray) -> list[tuple[str, Law, list[np.ndar
         values = {"azimuth_deg": azimuth, "length_m": float(x[2]), "greatest_m_s2": most}
         return values, words
 
+    def said_jet(x: np.ndarray) -> tuple[dict[str, float], str]:
+        azimuth = float(np.rad2deg(x[0]) % 360.0)
+        foot = x[1] * np.array([-np.sin(x[0]), np.cos(x[0])])
+        words = (
+            f"blows by {x[2]:.2g} m/s^2 towards azimuth {azimuth:.0f} deg along a line through "
+            f"({foot[0]:.2f}, {foot[1]:.2f}), and half as much {1.18 * x[3]:.2g} m beside it"
+        )
+        values = {"azimuth_deg": azimuth, "offset_m": float(x[1]), "push_m_s2": float(x[2])}
+        return {**values, "width_m": float(x[3])}, words
+
     return [
+        (
+            "along",
+            _along,
+            [np.array([a, s * strong * 0.3, 0.4 * size + 0.1]) for a in turns for s in (1.0, -1.0)],
+            (np.array([-0.1, -50.0, 0.1]), np.array([2.0 * np.pi + 0.1, 50.0, wide])),
+            said_along,
+        ),
+        (
+            "jet",
+            _jet,
+            [
+                np.array([a, float(top @ [-np.sin(a), np.cos(a), 0.0]), strong, 0.15 * size + 0.1])
+                for a in turns
+            ],
+            (np.array([-0.1, -20.0, 0.0, 0.1]), np.array([2.0 * np.pi + 0.1, 20.0, 50.0, wide])),
+            said_jet,
+        ),
         ("point", _to_point, point, (np.r_[low, -50.0, 0.0], np.r_[high, 50.0, wide]), said_point),
         (
             "place",
@@ -144,12 +189,5 @@ def _laws(p: np.ndarray, force: np.ndarray) -> list[tuple[str, Law, list[np.ndar
             [np.r_[c, push, w] for c in (top, middle) for w in (0.2 * size + 0.1, 0.5 * size + 0.1)],
             (np.r_[low, -50.0, -50.0, -50.0, 0.1], np.r_[high, 50.0, 50.0, 50.0, wide]),
             said_place,
-        ),
-        (
-            "along",
-            _along,
-            [np.array([a, s * strong * 0.3, 0.4 * size + 0.1]) for a in turns for s in (1.0, -1.0)],
-            (np.array([-0.1, -50.0, 0.1]), np.array([2.0 * np.pi + 0.1, 50.0, wide])),
-            said_along,
         ),
     ]

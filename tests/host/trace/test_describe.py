@@ -99,6 +99,36 @@ def test_a_push_at_a_place_is_found_there(data: Segments) -> None:
     assert found.form.parameters["width_m"] == pytest.approx(0.4, rel=0.2)
 
 
+def test_a_wall_that_draws_in_is_a_push_along_its_normal(data: Segments) -> None:
+    east = np.array([0.0, 1.0, 0.0])
+    found = described(data, lambda bins: np.exp(bins.p[:, 1:2] / 0.7) * east)
+    assert found.form is not None
+    assert found.form.name == "along"
+    assert found.form.parameters["azimuth_deg"] == pytest.approx(90.0, abs=8.0)
+    assert found.form.parameters["length_m"] == pytest.approx(0.7, rel=0.2)
+
+
+def test_a_jet_is_a_push_along_its_axis(data: Segments) -> None:
+    def jet(bins: Bins) -> np.ndarray:
+        return 1.5 * np.exp(-0.5 * ((bins.p[:, 1:2] - 0.2) / 0.3) ** 2) * np.array([1.0, 0.0, 0.0])
+
+    found = described(data, jet)
+    assert found.form is not None
+    assert found.form.name == "jet"
+    assert found.form.parameters["push_m_s2"] == pytest.approx(1.5, rel=0.15)
+    assert found.form.parameters["width_m"] == pytest.approx(0.3, rel=0.15)
+    assert np.cos(np.deg2rad(found.form.parameters["azimuth_deg"])) > 0.98
+
+
+def test_what_the_law_answers_with_is_not_called_a_cause(data: Segments) -> None:
+    found = described(
+        data, torque=lambda bins: 40.0 * (bins.rotors[:, :1] - bins.rotors[:, 1:2]) * [1.0, 0.0, 0.0]
+    )
+    assert found.torque is not None
+    assert found.torque.group == "thrust"
+    assert "need not be the cause" in found.torque.lines()[1]
+
+
 def test_a_force_in_proportion_to_body_velocity_shows_its_slope(data: Segments) -> None:
     def drag(bins: Bins) -> np.ndarray:
         return np.einsum("nij,nj->ni", bins.R, bins.v_frd * [-0.4, 0.0, 0.0])
