@@ -24,11 +24,11 @@ from host.models.dynamics import mocap_latency_s as latency_of
 from host.models.phi import Phi
 from host.models.rollout import half_steps, reference_drive, roll_out
 from host.models.states import States, flight_states
-from host.trace.data import _averaged, signals
 from host.trace.diagnose import Fit
 from host.trace.evidence import LOG_ODDS, Prior
 from host.trace.evidence import whitened as whitened_segments
 from host.trace.parameters import Space
+from host.trace.signals import averaged, signals
 from host.vehicle import Vehicle
 
 STEP_S = 0.02
@@ -153,7 +153,7 @@ def record(flight: Flight, latency_s: float = 0.0) -> Recording:
     poses = np.column_stack([s.p[inside], angles])
     count = np.bincount(pose_bin, minlength=bins)
     sums = np.column_stack([np.bincount(pose_bin, column, minlength=bins) for column in poses.T])
-    rate, share = _averaged(start + BIN_S * np.arange(bins + 1), s.imu_s, s.gyro)
+    rate, share = averaged(start + BIN_S * np.arange(bins + 1), s.imu_s, s.gyro)
     late = BIN_S * (np.arange(bins) + 0.5) < LEAD_S
     return Recording(
         states=states,
