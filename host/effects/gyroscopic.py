@@ -15,13 +15,13 @@ def _torque(ops, theta, ctx):
     )
     momentum = h * ctx.inertia_kg_m2[0] * surplus / (ctx.hover_n + _FLOOR_N) ** 0.5
     x, y, _ = ctx.rate_frd
-    return (-momentum * y, momentum * x, 0.0)
+    return (momentum * y, -momentum * x, 0.0)
 
 
 EFFECT = Effect(
     name="gyroscopic",
     title="Gyroscopic torque of the rotors",
-    equation="tau_frd = -h J_x sum_i s_i sqrt(T_i / T_hover) (omega x e3), s_i = +1 for ccw from above",
+    equation="tau_frd = h J_x sum_i s_i sqrt(T_i / T_hover) (omega x e3), s_i = +1 for ccw from above",
     source="a rotor's angular momentum J_r Omega; J_r 3e-8 (nano quad) to 1e-5 kg m^2 (5-inch propellers)",
     parameters=(
         Parameter(

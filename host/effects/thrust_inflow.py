@@ -5,11 +5,23 @@ from __future__ import annotations
 from host.effects.effect import Closing, Effect, Parameter
 
 
+def _losses(ops, theta, ctx):
+    """What each rotor loses per m/s of axial speed, over the vehicle's mass."""
+    scale = 0.25 * theta[0] / (ctx.hover_n + _FLOOR_N) ** 0.5
+    return [scale * ops.sqrt(ops.maximum(thrust, 0.0) + _FLOOR_N) for thrust in ctx.thrust]
+
+
 def _force(ops, theta, ctx):
-    (k,) = theta
-    turning = sum(ops.sqrt(ops.maximum(thrust, 0.0) + _FLOOR_N) for thrust in ctx.thrust)
-    relative = 0.25 * turning / (ctx.hover_n + _FLOOR_N) ** 0.5
-    return (0.0, 0.0, -k * relative * ctx.v_air_frd[2])
+    return (0.0, 0.0, -sum(_losses(ops, theta, ctx)) * ctx.v_air_frd[2])
+
+
+def _torque(ops, theta, ctx):
+    p, q, _ = ctx.rate_frd
+    x_torque = y_torque = 0.0
+    for loss, (x, y, _) in zip(_losses(ops, theta, ctx), ctx.rotor_positions, strict=True):
+        push = -loss * ctx.mass_kg * (p * y - q * x)
+        x_torque, y_torque = x_torque + y * push, y_torque - x * push
+    return (x_torque, y_torque, 0.0)
 
 
 def _feedforward(theta):
@@ -21,7 +33,7 @@ _FLOOR_N = 1e-9  # keeps the derivative of the root finite where a rotor stands
 EFFECT = Effect(
     name="thrust-inflow",
     title="Thrust against axial speed",
-    equation="a_frd = (0, 0, -k v_air,z mean_i sqrt(T_i / T_hover))",
+    equation="F_i = -(k m / 4) sqrt(T_i / T_hover) (v_air + omega x r_i)_z along z_frd",
     source="blade element theory: thrust falls by k_z Omega v_z, about 0.44 N/(m/s) in all at 0.75 kg",
     parameters=(
         Parameter(
@@ -38,10 +50,11 @@ EFFECT = Effect(
     aliases=("linear-drag", "motor-lag"),
     observable="climbs and descents beyond 1 m/s; from drag along z only where thrust changes meanwhile",
     closing=Closing(
-        model="a force against the axial air speed that grows with rotor speed",
+        model="a force of each rotor against its axial air speed that grows with rotor speed",
         planner="plans a path of less of it: slower climbs and descents",
         law="what it is at hover's rotor speed is fed forward like a drag along body z",
     ),
     specific_force_frd=_force,
+    torque_frd=_torque,
     to_feedforward=_feedforward,
 )
