@@ -43,23 +43,24 @@ def smooth(
     scale = max(float(np.ptp(samples)), 10.0 * sigma)
     P = np.diag([sigma**2 * 10.0, (10.0 * scale) ** 2, (100.0 * scale) ** 2])
     xs, Ps = np.empty((n, 3, axes)), np.empty((n, 3, 3))
-    before_x, before_P, steps = np.empty((n, 3, axes)), np.empty((n, 3, 3)), np.empty((n, 3, 3))
-    last = times[0]
+    before_x, before_P = np.empty((n, 3, axes)), np.empty((n, 3, 3))
+    steps, noise = _transitions(np.diff(times, prepend=times[0]), jerk_density)
+    eye = np.eye(3)
     for k in range(n):
-        F, Q = _transition(times[k] - last, jerk_density)
-        last = times[k]
-        x, P = F @ x, F @ P @ F.T + Q
-        steps[k], before_x[k], before_P[k] = F, x, P
+        F = steps[k]
+        x, P = F @ x, F @ P @ F.T + noise[k]
+        before_x[k], before_P[k] = x, P
         if measured[k]:
             gain = P[:, 0] / (P[0, 0] + sigma**2)
-            x = x + np.outer(gain, values[k] - x[0])
+            x = x + gain[:, None] * (values[k] - x[0])
             # Joseph form: stays symmetric and positive over thousands of steps.
-            keep = np.eye(3)
+            keep = eye.copy()
             keep[:, 0] -= gain
-            P = keep @ P @ keep.T + sigma**2 * np.outer(gain, gain)
+            P = keep @ P @ keep.T + sigma**2 * gain[:, None] * gain
         xs[k], Ps[k] = x, P
+    backs = np.linalg.solve(before_P[1:] + 1e-30 * eye, steps[1:] @ Ps[:-1]).swapaxes(1, 2)
     for k in range(n - 2, -1, -1):
-        back = np.linalg.solve(before_P[k + 1] + 1e-30 * np.eye(3), steps[k + 1] @ Ps[k]).T
+        back = backs[k]
         xs[k] += back @ (xs[k + 1] - before_x[k + 1])
         Ps[k] += back @ (Ps[k + 1] - before_P[k + 1]) @ back.T
     where = np.flatnonzero(~measured)
@@ -69,15 +70,14 @@ def smooth(
     return Smoothed(p=xs[:, 0], v=xs[:, 1], sigma_p=spread[:, 0], sigma_v=spread[:, 1])
 
 
-def _transition(dt: float, density: float) -> tuple[np.ndarray, np.ndarray]:
-    """Transition and process noise of (p, v, a) over `dt`."""
-    F = np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
+def _transitions(dt: np.ndarray, density: float) -> tuple[np.ndarray, np.ndarray]:
+    """Transitions and process noise (n, 3, 3) of (p, v, a) over steps dt (n,)."""
+    one, nought = np.ones_like(dt), np.zeros_like(dt)
     d2, d3 = dt * dt, dt * dt * dt
-    Q = density * np.array(
-        [
-            [d3 * d2 / 20.0, d2 * d2 / 8.0, d3 / 6.0],
-            [d2 * d2 / 8.0, d3 / 3.0, d2 / 2.0],
-            [d3 / 6.0, d2 / 2.0, dt],
-        ]
-    )
-    return F, Q
+    F = [[one, dt, 0.5 * d2], [nought, one, dt], [nought, nought, one]]
+    Q = [
+        [d3 * d2 / 20.0, d2 * d2 / 8.0, d3 / 6.0],
+        [d2 * d2 / 8.0, d3 / 3.0, d2 / 2.0],
+        [d3 / 6.0, d2 / 2.0, dt],
+    ]
+    return np.moveaxis(np.array(F), 2, 0), density * np.moveaxis(np.array(Q), 2, 0)

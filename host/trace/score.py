@@ -7,6 +7,7 @@ Where a log has its reference and the law is known, the whole flight is predicte
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -73,68 +74,92 @@ def motion(flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     s = signals(flight)
     half_s = max(0.055, 3.5 * pose_interval_s(s))
     t = np.arange(s.span_s[0] + half_s + 0.005, s.span_s[1] - half_s - 0.005, DT_S)
-    p, v = np.empty((len(t), 3)), np.empty((len(t), 3))
     low, high = np.searchsorted(s.pose_s, t - half_s), np.searchsorted(s.pose_s, t + half_s)
     good = high - low >= 6
-    for k in np.flatnonzero(good):
-        near = slice(low[k], high[k])
-        fit = np.polynomial.polynomial.polyfit(s.pose_s[near] - t[k], s.p[near], 2)
-        p[k], v[k] = fit[0], fit[1]
-    return t[good], p[good], v[good]
+    t, low, high = t[good], low[good], high[good]
+    if not len(t):
+        return t, np.empty((0, 3)), np.empty((0, 3))
+    near = low[:, None] + np.arange((high - low).max())
+    inside = near < high[:, None]
+    near = np.minimum(near, len(s.pose_s) - 1)
+    # Times in units of the window, so that the powers are of one size.
+    x = (s.pose_s[near] - t[:, None]) / half_s
+    powers = np.stack([np.ones_like(x), x, x * x], axis=2) * inside[:, :, None]
+    normal = np.swapaxes(powers, 1, 2) @ powers
+    fit = np.linalg.solve(normal, np.swapaxes(powers, 1, 2) @ s.p[near])
+    return t, fit[:, 0], fit[:, 1] / half_s
 
 
 def predict_flights(
     flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect]
 ) -> tuple[Errors, ...]:
-    """Errors of whole flights predicted from their references by phi with the model's effects."""
-    return tuple(_predict(flight, model, effects) for flight in flights)
+    """Errors of whole flights predicted from their references by phi with the model's effects.
+
+    Flights of one firmware setting are rolled out together.
+    """
+    settings: dict[str, list[int]] = {}
+    for index, flight in enumerate(flights):
+        settings.setdefault(json.dumps(flight.firmware_parameters, sort_keys=True), []).append(index)
+    found: dict[int, Errors] = {}
+    for indices in settings.values():
+        predicted = _predict([flights[index] for index in indices], model, effects)
+        found.update(zip(indices, predicted, strict=True))
+    return tuple(found[index] for index in range(len(flights)))
 
 
-def _predict(flight: Flight, model: Model | None, effects: Mapping[str, Effect]) -> Errors:
-    assert flight.reference is not None
-    assert flight.tracking is not None
+def _predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect]) -> list[Errors]:
+    """Errors of flights of one firmware setting."""
     parts = [] if model is None else model.parts(effects)
     phi = Phi(
-        vehicle=flight.vehicle,
+        vehicle=flights[0].vehicle,
         effects=tuple(effect for effect, _ in parts),
-        parameters=flight.firmware_parameters,
+        parameters=flights[0].firmware_parameters,
     )
     latency = float(latency_of(NUMPY, parts))
-    known = flight_states(flight, latency_s=latency)
-    start = flight.tracking[0] * 1e-6
-    duration = flight.reference.nodes[-1].t_us * 1e-6
-    steps = round(duration / _STEP_S)
+    known = [flight_states(flight, latency_s=latency) for flight in flights]
+    duration = [states.reference.nodes[-1].t_us * 1e-6 for states in known]
+    steps = round(max(duration) / _STEP_S)
     fine = phi.substeps(_STEP_S)
     stages = half_steps(0.0, steps * fine, _STEP_S / fine)
-    states = roll_out(
-        phi,
-        x0=known.initial(phi)[:, None],
-        drive=reference_drive(
-            flight.reference,
+    drives = [
+        reference_drive(
+            states.reference,
             stages,
-            feedforward=flight.feedforward,
-            voltage_ratio=np.interp(stages, known.t_s, known.voltage_ratio),
-        ),
-        flight=known.constants,
+            feedforward=states.feedforward,
+            voltage_ratio=np.interp(stages, states.t_s, states.voltage_ratio),
+        )
+        for states in known
+    ]
+    rolled = roll_out(
+        phi,
+        x0=np.stack([states.initial(phi) for states in known], axis=1),
+        drive=np.stack(drives, axis=2),
+        flight=np.stack([states.constants for states in known], axis=1),
         theta=phi.theta(parts),
         step_s=_STEP_S / fine,
         every=fine,
-    )[:, :, 0]
-    t, p, v = motion(flight)
-    t = t - start
-    inside = (t > 0.1) & (t < duration)
-    t, p, v = t[inside], p[inside], v[inside]
-    grid = _STEP_S * np.arange(steps + 1)
-    at = np.column_stack([np.interp(t - latency, grid, states[:, i]) for i in range(6)])
-    return Errors(
-        flight=flight.id,
-        reference_id=flight.reference_id,
-        t_s=t,
-        position=p - at[:, :3],
-        velocity=v - at[:, 3:6],
-        predicted=at[:, :3],
-        measured=p,
     )
+    grid = _STEP_S * np.arange(steps + 1)
+    out = []
+    for k, flight in enumerate(flights):
+        assert flight.tracking is not None
+        t, p, v = motion(flight)
+        t = t - flight.tracking[0] * 1e-6
+        inside = (t > 0.1) & (t < duration[k])
+        t, p, v = t[inside], p[inside], v[inside]
+        at = np.column_stack([np.interp(t - latency, grid, rolled[:, i, k]) for i in range(6)])
+        out.append(
+            Errors(
+                flight=flight.id,
+                reference_id=flight.reference_id,
+                t_s=t,
+                position=p - at[:, :3],
+                velocity=v - at[:, 3:6],
+                predicted=at[:, :3],
+                measured=p,
+            )
+        )
+    return out
 
 
 def predict_segments(flights: Sequence[Flight], form: Form, z: np.ndarray) -> tuple[Errors, ...]:
