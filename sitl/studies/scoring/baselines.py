@@ -68,6 +68,7 @@ def judge_others(folder: Path, programme: Programme) -> dict[str, Any]:
 
 def _judged(names: list[str], kinds: Sequence[str]) -> dict[str, Any]:
     """Names, the strongest first, against the truth."""
+    names = list(dict.fromkeys(name.partition(".")[0] for name in names))
     truth = collapsed(kinds, kinds)
     return {
         "names": names,

@@ -135,7 +135,7 @@ def parameter_rows(
         if name not in found:
             continue
         gain = _gain(truth, true) if name == "inertia" else 1.0
-        for i in chosen.groups[name]:
+        for i in chosen.owners[name]:
             column = chosen.columns[i]
             if truth["effects"][name].get(column.key, column.neutral) == column.neutral:
                 continue
@@ -195,6 +195,6 @@ def _ratio_row(
             "sd": ratio * share,
             "bound_sd": bound,
             "neutral": 1.0,
-            "typical": chosen.columns[chosen.groups[name][0]].scale,
+            "typical": chosen.columns[chosen.owners[name][0]].scale,
         }
     ]
