@@ -43,6 +43,7 @@ EDGES: dict[str, tuple[str, ...]] = {
     "numpy": ("host", "sitl"),
     "pydantic": ("host", "sitl"),
     "pydantic_core": ("host.vehicle",),
+    "pysindy": ("sitl.studies.scoring.baselines",),
     "pymavlink": ("protocol.codec", "protocol.generate", "protocol.generated"),
     "rich": ("host.progress",),
     "scipy": ("host", "sitl"),

@@ -21,6 +21,7 @@ from typing import Any
 from host.vehicle import load_vehicle
 from sitl.studies.files import Ledger, StudyError, read_json, sha256_of, write_json
 from sitl.studies.flights import BLIND, SCORE, TRUTH, VERDICT, Programme, fly_and_seal, plan_references, trace
+from sitl.studies.scoring.baselines import BASELINES, judge_others, summary_lines
 from sitl.studies.scoring.metrics import baseline_rows, confusion, deviations, summary
 from sitl.studies.scoring.world import library, score_world
 from sitl.studies.table import failure, lines, table
@@ -92,13 +93,13 @@ def run(
             for world in planned
         ]
         _work(tasks, ledger, jobs, report)
-        scores = [read_json(task.folder / SCORE) for task in tasks]
-    figures = summary(scores)
+        scores = [_scores(task) for task in tasks]
+    figures, others = summary(scores), baseline_rows(scores)
     return {
         "answer": {"study": "blind", "seed": seed, "worlds": worlds, "folder": str(folder), **figures},
-        "lines": lines(figures, scores),
+        "lines": [*lines(figures, scores), *summary_lines(others)],
         "table": table(figures),
-        "baselines": baseline_rows(scores),
+        "baselines": others,
         "confusion": confusion(scores),
         "deviations": deviations(scores),
         "wrong": [(score["world"], what) for score in scores if (what := failure(score)) is not None],
@@ -114,7 +115,7 @@ def _work(tasks: list[Task], ledger: Ledger, jobs: int, report: Report) -> None:
     for task in tasks:
         if (task.folder / VERDICT).is_file() or (task.folder / SCORE).is_file():
             ledger.check(task.world.name, sha256_of(task.folder / TRUTH))
-        if (task.folder / SCORE).is_file():
+        if is_done(task):
             done += _FLOWN + _JUDGED
         else:
             to_fly.append(task)
@@ -156,8 +157,23 @@ def fly(task: Task) -> str:
 def judge(task: Task) -> str:
     """The verdict on the task's world, traced and scored where it was not."""
     trace(task.folder, task.programme)
-    score = score_world(task.folder, Ledger(task.ledger), task.programme, with_baselines=task.with_baselines)
+    score = score_world(task.folder, Ledger(task.ledger), task.programme)
+    if task.with_baselines:
+        judge_others(task.folder, task.programme)
     return score["verdict"]
+
+
+def is_done(task: Task) -> bool:
+    """Whether everything asked of the task's world is there."""
+    others = not task.with_baselines or (task.folder / BASELINES).is_file()
+    return (task.folder / SCORE).is_file() and others
+
+
+def _scores(task: Task) -> dict[str, Any]:
+    """The score of the task's world, with what other methods said where they were asked."""
+    others = task.folder / BASELINES
+    asked = task.with_baselines and others.is_file()
+    return {**read_json(task.folder / SCORE), "baselines": read_json(others) if asked else None}
 
 
 def _same_order(folder: Path, order: Mapping[str, Any]) -> None:

@@ -13,6 +13,7 @@ from host.models.model import Model
 from host.trace import evidence
 from host.trace.data import segments_of
 from host.trace.diagnose import refit
+from host.trace.form import Form
 from host.trace.parameters import Space
 from host.trace.score import predict_flights, rmse
 from host.vehicle import Vehicle
@@ -50,31 +51,42 @@ def bounds(
     The library with the true effects is linearised along the flights, with the process noise that they show.
     An effect of the set `same`, of which only ratios show, is no alias of another one.
     """
-    names = tuple(sorted(truth))
+    candidates = {name: _candidate(space, name, values) for name, values in truth.items()}
+    names = tuple(sorted(candidates.values()))
     data, _ = segments_of(flights)
-    at = refit(vehicle, space, data, names, None, iterations=4)
+    form = Form(vehicle, space, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
+    at = refit(form, data, names, None, iterations=4)
     z = _scaled(space, truth)
     gram = evidence.whitened(at.lin, at.process, space.prior).gram[1:, 1:]
     separation = {}
-    for name in names:
-        others = [o for o in space.candidates if o not in truth and not {name, o} <= same]
-        separation[name] = {other: _separation(space, gram, names, z, name, other) for other in others}
+    for name, candidate in candidates.items():
+        others = [o for o in space.candidates if o not in names and not {name, o} <= same]
+        separation[name] = {o: _separation(space, gram, names, z, candidate, o) for o in others}
     sd = np.sqrt(np.diag(at.covariance)) * space.scale
     return Bounds(
         separation=separation,
         sd={
             name: {
-                space.columns[i].key: float(sd[i]) for i in space.groups[name] if space.columns[i].key in keys
+                space.columns[i].key: float(sd[i]) for i in space.owners[name] if space.columns[i].key in keys
             }
             for name, keys in truth.items()
         },
     )
 
 
+def _candidate(space: Space, name: str, values: Mapping[str, float]) -> str:
+    """What tracing calls an effect with these values: its name, or that of the one parameter off neutral."""
+    if name in space.groups:
+        return name
+    neutral = {space.columns[i].key: space.columns[i].neutral for i in space.owners[name]}
+    (key,) = [key for key in neutral if values.get(key, neutral[key]) != neutral[key]]
+    return f"{name}.{key}"
+
+
 def _scaled(space: Space, truth: Mapping[str, Mapping[str, float]]) -> np.ndarray:
     z = np.zeros(len(space.columns))
     for name, values in truth.items():
-        for i in space.groups[name]:
+        for i in space.owners[name]:
             column = space.columns[i]
             z[i] = (values.get(column.key, column.neutral) - column.neutral) / column.scale
     return z

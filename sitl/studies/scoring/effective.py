@@ -23,6 +23,7 @@ from host.effects import Effect
 from host.log import Flight
 from host.trace import segments
 from host.trace.data import DT_S, segments_of
+from host.trace.form import LOCALS, Form
 from host.trace.parameters import Space
 from host.trace.segments import Segments
 from host.vehicle import Vehicle
@@ -72,7 +73,7 @@ def effective(
     columns = [
         i
         for name in fitted
-        for i in space.groups[name]
+        for i in space.owners[name]
         if drawn[name].get(space.columns[i].key, space.columns[i].neutral) != space.columns[i].neutral
     ]
     if not columns:
@@ -185,9 +186,10 @@ def host_response(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray)
     """What `plant_response` is, of the library's form: (lanes, S, H, 6) for scaled z (P, lanes)."""
     lanes = z.shape[1]
     x0 = np.repeat(data.x0.T[:, None, :], lanes, axis=1)
-    local = np.zeros((segments.LOCALS, lanes, len(data.flight)))
-    _, _, rate, force = segments.roll_out(vehicle, space, data, x0, z, local)
-    return np.transpose(np.concatenate([force, rate], axis=1), (2, 3, 0, 1))
+    local = np.zeros((LOCALS, lanes, len(data.flight)))
+    form = Form(vehicle, space, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
+    found = segments.roll_out(form, data, x0, z, local)
+    return np.transpose(found[:, [9, 10, 11, 6, 7, 8]], (2, 3, 0, 1))
 
 
 def fit(

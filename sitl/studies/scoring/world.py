@@ -38,9 +38,7 @@ def open_truth(folder: Path, ledger: Ledger) -> dict[str, Any]:
     return read_json(folder / TRUTH)
 
 
-def score_world(
-    folder: Path, ledger: Ledger, programme: Programme, *, with_baselines: bool = False
-) -> dict[str, Any]:
+def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str, Any]:
     """The world's score, made once and kept as a file. Raises as `open_truth` does."""
     if (folder / SCORE).is_file():
         return read_json(folder / SCORE)
@@ -63,7 +61,6 @@ def score_world(
         **judge(truth["kinds"], verdict, known, effects),
         "parameters": parameter_rows(truth, true, verdict["answer"], known, chosen),
         "floor_m": floor,
-        "baselines": None,
     }
     write_json(folder / SCORE, score)
     return score
@@ -138,7 +135,7 @@ def parameter_rows(
         if name not in found:
             continue
         gain = _gain(truth, true) if name == "inertia" else 1.0
-        for i in chosen.groups[name]:
+        for i in chosen.owners[name]:
             column = chosen.columns[i]
             if truth["effects"][name].get(column.key, column.neutral) == column.neutral:
                 continue
@@ -198,6 +195,6 @@ def _ratio_row(
             "sd": ratio * share,
             "bound_sd": bound,
             "neutral": 1.0,
-            "typical": chosen.columns[chosen.groups[name][0]].scale,
+            "typical": chosen.columns[chosen.owners[name][0]].scale,
         }
     ]

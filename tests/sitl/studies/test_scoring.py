@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from host.effects import load_effects
 from host.log import Flight, read_flight
 from host.trace.parameters import space
 from host.vehicle import load_vehicle
+from sitl.studies.scoring.baselines import stepwise_bic, weak_sindy
 from sitl.studies.scoring.bounds import Bounds
 from sitl.studies.scoring.effective import effective
 from sitl.studies.scoring.metrics import confusion, exact_interval, is_right, relative_errors, summary
@@ -164,6 +166,31 @@ def test_table_names_every_world_that_was_judged_wrongly() -> None:
     assert failure(SCORES[1]) == "quadratic-drag: traced, linear-drag"
     assert confusion(SCORES)["quadratic-drag"] == {"linear-drag": 1}
     assert confusion(SCORES)["a pair"] == {"exact set": 1}
+
+
+@pytest.fixture
+def series() -> list[np.ndarray]:
+    """Two flights in which drag of 0.8 typical sizes and a lag of 0.6 explain all but white noise."""
+    rng = np.random.default_rng(4)
+    out = []
+    for _ in range(2):
+        terms = rng.standard_normal((900, 6, len(SPACE.columns)))
+        terms = np.cumsum(terms, axis=0) / 30.0
+        terms[:, :, list(SPACE.groups["battery-sag"])] *= 1e-6
+        rest = 0.05 * rng.standard_normal((900, 6))
+        for name, size in (("quadratic-drag", 0.8), ("motor-lag", 0.6)):
+            rest += size * terms[:, :, SPACE.groups[name][0]]
+        out.append(np.concatenate([rest[:, :, None], terms], axis=2))
+    return out
+
+
+def test_stepwise_regression_finds_what_made_the_data(series: list[np.ndarray]) -> None:
+    assert set(stepwise_bic(SPACE, series)) == {"quadratic-drag", "motor-lag"}
+
+
+def test_weak_sindy_finds_what_made_the_data(series: list[np.ndarray]) -> None:
+    pytest.importorskip("pysindy", reason="pysindy is not installed")
+    assert weak_sindy(SPACE, series) == ["quadratic-drag", "motor-lag"]
 
 
 @pytest.fixture(scope="module")

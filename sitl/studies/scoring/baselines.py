@@ -1,0 +1,212 @@
+"""Other methods on the same logs: sparse regression in weak form, stepwise regression, a network alone.
+
+Both regressions have the library's forms as columns, linearised at the nominal vehicle, and accelerations as
+data: measured specific force, and the growth of the measured body rate, less what the nominal model says
+along the measured states. What acts on poses alone has no column there, wind none without a drag.
+"""
+
+from __future__ import annotations
+
+import importlib
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from host.effects import load_effects
+from host.log import Flight, read_flight
+from host.trace.data import DT_S, segments_of
+from host.trace.parameters import Space, space
+from host.vehicle import Vehicle, load_vehicle
+from sitl.studies.commandline import run_apart
+from sitl.studies.files import StudyError, read_json, write_json
+from sitl.studies.flights import SCORE, TRUTH, Programme
+from sitl.studies.scoring.effective import RUN_S, host_response
+from sitl.studies.scoring.names import collapsed
+
+BASELINES = "baselines.json"
+WINDOW_S = 0.4
+THRESHOLD = 0.25
+"""Typical sizes below which a term of the sparse regression is dropped."""
+
+BIC_GAIN = 10.0
+"""Least gain of the information criterion for another effect."""
+
+MOST_EFFECTS = 6
+LEAST = 0.05
+"""Root mean square of a column, in usual turbulence, below which flights do not show it."""
+
+_SCALE = np.array([0.04] * 3 + [0.5] * 3)
+_STEP = 1e-4
+
+
+def judge_others(folder: Path, programme: Programme) -> dict[str, Any]:
+    """What the other methods say of a world that has its score, kept as a file in its folder.
+
+    By method: names found (None for one that names nothing), whether the first and the set are right, and the
+    error on held-out flights, m, where the method predicts. Raises StudyError where there is no score yet or
+    PySINDy is not installed.
+    """
+    if (folder / BASELINES).is_file():
+        return read_json(folder / BASELINES)
+    if not (folder / SCORE).is_file():
+        raise StudyError(f"world {folder.name}: other methods are judged once there is a score")
+    truth = read_json(folder / TRUTH)
+    kinds, vehicle = truth["kinds"], load_vehicle(truth["vehicle"])
+    chosen = space(vehicle, load_effects())
+    used = programme.logs(programme.learning)
+    series = _series(vehicle, chosen, [read_flight(folder / "flights" / log) for log in used])
+    found = {"weak SINDy": weak_sindy(chosen, series), "stepwise BIC": stepwise_bic(chosen, series)}
+    judged = {method: _judged(names, kinds) for method, names in found.items()}
+    error = _network(folder / "flights", used, programme.logs(programme.held_out))
+    judged["network alone"] = {"names": None, "first_right": None, "exact": None, "after_m": error}
+    write_json(folder / BASELINES, judged)
+    return judged
+
+
+def _judged(names: list[str], kinds: Sequence[str]) -> dict[str, Any]:
+    """Names, the strongest first, against the truth."""
+    names = list(dict.fromkeys(name.partition(".")[0] for name in names))
+    truth = collapsed(kinds, kinds)
+    return {
+        "names": names,
+        "first_right": bool(names) and collapsed(names[:1], kinds) <= truth,
+        "exact": bool(names) and collapsed(names, kinds) == truth,
+        "after_m": None,
+    }
+
+
+def _series(vehicle: Vehicle, space: Space, flights: Sequence[Flight]) -> list[np.ndarray]:
+    """For each flight (n, 6, 1 + P) every DT_S: residual accelerations and their slopes in scaled
+    parameters, over the usual turbulence; specific force, then angular acceleration, FRD.
+    """
+    data, _ = segments_of(flights, segment_s=RUN_S)
+    count = len(space.columns)
+    lanes = np.zeros((count, 1 + count))
+    lanes[np.arange(count), 1 + np.arange(count)] = _STEP
+    out = host_response(vehicle, space, data, lanes)
+    slopes = (out[1:] - out[0]) / _STEP
+    slopes[..., 3:] = np.gradient(slopes[..., 3:], DT_S, axis=2)
+    turning = np.gradient(out[0][..., 3:], DT_S, axis=1)
+    found = []
+    for flight in range(len(flights)):
+        mine = np.flatnonzero(data.flight == flight)
+        mine = mine[np.argsort(data.start_s[mine])]
+        force = (data.force[mine] - out[0][mine][..., :3]).reshape(-1, 3)
+        rate = np.gradient(data.rate[mine].reshape(-1, 3), DT_S, axis=0) - turning[mine].reshape(-1, 3)
+        rest = np.concatenate([force, rate], axis=1)
+        terms = np.moveaxis(slopes[:, mine].reshape(count, -1, 6), 0, 2)
+        found.append(np.concatenate([rest[:, :, None], terms], axis=2) / _SCALE[:, None])
+    return found
+
+
+def _shown(space: Space, series: Sequence[np.ndarray]) -> list[str]:
+    """Candidates that the flights can show: at their typical size above LEAST, as tracing leaves out the sag
+    of a battery that stayed full.
+    """
+    rms = np.sqrt(np.mean([(s[:, :, 1:] ** 2).mean((0, 1)) for s in series], axis=0))
+    return [name for name in space.candidates if max(rms[i] for i in space.groups[name]) > LEAST]
+
+
+def weak_sindy(space: Space, series: Sequence[np.ndarray]) -> list[str]:
+    """Effects with a term in PySINDy's weak-form sparse regression, the greatest term first.
+
+    Every channel of every flight is a trajectory of one integrated residual; the library's columns are its
+    inputs, so that all channels share the coefficients. Raises StudyError where PySINDy is not installed.
+    """
+    try:
+        pysindy: Any = importlib.import_module("pysindy")
+        base: Any = importlib.import_module("pysindy.feature_library.base")
+    except ImportError:
+        raise StudyError("PySINDy is not installed, `pip install pysindy` or leave out --baselines") from None
+
+    class Inputs(base.BaseFeatureLibrary):
+        """The inputs as they are, without the state."""
+
+        @base.x_sequence_or_item
+        def fit(self, x_full: Any, y: Any = None) -> Inputs:
+            self.n_features_in_ = x_full[0].shape[-1]
+            self.n_output_features_ = self.n_features_in_ - 1
+            return self
+
+        @base.x_sequence_or_item
+        def transform(self, x_full: Any) -> Any:
+            return [x[..., 1:] for x in x_full]
+
+        def get_feature_names(self, input_features: Any = None) -> list[str]:
+            return [f"u{i}" for i in range(self.n_output_features_)]
+
+    shown = _shown(space, series)
+    columns = [i for name in shown for i in space.groups[name]]
+    length = min(len(s) for s in series)
+    time = DT_S * np.arange(length)
+    state = [np.cumsum(s[:length, i, :1], axis=0) * DT_S for s in series for i in range(6)]
+    inputs = [s[:length, i, 1:][:, columns] for s in series for i in range(6)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        np.random.seed(0)
+        weak = pysindy.WeakPDELibrary(
+            function_library=Inputs(),
+            spatiotemporal_grid=time,
+            K=round(2.0 * time[-1] / WINDOW_S),
+            H_xt=[0.5 * WINDOW_S],
+        )
+        model = pysindy.SINDy(feature_library=weak, optimizer=pysindy.STLSQ(threshold=THRESHOLD, alpha=1e-3))
+        model.fit(state, time, u=inputs)
+    terms = dict(zip(columns, np.abs(model.coefficients()[0]).tolist(), strict=True))
+    sizes = {name: max(terms[i] for i in space.groups[name]) for name in shown}
+    return sorted((name for name in sizes if sizes[name] > 0.0), key=lambda name: -sizes[name])
+
+
+def stepwise_bic(space: Space, series: Sequence[np.ndarray]) -> list[str]:
+    """Effects that forward selection takes by the Bayesian information criterion, in that order.
+
+    Weak form too: means over windows with a bump that overlap by half.
+    """
+    width = round(WINDOW_S / DT_S)
+    bump = (1.0 - np.linspace(-1.0, 1.0, width) ** 2) ** 4
+    bump /= bump.sum()
+    parts = [
+        np.einsum("t,tij->ij", bump, s[k : k + width])
+        for s in series
+        for k in range(0, len(s) - width, width // 2)
+    ]
+    rows = np.concatenate(parts)
+    b, A = rows[:, 0], rows[:, 1:]
+
+    def criterion(names: Sequence[str]) -> float:
+        columns = [i for name in names for i in space.groups[name]]
+        rest = b - A[:, columns] @ np.linalg.lstsq(A[:, columns], b, rcond=None)[0] if columns else b
+        return len(b) * float(np.log(rest @ rest / len(b))) + len(columns) * float(np.log(len(b)))
+
+    chosen: list[str] = []
+    shown = _shown(space, series)
+    here = criterion(chosen)
+    while len(chosen) < MOST_EFFECTS:
+        free = [name for name in shown if name not in chosen]
+        best, name = min(((criterion([*chosen, name]), name) for name in free), default=(here, ""))
+        if best > here - BIC_GAIN:
+            break
+        chosen.append(name)
+        here = best
+    return chosen
+
+
+def _network(folder: Path, used: Sequence[str], held_out: Sequence[str]) -> float | None:
+    """Position error, m, on the held-out flights of the paper's network alone; None where it failed."""
+    words = ["learn", *used, "--hold-out", *held_out, "-o", "network.model.toml", "--force"]
+    done = run_apart(words, folder)
+    for left in folder.glob("network.model.*"):
+        left.unlink()
+    return (done.data.get("test") or {}).get("position_rmse_m") if done.code == 0 else None
+
+
+def summary_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The other methods' row each, as text."""
+    return [
+        f"{row['method']}: first right {row['first']}, exact {row['exact']}, false alarms "
+        f"{row['false_alarm']}, {row['terms']} effects in the mean, held-out error {row['error']}"
+        for row in rows
+    ]
