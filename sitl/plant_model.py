@@ -137,7 +137,7 @@ PARTS = frozenset(
 )
 """Kinds whose physics is left out of the tick of a world without them: no build deviates in these."""
 
-ROTOR_DRAG_SHARE = 0.5  # of the linear drag: goes with rotor speed; the rest is the frame
+ROTOR_DRAG_SHARE = 0.5  # of the linear drag across the discs: goes with rotor speed; the rest is the frame
 _PLATE = (0.94, 1.06, 1.2)  # drag area seen along each body axis over the mean of x and y
 _BIAS_WITH_THRUST = 0.3  # of a torque bias at hover: grows with thrust, as a bent arm's
 
@@ -233,13 +233,10 @@ def _accelerations(
         braking = P["spins"][i] * P["torque_per_thrust_m"][0] * braking
         if "motor-cant" in parts:
             axis = P["cant"][3 * i : 3 * i + 3]
-            push(arm, [thrust * axis[k] - share * drag[k] * hub[k] for k in range(3)])
+            push(arm, [thrust * axis[k] - (share * drag[k] * hub[k] if k < 2 else 0.0) for k in range(3)])
             torque = [t - braking * c for t, c in zip(torque, axis, strict=True)]
         else:
-            push(
-                arm,
-                [-share * drag[0] * hub[0], -share * drag[1] * hub[1], -share * drag[2] * hub[2] - thrust],
-            )
+            push(arm, [-share * drag[0] * hub[0], -share * drag[1] * hub[1], -thrust])
             torque[2] = torque[2] + braking
         if "blade-flapping" in parts:
             flap = P["flapping"][0] / 4 * relative
@@ -256,8 +253,8 @@ def _accelerations(
     middle = [-c for c in com]
     flow = add(air, cross(w, middle))
     speed = ops.sqrt(dot(flow, flow))
-    frame = (1 - ROTOR_DRAG_SHARE, mass * speed)
-    plate = [frame[0] * drag[k] + frame[1] * _PLATE[k] * P["quadratic_drag"][0] for k in range(3)]
+    linear = [(1 - ROTOR_DRAG_SHARE) * drag[0], (1 - ROTOR_DRAG_SHARE) * drag[1], drag[2]]
+    plate = [linear[k] + mass * speed * _PLATE[k] * P["quadratic_drag"][0] for k in range(3)]
     push(middle, [-c * u for c, u in zip(plate, flow, strict=True)])
     if line is not None:
         push(middle, into_body(R, line))

@@ -149,15 +149,20 @@ def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
 
 
 def _borne(fitter: Fitter[F], fit: F) -> bool:
-    """Whether what an effect acts through was itself found: beyond BEARS times its tolerance.
+    """Whether every effect of the set is there, and what it acts through beyond BEARS times its tolerance.
 
-    Wind on a drag within tolerance is a force of some 0.01 m/s^2, as the slow part of turbulence is.
+    One that its bounds hold within its tolerance is none. Wind on a drag within tolerance is a force of some
+    0.01 m/s^2, as the slow part of turbulence is.
     """
     space = fitter.space
-    beyond = np.abs(fit.z) > BEARS * fitter.prior.spike
-    found = {name for name in fit.effects if beyond[list(space.groups[name])].any()}
+    size = {
+        name: max(abs(fit.z[i]) / fitter.prior.spike[i] for i in space.groups[name]) for name in fit.effects
+    }
+    found = {name for name in fit.effects if size[name] > BEARS}
     needs = (space.effect(name).requires_any for name in fit.effects)
-    return all(not any_of or found & set(any_of) for any_of in needs)
+    return all(share > 1.0 for share in size.values()) and all(
+        not any_of or found & set(any_of) for any_of in needs
+    )
 
 
 def _smallest(fits: Mapping[Names, F]) -> F:
