@@ -2,10 +2,10 @@
 
 Command-driven segments see the gyro's noise in what drives them and in what they are compared with, which
 biases lag, delay and inertia. Here nothing measured drives the model: the reference does, through the law,
-and timing, inertia, thrust over mass and aerodynamic terms come out without that bias; of a constant torque
-the law's integral hides a part. Poses and body rate, in bins, less their prediction are one coloured process
-in all channels at once, since a gust shows in position, attitude and rate: a vector autoregression, fitted to
-what is left, whitens it.
+and timing, inertia, thrust over mass and aerodynamic terms come out without that bias; what torque something
+takes the law's rate integral shows. Poses, body rate and integral, in bins, less their prediction are one
+coloured process in all channels at once, since a gust shows in position, attitude and rate: a vector
+autoregression, fitted to what is left, whitens it.
 """
 
 from __future__ import annotations
@@ -24,9 +24,7 @@ from host.models.phi import INTEGRAL, Phi
 from host.models.rollout import half_steps, reference_drive, roll_out
 from host.models.states import States, flight_states
 from host.trace.data import averaged
-from host.trace.diagnose import Fit, Method
 from host.trace.evidence import LOG_ODDS, Prior
-from host.trace.evidence import whitened as whitened_segments
 from host.trace.parameters import Space
 from host.trace.search import Names
 from host.trace.signals import signals
@@ -47,12 +45,6 @@ holds is the torque that something else takes.
 """
 
 ORDERS = (1, 2, 3, 4, 6)
-TORQUE = ("com-offset", "torque-bias", "rotor-loss")
-"""Effects that the law's integral hides in part from the outside: the segments may know them better."""
-
-AGREE = 2.0
-"""Standard deviations of their difference within which two estimates agree."""
-
 LOOP_DISCREPANCY = {"motor-lag": 0.04, "mocap-latency": 0.02, "inertia": 0.06, "translational-lift": 0.03}
 """One sigma, in typical sizes, of what phi itself may be off by, 0.01 for the others: what it reads into
 flights of a simulated vehicle without noise, turbulence or effect.
@@ -121,20 +113,6 @@ class ClosedFit:
     whitening: Whitening
     grams: np.ndarray
     residuals: tuple[np.ndarray, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Refined:
-    """Both estimates combined: z (P,) and covariance (P, P) scaled, and which method each parameter is of.
-
-    disagreement (P,): difference of the two in standard deviations of it.
-    """
-
-    z: np.ndarray
-    covariance: np.ndarray
-    method: tuple[Method, ...]
-    disagreement: np.ndarray
-    closed: ClosedFit
 
 
 def record(flight: Flight, latency_s: float = 0.0) -> Recording:
@@ -529,45 +507,10 @@ class LoopFitter:
         return [lambda names: _log_evidence(gram, fit.at, prior.precision(names), 0.0, len(names))]
 
 
-def combined(space: Space, fit: Fit, closed: ClosedFit) -> Refined:
-    """The closed loop's estimate of all that phi has, but of TORQUE where the segments know it better.
-
-    Both estimates rest on the same flights, so they are not multiplied: each parameter has the estimate and
-    the interval of one method, and none is correlated with one of the other. The closed loop's interval is
-    widened by its jackknife and by what phi may be off by, the segments' by what is read into them
-    (`Column.discrepancy`); where the two differ by more than AGREE standard deviations, the rest is added.
-    """
-    shown = np.einsum("fii->i", closed.grams)[1:] > 0.0
+def honest_covariance(space: Space, closed: ClosedFit) -> np.ndarray:
+    """Covariance (P, P), scaled: the fit's, widened by its jackknife and by what phi itself may be off by."""
     widened = jackknife_by_flight(closed.grams, closed.at, prior_of(space).precision(closed.effects))
-    own = closed.covariance * np.outer(widened, widened) + np.diag(loop_discrepancy(space) ** 2)
-    read_into = np.array([column.discrepancy for column in space.columns])
-    theirs = fit.covariance + np.diag(read_into**2)
-    torque = np.array([column.owner in TORQUE for column in space.columns])
-    mine = shown & ~(torque & (np.diag(theirs) < np.diag(own)))
-    covariance = np.where(np.outer(mine, mine), own, 0.0) + np.where(np.outer(~mine, ~mine), theirs, 0.0)
-    spread = np.sqrt(np.diag(theirs) + np.diag(own))
-    disagreement = np.where(shown, (closed.z - fit.z) / spread, 0.0)
-    beyond = np.maximum(np.abs(disagreement) - AGREE, 0.0) * spread
-    return Refined(
-        z=np.where(mine, closed.z, fit.z),
-        covariance=covariance + np.diag(beyond**2),
-        method=tuple("closed-loop" if m else "segments" for m in mine),
-        disagreement=disagreement,
-        closed=closed,
-    )
-
-
-def flight_grams(fit: Fit, prior: Prior) -> np.ndarray:
-    """(flights, 1 + P, 1 + P) of [residual | slopes] of command-driven segments, flights' nuisances
-    integrated out.
-    """
-    grams = whitened_segments(fit.lin, fit.process, prior).local_gram
-    m = 1 + fit.lin.parameters
-    precision = 1.0 / prior.local**2
-    rhs = grams[:, m:, :m].copy()
-    rhs[:, :, 0] -= precision * fit.lin.local
-    inner = grams[:, m:, m:] + np.diag(precision)
-    return grams[:, :m, :m] - np.swapaxes(rhs, 1, 2) @ np.linalg.solve(inner, rhs)
+    return closed.covariance * np.outer(widened, widened) + np.diag(loop_discrepancy(space) ** 2)
 
 
 def jackknife_by_flight(grams: np.ndarray, z: np.ndarray, precision: np.ndarray) -> np.ndarray:

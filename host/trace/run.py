@@ -17,10 +17,10 @@ from host.trace import evidence
 from host.trace.audit import without_twins
 from host.trace.data import SEGMENT_S, segments_of
 from host.trace.describe import describe
-from host.trace.diagnose import Diagnosis, Fit, Method, SegmentFitter, refit
+from host.trace.diagnose import Diagnosis, Fit, SegmentFitter, at_parameters, refit
 from host.trace.form import Form
 from host.trace.parameters import MASS, Space, space, tolerance_of
-from host.trace.refine import LoopFitter, closed_loop, combined, fit_loop, order_of
+from host.trace.refine import LoopFitter, closed_loop, fit_loop, honest_covariance, order_of
 from host.trace.result import Named, Trace, Value, Verdict
 from host.trace.score import (
     Errors,
@@ -114,12 +114,12 @@ def run(
     drive = drive_of([*flights, *held_out])
     diagnosis = _diagnosis(form, data, flights if drive == "reference" else (), report)
     fit, twins = diagnosis.best, twins_of(flights)
-    rest = leftover(_left(fit, diagnosis.z), fit.data, twins)
+    rest = leftover(_left(fit, diagnosis.best.z), fit.data, twins)
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
     verdict = _verdict(fit, rest, aliases)
     added = verdict != "outside-library"
     named = _named(airframe, chosen, diagnosis, aliases) if added else ()
-    z = diagnosis.z if added else _reading(chosen, diagnosis)
+    z = diagnosis.best.z if added else _reading(chosen, diagnosis)
     if not added:
         # How much is missing counts from the model that is kept: what the library fitted in its stead may be
         # wild.
@@ -170,26 +170,23 @@ def run(
 def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Report) -> Diagnosis:
     """What is missing, by whole `flights` over the closed loop, or by segments where there are none.
 
-    The segments are fitted in both cases: they show what the kept set leaves, and some torques better.
+    The segments show in both cases what the kept set leaves.
     """
     nothing = refit(form, data, (), None, iterations=3)
     report("no effect fitted")
     if not flights:
         found = search(SegmentFitter(form=form), nothing, report)
-        best, z, covariance = found.best, found.best.z, found.best.covariance
-        method: tuple[Method, ...] = ("segments",) * len(z)
+        best, method = found.best, "segments"
     else:
         loop = closed_loop(flights, form.vehicle, form.space, nothing.z)
         order = order_of(loop, nothing.z)
         found = search(LoopFitter(loop=loop, order=order), fit_loop(loop, (), nothing.z, order), report)
-        best = refit(form, nothing.data, found.best.effects, nothing)
-        refined = combined(form.space, best, found.best)
-        z, covariance, method = refined.z, refined.covariance, refined.method
+        kept, covariance = found.best, honest_covariance(form.space, found.best)
+        best = at_parameters(form, nothing, kept.effects, kept.z, covariance, kept.log_evidence)
+        method = "closed-loop"
     return Diagnosis(
         best=best,
         nothing=nothing,
-        z=z,
-        covariance=covariance,
         method=method,
         inclusion=found.inclusion,
         weights=found.weights,
@@ -251,7 +248,7 @@ def _closest(aliases: Mapping[str, Mapping[str, float]]) -> tuple[str, str]:
 def _named(
     vehicle: Vehicle, chosen: Space, diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]
 ) -> tuple[Named, ...]:
-    values, sd = chosen.values(diagnosis.z), np.sqrt(np.diag(diagnosis.covariance)) * chosen.scale
+    values, sd = chosen.values(diagnosis.best.z), np.sqrt(np.diag(diagnosis.best.covariance)) * chosen.scale
     out = []
     for name in diagnosis.best.effects:
         effect = chosen.effect(name)
@@ -287,8 +284,8 @@ def _named(
 def _thrust_over_mass(chosen: Space, diagnosis: Diagnosis) -> tuple[float, float]:
     """The ratio of thrust gain to mass factor and its standard deviation, to first order."""
     pair = [chosen.groups["thrust-gain"][0], chosen.groups[MASS][0]]
-    gain, mass = chosen.values(diagnosis.z)[pair]
-    covariance = (diagnosis.covariance * np.outer(chosen.scale, chosen.scale))[np.ix_(pair, pair)]
+    gain, mass = chosen.values(diagnosis.best.z)[pair]
+    covariance = (diagnosis.best.covariance * np.outer(chosen.scale, chosen.scale))[np.ix_(pair, pair)]
     slope = np.array([1.0 / mass, -gain / mass**2])
     return float(gain / mass), float(np.sqrt(slope @ covariance @ slope))
 
@@ -327,7 +324,7 @@ def _model(
         tables[owner in found][owner] = table
     covariance = None
     if added:
-        scaled = diagnosis.covariance * np.outer(chosen.scale, chosen.scale)
+        scaled = diagnosis.best.covariance * np.outer(chosen.scale, chosen.scale)
         covariance = Covariance(
             names=tuple(f"{c.owner}.{c.key}" for c in chosen.columns),
             matrix=tuple(tuple(float(x) for x in row) for row in 0.5 * (scaled + scaled.T)),
@@ -380,7 +377,7 @@ def _errors(
     before = predict(_reading(chosen, diagnosis), None)
     if not added:
         return before, before, before
-    z = diagnosis.z
+    z = diagnosis.best.z
     middle = z.copy()
     middle[named] = 0.0
     return before, predict(z, model), predict(middle, bare)
