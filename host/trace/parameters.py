@@ -146,12 +146,21 @@ class Space:
         shape = (-1,) + (1,) * (z.ndim - 1)
         return neutral.reshape(shape) + self.scale.reshape(shape) * z
 
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest z (P,)."""
+        limits = [((c.lower - c.neutral) / c.scale, (c.upper - c.neutral) / c.scale) for c in self.columns]
+        lower, upper = np.array(limits).T
+        return lower, upper
+
     def clipped(self, z: np.ndarray) -> np.ndarray:
-        """z moved inside every parameter's bounds."""
-        neutral = np.array([column.neutral for column in self.columns])
-        lower = (np.array([column.lower for column in self.columns]) - neutral) / self.scale
-        upper = (np.array([column.upper for column in self.columns]) - neutral) / self.scale
-        return np.clip(z, lower, upper)
+        """z (P,) moved inside every parameter's bounds."""
+        return np.clip(z, *self.bounds)
+
+    def bounded(self, z: np.ndarray) -> np.ndarray:
+        """Which entries (P,) stand at a bound that is not neutral."""
+        lower, upper = self.bounds
+        return ((z <= lower + 1e-9) & (lower < 0.0)) | ((z >= upper - 1e-9) & (upper > 0.0))
 
     def theta(self, values: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
         """Parameter values by owner, in the order of each owner's keys."""
