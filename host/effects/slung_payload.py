@@ -67,7 +67,7 @@ EFFECT = Effect(
     observable="changes of horizontal speed within a period of the pendulum; in hover it is mass",
     closing=Closing(
         model="a pendulum under the vehicle, with its own place and speed as states",
-        planner="nothing: plans hold the vehicle alone",
+        planner="counts the weight as a constant pull; the swing is left out",
         law="the commanded thrust is multiplied for the payload's weight; the swing stays",
     ),
     memory=4,
