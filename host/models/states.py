@@ -50,7 +50,7 @@ class States:
     """A flight's tracking phase at t_s (n,), seconds since the reference's start, every `step_s`.
 
     x (n, 12): p, v (NED), Theta, body rate (FRD); sigma (12,) of each. thrust (n, 4): lagged nominal rotor
-    thrusts, N. integral (n, 3): the law's. voltage_ratio (n,). constants (10,): `flight_constants`.
+    thrusts, N. integral (n, 3): the law's. voltage_ratio (n,). constants (16,): `flight_constants`.
     observer (n, 3): the disturbance observed on board, m/s^2, NED; None where none was logged.
     """
 
@@ -151,7 +151,7 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 
     per_bias, _ = standing_errors(gains, max(age_s, 0.0), interval_s)
     estimated = np.column_stack([np.interp(at, estimate.t_us * 1e-6, estimate.p[:, i]) for i in range(3)])
     R = Rotation.from_euler("ZYX", theta[:, ::-1]).as_matrix()
-    imu_bias = accelerometer_bias(
+    imu_bias, per_gravity = accelerometer_bias(
         estimated - path.p, R, path.v, np.gradient(path.v, step_s, axis=0), per_bias
     )
     return States(
@@ -173,6 +173,7 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 
             mocap_age_s=max(age_s, 0.0),
             mocap_interval_s=interval_s,
             accelerometer_bias=imu_bias,
+            bias_per_gravity=per_gravity,
         ),
         observer=_observed(flight.observer, at),
     )
