@@ -125,7 +125,7 @@ def test_link_page_names_every_state_message_and_time() -> None:
             assert f"| {name} |" in text
     assert f"gives a port {PATIENCE_US / 1e6:g} s" in text
     assert f"silent for {SILENCE_US / 1e6:g} s in flight" in text
-    assert f"at {1e6 / TIMESYNC_US:g} Hz ({1e6 / TIMESYNC_FIRST_US:g} Hz until" in text
+    assert f"every {1e-3 * TIMESYNC_US:g} ms ({1e-3 * TIMESYNC_FIRST_US:g} ms until" in text
 
 
 OURS = [

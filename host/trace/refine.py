@@ -45,7 +45,7 @@ holds is the torque that something else takes.
 """
 
 ORDERS = (1, 2, 3, 4, 6)
-LOOP_DISCREPANCY = {"motor-lag": 0.04, "mocap-latency": 0.02, "inertia": 0.06, "translational-lift": 0.03}
+LOOP_DISCREPANCY = {"motor-lag": 0.05, "translational-lift": 0.05}
 """One sigma, in typical sizes, of what phi itself may be off by, 0.01 for the others: what it reads into
 flights of a simulated vehicle without noise, turbulence or effect.
 """
