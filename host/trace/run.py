@@ -19,6 +19,7 @@ from host.trace.data import SEGMENT_S, segments_of
 from host.trace.describe import describe
 from host.trace.diagnose import Diagnosis, Fit, SegmentFitter, at_parameters, refit
 from host.trace.form import Form
+from host.trace.manoeuvres import Manoeuvre
 from host.trace.parameters import MASS, Space, space, tolerance_of
 from host.trace.refine import LoopFitter, closed_loop, fit_loop, honest_covariance, order_of
 from host.trace.result import Named, Trace, Value, Verdict
@@ -51,7 +52,7 @@ ALIAS_PROBABILITY = 0.05
 """What the data gives an effect more than is not excluded."""
 
 Report = Callable[[str], None]
-Manoeuvres = Callable[[], Mapping[str, np.ndarray]]
+Manoeuvres = Callable[[], Sequence[Manoeuvre]]
 
 
 def check_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Vehicle | None) -> Vehicle:
@@ -102,9 +103,9 @@ def run(
 ) -> Trace:
     """The trace of `flights`, scored on `held_out`.
 
-    `manoeuvres` gives flat outputs (14, n) by route, from which the next flight is chosen where the data
-    cannot decide. With `network`, one learns what is left where the cause is outside the library. Raises
-    UsageError (logs that do not belong together) and TooLittleData.
+    From `manoeuvres` the next flight is chosen where the data cannot decide. With `network`, one learns what
+    is left where the cause is outside the library. Raises UsageError (logs that do not belong together) and
+    TooLittleData.
     """
     airframe = check_logs(flights, held_out, vehicle)
     report("reading segments")
