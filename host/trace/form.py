@@ -113,7 +113,9 @@ class Form:
     def _own_states(self) -> LaneProgram:
         """The effects' own states: (body, z, memory) -> derivative, and what they are at rest."""
         columns, (body, z, memory) = self._symbols("body", "z", "memory")
-        x = [*body, *(self.vehicle.mass_kg * GRAVITY / 4.0,) * 4]
+        # No rotor is known along a measured path: what holds the height at its tilt stands for them.
+        level = casadi.fmax(casadi.cos(body[6]) * casadi.cos(body[7]), 0.5)
+        x = [*body, *(self.vehicle.mass_kg * GRAVITY / (4.0 * level),) * 4]
         parts = self._parts(z)
         rates = dynamics.memory_rates(CASADI, self.vehicle, parts, x, memory)
         rest = dynamics.memory_at_rest(CASADI, self.vehicle, parts, x)
