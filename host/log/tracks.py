@@ -98,7 +98,7 @@ class Control(_Track):
     @property
     def sensed_us(self) -> Floats:
         """Begin and end (n, 2) of the interval that each mean of gyro and specific force stands for, us."""
-        return np.column_stack([self.t0_us, self.t1_us]) + 0.5 * TICK_US
+        return np.column_stack([self.t0_us, self.t1_us]).astype(np.float64) + 0.5 * TICK_US
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
