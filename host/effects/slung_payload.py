@@ -23,7 +23,12 @@ def _line(ops, theta, ctx):
     ratio, length = theta
     x, y = (s - p for s, p in zip(ctx.memory[:2], ctx.p_ned[:2], strict=True))
     vx, vy = (s - v for s, v in zip(ctx.memory[2:], ctx.v_ned[:2], strict=True))
-    z = ops.sqrt(ops.maximum(length * length - x * x - y * y, (_STEEPEST * length) ** 2))
+    # A line is no longer than it is, and a swing no faster than a fall from its upper end.
+    away = ops.sqrt(ops.maximum((x * x + y * y) / (length * length * (1.0 - _STEEPEST**2)), 1.0))
+    x, y = x / away, y / away
+    fast = ops.sqrt(ops.maximum((vx * vx + vy * vy) / (2.0 * GRAVITY * length), 1.0))
+    vx, vy = vx / fast, vy / fast
+    z = ops.sqrt(length * length - x * x - y * y)
     vz = -(x * vx + y * vy) / z
     lift = ctx.collective_n / ctx.mass_kg * (ctx.R[2] * x + ctx.R[5] * y + ctx.R[8] * z)
     pull = (lift + vx * vx + vy * vy + vz * vz) / (length * length * (1.0 + ratio))

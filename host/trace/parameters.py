@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from host.effects import Effect
+from host.errors import UsageError
 from host.trace.evidence import Prior
 from host.vehicle import Vehicle
 
@@ -156,6 +157,21 @@ class Space:
     def clipped(self, z: np.ndarray) -> np.ndarray:
         """z (P,) moved inside every parameter's bounds."""
         return np.clip(z, *self.bounds)
+
+    def check_finite(self, sizes: np.ndarray) -> None:
+        """Refuse roll-outs that diverge: sizes (1 + P,) of the residual and of each parameter's slope.
+
+        Raises UsageError that names the parameter, or the effects with states of their own.
+        """
+        bad = np.flatnonzero(~np.isfinite(sizes))
+        if not len(bad):
+            return
+        if bad[0] == 0:
+            own = [name for name in self.parts if self.effects[name].memory] or list(self.parts)
+            what = f"the model with {', '.join(own)}"
+        else:
+            what = f"{self.columns[bad[0] - 1].owner}.{self.columns[bad[0] - 1].key}"
+        raise UsageError(f"roll-outs with {what} diverge; bound what the effect's slots give, or take it out")
 
     def bounded(self, z: np.ndarray) -> np.ndarray:
         """Which entries (P,) stand at a bound that is not neutral."""

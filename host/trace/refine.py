@@ -250,6 +250,10 @@ class Loop:
         if not self._slopes:
             self._slopes = [np.zeros((len(z), *r.shape[1:])) for r in residuals]
         slopes = [kept.copy() for kept in self._slopes]
+        sizes = np.zeros(1 + len(z))
+        sizes[0] = sum(float(np.square(r[0]).sum()) for r in residuals)
+        sizes[[1 + row for row in rows]] = sum(np.square(r[1:]).sum((1, 2)) for r in residuals)
+        self.space.check_finite(sizes)
         for each, r in zip(slopes, residuals, strict=True):
             each[rows] = (r[0] - r[1:]) / _Z_STEP
         if len(rows) == len(self._rows):

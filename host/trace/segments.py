@@ -385,6 +385,7 @@ def linearise(form: Form, data: Segments, z: np.ndarray, local: np.ndarray, kept
         A[:, 0] += np.einsum("szn,sz->sn", kept.bins[chunk], part.w.reshape(len(part.w), -1))
         gram[chunk, :first, :first] = A @ np.swapaxes(A, 1, 2)
         gram[chunk, :first, first:] = A @ np.swapaxes(columns, 1, 2)
+    form.space.check_finite(np.einsum("sii->i", gram[:, :first, :first]))
     gram[:, first:, :first] = np.swapaxes(gram[:, :first, first:], 1, 2)
     return Grams(gram=gram, x0=x0, parameters=len(z))
 
