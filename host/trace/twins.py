@@ -9,7 +9,7 @@ floor: mean of w_1 . w_2. Twins cannot see a disturbance of random phase; a line
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import gamma
@@ -22,6 +22,9 @@ FORCE_FLOOR = 0.06
 
 TORQUE_FLOOR = 0.8
 """The same for angular acceleration, rad/s^2."""
+
+FORM_SHARE = 0.1
+"""Share of what was explained that may repeat besides: no form is exact."""
 
 LINE_RATIO = 3.5
 LINE_CHANCE = 1e-3
@@ -51,17 +54,27 @@ class Leftover:
     torque_line_hz: float
     torque_line_chance: float
     pairs: int
+    force_floor: float = FORCE_FLOOR
+    torque_floor: float = TORQUE_FLOOR
+
+    def beside(self, missing: Leftover) -> Leftover:
+        """The same, its floors raised to FORM_SHARE of what a model without any effect leaves: `missing`."""
+        return replace(
+            self,
+            force_floor=max(self.force_floor, FORM_SHARE * missing.force_repeat),
+            torque_floor=max(self.torque_floor, FORM_SHARE * missing.torque_repeat),
+        )
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why the residual cannot be the library's, one sentence each; empty when nothing stands out."""
         out = []
-        if self.force_z > REPEAT_Z and self.force_repeat > FORCE_FLOOR:
+        if self.force_z > REPEAT_Z and self.force_repeat > self.force_floor:
             out.append(
                 f"a force of {self.force_repeat:.2f} m/s^2 repeats between twin flights "
                 f"(z {self.force_z:.1f})"
             )
-        if self.torque_z > REPEAT_Z and self.torque_repeat > TORQUE_FLOOR:
+        if self.torque_z > REPEAT_Z and self.torque_repeat > self.torque_floor:
             out.append(
                 f"an angular acceleration of {self.torque_repeat:.2f} rad/s^2 repeats between twin flights "
                 f"(z {self.torque_z:.1f})"
@@ -147,7 +160,7 @@ def _line(
         for window in _windows(motion[mine], start_s[mine]):
             moved += _periodogram(window).sum(1)
     around = np.array([np.median(power[max(0, k - 14) : k + 15]) for k in range(len(power))])
-    inside = (hz > _LINE_BAND_HZ[0]) & (hz < _LINE_BAND_HZ[1]) & (moved < MOVED_SHARE * moved.max())
+    inside = (hz > _LINE_BAND_HZ[0]) & (hz < _LINE_BAND_HZ[1]) & (moved <= MOVED_SHARE * moved.max())
     band = np.flatnonzero(inside)
     if not len(band):
         return 1.0, 0.0, 1.0
