@@ -115,17 +115,31 @@ def run(
     drive = drive_of([*flights, *held_out])
     diagnosis = _diagnosis(form, data, flights if drive == "reference" else (), report)
     fit, twins = diagnosis.best, twins_of(flights)
+<<<<<<< HEAD
     rest = leftover(_left(fit, diagnosis.best.z), fit.data, twins)
+=======
+    nothing, unread = diagnosis.nothing, _reading(chosen, diagnosis)
+    # How much is missing counts from the model without any: what the library fitted in vain may be wild.
+    missing = leftover(_left(nothing, unread), nothing.data, twins)
+    rest = leftover(_left(fit, diagnosis.z), fit.data, twins)
+    rest = rest.beside(missing) if fit.effects else rest
+>>>>>>> library
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
     verdict = _verdict(fit, rest, aliases)
     added = verdict != "outside-library"
     named = _named(airframe, chosen, diagnosis, aliases) if added else ()
+<<<<<<< HEAD
     z = diagnosis.best.z if added else _reading(chosen, diagnosis)
     if not added:
         # How much is missing counts from the model that is kept: what the library fitted in its stead may be
         # wild.
         missing = leftover(_left(diagnosis.nothing, z), diagnosis.nothing.data, twins)
         rest = missing if missing.reasons else rest
+=======
+    z = diagnosis.z if added else unread
+    if not added and missing.reasons:
+        rest = missing
+>>>>>>> library
     model = _model(chosen, diagnosis, z, flights, named, added, provenance)
 
     report("predicting the held-out flights")
@@ -138,7 +152,6 @@ def run(
     told = more = None
     if not added:
         report("describing what is outside the library")
-        nothing = diagnosis.nothing
         told = describe(_left(nothing, z), nothing.data, [f.reference_id for f in flights], airframe)
         if network and drive == "reference":
             more = unexplained(flights, held_out, model, effects, told, report)
