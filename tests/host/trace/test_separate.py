@@ -207,3 +207,16 @@ def test_next_flight_says_so_where_no_manoeuvre_decides() -> None:
         "fly low next and trace with it added: frame-tilt and wind are then 4.2 sigma apart, 0.5 so far"
     )
     assert enough.to_json()["decides"] is True
+
+
+def test_log_without_inputs_tells_of_forces_and_nothing_of_torques(
+    vehicle: Vehicle, library: Space, known: dict[str, Manoeuvre]
+) -> None:
+    """Thrust in N and the measured body rate drive such a log."""
+    poses = replace(INSTRUMENTS, shares=np.array([0.5, 0.0, 0.0]), in_newton=True, rate_driven=True)
+    form = Form(vehicle, library, dt_s=0.01, in_newton=True, rate_driven=True)
+    told = information(form, known["doublets"].flat, np.zeros(len(library.columns)), poses)
+    assert told is not None
+    (drag, turn) = columns_of(library, "linear-drag", "torque-bias")
+    assert told[drag, drag] > 100.0
+    assert told[turn, turn] < 1e-6
