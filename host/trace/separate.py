@@ -30,6 +30,10 @@ from host.vehicle import Vehicle
 DECISIVE_SIGMA = 4.2
 """Sigma by which an effect must stand out of another one, whatever size that takes, to be told from it."""
 
+UNDECIDED_SIGMA = float(np.sqrt(2.0 * np.log(20.0)))
+"""Flights that leave an alias a twentieth of the probability tell no more: what noise drives the commands
+makes segments believe in more, of timing above all."""
+
 _ROLLED = 12
 """Segments of a manoeuvre that are rolled out, spread evenly; each other one counts as its nearest."""
 
@@ -156,20 +160,24 @@ def separation(
 def propose(form: Form, fit: Fit, effect: str, alias: str, known: Sequence[Manoeuvre]) -> NextFlight | None:
     """The manoeuvre after which `effect` and `alias` are furthest apart; None where none is known.
 
-    Counted with what the fitted flights tell already. Where one of the two acts through an effect that was
-    not found (wind through a drag), that is taken at its typical size and free.
+    Counted with what the fitted flights tell already, at most what leaves them undecided. Where one of the
+    two acts through an effect that was not found (wind through a drag), that is taken at its typical size and
+    free.
     """
     space = form.space
     carriers = _carriers(space, fit.effects, (effect, alias))
     z = fit.z.copy()
     for name in carriers:
         z[list(space.groups[name])] = 1.0
-    so_far = _flown(form, fit, z)
     instruments = Instruments.of(fit)
     present = {*fit.effects, *carriers}
 
     def sigma(gram: np.ndarray) -> float:
         return separation(space, gram, present, z, effect, alias)
+
+    so_far = _flown(form, fit, z)
+    while (before := sigma(so_far)) > UNDECIDED_SIGMA:
+        so_far *= 0.9 * (UNDECIDED_SIGMA / before) ** 2
 
     best: NextFlight | None = None
     for candidate in known:
@@ -182,7 +190,7 @@ def propose(form: Form, fit: Fit, effect: str, alias: str, known: Sequence[Manoe
                 route=candidate.route,
                 total_time_s=candidate.total_time_s if candidate.slowed else None,
                 separates=(effect, alias),
-                so_far_sigma=sigma(so_far),
+                so_far_sigma=before,
                 expected_sigma=expected,
             )
     return best

@@ -19,6 +19,7 @@ from host.trace.manoeuvres import Manoeuvre, manoeuvres
 from host.trace.parameters import Space, space
 from host.trace.separate import (
     DECISIVE_SIGMA,
+    UNDECIDED_SIGMA,
     Instruments,
     NextFlight,
     information,
@@ -105,7 +106,7 @@ def test_instruments_of_a_logged_flight_are_the_simulators(fit: Fit) -> None:
     np.testing.assert_allclose(found.sigma[1:], INSTRUMENTS.sigma[1:], rtol=0.1)
     # Poses whose latency varies look noisier at speed.
     assert 1.0 <= found.sigma[0] / INSTRUMENTS.sigma[0] < 2.0
-    np.testing.assert_allclose(found.shares, 1.0, atol=0.02)
+    np.testing.assert_allclose(found.shares, 1.0, atol=0.15)
     assert found.voltage[0] == pytest.approx(1.0, abs=1e-3)
 
 
@@ -166,7 +167,8 @@ def test_proposal_is_the_manoeuvre_of_most_sigma_and_counts_what_was_flown(
     assert best is not None
     assert (best.route, best.separates) == ("doublets", ("com-offset", "torque-bias"))
     assert best.so_far_sigma == alone.so_far_sigma
-    assert 0.0 < alone.so_far_sigma < alone.expected_sigma < best.expected_sigma
+    assert 0.0 < best.so_far_sigma <= UNDECIDED_SIGMA
+    assert alone.so_far_sigma < alone.expected_sigma < best.expected_sigma
     assert best.decides
     assert best.total_time_s is None
     assert propose(form, fit, "com-offset", "torque-bias", []) is None
@@ -205,3 +207,16 @@ def test_next_flight_says_so_where_no_manoeuvre_decides() -> None:
         "fly low next and trace with it added: frame-tilt and wind are then 4.2 sigma apart, 0.5 so far"
     )
     assert enough.to_json()["decides"] is True
+
+
+def test_log_without_inputs_tells_of_forces_and_nothing_of_torques(
+    vehicle: Vehicle, library: Space, known: dict[str, Manoeuvre]
+) -> None:
+    """Thrust in N and the measured body rate drive such a log."""
+    poses = replace(INSTRUMENTS, shares=np.array([0.5, 0.0, 0.0]), in_newton=True, rate_driven=True)
+    form = Form(vehicle, library, dt_s=0.01, in_newton=True, rate_driven=True)
+    told = information(form, known["doublets"].flat, np.zeros(len(library.columns)), poses)
+    assert told is not None
+    (drag, turn) = columns_of(library, "linear-drag", "torque-bias")
+    assert told[drag, drag] > 100.0
+    assert told[turn, turn] < 1e-6
