@@ -30,6 +30,9 @@ from host.vehicle import Vehicle
 DECISIVE_SIGMA = 4.2
 """Sigma by which an effect must stand out of another one, whatever size that takes, to be told from it."""
 
+SIGMA_MAX = 100.0
+"""More is not told: so far out a linearisation means nothing but that the flight decides."""
+
 UNDECIDED_SIGMA = float(np.sqrt(2.0 * np.log(20.0)))
 """Flights that leave an alias a twentieth of the probability tell no more: what noise drives the commands
 makes segments believe in more, of timing above all."""
@@ -54,7 +57,7 @@ class NextFlight:
     """The flight that tells two effects apart best.
 
     total_time_s: of the reference, where the route's own time is too short for the vehicle. so_far_sigma: by
-    what was flown; expected_sigma: by that and this flight.
+    what was flown; expected_sigma: by that and this flight, at most SIGMA_MAX.
     """
 
     route: str
@@ -179,21 +182,23 @@ def propose(form: Form, fit: Fit, effect: str, alias: str, known: Sequence[Manoe
     while (before := sigma(so_far)) > UNDECIDED_SIGMA:
         so_far *= 0.9 * (UNDECIDED_SIGMA / before) ** 2
 
-    best: NextFlight | None = None
+    best, most = None, -1.0
     for candidate in known:
         told = information(form, candidate.flat, z, instruments)
         if told is None:
             continue
         expected = sigma(so_far + told)
-        if best is None or expected > best.expected_sigma:
-            best = NextFlight(
-                route=candidate.route,
-                total_time_s=candidate.total_time_s if candidate.slowed else None,
-                separates=(effect, alias),
-                so_far_sigma=before,
-                expected_sigma=expected,
-            )
-    return best
+        if expected > most:
+            best, most = candidate, expected
+    if best is None:
+        return None
+    return NextFlight(
+        route=best.route,
+        total_time_s=best.total_time_s if best.slowed else None,
+        separates=(effect, alias),
+        so_far_sigma=before,
+        expected_sigma=min(most, SIGMA_MAX),
+    )
 
 
 def information(form: Form, flat: np.ndarray, z: np.ndarray, instruments: Instruments) -> np.ndarray | None:
