@@ -9,8 +9,8 @@ still moves within its declared tolerance; a selected one is free within twice i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -93,22 +93,16 @@ class Linearisation:
 class Prior:
     """Prior sigmas: spike (P,) of an effect left out, scaled; local (K,) of a flight's nuisances, physical.
 
-    `groups` names the columns of each effect or adjustment. `shadows` says by effect what an imperfect form
-    of it looks like: the groups that are then left out within a wider sigma, scaled.
+    `groups` names the columns of each effect or adjustment.
     """
 
     groups: dict[str, tuple[int, ...]]
     spike: np.ndarray
     local: np.ndarray
-    shadows: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def precision(self, selected: Sequence[str]) -> np.ndarray:
         """Prior precision (P,) when the effects `selected` are in the model."""
         sigma = self.spike.copy()
-        for name in selected:
-            for shadow, width in self.shadows.get(name, {}).items():
-                for column in self.groups.get(shadow, ()):
-                    sigma[column] = max(width, sigma[column])
         for name in selected:
             for column in self.groups[name]:
                 sigma[column] = max(SLAB, sigma[column])

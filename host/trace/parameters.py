@@ -54,13 +54,6 @@ DISCREPANCY: Mapping[str, float] = {
 """One sigma, in typical sizes, of what segments read into an effect that is not there, 0.05 for the others:
 rotors are no first-order lag, and what the loop does about noise within a step looks like a wrong one."""
 
-SHADOWS: Mapping[str, Mapping[str, float]] = {
-    "linear-drag": {"thrust-inflow": 0.3},
-    **{f"rotor-loss.loss_{i}": {"torque-bias": 0.6} for i in (1, 2, 3, 4)},
-}
-"""One sigma, in typical sizes, of what a form's error is read into beside the effect that has it: a part of
-drag goes with rotor speed, and what a rotor loses need not be in proportion to its thrust."""
-
 _FREE = {
     "motor-lag": ("motor-lag", (0.05,)),
     "frame-tilt": ("frame-tilt", (0.02, 0.02)),
@@ -146,7 +139,7 @@ class Space:
     def prior(self) -> Prior:
         """Spike sigmas in scaled units with the groups."""
         spike = np.array([np.hypot(c.tolerance / c.scale, c.discrepancy) for c in self.columns])
-        return Prior(groups=self.groups, spike=spike, local=np.array(self.local_sigma), shadows=SHADOWS)
+        return Prior(groups=self.groups, spike=spike, local=np.array(self.local_sigma))
 
     def values(self, z: np.ndarray) -> np.ndarray:
         """Physical values of scaled parameters; z is (P,) or (P, lanes)."""
