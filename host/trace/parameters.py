@@ -49,9 +49,13 @@ DISCREPANCY: Mapping[str, float] = {
     "actuation-delay": 0.4,
     "mocap-latency": 0.1,
     "inertia": 0.2,
+    "slung-payload.ratio": 0.15,
+    "slung-payload.length_m": 1.0,
 }
 """One sigma, in typical sizes, of what segments read into an effect that is not there, 0.05 for the others:
-rotors are no first-order lag, and what the loop does about noise within a step looks like a wrong one."""
+rotors are no first-order lag, and what the loop does about noise within a step looks like a wrong one. A
+payload pulls against slow changes of speed as a scale error of a hundredth of the attitude or the thrust
+does, and the line of one too light to name may have any length."""
 
 _FREE = {
     "motor-lag": ("motor-lag", (0.05,)),
@@ -60,6 +64,9 @@ _FREE = {
     "pose-latency": ("mocap-latency", (0.02,)),
 }
 """Unknowns that are an effect of the library left free: its name, and one sigma of each parameter."""
+
+_EITHER_SIGN = frozenset({"mocap-latency"})
+"""Effects that, left free, take either sign: two clocks that were brought together afterwards."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,12 +153,16 @@ class Space:
         shape = (-1,) + (1,) * (z.ndim - 1)
         return neutral.reshape(shape) + self.scale.reshape(shape) * z
 
+    @cached_property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest scaled parameters (P,)."""
+        rows = [((c.lower - c.neutral) / c.scale, (c.upper - c.neutral) / c.scale) for c in self.columns]
+        lower, upper = np.array(rows).reshape(-1, 2).T
+        return lower, upper
+
     def clipped(self, z: np.ndarray) -> np.ndarray:
         """z moved inside every parameter's bounds."""
-        neutral = np.array([column.neutral for column in self.columns])
-        lower = (np.array([column.lower for column in self.columns]) - neutral) / self.scale
-        upper = (np.array([column.upper for column in self.columns]) - neutral) / self.scale
-        return np.clip(z, lower, upper)
+        return np.clip(z, *self.limits)
 
     def theta(self, values: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
         """Parameter values by owner, in the order of each owner's keys."""
@@ -186,9 +197,9 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
             neutral=p.neutral,
             scale=p.typical,
             tolerance=free[name][i] if name in free else tolerance_of(vehicle, name, p.key, p.tolerance),
-            lower=p.lower,
+            lower=-p.upper if name in free and name in _EITHER_SIGN else p.lower,
             upper=p.upper,
-            discrepancy=DISCREPANCY.get(name, 0.05),
+            discrepancy=DISCREPANCY.get(f"{name}.{p.key}", DISCREPANCY.get(name, 0.05)),
         )
         for name in acting
         for i, p in enumerate(effects[name].parameters)
