@@ -117,9 +117,6 @@ def hovered(folder: Path, world: str, seed: int) -> Flight:
         ("", SEEDS),
         ("[effects.thrust-gain]\ngain = 0.93\n", SEEDS),
         (WINDY, SEEDS),
-            WINDY,
-            SEEDS,
-        ),
         ("[effects.frame-tilt]\ntilt_x = 0.015\ntilt_y = -0.008\n", SEEDS),
         *(
             pytest.param(world, (3, 4, 5, 6), marks=pytest.mark.full)
