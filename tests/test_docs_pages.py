@@ -22,6 +22,7 @@ from host.link.tasks import PATIENCE_US
 from host.log import FLIGHT_TOPICS, IMPORTED_TOPICS
 from host.report.effects_page import page
 from host.trace.parameters import REPLACES
+from host.trace.result import Verdict
 from protocol.generated import flight_pb2
 from protocol.generated.frames import MESSAGES
 from protocol.messages import UploadState
@@ -124,7 +125,7 @@ def test_link_page_names_every_state_message_and_time() -> None:
             assert f"| {name} |" in text
     assert f"gives a port {PATIENCE_US / 1e6:g} s" in text
     assert f"silent for {SILENCE_US / 1e6:g} s in flight" in text
-    assert f"at {1e6 / TIMESYNC_US:g} Hz ({1e6 / TIMESYNC_FIRST_US:g} Hz until" in text
+    assert f"every {1e-3 * TIMESYNC_US:g} ms ({1e-3 * TIMESYNC_FIRST_US:g} ms until" in text
 
 
 OURS = [
@@ -150,3 +151,16 @@ def test_flight_log_page_names_every_topic_and_how_it_is_sampled() -> None:
         assert f"`{topic.name}`" in text
         for field in topic.averaged:
             assert re.search(rf"`{field}`.*\*\*means over the interval\*\*", text)
+
+
+@pytest.mark.full
+def test_tracing_pages_notebook_example_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (example,) = re.findall(r"```python\n(.*?)```", text_of("tracing.md"), flags=re.DOTALL)
+    for log in (DOCS.parent / "tests" / "data").glob("*.mcap"):
+        (tmp_path / log.name).symlink_to(log)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "tracing.md", "exec"), {})
+    told = capsys.readouterr().out
+    assert any(told.find(verdict) >= 0 for verdict in get_args(Verdict))

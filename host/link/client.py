@@ -14,7 +14,10 @@ from protocol.codec import Codec
 from protocol.messages import Message
 
 HEARTBEAT_US = 1_000_000
-TIMESYNC_US = 100_000
+TIMESYNC_US = 97_000
+"""No multiple of the radio's slots or of what the vehicle sends by itself: requests that always meet them
+alike would wait alike, one way longer than the other.
+"""
 TIMESYNC_FIRST_US = 25_000
 """Interval until the clock comparison has settled."""
 REBOOT_TICKS = 1_000
@@ -80,7 +83,7 @@ class Client:
         self._out.append(self.codec.encode(message))
 
     def advance(self, now_us: int) -> None:
-        """Queues what is due by itself: HEARTBEAT at 1 Hz, TIMESYNC at 10 Hz."""
+        """Queues what is due by itself: HEARTBEAT at 1 Hz, TIMESYNC every 97 ms."""
         if now_us >= self._heartbeat_us:
             self._heartbeat_us = now_us + HEARTBEAT_US
             self.send(m.host_heartbeat())

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from protocol.telemetry import TICK_US
+
 BUCKET_US = 1_000_000
 BUCKETS = 30
 """The least delay is looked for in the last so many seconds: drift stays below a microsecond a bucket."""
@@ -21,7 +23,10 @@ _BEST = 8
 
 
 class LeastDelay:
-    """The smallest of the values seen in the last `BUCKETS` seconds."""
+    """The smallest of the values seen in the last `BUCKETS` seconds.
+
+    One message in hundreds that is a tick quicker than any other says more of chance than of the way.
+    """
 
     def __init__(self) -> None:
         self._buckets: deque[tuple[int, float]] = deque(maxlen=BUCKETS)
@@ -47,6 +52,14 @@ class LeastDelay:
         self.value = min(self.value, value)
         return stepped
 
+    @property
+    def usual(self) -> float:
+        """The mean of every second's least value, of those within a tick of the least of all; infinite before
+        the first one.
+        """
+        near = [least for _, least in self._buckets if least <= self.value + TICK_US]
+        return sum(near) / len(near) if near else self.value
+
     def clear(self) -> None:
         """Forgets everything."""
         self._buckets.clear()
@@ -58,15 +71,17 @@ class ClockSync:
     """Offset of a vehicle's clock against the host's, from TIMESYNC exchanges.
 
     Each way's least delay is looked for on its own, so that a quick way up and a quick way down need not fall
-    into one exchange. What remains is half the difference of the two least delays: a link of equal slots both
-    ways has next to none.
+    into one exchange. What remains is half the difference of the two least delays, each as it usually comes
+    (a stamp says which tick, not when in it): a link of equal slots both ways has next to none.
 
     Attributes:
+        offset_us: vehicle clock minus host clock; 0 before the first exchange.
         exchanges: answers taken. rtt_us: round trip, smoothed. rtts_us: the last 10,000 round trips.
         steps: how often the other clock jumped and the comparison began anew.
     """
 
     def __init__(self) -> None:
+        self.offset_us = 0.0
         self.exchanges = 0
         self.steps = 0
         self.rtt_us = 0.0
@@ -79,11 +94,6 @@ class ClockSync:
     def settled(self) -> bool:
         """Whether ten exchanges have been seen since the start or the last step."""
         return self._up.samples >= 10
-
-    @property
-    def offset_us(self) -> float:
-        """Vehicle clock minus host clock; 0 before the first exchange."""
-        return 0.5 * (self._up.value - self._down.value) if self._up.samples else 0.0
 
     @property
     def sd_us(self) -> float:
@@ -110,6 +120,7 @@ class ClockSync:
             self._begin_anew(self._down, down, now_us)
         elif self._down.add(down, now_us):
             self._begin_anew(self._up, up, now_us)
+        self.offset_us = 0.5 * (self._up.usual - self._down.usual)
         self._recent.append((up, down))
 
     def _begin_anew(self, other: LeastDelay, value: float, now_us: int) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from host.vehicle import Vehicle
 from protocol.blobs import FeedForward, Reference
 from protocol.generated import flight_pb2
+from protocol.telemetry import TICK_US
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -79,7 +80,9 @@ class Estimate(_Track):
 class Control(_Track):
     """Commands and memory at t1_us; means over (t0_us, t1_us] of motors, gyro, specific force (FRD).
 
-    Rows whose interval is invalid are left out.
+    A motor command acts from its tick to the next one; gyro and specific force are samples at the ticks
+    behind t0_us up to t1_us, so their means are of `sensed_us`. The rate integral is what the law took of the
+    errors up to t1_us, each over the tick that follows. Rows whose interval is invalid are left out.
     """
 
     t0_us: Times
@@ -91,6 +94,11 @@ class Control(_Track):
     motor_mean: Floats
     gyro_mean: Floats
     force_mean: Floats
+
+    @property
+    def sensed_us(self) -> Floats:
+        """Begin and end (n, 2) of the interval that each mean of gyro and specific force stands for, us."""
+        return np.column_stack([self.t0_us, self.t1_us]).astype(np.float64) + 0.5 * TICK_US
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -26,12 +26,16 @@ def standing_errors(gains: EstimatorGains, age_s: Any, interval_s: Any) -> tuple
 
 def accelerometer_bias(
     error: np.ndarray, R: np.ndarray, v: np.ndarray, a: np.ndarray, per_bias: float
-) -> np.ndarray:
-    """The bias (3,), m/s^2 FRD, that fits position errors of the estimate (n, 3), NED.
+) -> tuple[np.ndarray, np.ndarray]:
+    """The bias (3,), m/s^2 FRD, that fits position errors of the estimate (n, 3), NED, and what of it is not
+    the accelerometer's: (3, 2), by which it is less for each m/s^2 of gravity towards north and east in the
+    poses' frame.
 
-    R (n, 3, 3): R_ned_frd; v, a (n, 3) NED: shares of the error that follow them (late poses, time stamps)
-    are taken out. `per_bias`: standing position error over bias.
+    A frame that leans makes the estimator stand off like a bias does, and as one it is read here: wholly
+    where the heading stays. R (n, 3, 3): R_ned_frd; v, a (n, 3) NED: shares of the error that follow them
+    (late poses, time stamps) are taken out. `per_bias`: standing position error over bias.
     """
     rows = np.concatenate([per_bias * R, v[:, :, None], a[:, :, None]], axis=2).reshape(-1, 5)
-    found, *_ = np.linalg.lstsq(rows, error.reshape(-1), rcond=None)
-    return found[:3]
+    towards = per_bias * np.tile(np.eye(3)[:, :2], (len(error), 1))
+    found, *_ = np.linalg.lstsq(rows, np.column_stack([error.reshape(-1), towards]), rcond=None)
+    return found[:3, 0], found[:3, 1:]

@@ -85,9 +85,11 @@ FLIGHT = (
     "accelerometer_x",
     "accelerometer_y",
     "accelerometer_z",
+    *(f"accelerometer_{axis}_per_{way}" for axis in "xyz" for way in ("north", "east")),
 )
 """Constants of one flight: form (a) of the feed-forward, age of a pose at its use, time between poses,
-further delay of the position and velocity fed back, accelerometer bias."""
+further delay of the position and velocity fed back, accelerometer bias as it looks from the poses, and by how
+much it looks less for gravity towards north and east in their frame (`host.models.bias`)."""
 
 
 def flight_constants(
@@ -97,13 +99,18 @@ def flight_constants(
     mocap_interval_s: float = 0.0,
     feedback_delay_s: float = 0.0,
     accelerometer_bias: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
+    bias_per_gravity: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The (10,) constants of a flight, for `Phi`; `block` is form (a) of what was fed forward."""
+    """The (16,) constants of a flight, for `Phi`; `block` is form (a) of what was fed forward.
+
+    `bias_per_gravity` (3, 2): how much of the bias is gravity's; default: it is all the accelerometer's.
+    """
     gain, roll, pitch, prediction = (1.0, 0.0, 0.0, 0.0)
     if block is not None:
         gain, roll, pitch, prediction = block[0], block[10], block[11], block[12]
     late = (mocap_age_s, mocap_interval_s, feedback_delay_s)
-    return np.array([gain, roll, pitch, prediction, *late, *accelerometer_bias], dtype=float)
+    share = np.zeros((3, 2)) if bias_per_gravity is None else bias_per_gravity
+    return np.array([gain, roll, pitch, prediction, *late, *accelerometer_bias, *np.ravel(share)])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -238,7 +245,8 @@ class Phi:
         lag: Scalar,
     ) -> list[Scalar]:
         """xdot with the law in the loop, from the rigid body's part of it."""
-        gain, roll, pitch, prediction, age, interval, delay, *imu_bias = (flight[i] for i in range(10))
+        gain, roll, pitch, prediction, age, interval, delay, *imu = (flight[i] for i in range(len(FLIGHT)))
+        imu_bias, per_gravity = imu[:3], imu[3:]
         a, rate_dot = body[V], body[RATE]
         v_dot = a
         error_dot: list[Scalar] = []
@@ -250,12 +258,18 @@ class Phi:
             R = euler_to_matrix(ops, x[THETA])
             gains = law_step.estimator_gains(self.firmware)
             if self._has_estimator:
+                tilted = gravity_ned(ops, parts)
+                if tilted is not None:
+                    imu_bias = [
+                        b + per_gravity[2 * i] * tilted[0] + per_gravity[2 * i + 1] * tilted[1]
+                        for i, b in enumerate(imu_bias)
+                    ]
                 e = estimator.errors_of(x[self.errors], a, rate)
                 R_true, R = R, estimator.turn(ops, R, e[6:9])
                 error_dot = estimator.error_rates(
                     gains, e, R_true, R, v, a, rate, rate_dot,
                     age, prediction, mocap_latency_s(ops, parts), interval, imu_bias,
-                    gravity_ned(ops, parts) or (0.0, 0.0, 0.0),
+                    tilted or (0.0, 0.0, 0.0),
                 )  # fmt: skip
                 v_dot = [a[i] + error_dot[3 + i] for i in range(3)]
                 p = [p[i] + e[i] for i in range(3)]

@@ -54,7 +54,7 @@ def roll_out(
     Args:
         x0: (size, lanes).
         drive: (2 steps + 1, rows of the drive, flights) at `half_steps`, or without the last axis for one.
-        flight: (10, flights) or (10,), `flight_constants`.
+        flight: (16, flights) or (16,), `flight_constants`.
         theta: (parameters, lanes) or (parameters,).
         step_s: integration step; `phi.substeps` says how fine it must be.
         lane_flight: (lanes,) index of each lane's flight; default: as many flights as lanes, or one.

@@ -50,7 +50,7 @@ class States:
     """A flight's tracking phase at t_s (n,), seconds since the reference's start, every `step_s`.
 
     x (n, 12): p, v (NED), Theta, body rate (FRD); sigma (12,) of each. thrust (n, 4): lagged nominal rotor
-    thrusts, N. integral (n, 3): the law's. voltage_ratio (n,). constants (10,): `flight_constants`.
+    thrusts, N. integral (n, 3): the law's. voltage_ratio (n,). constants (16,): `flight_constants`.
     observer (n, 3): the disturbance observed on board, m/s^2, NED; None where none was logged.
     """
 
@@ -140,9 +140,9 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 
         ],
         3,
     )
-    integral = np.column_stack(
-        [np.interp(at, control.t1_us * 1e-6, control.rate_integral[:, i]) for i in range(3)]
-    )
+    # A tick's errors are integrated over the tick after it: in the mean, what is logged is half a tick ahead.
+    integral_s = control.sensed_us[:, 1] * 1e-6
+    integral = np.column_stack([np.interp(at, integral_s, control.rate_integral[:, i]) for i in range(3)])
     interval_s = float(np.median(np.diff(pose_s)))
     tracked = (estimate.t_us * 1e-6 >= start_s) & (estimate.t_us * 1e-6 <= end_s)
     # The telemetry's age grows from a pose's use to the next one's; at its use it is half an interval less.
@@ -151,7 +151,7 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 
     per_bias, _ = standing_errors(gains, max(age_s, 0.0), interval_s)
     estimated = np.column_stack([np.interp(at, estimate.t_us * 1e-6, estimate.p[:, i]) for i in range(3)])
     R = Rotation.from_euler("ZYX", theta[:, ::-1]).as_matrix()
-    imu_bias = accelerometer_bias(
+    imu_bias, per_gravity = accelerometer_bias(
         estimated - path.p, R, path.v, np.gradient(path.v, step_s, axis=0), per_bias
     )
     return States(
@@ -173,6 +173,7 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 
             mocap_age_s=max(age_s, 0.0),
             mocap_interval_s=interval_s,
             accelerometer_bias=imu_bias,
+            bias_per_gravity=per_gravity,
         ),
         observer=_observed(flight.observer, at),
     )
@@ -205,7 +206,7 @@ def _attitude(
     gap = np.diff(control.t1_us * 1e-6, prepend=control.t0_us[0] * 1e-6)
     covered = np.where(np.abs(gap - length) < 1e-4, length, gap)  # an invalid interval: the next one's mean
     turns = Rotation.from_rotvec(control.gyro_mean * covered[:, None])
-    knots_s = np.concatenate([control.t0_us[:1], control.t1_us]) * 1e-6
+    knots_s = _knots_s(control)
     gyro = _cumulated(turns)
     camera = Rotation.from_quat(q[:, [1, 2, 3, 0]])
     drift = camera * _between(knots_s, gyro, turns, pose_s).inv()
@@ -229,6 +230,12 @@ def _cumulated(turns: Any) -> Any:
     return products
 
 
+def _knots_s(control: Control) -> np.ndarray:
+    """(n + 1,) s: begin of what the first gyro mean stands for, then the end of each."""
+    sensed_us = control.sensed_us
+    return np.concatenate([sensed_us[:1, 0], sensed_us[:, 1]]) * 1e-6
+
+
 def _between(knots_s: np.ndarray, gyro: Any, turns: Any, at: np.ndarray) -> Any:
     """The gyro's attitude at times `at`, at a constant rate between knots."""
     k = np.clip(np.searchsorted(knots_s, at, side="right") - 1, 0, len(knots_s) - 2)
@@ -238,7 +245,7 @@ def _between(knots_s: np.ndarray, gyro: Any, turns: Any, at: np.ndarray) -> Any:
 
 def _gyro(control: Control, estimate: Estimate, at: np.ndarray, step_s: float) -> np.ndarray:
     """Body rate (n, 3): the gyro's mean over the step around each time, less the bias estimated on board."""
-    edges = np.concatenate([control.t0_us[:1], control.t1_us]) * 1e-6
+    edges = _knots_s(control)
     turned = np.concatenate(
         [np.zeros((1, 3)), np.cumsum(control.gyro_mean * np.diff(edges)[:, None], axis=0)]
     )

@@ -1,7 +1,7 @@
 """Routes: waypoints, times, heading, limits and keep-out shapes, read strictly from TOML."""
 
 from host.route.checks import TIME_MAX_S, check_route
-from host.route.files import list_routes, load_route, parse_route, route_file
+from host.route.files import list_routes, load_route, parse_route, route_description, route_file
 from host.route.generators import FigureEight, RandomWaypoints, random_route
 from host.route.model import LimitsOverride, Route, YawProfile
 from host.route.shapes import Box, Cylinder, Sphere
@@ -21,5 +21,6 @@ __all__ = [
     "load_route",
     "parse_route",
     "random_route",
+    "route_description",
     "route_file",
 ]

@@ -19,9 +19,13 @@ from host.vehicle.strict_toml import ConfigurationError, Strict, parse_toml, val
 
 
 class RouteFile(Strict):
-    """A route file: a Route whose waypoints are listed or made by exactly one generator."""
+    """A route file: a Route whose waypoints are listed or made by exactly one generator.
+
+    description: one line on what the route is for; no part of the route.
+    """
 
     name: Name
+    description: str | None = None
     waypoints_m: Annotated[tuple[Vector3, ...], Field(min_length=2)] | None = None
     figure_eight: FigureEight | None = None
     random: RandomWaypoints | None = None
@@ -115,6 +119,12 @@ def _place(name_or_path: str | Path, workspace: Path | None) -> tuple[Path, str]
     if isinstance(name_or_path, str):
         name_or_path, _, seed = name_or_path.partition(":")
     return find_file(name_or_path, "routes", workspace, what="route"), seed
+
+
+def route_description(name_or_path: str | Path, workspace: Path | None = None) -> str | None:
+    """What a route's file says it is for. Raises ConfigurationError as `load_route` does."""
+    path, _ = _place(name_or_path, workspace)
+    return _read(read_text(path), shown(path), None).description
 
 
 def list_routes(workspace: Path | None = None) -> dict[str, Path]:

@@ -43,17 +43,15 @@ class Fit:
 class Diagnosis:
     """The missing effects and how sure they are.
 
-    best: the kept set fitted to segments, nothing: the fit without any effect. z (P,) and covariance (P, P)
-    scaled, and which method each parameter is of. inclusion: each candidate's posterior probability. weights:
-    the relative posterior weight of every set considered. sets: the evidence of every fitted one. stands_out:
-    by how many sigma each effect of typical size would show in these flights.
+    best: the segments under the kept set, nothing: without any effect. method: what the set and its
+    parameters were found by. inclusion: each candidate's posterior probability. weights: the relative
+    posterior weight of every set considered. sets: the evidence of every fitted one. stands_out: by how many
+    sigma each effect of typical size would show in these flights.
     """
 
     best: Fit
     nothing: Fit
-    z: np.ndarray
-    covariance: np.ndarray
-    method: tuple[Method, ...]
+    method: Method
     inclusion: Mapping[str, float]
     weights: Mapping[Names, float]
     sets: Mapping[Names, float]
@@ -118,7 +116,7 @@ class SegmentFitter:
         each = [evidence.whitened(fit.lin, process, prior) for process in (saturated, fit.process)]
         return [
             lambda names, white=white: evidence.log_evidence(
-                white, fit.z, prior.precision(names), len(names), self.space.limits
+                white, fit.z, prior.precision(names), len(names), self.space.bounds
             )
             for white in each
         ]
@@ -181,7 +179,7 @@ def refit(
                 kept = segments.basis(form, data, z, local)
     return Fit(
         effects=tuple(sorted(effects)),
-        log_evidence=evidence.log_evidence(white, z, precision, len(effects), space.limits),
+        log_evidence=evidence.log_evidence(white, z, precision, len(effects), space.bounds),
         z=z,
         local=local,
         covariance=covariance,
@@ -189,4 +187,34 @@ def refit(
         lin=lin,
         data=data,
         basis=kept,
+    )
+
+
+def at_parameters(
+    form: Form, start: Fit, effects: Names, z: np.ndarray, covariance: np.ndarray, log_evidence: float
+) -> Fit:
+    """The segments of `start` under `effects` with scaled parameters z (P,) that were found otherwise.
+
+    Only the flights' nuisances, the disturbance and its strength are fitted.
+    """
+    prior, data, local, process = form.space.prior, start.data, start.local, start.process
+    for last in (False, True):
+        grams = segments.linearise(form, data, z, local, start.basis)
+        data = data.with_x0(grams.x0)
+        lin = segments.project(grams, data, z, local)
+        process = evidence.fit_process(lin, prior, effects, process)
+        moved = evidence.local_step(lin, evidence.whitened(lin, process, prior), prior, np.zeros(len(z)))
+        if not last:
+            data = data.with_w(evidence.disturbances(lin, process, np.zeros(len(z)), moved))
+            local = local + moved
+    return Fit(
+        effects=effects,
+        log_evidence=log_evidence,
+        z=z,
+        local=local,
+        covariance=covariance,
+        process=process,
+        lin=lin,
+        data=data,
+        basis=start.basis,
     )

@@ -35,6 +35,9 @@ _STEP_INPUTS = {
     "attitude": 9, "rate": 3, "voltage": 1, "t_s": 1, "shift_s": 1,
 }  # fmt: skip
 
+_THRUST_ROUNDS = 2
+"""Of the fixed point for the thrust along a measured path; what is left falls by a payload's share each."""
+
 
 class Form:
     """The model of `vehicle` with the parameters of `space`, at a grid of dt_s.
@@ -92,7 +95,7 @@ class Form:
         return {"step": self._step(), "rotors": self._rotors(), "memory": self._own_states()}
 
     def _symbols(self, *names: str) -> tuple[list[casadi.SX], list[list[Scalar]]]:
-        sizes = _STEP_INPUTS | {"z": len(self.space.columns), "memory": self.memory}
+        sizes = _STEP_INPUTS | {"z": len(self.space.columns), "memory": self.memory, "acceleration": 3}
         columns = [casadi.SX.sym(name, sizes[name]) for name in names]
         return columns, [[c[i] for i in range(c.shape[0])] for c in columns]
 
@@ -111,18 +114,28 @@ class Form:
         return lane_program(function)
 
     def _own_states(self) -> LaneProgram:
-        """The effects' own states: (body, z, memory) -> derivative, and what they are at rest."""
-        columns, (body, z, memory) = self._symbols("body", "z", "memory")
-        x = [*body, *(self.vehicle.mass_kg * GRAVITY / 4.0,) * 4]
-        parts = self._parts(z)
-        rates = dynamics.memory_rates(CASADI, self.vehicle, parts, x, memory)
-        rest = dynamics.memory_at_rest(CASADI, self.vehicle, parts, x)
+        """The effects' own states: (body, z, memory, acceleration) -> derivative, and what they are at rest.
+
+        No rotor is known along a measured path: the thrust is what its `acceleration` (NED, m/s^2) takes.
+        """
+        names = ["body", "z", "memory", "acceleration"]
+        columns, (body, z, memory, acceleration) = self._symbols(*names)
+        parts, vehicle = self._parts(z), self.vehicle
+        R = euler_to_matrix(CASADI, body[6:9])
+        rotor: Scalar = vehicle.mass_kg * GRAVITY / 4.0
+        none = (0.0, 0.0, 0.0)
+        for _ in range(_THRUST_ROUNDS):
+            x = [*body, *(rotor,) * 4]
+            out = dynamics.rigid_body(CASADI, vehicle, parts, x, 1.0, 0.0, none, none, memory)
+            short = sum(R[3 * i + 2] * (out[3 + i] - acceleration[i]) for i in range(3))
+            rotor = rotor + 0.25 * vehicle.mass_kg * short
+        x = [*body, *(rotor,) * 4]
+        rates = dynamics.memory_rates(CASADI, vehicle, parts, x, memory)
+        rest = dynamics.memory_at_rest(CASADI, vehicle, parts, x)
         out = [
             casadi.vertcat(*map(casadi.SX, column)) if column else casadi.SX(0, 1) for column in (rates, rest)
         ]
-        return lane_program(
-            casadi.Function("memory", columns, out, ["body", "z", "memory"], ["rates", "rest"])
-        )
+        return lane_program(casadi.Function("memory", columns, out, names, ["rates", "rest"]))
 
     def _step(self) -> LaneProgram:
         """One step of the midpoint rule, rotors exactly: state after it, and what is measured in it."""

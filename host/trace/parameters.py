@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from host.effects import Effect
+from host.errors import UsageError
 from host.trace.evidence import Prior
 from host.vehicle import Vehicle
 
@@ -154,15 +155,35 @@ class Space:
         return neutral.reshape(shape) + self.scale.reshape(shape) * z
 
     @cached_property
-    def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and greatest scaled parameters (P,)."""
-        rows = [((c.lower - c.neutral) / c.scale, (c.upper - c.neutral) / c.scale) for c in self.columns]
-        lower, upper = np.array(rows).reshape(-1, 2).T
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest z (P,)."""
+        limits = [((c.lower - c.neutral) / c.scale, (c.upper - c.neutral) / c.scale) for c in self.columns]
+        lower, upper = np.array(limits).T
         return lower, upper
 
     def clipped(self, z: np.ndarray) -> np.ndarray:
-        """z moved inside every parameter's bounds."""
-        return np.clip(z, *self.limits)
+        """z (P,) moved inside every parameter's bounds."""
+        return np.clip(z, *self.bounds)
+
+    def check_finite(self, sizes: np.ndarray) -> None:
+        """Refuse roll-outs that diverge: sizes (1 + P,) of the residual and of each parameter's slope.
+
+        Raises UsageError that names the parameter, or the effects with states of their own.
+        """
+        bad = np.flatnonzero(~np.isfinite(sizes))
+        if not len(bad):
+            return
+        if bad[0] == 0:
+            own = [name for name in self.parts if self.effects[name].memory] or list(self.parts)
+            what = f"the model with {', '.join(own)}"
+        else:
+            what = f"{self.columns[bad[0] - 1].owner}.{self.columns[bad[0] - 1].key}"
+        raise UsageError(f"roll-outs with {what} diverge; bound what the effect's slots give, or take it out")
+
+    def bounded(self, z: np.ndarray) -> np.ndarray:
+        """Which entries (P,) stand at a bound that is not neutral."""
+        lower, upper = self.bounds
+        return ((z <= lower + 1e-9) & (lower < 0.0)) | ((z >= upper - 1e-9) & (upper > 0.0))
 
     def theta(self, values: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
         """Parameter values by owner, in the order of each owner's keys."""

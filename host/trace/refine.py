@@ -2,10 +2,10 @@
 
 Command-driven segments see the gyro's noise in what drives them and in what they are compared with, which
 biases lag, delay and inertia. Here nothing measured drives the model: the reference does, through the law,
-and timing, inertia, thrust over mass and aerodynamic terms come out without that bias; of a constant torque
-the law's integral hides a part. Poses and body rate, in bins, less their prediction are one coloured process
-in all channels at once, since a gust shows in position, attitude and rate: a vector autoregression, fitted to
-what is left, whitens it.
+and timing, inertia, thrust over mass and aerodynamic terms come out without that bias; what torque something
+takes the law's rate integral shows. Poses, body rate and integral, in bins, less their prediction are one
+coloured process in all channels at once, since a gust shows in position, attitude and rate: a vector
+autoregression, fitted to what is left, whitens it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from host.models.phi import INTEGRAL, Phi
 from host.models.rollout import half_steps, reference_drive, roll_out
 from host.models.states import States, flight_states
 from host.trace.data import averaged
-from host.trace.diagnose import Fit, Method
+from host.trace.diagnose import Fit
 from host.trace.evidence import LOG_ODDS, Linearisation, Prior, held
 from host.trace.evidence import whitened as whitened_segments
 from host.trace.parameters import Space
@@ -47,9 +47,6 @@ holds is the torque that something else takes.
 """
 
 ORDERS = (1, 2, 3, 4, 6)
-TORQUE = ("com-offset", "torque-bias", "rotor-loss")
-"""Effects that the law's integral hides in part from the outside: the segments may know them better."""
-
 BINS_AN_ORDER = 10 * CHANNELS
 """Bins that one more order of the autoregression takes to be known: ten a coefficient."""
 
@@ -59,10 +56,7 @@ LEAST_S = 2 * BINS_AN_ORDER * BIN_S
 MOVED_M = 0.3
 """Extent of a flight below which it is a hover: whitened, what is constant in it does not show."""
 
-AGREE = 2.0
-"""Standard deviations of their difference within which two estimates agree."""
-
-LOOP_DISCREPANCY = {"motor-lag": 0.04, "mocap-latency": 0.02, "inertia": 0.06, "translational-lift": 0.03}
+LOOP_DISCREPANCY = {"motor-lag": 0.05, "translational-lift": 0.05}
 """One sigma, in typical sizes, of what phi itself may be off by, 0.01 for the others: what it reads into
 flights of a simulated vehicle without noise, turbulence or effect.
 """
@@ -133,20 +127,6 @@ class ClosedFit:
     whitening: Whitening
     grams: np.ndarray
     residuals: tuple[np.ndarray, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Refined:
-    """Both estimates combined: z (P,) and covariance (P, P) scaled, and which method each parameter is of.
-
-    disagreement (P,): difference of the two in standard deviations of it.
-    """
-
-    z: np.ndarray
-    covariance: np.ndarray
-    method: tuple[Method, ...]
-    disagreement: np.ndarray
-    closed: ClosedFit
 
 
 def record(flight: Flight, latency_s: float = 0.0) -> Recording:
@@ -284,6 +264,10 @@ class Loop:
         if not self._slopes:
             self._slopes = [np.zeros((len(z), *r.shape[1:])) for r in residuals]
         slopes = [kept.copy() for kept in self._slopes]
+        sizes = np.zeros(1 + len(z))
+        sizes[0] = sum(float(np.square(r[0]).sum()) for r in residuals)
+        sizes[[1 + row for row in rows]] = sum(np.square(r[1:]).sum((1, 2)) for r in residuals)
+        self.space.check_finite(sizes)
         for each, r in zip(slopes, residuals, strict=True):
             each[rows] = (r[0] - r[1:]) / _Z_STEP
         if len(rows) == len(self._rows):
@@ -483,7 +467,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         z=space.clipped(z + step),
         at=z,
         covariance=covariance,
-        log_evidence=_log_evidence(grams.sum(0), z, precision, log_det, len(effects), space.limits),
+        log_evidence=_log_evidence(grams.sum(0), z, precision, log_det, len(effects), space.bounds),
         whitening=white,
         grams=grams,
         residuals=tuple(base),
@@ -564,43 +548,21 @@ class LoopFitter:
 
         A hint for sets with more effects, since the whitening has taken up a part of what they explain.
         """
-        gram, prior, limits = fit.grams.sum(0), self.prior, self.space.limits
+        gram, prior, limits = fit.grams.sum(0), self.prior, self.space.bounds
         return [lambda names: _log_evidence(gram, fit.at, prior.precision(names), 0.0, len(names), limits)]
 
 
-def combined(space: Space, fit: Fit, closed: ClosedFit) -> Refined:
-    """The closed loop's estimate of all that phi has, but of TORQUE where the segments know it better.
-
-    Both estimates rest on the same flights, so they are not multiplied: each parameter has the estimate and
-    the interval of one method, and none is correlated with one of the other. The closed loop's interval is
-    widened by its jackknife and by what phi may be off by, the segments' by what is read into them
-    (`Column.discrepancy`); where the two differ by more than AGREE standard deviations, the rest is added.
-    """
-    shown = np.einsum("fii->i", closed.grams)[1:] > 0.0
+def honest_covariance(space: Space, closed: ClosedFit) -> np.ndarray:
+    """Covariance (P, P), scaled: the fit's, widened by its jackknife and by what phi itself may be off by."""
     widened = jackknife_by_flight(closed.grams, closed.at, prior_of(space).precision(closed.effects))
-    own = closed.covariance * np.outer(widened, widened) + np.diag(loop_discrepancy(space) ** 2)
-    read_into = np.array([column.discrepancy for column in space.columns])
-    theirs = fit.covariance + np.diag(read_into**2)
-    torque = np.array([column.owner in TORQUE for column in space.columns])
-    mine = shown & ~(torque & (np.diag(theirs) < np.diag(own)))
-    covariance = np.where(np.outer(mine, mine), own, 0.0) + np.where(np.outer(~mine, ~mine), theirs, 0.0)
-    spread = np.sqrt(np.diag(theirs) + np.diag(own))
-    disagreement = np.where(shown, (closed.z - fit.z) / spread, 0.0)
-    beyond = np.maximum(np.abs(disagreement) - AGREE, 0.0) * spread
-    return Refined(
-        z=np.where(mine, closed.z, fit.z),
-        covariance=covariance + np.diag(beyond**2),
-        method=tuple("closed-loop" if m else "segments" for m in mine),
-        disagreement=disagreement,
-        closed=closed,
-    )
+    return closed.covariance * np.outer(widened, widened) + np.diag(loop_discrepancy(space) ** 2)
 
 
 def by_segments(space: Space, fit: Fit) -> np.ndarray:
     """Covariance (P, P), scaled, of an estimate from segments alone.
 
     Widened by the jackknife over flights, or over quarters of them where there are few, and by what is read
-    into segments (`Column.discrepancy`), like the segments' share of `combined`.
+    into segments (`Column.discrepancy`).
     """
     prior = space.prior
     grams = segment_grams(replace(fit, lin=_in_pieces(fit.lin)), prior)

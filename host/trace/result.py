@@ -144,9 +144,7 @@ class Trace:
         if self.unexplained is not None:
             out.append(self.unexplained.line())
         if self.next_flight is not None:
-            a, b = self.next_flight.separates
-            sigma = self.next_flight.expected_sigma
-            out.append(f"fly {self.next_flight.route} next: it separates {a} from {b} by {sigma:.1f} sigma")
+            out.append(self.next_flight.line())
         return out + [f"data: {line}" for line in lines(self.audits)]
 
     def to_json(
@@ -173,13 +171,7 @@ class Trace:
             "after": dict(self.after_score or null),
             "noise_floor": dict(self.noise_floor),
             "held_out_flights": len(self.before),
-            "next_flight": None
-            if self.next_flight is None
-            else {
-                "route": self.next_flight.route,
-                "separates": list(self.next_flight.separates),
-                "expected_sigma": self.next_flight.expected_sigma,
-            },
+            "next_flight": None if self.next_flight is None else self.next_flight.to_json(),
             "model": model_path,
             "report": report_path,
             "reasons": list(self.reasons),

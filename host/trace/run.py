@@ -5,6 +5,7 @@ flights.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,15 +18,16 @@ from host.trace import evidence
 from host.trace.audit import without_twins
 from host.trace.data import SEGMENT_S, segments_of
 from host.trace.describe import describe
-from host.trace.diagnose import Diagnosis, Fit, Method, SegmentFitter, refit, stands_out
+from host.trace.diagnose import Diagnosis, Fit, SegmentFitter, at_parameters, refit, stands_out
 from host.trace.form import Form
+from host.trace.manoeuvres import Manoeuvre
 from host.trace.parameters import MASS, Space, space, tolerance_of
 from host.trace.refine import (
     LoopFitter,
     by_segments,
     closed_loop,
-    combined,
     fit_loop,
+    honest_covariance,
     order_of,
     prior_of,
     segment_grams,
@@ -70,7 +72,7 @@ RESTLESS_TURN = 3.0
 """The same for angular acceleration in rad/s^2."""
 
 Report = Callable[[str], None]
-Manoeuvres = Callable[[], Mapping[str, np.ndarray]]
+Manoeuvres = Callable[[], Sequence[Manoeuvre]]
 
 
 def check_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Vehicle | None) -> Vehicle:
@@ -121,9 +123,9 @@ def run(
 ) -> Trace:
     """The trace of `flights`, scored on `held_out`.
 
-    `manoeuvres` gives flat outputs (14, n) by route, from which the next flight is chosen where the data
-    cannot decide. With `network`, one learns what is left where the cause is outside the library. Raises
-    UsageError (logs that do not belong together) and TooLittleData.
+    From `manoeuvres` the next flight is chosen where the data cannot decide. With `network`, one learns what
+    is left where the cause is outside the library. Raises UsageError (logs that do not belong together) and
+    TooLittleData.
     """
     airframe = check_logs(flights, held_out, vehicle)
     report("reading segments")
@@ -136,7 +138,11 @@ def run(
     diagnosis = _diagnosis(form, data, whole, report)
     fit, twins = diagnosis.best, twins_of(flights)
     axial = "thrust" not in unknowns(flights)
+    nothing, unread = diagnosis.nothing, _reading(chosen, diagnosis)
+    # How much is missing counts from the model without any: what the library fitted in vain may be wild.
+    missing = leftover(_left(nothing, unread), nothing.data, twins, axial=axial)
     rest = leftover(*_remainder(form, diagnosis), twins, axial=axial)
+    rest = rest.beside(missing) if fit.effects else rest
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
     if short is not None:
         aliases = _with_hidden(aliases, chosen, diagnosis.stands_out)
@@ -144,12 +150,9 @@ def run(
     verdict = _verdict(diagnosis, rest, aliases, restless)
     added = verdict != "outside-library"
     named = _named(airframe, chosen, diagnosis, aliases) if added else ()
-    z = diagnosis.z if added else _reading(chosen, diagnosis)
-    if not added:
-        # How much is missing counts from the model that is kept: what the library fitted in its stead may be
-        # wild.
-        missing = leftover(_left(diagnosis.nothing, z), diagnosis.nothing.data, twins, axial=axial)
-        rest = missing if missing.reasons else rest
+    z = fit.z if added else unread
+    if not added and missing.reasons:
+        rest = missing
     model = _model(chosen, diagnosis, z, flights, named, added, provenance)
 
     report("predicting the held-out flights")
@@ -163,7 +166,6 @@ def run(
     told = more = None
     if not added:
         report("describing what is outside the library")
-        nothing = diagnosis.nothing
         told = describe(_left(nothing, z), nothing.data, [f.reference_id for f in flights], airframe)
         if network and drive == "reference":
             more = unexplained(flights, held_out, model, effects, told, report)
@@ -197,29 +199,26 @@ def run(
 def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Report) -> Diagnosis:
     """What is missing, by whole `flights` over the closed loop, or by segments where there are none.
 
-    The segments are fitted in both cases: they show what the kept set leaves, and some torques better.
+    The segments show in both cases what the kept set leaves.
     """
     nothing = refit(form, data, (), None, iterations=3)
     report("no effect fitted")
     if not flights:
         found = search(SegmentFitter(form=form), nothing, report)
-        best, z = found.best, found.best.z
-        covariance = by_segments(form.space, best)
-        method: tuple[Method, ...] = ("segments",) * len(z)
+        covariance = by_segments(form.space, found.best)
+        best, method = replace(found.best, covariance=covariance), "segments"
         gram, prior = segment_grams(best, form.space.prior).sum(0), form.space.prior
     else:
         loop = closed_loop(flights, form.vehicle, form.space, nothing.z)
         order = order_of(loop, nothing.z)
         found = search(LoopFitter(loop=loop, order=order), fit_loop(loop, (), nothing.z, order), report)
-        best = refit(form, nothing.data, found.best.effects, nothing)
-        refined = combined(form.space, best, found.best)
-        z, covariance, method = refined.z, refined.covariance, refined.method
-        gram, prior = found.best.grams.sum(0), prior_of(form.space)
+        kept, covariance = found.best, honest_covariance(form.space, found.best)
+        best = at_parameters(form, nothing, kept.effects, kept.z, covariance, kept.log_evidence)
+        method = "closed-loop"
+        gram, prior = kept.grams.sum(0), prior_of(form.space)
     return Diagnosis(
         best=best,
         nothing=nothing,
-        z=z,
-        covariance=covariance,
         method=method,
         inclusion=found.inclusion,
         weights=found.weights,
@@ -241,7 +240,7 @@ def _remainder(form: Form, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
     """
     best = diagnosis.best
     if best.effects or diagnosis.none > SOMETHING:
-        return _left(best, diagnosis.z), best.data
+        return _left(best, best.z), best.data
     likeliest = max(diagnosis.weights, key=lambda names: (diagnosis.weights[names], names))
     fit = refit(form, diagnosis.nothing.data, likeliest, diagnosis.nothing)
     return _left(fit, fit.z), fit.data
@@ -332,7 +331,7 @@ def _closest(aliases: Mapping[str, Mapping[str, float]]) -> tuple[str, str] | No
 def _named(
     vehicle: Vehicle, chosen: Space, diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]
 ) -> tuple[Named, ...]:
-    values, sd = chosen.values(diagnosis.z), np.sqrt(np.diag(diagnosis.covariance)) * chosen.scale
+    values, sd = chosen.values(diagnosis.best.z), np.sqrt(np.diag(diagnosis.best.covariance)) * chosen.scale
     out = []
     for name in diagnosis.best.effects:
         effect = chosen.effect(name)
@@ -368,8 +367,8 @@ def _named(
 def _thrust_over_mass(chosen: Space, diagnosis: Diagnosis) -> tuple[float, float]:
     """The ratio of thrust gain to mass factor and its standard deviation, to first order."""
     pair = [chosen.groups["thrust-gain"][0], chosen.groups[MASS][0]]
-    gain, mass = chosen.values(diagnosis.z)[pair]
-    covariance = (diagnosis.covariance * np.outer(chosen.scale, chosen.scale))[np.ix_(pair, pair)]
+    gain, mass = chosen.values(diagnosis.best.z)[pair]
+    covariance = (diagnosis.best.covariance * np.outer(chosen.scale, chosen.scale))[np.ix_(pair, pair)]
     slope = np.array([1.0 / mass, -gain / mass**2])
     return float(gain / mass), float(np.sqrt(slope @ covariance @ slope))
 
@@ -408,7 +407,7 @@ def _model(
         tables[owner in found][owner] = table
     covariance = None
     if added:
-        scaled = diagnosis.covariance * np.outer(chosen.scale, chosen.scale)
+        scaled = diagnosis.best.covariance * np.outer(chosen.scale, chosen.scale)
         covariance = Covariance(
             names=tuple(f"{c.owner}.{c.key}" for c in chosen.columns),
             matrix=tuple(tuple(float(x) for x in row) for row in 0.5 * (scaled + scaled.T)),
@@ -461,7 +460,7 @@ def _errors(
     before = predict(_reading(chosen, diagnosis), None)
     if not added:
         return before, before, before
-    z = diagnosis.z
+    z = diagnosis.best.z
     middle = z.copy()
     middle[named] = 0.0
     return before, predict(z, model), predict(middle, bare)

@@ -253,10 +253,12 @@ def noise_floor(flights: Sequence[Flight], errors: Sequence[Errors]) -> dict[str
 
 
 def twins_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
-    """Pairs of indices of flights of the same reference under the same feed-forward."""
+    """Pairs of indices of flights of the same reference under the same feed-forward and firmware parameters.
 
-    def key(flight: Flight) -> tuple[str | None, str | None]:
-        return flight.reference_id, flight.metadata.get("feedforward_id")
-
-    pairs = combinations(range(len(flights)), 2)
-    return [(a, b) for a, b in pairs if key(flights[a])[0] is not None and key(flights[a]) == key(flights[b])]
+    A law that holds the vehicle closer repeats other errors of the model than one that does not.
+    """
+    keys = [
+        (flight.reference_id, flight.metadata.get("feedforward_id"), flight.firmware_parameters)
+        for flight in flights
+    ]
+    return [(a, b) for a, b in combinations(range(len(flights)), 2) if keys[a][0] and keys[a] == keys[b]]

@@ -151,10 +151,12 @@ def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
 def _borne(fitter: Fitter[F], fit: F) -> bool:
     """Whether every effect of the set is there, and what it acts through beyond BEARS times its tolerance.
 
-    One that its bounds hold within its tolerance is none. Wind on a drag within tolerance is a force of some
-    0.01 m/s^2, as the slow part of turbulence is.
+    One that is within its tolerance is not there; one that only its bounds hold explains something else. Wind
+    on a drag within tolerance is a force of some 0.01 m/s^2, as the slow part of turbulence is.
     """
     space = fitter.space
+    if any(space.bounded(fit.z)[i] for name in fit.effects for i in space.groups[name]):
+        return False
     size = {
         name: max(abs(fit.z[i]) / fitter.prior.spike[i] for i in space.groups[name]) for name in fit.effects
     }

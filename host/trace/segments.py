@@ -193,6 +193,7 @@ def _remembered(form: Form, data: Segments, z: np.ndarray) -> np.ndarray:
     program.inputs["z"][:] = np.repeat(values, flights, axis=1)
     body = program.inputs["body"].reshape(STATES, -1, flights)
     memory = program.inputs["memory"]
+    acceleration = program.inputs["acceleration"].reshape(3, -1, flights)
     body[:] = data.paths[:, 0].T[:, None]
     program()
     now = program.outputs["rest"].copy()
@@ -200,10 +201,12 @@ def _remembered(form: Form, data: Segments, z: np.ndarray) -> np.ndarray:
     for k in range(steps):
         found[k] = now.reshape(found.shape[1:])
         memory[:] = now
+        after = data.paths[:, min(k + 1, steps - 1)]
         body[:] = data.paths[:, k].T[:, None]
+        acceleration[:] = (after - data.paths[:, k])[:, 3:6].T[:, None] / PATH_S
         program()
         memory[:] = now + 0.5 * PATH_S * program.outputs["rates"]
-        body[:] = 0.5 * (data.paths[:, k] + data.paths[:, min(k + 1, steps - 1)]).T[:, None]
+        body[:] = 0.5 * (data.paths[:, k] + after).T[:, None]
         program()
         now = now + PATH_S * program.outputs["rates"]
     at = data.path_start_s / PATH_S
@@ -385,6 +388,7 @@ def linearise(form: Form, data: Segments, z: np.ndarray, local: np.ndarray, kept
         A[:, 0] += np.einsum("szn,sz->sn", kept.bins[chunk], part.w.reshape(len(part.w), -1))
         gram[chunk, :first, :first] = A @ np.swapaxes(A, 1, 2)
         gram[chunk, :first, first:] = A @ np.swapaxes(columns, 1, 2)
+    form.space.check_finite(np.einsum("sii->i", gram[:, :first, :first]))
     gram[:, first:, :first] = np.swapaxes(gram[:, :first, first:], 1, 2)
     return Grams(gram=gram, x0=x0, parameters=len(z))
 

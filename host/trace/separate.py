@@ -1,11 +1,15 @@
-"""Which flight would tell two effects apart: separation of an effect from its alias along candidate
-references.
+"""Which flight would tell two effects apart: the separation of an effect from its alias, by what was flown so
+far and one manoeuvre more.
+
+Everything is counted in the command-driven segments' linearisation, also where the search went over the
+closed loop: what a flight tells two forces apart by is in what the vehicle does, however it is predicted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,69 +20,249 @@ from host.codegen.ops import NUMPY
 from host.trace import evidence, segments
 from host.trace.data import DT_S, LAGS, SEGMENT_S
 from host.trace.diagnose import Fit
+from host.trace.evidence import Process
 from host.trace.form import Form
+from host.trace.manoeuvres import Manoeuvre
 from host.trace.parameters import Space
 from host.trace.segments import BIN_S, PATH_S, Segments
 from host.vehicle import Vehicle
 
+DECISIVE_SIGMA = 4.2
+"""Sigma by which an effect must stand out of another one, whatever size that takes, to be told from it."""
+
+UNDECIDED_SIGMA = float(np.sqrt(2.0 * np.log(20.0)))
+"""Flights that leave an alias a twentieth of the probability tell no more: what noise drives the commands
+makes segments believe in more, of timing above all."""
+
+_ROLLED = 12
+"""Segments of a manoeuvre that are rolled out, spread evenly; each other one counts as its nearest."""
+
+_TURNS = 2
+"""Roll-outs after which a disturbance keeps a manoeuvre on its path."""
+
+_MEASUREMENTS = {
+    frozenset({"wind", "frame-tilt"}): "fly once more without wind, or level the camera system",
+    frozenset({"actuation-delay", "mocap-latency"}): "log the gyro, or measure the cameras' delay",
+    frozenset({"com-offset", "torque-bias"}): "balance the vehicle on an edge",
+    frozenset({"battery-sag", "thrust-gain"}): "fly once more with a full battery and log its voltage",
+}
+"""What decides between two effects where no flight does."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class NextFlight:
-    """A flight that would decide: its route, the two effects it separates, and by how many sigma."""
+    """The flight that tells two effects apart best.
+
+    total_time_s: of the reference, where the route's own time is too short for the vehicle. so_far_sigma: by
+    what was flown; expected_sigma: by that and this flight.
+    """
 
     route: str
+    total_time_s: float | None
     separates: tuple[str, str]
+    so_far_sigma: float
     expected_sigma: float
 
+    @property
+    def decides(self) -> bool:
+        """Whether it is expected to."""
+        return self.expected_sigma >= DECISIVE_SIGMA
 
-def separation(fit_lin: evidence.Linearisation, fit: Fit, space: Space, effect: str, alias: str) -> float:
-    """Sigma by which `effect`, of the size fitted, stands out where `alias` may take any value.
+    @property
+    def measurement(self) -> str | None:
+        """What decides instead, where the flight does not and something is known."""
+        return None if self.decides else _MEASUREMENTS.get(frozenset(self.separates))
 
-    lambda^2 = theta' S' (I - P_alias) S theta in whitened, nuisance-free units.
+    def to_json(self) -> dict[str, Any]:
+        """The object `next_flight` of `trimtab trace`."""
+        return {
+            "route": self.route,
+            "total_time_s": self.total_time_s,
+            "separates": list(self.separates),
+            "so_far_sigma": self.so_far_sigma,
+            "expected_sigma": self.expected_sigma,
+            "decides": self.decides,
+            "measurement": self.measurement,
+        }
+
+    def line(self) -> str:
+        """The proposal for people, one line."""
+        a, b = self.separates
+        plan = "" if self.total_time_s is None else f" (plan it with --time-s {self.total_time_s:.1f})"
+        if self.decides:
+            return (
+                f"fly {self.route} next{plan} and trace with it added: {a} and {b} are then "
+                f"{self.expected_sigma:.1f} sigma apart, {self.so_far_sigma:.1f} so far"
+            )
+        other = f"; {self.measurement}" if self.measurement else ""
+        return (
+            f"no known route tells {a} from {b}: with the best, {self.route}{plan}, they are "
+            f"{self.expected_sigma:.1f} sigma apart, {DECISIVE_SIGMA} are needed{other}"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instruments:
+    """What a flight is measured with and disturbed by.
+
+    sigma (4,): position m, attitude rad, body rate rad/s, specific force m/s^2, of means over DT_S.
+    shares (3,): of the steps that have a pose, a body rate, a specific force. voltage (2,): ratio to the
+    full one at the start, and its slope, 1/s.
     """
-    groups = space.groups
-    mine, other = list(groups[effect]), list(groups[alias])
-    rest = [i for i in range(len(space.columns)) if i not in mine and i not in other]
-    gram = evidence.whitened(fit_lin, fit.process, space.prior).gram[1:, 1:].copy()
-    gram[rest, rest] += 1.0 / space.prior.spike[rest] ** 2
-    taken = other + rest
-    inner = gram[np.ix_(taken, taken)] + 1e-9 * np.eye(len(taken))
-    cross = gram[np.ix_(taken, mine)]
+
+    sigma: np.ndarray
+    shares: np.ndarray
+    voltage: np.ndarray
+    process: Process
+    in_newton: bool
+    rate_driven: bool
+
+    def __post_init__(self) -> None:
+        if self.sigma.shape != (4,) or not (self.sigma > 0).all():
+            raise ValueError(f"sigma {self.sigma} must be four positive numbers")
+        if self.shares.shape != (3,) or self.voltage.shape != (2,):
+            raise ValueError(f"{self.shares} must be three shares, {self.voltage} a ratio and its slope")
+
+    @classmethod
+    def of(cls, fit: Fit) -> Instruments:
+        """Those of the fitted flights, with the process noise of the fit."""
+        data = fit.data
+        t_s = np.repeat(data.start_s[:, None], data.steps, axis=1) + DT_S * np.arange(data.steps)
+        slope, start = np.polyfit(t_s.ravel(), data.voltage_ratio.ravel(), 1)
+        return cls(
+            sigma=data.sigma.mean(0),
+            shares=np.array([w.mean() for w in (data.pose_weight, data.rate_weight, data.force_weight)]),
+            voltage=np.array([start, slope]),
+            process=fit.process,
+            in_newton=data.in_newton,
+            rate_driven=data.rate_driven,
+        )
+
+
+def separation(
+    space: Space, gram: np.ndarray, present: Iterable[str], z: np.ndarray, effect: str, alias: str
+) -> float:
+    """Sigma by which `effect` at its size in z (P,) stands out where `alias` may take any size.
+
+    lambda^2 = theta' S' (I - P) S theta, with gram = S' S (P, P) of the whitened columns of all scaled
+    parameters. P projects on the alias and on the other effects that are `present`, all free within what an
+    effect may have, and on everything else within its tolerance.
+    """
+    mine = list(space.groups[effect])
+    rest = [i for i in range(len(space.columns)) if i not in mine]
+    free = [name for name in present if name != effect]
+    inner = gram[np.ix_(rest, rest)] + np.diag(space.prior.precision([*free, alias])[rest])
+    cross = gram[np.ix_(rest, mine)]
     information = gram[np.ix_(mine, mine)] - cross.T @ np.linalg.solve(inner, cross)
-    size = fit.z[mine]
-    return float(np.sqrt(max(size @ information @ size, 0.0)))
+    return float(np.sqrt(max(z[mine] @ information @ z[mine], 0.0)))
 
 
-def propose(
-    form: Form, fit: Fit, effect: str, alias: str, flown: Mapping[str, np.ndarray]
-) -> NextFlight | None:
-    """The manoeuvre of the greatest separation; `flown` gives flat outputs (14, n) each DT_S by route
-    name.
+def propose(form: Form, fit: Fit, effect: str, alias: str, known: Sequence[Manoeuvre]) -> NextFlight | None:
+    """The manoeuvre after which `effect` and `alias` are furthest apart; None where none is known.
+
+    Counted with what the fitted flights tell already, at most what leaves them undecided. Where one of the
+    two acts through an effect that was not found (wind through a drag), that is taken at its typical size and
+    free.
     """
+    space = form.space
+    carriers = _carriers(space, fit.effects, (effect, alias))
+    z = fit.z.copy()
+    for name in carriers:
+        z[list(space.groups[name])] = 1.0
+    instruments = Instruments.of(fit)
+    present = {*fit.effects, *carriers}
+
+    def sigma(gram: np.ndarray) -> float:
+        return separation(space, gram, present, z, effect, alias)
+
+    so_far = _flown(form, fit, z)
+    while (before := sigma(so_far)) > UNDECIDED_SIGMA:
+        so_far *= 0.9 * (UNDECIDED_SIGMA / before) ** 2
+
     best: NextFlight | None = None
-    for route, flat in flown.items():
-        data = _along(form.vehicle, flat, fit)
-        if data is None:
+    for candidate in known:
+        told = information(form, candidate.flat, z, instruments)
+        if told is None:
             continue
-        local = np.zeros((1, segments.LOCALS))
-        kept = segments.basis(form, data, fit.z, local)
-        grams = segments.linearise(form, data, fit.z, local, kept)
-        lin = segments.project(grams, data, fit.z, local)
-        sigma = separation(lin, fit, form.space, effect, alias)
-        if best is None or sigma > best.expected_sigma:
-            best = NextFlight(route=route, separates=(effect, alias), expected_sigma=sigma)
+        expected = sigma(so_far + told)
+        if best is None or expected > best.expected_sigma:
+            best = NextFlight(
+                route=candidate.route,
+                total_time_s=candidate.total_time_s if candidate.slowed else None,
+                separates=(effect, alias),
+                so_far_sigma=before,
+                expected_sigma=expected,
+            )
     return best
 
 
-def _along(vehicle: Vehicle, flat: np.ndarray, fit: Fit) -> Segments | None:
-    """Segments of a flight that follows flat outputs (14, n) exactly, with the fitted flights' noise."""
+def information(form: Form, flat: np.ndarray, z: np.ndarray, instruments: Instruments) -> np.ndarray | None:
+    """(P, P) of the scaled parameters at z (P,), from one flight along flat outputs (14, n) each DT_S.
+
+    The whitened S' S, the flight's own nuisances integrated out. None where it is shorter than a segment.
+    """
+    data = _along(form.vehicle, flat, instruments)
+    if data is None:
+        return None
+    count = len(data.flight)
+    rolled = np.unique(np.round(np.linspace(0, count - 1, min(count, _ROLLED))).astype(int))
+    nearest = np.abs(np.arange(count)[:, None] - rolled).argmin(axis=1)
+    part, local = data.take(rolled), np.zeros((1, segments.LOCALS))
+    part = _kept_on_path(form, part, z)
+    kept = segments.basis(form, part, z, local)
+    lin = segments.project(segments.linearise(form, part, z, local, kept), part, z, local)
+    lin = replace(lin, gram=lin.gram[nearest], flight=data.flight)
+    return evidence.whitened(lin, instruments.process, form.space.prior).gram[1:, 1:]
+
+
+def _kept_on_path(form: Form, data: Segments, z: np.ndarray) -> Segments:
+    """The segments with the angular acceleration that keeps roll-outs at scaled parameters z (P,) on their
+    path: the commands are the nominal vehicle's, with z it would need others.
+
+    Read off the body rate. Forces are left alone, they turn nothing.
+    """
+    start = data.x0.T[:, None, :]
+    local = np.zeros((segments.LOCALS, *start.shape[1:]))
+    per_bin = round(BIN_S / data.dt_s)
+    for _ in range(_TURNS):
+        predicted = segments.roll_out(form, data, start, z[:, None], local)[:, 6:9, 0]
+        short = data.rate - np.transpose(predicted, (2, 0, 1))
+        inner = 0.5 * (short[:, per_bin - 1 : -1 : per_bin] + short[:, per_bin::per_bin])
+        edges = np.concatenate([np.zeros_like(short[:, :1]), inner, short[:, -1:]], axis=1)
+        w = data.w.copy()
+        w[:, :, 3:] += np.diff(edges, axis=1) / BIN_S
+        data = data.with_w(w)
+    return data
+
+
+def _flown(form: Form, fit: Fit, z: np.ndarray) -> np.ndarray:
+    """(P, P) as `information`, of the fitted flights, linearised at z (P,)."""
+    lin = fit.lin
+    if not np.array_equal(z, fit.z):
+        grams = segments.linearise(form, fit.data, z, fit.local, fit.basis)
+        lin = segments.project(grams, fit.data, z, fit.local)
+    return evidence.whitened(lin, fit.process, form.space.prior).gram[1:, 1:]
+
+
+def _carriers(space: Space, found: Sequence[str], pair: Sequence[str]) -> list[str]:
+    """What the pair's effects act through, the first that there is of each, where none of it was found."""
+    out = []
+    for name in pair:
+        through = space.effect(name).requires_any
+        if through and not set(through) & {*found, *pair}:
+            out += [other for other in through if other in space.groups][:1]
+    return list(dict.fromkeys(out))
+
+
+def _along(vehicle: Vehicle, flat: np.ndarray, instruments: Instruments) -> Segments | None:
+    """Segments of a flight that follows flat outputs (14, n) exactly; None where it is too short for one."""
     steps = round(SEGMENT_S / DT_S)
     pre = max(1, int(np.ceil(LAGS * vehicle.motor_lag_s / DT_S)))
     count = (flat.shape[1] - pre - 1) // steps
     if count < 1:
         return None
     thrust, R, rate = flat_commands(vehicle, flat)
-    if fit.data.in_newton:
+    if instruments.in_newton:
         command = thrust
     else:
         c1, c2 = vehicle.thrust_curve
@@ -89,7 +273,9 @@ def _along(vehicle: Vehicle, flat: np.ndarray, fit: Fit) -> Segments | None:
     take = a[:, None] + np.arange(steps)
     long = a[:, None] + np.arange(-pre, steps)
     n = (count, steps)
-    felt = bool(fit.data.force_weight.any())
+    start, slope = instruments.voltage
+    # A measurement in a share of the steps tells as much as one in each of that share's weight.
+    pose, gyro, accelerometer = np.sqrt(instruments.shares)
     return Segments(
         dt_s=DT_S,
         flight=np.zeros(count, dtype=int),
@@ -98,19 +284,19 @@ def _along(vehicle: Vehicle, flat: np.ndarray, fit: Fit) -> Segments | None:
         position=flat[0:3].T[take],
         attitude=R[take],
         shift_s=np.zeros(n),
-        pose_weight=np.ones(n),
+        pose_weight=np.full(n, pose),
         rate=rate[take],
-        rate_weight=np.full(n, 0.0 if fit.data.rate_driven else 1.0),
+        rate_weight=np.full(n, gyro),
         force=np.zeros((*n, 3)),
-        force_weight=np.full(n, 1.0 if felt else 0.0),
+        force_weight=np.full(n, accelerometer),
         command=command[long],
-        voltage_ratio=np.full(n, float(np.median(fit.data.voltage_ratio))),
-        sigma=np.repeat(fit.data.sigma.mean(0, keepdims=True), count, axis=0),
+        voltage_ratio=start + slope * DT_S * take,
+        sigma=np.repeat(instruments.sigma[None], count, axis=0),
         w=np.zeros((count, round(SEGMENT_S / BIN_S), 6)),
         path_start_s=a * DT_S,
         paths=np.column_stack([flat[0:3].T, flat[3:6].T, rpy, rate])[None, :: round(PATH_S / DT_S)],
-        in_newton=fit.data.in_newton,
-        rate_driven=fit.data.rate_driven,
+        in_newton=instruments.in_newton,
+        rate_driven=instruments.rate_driven,
     )
 
 

@@ -64,7 +64,7 @@ def signals(flight: Flight) -> Signals:
         c = flight.control
         input_s = np.column_stack([c.t0_us, c.t1_us]) * 1e-6
         command, in_newton = c.motor_mean, False
-        imu_s, gyro, force = input_s, c.gyro_mean, c.force_mean
+        imu_s, gyro, force = c.sensed_us * 1e-6, c.gyro_mean, c.force_mean
     elif flight.recorded_inputs is not None and flight.recorded_inputs.level != "reference":
         r = flight.recorded_inputs
         input_s = _intervals(r.t_us)

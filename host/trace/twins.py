@@ -9,7 +9,7 @@ floor: mean of w_1 . w_2. Twins cannot see a disturbance of random phase; a line
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import gamma
@@ -22,6 +22,9 @@ FORCE_FLOOR = 0.06
 
 TORQUE_FLOOR = 0.8
 """The same for angular acceleration, rad/s^2."""
+
+FORM_SHARE = 0.1
+"""Share of what was explained that may repeat besides: no form is exact."""
 
 LINE_RATIO = 3.5
 LINE_CHANCE = 1e-3
@@ -51,17 +54,27 @@ class Leftover:
     torque_line_hz: float
     torque_line_chance: float
     pairs: int
+    force_floor: float = FORCE_FLOOR
+    torque_floor: float = TORQUE_FLOOR
+
+    def beside(self, missing: Leftover) -> Leftover:
+        """The same, its floors raised to FORM_SHARE of what a model without any effect leaves: `missing`."""
+        return replace(
+            self,
+            force_floor=max(self.force_floor, FORM_SHARE * missing.force_repeat),
+            torque_floor=max(self.torque_floor, FORM_SHARE * missing.torque_repeat),
+        )
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why the residual cannot be the library's, one sentence each; empty when nothing stands out."""
         out = []
-        if self.force_z > REPEAT_Z and self.force_repeat > FORCE_FLOOR:
+        if self.force_z > REPEAT_Z and self.force_repeat > self.force_floor:
             out.append(
                 f"a force of {self.force_repeat:.2f} m/s^2 repeats between twin flights "
                 f"(z {self.force_z:.1f})"
             )
-        if self.torque_z > REPEAT_Z and self.torque_repeat > TORQUE_FLOOR:
+        if self.torque_z > REPEAT_Z and self.torque_repeat > self.torque_floor:
             out.append(
                 f"an angular acceleration of {self.torque_repeat:.2f} rad/s^2 repeats between twin flights "
                 f"(z {self.torque_z:.1f})"
@@ -87,12 +100,14 @@ def leftover(
     flight, start_s = data.flight, data.start_s
     per_bin = data.steps // w.shape[1]
     speed = np.gradient(data.position, data.dt_s, axis=1)
-    velocity = speed.reshape(len(w), w.shape[1], per_bin, 3).mean(2)
+    turned = data.rate if data.rate_weight.any() else speed
+    motions = [each.reshape(len(w), w.shape[1], per_bin, 3).mean(2) for each in (speed, turned)]
     found: dict[str, float] = {}
-    for name, channel in (("force", slice(0, 3 if axial else 2)), ("torque", slice(3, 6))):
+    channels = (slice(0, 3 if axial else 2), slice(3, 6))
+    for name, channel, motion in zip(("force", "torque"), channels, motions, strict=True):
         found[f"{name}_repeat"], found[f"{name}_z"] = _repeat(w[:, :, channel], flight, start_s, twins)
         silent = name == "torque" and data.rate_driven
-        line = (1.0, 0.0, 1.0) if silent else _line(w[:, :, channel], velocity, flight, start_s)
+        line = (1.0, 0.0, 1.0) if silent else _line(w[:, :, channel], motion, flight, start_s)
         found[f"{name}_line"], found[f"{name}_line_hz"], found[f"{name}_line_chance"] = line
     return Leftover(pairs=len(twins), **found)
 
@@ -128,12 +143,13 @@ def _repeat(
 
 
 def _line(
-    w: np.ndarray, velocity: np.ndarray, flight: np.ndarray, start_s: np.ndarray
+    w: np.ndarray, motion: np.ndarray, flight: np.ndarray, start_s: np.ndarray
 ) -> tuple[float, float, float]:
     """The strongest line of w (segments, bins, 3): ratio over the median around it, frequency in Hz, chance.
 
     Channels count by their own median power. Frequencies at which the vehicle itself was made to move, seen
-    in `velocity` (segments, bins, 3), are left out: there any force that depends on the motion has a line.
+    in `motion` (segments, bins, 3: velocity for a force, body rate for a torque), are left out: there any
+    force that depends on the motion has a line.
     The chance is that of so great a ratio anywhere in the band without a line.
     """
     hz = np.fft.rfftfreq(_FFT, BIN_S)
@@ -146,10 +162,10 @@ def _line(
             for each in _periodogram(window).T:
                 power += each / max(float(np.median(each)), 1e-300)
                 series += 1
-        for window in _windows(velocity[mine], start_s[mine]):
+        for window in _windows(motion[mine], start_s[mine]):
             moved += _periodogram(window).sum(1)
     around = np.array([np.median(power[max(0, k - 14) : k + 15]) for k in range(len(power))])
-    inside = (hz > _LINE_BAND_HZ[0]) & (hz < _LINE_BAND_HZ[1]) & (moved < MOVED_SHARE * moved.max())
+    inside = (hz > _LINE_BAND_HZ[0]) & (hz < _LINE_BAND_HZ[1]) & (moved <= MOVED_SHARE * moved.max())
     band = np.flatnonzero(inside)
     if not len(band):
         return 1.0, 0.0, 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,8 +11,7 @@ from cyclopts import Parameter
 from host.verbs.options import Force, Json, WorkspaceFolder
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from host.trace.manoeuvres import Manoeuvre
     from host.vehicle import Vehicle
     from host.workspace import Workspace
 
@@ -98,23 +98,15 @@ def command(
     emit(result.to_json(model_path=model_path, report_path=report_path, network_path=network_path), json)
 
 
-def manoeuvres(space: Workspace, vehicle: Vehicle) -> dict[str, np.ndarray]:
-    """Flat outputs (14, n) each 10 ms along the shipped routes that this vehicle can fly, by route name."""
-    import numpy as np
-
-    from host.errors import TrimtabError
-    from host.models.reference import flat_outputs
-    from host.plan import plan
+def manoeuvres(space: Workspace, vehicle: Vehicle) -> tuple[Manoeuvre, ...]:
+    """The shipped routes and the workspace's own that this vehicle can fly."""
     from host.route import list_routes
-    from host.trace.data import DT_S
+    from host.trace.manoeuvres import manoeuvres as flyable
     from host.vehicle import ConfigurationError
 
-    found = {}
+    routes = {}
     for name in list_routes(space.root):
-        try:
-            reference = plan(space.route(name), vehicle, kind="min-snap").reference
-        except (TrimtabError, ConfigurationError):
-            continue
-        duration = reference.nodes[-1].t_us * 1e-6
-        found[name] = flat_outputs(reference, np.arange(0.0, duration, DT_S))
-    return found
+        # A route file with a mistake in it is no reason to stop a trace.
+        with suppress(ConfigurationError):
+            routes[name] = space.route(name)
+    return flyable(routes, vehicle)

@@ -15,7 +15,10 @@ from sitl.studies.worlds import PlannedWorld
 
 @dataclass(frozen=True, kw_only=True)
 class Programme:
-    """What is flown in every world: routes of a folder flown `twins` times each, and others held out."""
+    """What is flown in every world: routes flown `twins` times each, and others held out.
+
+    A route is a file of the folder `routes`, or else one that the command line knows by its name.
+    """
 
     routes: Path
     learning: tuple[str, ...]
@@ -56,7 +59,8 @@ def plan_references(folder: Path, vehicle: str, programme: Programme) -> Path:
     for name in (*programme.learning, *programme.held_out):
         if (target / f"{name}.ref").is_file():
             continue
-        route = str(programme.routes / f"{name}.toml")
+        own = programme.routes / f"{name}.toml"
+        route = str(own) if own.is_file() else name
         done = run_apart(["plan", route, "--vehicle", vehicle, "-o", f"{name}.ref", "--force"], target)
         if done.code:
             raise StudyError(

@@ -52,7 +52,7 @@ def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (effect,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
     (route,) = re.findall(r"```toml\n(.*?)```", (DOCS / "route-file.md").read_text(), flags=re.DOTALL)
     mine = load_vehicle("research").replace(name="mine", mass_kg=0.76).to_toml()
-    files = {"effects/hanging_cable.py": effect, "routes/window.toml": route, "vehicles/mine.toml": mine}
+    files = {"effects/elastic_tether.py": effect, "routes/window.toml": route, "vehicles/mine.toml": mine}
     for name, text in files.items():
         assert name in page
         (tmp_path / name).parent.mkdir()
@@ -62,7 +62,7 @@ def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_workspace_pages_effect_loads_and_acts_as_its_equation_says(workspace: Path) -> None:
-    effect = load_effects(workspace)["hanging-cable"]
+    effect = load_effects(workspace)["elastic-tether"]
     assert effect.specific_force_frd is not None
     # Half a turn about x: body down is world up.
     context = Context(
@@ -81,17 +81,23 @@ def test_workspace_pages_effect_loads_and_acts_as_its_equation_says(workspace: P
         inertia_kg_m2=(0.0025, 0.0021, 0.0043),
         hover_n=1.8,
     )
-    assert effect.specific_force_frd(FLOAT, (0.1,), context) == pytest.approx((0.0, 0.0, -0.2))
+    # 2 m from an anchor below it, of which 0.5 m are slack.
+    assert effect.specific_force_frd(FLOAT, (0.1, 0.5, 0.0, 0.0), context) == pytest.approx(
+        (0.0, 0.0, -0.15), abs=1e-3
+    )
+    assert effect.specific_force_frd(FLOAT, (0.1, 3.0, 0.0, 0.0), context) == pytest.approx(
+        (0.0, 0.0, 0.0), abs=1e-3
+    )
     assert effect.specific_force_frd(FLOAT, effect.neutral, context) == pytest.approx((0.0, 0.0, 0.0))
 
 
 def test_workspace_pages_files_are_planned_with(workspace: Path, capsys: pytest.CaptureFixture[str]) -> None:
     vehicle = load_vehicle("mine", workspace)
-    effect = load_effects(workspace)["hanging-cable"]
+    effect = load_effects(workspace)["elastic-tether"]
     model = Model(
         vehicle_id=vehicle.id,
         vehicle_name="mine",
-        effects={effect.name: {"k": 0.2}},
+        effects={effect.name: {"stiffness": 0.5, "slack_m": 0.5, "north_m": 0.0, "east_m": 0.0}},
         sources={effect.name: effect.source_id},
     )
     write_model(model, workspace / "m.model.toml")
@@ -101,6 +107,6 @@ def test_workspace_pages_files_are_planned_with(workspace: Path, capsys: pytest.
         told.append(json.loads(capsys.readouterr().out.splitlines()[-1]))
     snap, residual = told
     assert (residual["kind"], residual["reference"]) == ("min-residual", "window.ref")
-    # The waypoints are 1.2 to 1.8 m up; between them the plan goes lower, as the effect's page says.
-    assert 0.2 * 1.2 < snap["residual_rms_m_s2"] < 0.2 * 1.8
+    # The waypoints are 1.2 to 3.6 m from the anchor; between them the plan stays nearer, as the page says.
+    assert 0.5 * (1.2 - 0.5) < snap["residual_rms_m_s2"] < 0.5 * (3.7 - 0.5)
     assert residual["residual_rms_m_s2"] < 0.8 * snap["residual_rms_m_s2"]

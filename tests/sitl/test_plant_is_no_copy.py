@@ -381,7 +381,7 @@ def test_mass_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
 
 
 def test_slung_payload_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
-    """Force of the line under a vehicle carried along a small figure eight, against the flat pendulum's."""
+    """Force of the line under a vehicle carried along a small figure eight, against a stiff pendulum's."""
     ratio, length, h = 0.08, 0.7, TICK_S
     P = plant_parameters(vehicle, world(vehicle, {"slung-payload": {"ratio": ratio, "length_m": length}}))
     t = h * np.arange(9000)
@@ -397,13 +397,18 @@ def test_slung_payload_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
         force.append(np.array(line) / vehicle.mass_kg)
     seen = np.array(force)[1000:]
 
+    felt = np.array([[0.0], [0.0], [GRAVITY_M_S2]]) - np.gradient(speed, h, axis=1)
+
     def host(l: float) -> np.ndarray:
-        k, c = GRAVITY_M_S2 / l, 0.1 * math.sqrt(GRAVITY_M_S2 / l)
-        s, u, out = path[:2, 0].copy(), np.zeros(2), []
-        for i in range(len(t)):
-            u = u + h * (-k * (s - path[:2, i]) - c * (u - speed[:2, i]))
-            s = s + h * u
-            out.append([*(k * (s - path[:2, i])), GRAVITY_M_S2])
+        damping = 0.1 * math.sqrt(GRAVITY_M_S2 / l)
+        d, u, out = np.zeros(2), np.zeros(2), []
+        for g in felt.T:
+            depth = math.sqrt(l * l - d @ d)
+            line, turning = np.array([*d, depth]), np.array([*u, -(d @ u) / depth])
+            pull = (g @ line + turning @ turning) / (l * l)
+            u = u + h * (g[:2] - pull * d - damping * u)
+            d = d + h * u
+            out.append(pull * line)
         return np.array(out)[1000:]
 
     judge("slung-payload", min(left_over(seen, [host(l)], [ratio]) for l in np.linspace(0.6, 0.8, 21)))

@@ -16,10 +16,9 @@ from host.trace.diagnose import refit
 from host.trace.form import Form
 from host.trace.parameters import Space
 from host.trace.score import predict_flights, rmse
+from host.trace.separate import DECISIVE_SIGMA
+from host.trace.separate import separation as separation_of
 from host.vehicle import Vehicle
-
-IDENTIFIABLE = 4.2
-"""Sigma by which an effect must stand out of every other one of the library, whatever size that takes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +34,7 @@ class Bounds:
     def identifiable(self) -> bool:
         """Whether every true effect stands out of every alias."""
         return all(
-            min(others.values(), default=np.inf) >= IDENTIFIABLE for others in self.separation.values()
+            min(others.values(), default=np.inf) >= DECISIVE_SIGMA for others in self.separation.values()
         )
 
 
@@ -61,7 +60,7 @@ def bounds(
     separation = {}
     for name, candidate in candidates.items():
         others = [o for o in space.candidates if o not in names and not {name, o} <= same]
-        separation[name] = {o: _separation(space, gram, names, z, candidate, o) for o in others}
+        separation[name] = {o: separation_of(space, gram, names, z, candidate, o) for o in others}
     sd = np.sqrt(np.diag(at.covariance)) * space.scale
     return Bounds(
         separation=separation,
@@ -90,23 +89,6 @@ def _scaled(space: Space, truth: Mapping[str, Mapping[str, float]]) -> np.ndarra
             column = space.columns[i]
             z[i] = (values.get(column.key, column.neutral) - column.neutral) / column.scale
     return z
-
-
-def _separation(
-    space: Space, gram: np.ndarray, names: Sequence[str], z: np.ndarray, effect: str, alias: str
-) -> float:
-    """lambda, lambda^2 = theta' S' (I - P) S theta: sigma of `effect` at its true size beside free others.
-
-    gram: (P, P) of the whitened columns. P projects on the alias and on the other true effects, all free, and
-    on everything else within its tolerance.
-    """
-    mine = list(space.groups[effect])
-    rest = [i for i in range(len(space.columns)) if i not in mine]
-    present = [name for name in names if name != effect]
-    inner = gram[np.ix_(rest, rest)] + np.diag(space.prior.precision([*present, alias])[rest])
-    cross = gram[np.ix_(rest, mine)]
-    information = gram[np.ix_(mine, mine)] - cross.T @ np.linalg.solve(inner, cross)
-    return float(np.sqrt(max(z[mine] @ information @ z[mine], 0.0)))
 
 
 def floor_m(

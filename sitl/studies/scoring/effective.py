@@ -30,6 +30,7 @@ from host.vehicle import Vehicle
 from sitl.draw import World
 from sitl.plant import Plant
 from sitl.plant_model import STATE, TICK_S
+from sitl.surroundings import GRAVITY_M_S2
 from sitl.world import ImuSettings, MocapSettings, RadioSettings, Turbulence
 
 Values = dict[str, dict[str, float]]
@@ -165,7 +166,7 @@ def _still(effects: Mapping[str, Mapping[str, float]]) -> World:
 
 def _discharge(plant: Plant, vehicle: Vehicle) -> tuple[np.ndarray, np.ndarray]:
     """Charges used, C, and the plant's voltage at hover with each, falling; level in a world without sag."""
-    hover = (vehicle.mass_kg * 9.81 / (4.0 * vehicle.thrust_max_n)) ** 0.5
+    hover = (vehicle.mass_kg * GRAVITY_M_S2 / (4.0 * vehicle.thrust_max_n)) ** 0.5
     charges = np.linspace(0.0, 0.95, 96) * vehicle.battery.capacity_ah * 3600.0
     volts = []
     for charge in charges:

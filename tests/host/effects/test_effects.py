@@ -31,6 +31,7 @@ COMMAND = (2.0, 1.9, 1.8, 2.1)
 def state(seed: int = 0) -> list[float]:
     rng = np.random.default_rng(seed)
     x = 0.5 * rng.standard_normal(16)
+    x[2] -= 2.5
     x[12:] = 1.8 + 0.2 * rng.standard_normal(4)
     return [float(value) for value in x]
 

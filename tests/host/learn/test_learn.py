@@ -96,7 +96,7 @@ def test_learn_on_a_traced_model_keeps_its_effects_and_starts_from_them(logs):
         vehicle_id=flights[0].vehicle.id,
         vehicle_name="research",
         effects={"linear-drag": {"dx": 0.8, "dy": 0.7, "dz": 0.3}},
-        adjustments={"inertia": {"x": 0.01}},
+        adjustments={"inertia": {"x": 1.01}},
     )
     settings = Settings(hidden=(8,), epochs=2)
     found = learn(flights, base=base, effects=effects, settings=settings)

@@ -34,6 +34,13 @@ def test_clock_sync_quick_ways_need_not_meet_in_one_exchange() -> None:
     assert clock.offset_us == 500.0
 
 
+def test_clock_sync_one_message_a_tick_quicker_than_all_others_hardly_counts() -> None:
+    clock = ClockSync()
+    for k in range(200):
+        exchange(clock, 97_000 * k, 500.0, 8000.0 if k == 50 else 9000.0, 9000.0)
+    assert clock.offset_us == pytest.approx(500.0, abs=30.0)
+
+
 def test_clock_sync_drift_is_followed() -> None:
     clock = ClockSync()
     for k in range(1200):

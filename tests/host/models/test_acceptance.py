@@ -32,6 +32,24 @@ dx = 0.4
 dy = 0.4
 dz = 0.4
 """
+EXACT = """description = "Nothing but the vehicle, and sensors without error"
+tolerances = false
+
+[turbulence]
+force_m_s2 = 0.0
+torque_rad_s2 = 0.0
+
+[mocap]
+position_noise_m = 0.0
+attitude_noise_deg = 0.0
+
+[imu]
+gyro_noise_rad_s = 0.0
+gyro_bias_rad_s = 0.0
+accelerometer_noise_m_s2 = 0.0
+accelerometer_bias_m_s2 = 0.0
+voltage_noise_v = 0.0
+"""
 DRAG = (load_effects()["linear-drag"], (0.4, 0.4, 0.4))
 
 
@@ -70,6 +88,22 @@ def test_phi_whole_flight_in_an_empty_world_is_predicted_within_3_mm(flight):
     assert errors.velocity_rmse_m_s < 0.03
     attitude = predict(phi, np.zeros(0), states)[:, 6:9] - states.x[:, 6:9]
     assert np.sqrt((attitude**2).mean()) < 0.01
+
+
+def test_poses_and_body_rate_of_a_log_are_dated_within_a_quarter_of_a_tick(fly, tmp_path):
+    """By how much they lag what phi predicts: neither the clocks' comparison nor the ticks' sums may."""
+    world = tmp_path / "exact.toml"
+    world.write_text(EXACT, encoding="utf-8")
+    _, flight = fly(5.0, 0, str(world))
+    states = flight_states(flight)
+    predicted = predict(
+        Phi(vehicle=flight.vehicle, parameters=flight.firmware_parameters), np.zeros(0), states
+    )
+    error = states.x - predicted
+    v, turning = predicted[:, 3:6], np.gradient(predicted[:, 9:12], states.step_s, axis=0)
+    assert -(error[:, 0:3] * v).sum() / (v**2).sum() == pytest.approx(0.0, abs=0.25e-3)
+    late_s = -(error[:, 9:12] * turning).sum() / (turning**2).sum()
+    assert late_s == pytest.approx(0.0, abs=0.25e-3)
 
 
 @pytest.mark.parametrize(("duration_s", "index"), [(5.0, 0), (7.0, 1)])

@@ -196,6 +196,42 @@ def test_phi_lanes_equal_casadi_and_floats(vehicle, make_reference):
         np.testing.assert_allclose(phi.derivative(FLOAT, *columns), symbolic, rtol=1e-10, atol=1e-11)
 
 
+def test_phi_estimate_drive_retraces_the_observer_of_a_reference_driven_flight(vehicle, make_reference):
+    """Fed the states of a flight under drag, from its middle on, it gives d_hat and the thrust behind it."""
+    reference = make_reference(duration_s=3.0)
+    h, begin, end = 0.005, 200, 360
+    whole = observing(vehicle, 4.0, effects=(DRAG[0],), estimator=False)
+    start = flat_outputs(reference, np.zeros(1))[:, 0]
+    common = {"flight": flight_constants(), "theta": np.array(DRAG[1])}
+    fine = roll_out(
+        whole,
+        x0=whole.hover(start[:3], 0.0)[:, None],
+        drive=reference_drive(reference, half_steps(0.0, 2 * end, 0.5 * h)),
+        step_s=0.5 * h,
+        rows=whole.size,
+        **common,
+    )[2 * begin :, :, 0]
+    estimate = observing(vehicle, 4.0, effects=(DRAG[0],), drive="estimate")
+    assert estimate.observes
+    assert estimate.size == whole.size
+    drive = reference_drive(reference, half_steps(begin * h, end - begin, h))
+    fed = np.concatenate([drive, fine[:, :12]], axis=1)
+
+    def observed(fed):
+        states = roll_out(estimate, x0=fine[0][:, None], drive=fed, step_s=h, rows=estimate.size, **common)
+        return states[:, estimate.observer, 0]
+
+    again = observed(fed)
+    np.testing.assert_allclose(again[:, :3], fine[::2, whole.observer][:, :3], atol=1e-3)
+    np.testing.assert_allclose(again[:, 3], fine[::2, whole.observer][:, 3], atol=1e-3)
+    assert np.ptp(again[:, 0]) > 0.3
+    # It observes with the attitude that is fed: nose up by 0.02 rad more, thrust ought to pull south.
+    pitched = fed.copy()
+    pitched[:, 29] += 0.02
+    expected = 9.81 * 0.02 * (1.0 - np.exp(-4.0 * 0.1))
+    assert (observed(pitched) - again)[20, 0] == pytest.approx(expected, rel=0.3)
+
+
 def test_phi_inputs_and_estimate_drives_retrace_a_reference_driven_flight(vehicle, make_reference):
     """Recorded inputs or estimates of a flight give the flight back: thrusts and states of the same model."""
     reference = make_reference(duration_s=3.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from firmware_model.law.estimator import EstimatorGains
 from host.models.bias import accelerometer_bias, standing_errors
@@ -62,4 +63,18 @@ def test_accelerometer_bias_is_found_beside_lateness():
     per_bias, velocity = standing_errors(EstimatorGains(20.0, 120.0, 5.0, 0.5), 0.015, 0.01)
     assert velocity == pytest.approx(20.0 / 120.0)
     error = per_bias * bias - 0.012 * v + 2e-4 * a + 3e-4 * rng.standard_normal(v.shape)
-    np.testing.assert_allclose(accelerometer_bias(error, R, v, a, per_bias), bias, atol=0.005)
+    found, _ = accelerometer_bias(error, R, v, a, per_bias)
+    np.testing.assert_allclose(found, bias, atol=0.005)
+
+
+def test_accelerometer_bias_says_how_much_of_it_a_leaning_frame_may_be():
+    """At one heading all of it; over whole turns hardly any."""
+    t = np.arange(0.0, 10.0, 0.02)
+    v, a = slope(t), np.gradient(slope(t), 0.02, axis=0)
+    gravity = np.array([0.1, -0.2, 0.0])
+    for turns, left in ((0.0, 0.0), (4.0, 1.0)):
+        R = Rotation.from_rotvec(np.outer(0.4 + 0.2 * np.pi * turns * t, (0, 0, 1))).as_matrix()
+        found, share = accelerometer_bias(np.repeat(-0.008 * gravity[None], len(t), axis=0), R, v, a, 0.008)
+        np.testing.assert_allclose(found + share @ gravity[:2], 0.0, atol=1e-12)
+        excess = R @ found + gravity
+        assert np.sqrt((excess**2).sum(1).mean() / 0.05) == pytest.approx(left, abs=0.05)

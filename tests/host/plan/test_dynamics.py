@@ -54,7 +54,9 @@ def test_planner_sentence_of_an_effect_says_nothing_exactly_where_plans_do_not_c
     beside = (drag,) if effect.requires_any else ()
     x, u = ca.SX.sym("x", 16), ca.SX.sym("u", 4)
     rng = np.random.default_rng(2)
-    at = (x, np.concatenate([0.3 * rng.standard_normal(12), rng.uniform(0.5, 1.5, 4)])), (u, np.ones(4))
+    state = np.concatenate([0.3 * rng.standard_normal(12), rng.uniform(0.5, 1.5, 4)])
+    state[2] -= 2.0  # well over the floor
+    at = (x, state), (u, np.ones(4))
 
     def changes(augmented: bool) -> bool:
         seen = []

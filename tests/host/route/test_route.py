@@ -28,7 +28,22 @@ from host.route import (
 from host.vehicle import ConfigurationError, Vehicle, load_vehicle
 from protocol.blobs import BLOB_BYTES_MAX, HEADER_BYTES, NODE_BYTES
 
-SHIPPED = ("figure-eight", "pretzel", "random")
+SHIPPED = (
+    "climbs-descents",
+    "doublets",
+    "fast-lemniscate",
+    "figure-eight",
+    "hover",
+    "hover-turns",
+    "long-hover",
+    "low",
+    "low-high",
+    "pretzel",
+    "random",
+    "speed-sweep",
+    "sprint",
+    "stop-and-go",
+)
 GOOD = """
 name = "good"
 total_time_s = 6.0
@@ -245,7 +260,7 @@ def test_workspace_route_is_found_by_name(tmp_path: Path) -> None:
     (tmp_path / "routes").mkdir()
     (tmp_path / "routes" / "mine.toml").write_text(GOOD)
     assert load_route("mine", tmp_path).name == "good"
-    with pytest.raises(ConfigurationError, match="mine: no such route, known: figure-eight"):
+    with pytest.raises(ConfigurationError, match="mine: no such route, known: climbs-descents, doublets"):
         load_route("mine")
 
 

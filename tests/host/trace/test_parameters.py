@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from host.effects import load_effects
+from host.errors import UsageError
 from host.trace.parameters import REPLACES, UNKNOWN, space
 from host.vehicle import load_vehicle
 
@@ -70,3 +71,16 @@ def test_space_admits_wind_only_with_a_drag() -> None:
     assert not found.admissible(["wind"])
     assert found.admissible(["wind", "linear-drag"])
     assert found.admissible(["wind", "quadratic-drag", "motor-lag"])
+
+
+def test_space_refuses_roll_outs_that_diverge_and_names_the_parameter() -> None:
+    found = space(VEHICLE, EFFECTS)
+    sizes = np.ones(1 + len(found.columns))
+    found.check_finite(sizes)
+    index = found.owners["slung-payload"][1]
+    sizes[1 + index] = np.nan
+    with pytest.raises(UsageError, match=r"slung-payload\.length_m diverge"):
+        found.check_finite(sizes)
+    sizes[0] = np.inf
+    with pytest.raises(UsageError, match="the model with slung-payload diverge"):
+        found.check_finite(sizes)

@@ -12,8 +12,8 @@ BINS, STEPS, SEGMENTS, FLIGHTS = 6, 60, 20, 4
 PAIRS = [(0, 1), (2, 3)]
 
 
-def data(motion_hz: float = 0.0, each: int = SEGMENTS) -> Segments:
-    """`each` segments of four flights that swing slowly, and at `motion_hz`; the rest plays no part here."""
+def data(motion_hz: float = 0.0, each: int = SEGMENTS, turn_hz: float = 0.0) -> Segments:
+    """`each` segments of four flights that swing slowly, and at `motion_hz`, and turn at `turn_hz`."""
     count = each * FLIGHTS
     flight = np.repeat(np.arange(FLIGHTS), each)
     start = np.tile(np.arange(each) * STEPS * 0.01, FLIGHTS)
@@ -22,6 +22,8 @@ def data(motion_hz: float = 0.0, each: int = SEGMENTS) -> Segments:
     position[:, :, 0] = np.sin(2 * np.pi * motion_hz * t)
     position[:, :, 1] = np.sin(2 * np.pi * 0.15 * t)
     n = (count, STEPS)
+    rate = np.zeros((*n, 3))
+    rate[:, :, 0] = np.sin(2 * np.pi * turn_hz * t)
     return Segments(
         dt_s=0.01,
         flight=flight,
@@ -31,7 +33,7 @@ def data(motion_hz: float = 0.0, each: int = SEGMENTS) -> Segments:
         attitude=np.tile(np.eye(3).ravel(), (*n, 1)),
         shift_s=np.zeros(n),
         pose_weight=np.ones(n),
-        rate=np.zeros((*n, 3)),
+        rate=rate,
         rate_weight=np.ones(n),
         force=np.zeros((*n, 3)),
         force_weight=np.ones(n),
@@ -122,6 +124,27 @@ def test_leftover_of_a_line_at_the_motions_own_frequency_is_no_ringing() -> None
     w[:, :, 1] += 0.15 * series(0.8, np.array([0.0, 2.0, 4.0, 1.0]))
     found = leftover(w, data(motion_hz=0.8), PAIRS)
     assert not any("rings" in reason for reason in found.reasons)
+
+
+@pytest.mark.parametrize(("turn_hz", "rings"), [(2.4, False), (0.7, True)])
+def test_leftover_of_a_torque_rings_where_the_vehicle_was_not_made_to_turn(
+    turn_hz: float, rings: bool
+) -> None:
+    w = noise(3)
+    w[:, :, 4] += 1.5 * series(2.4, np.array([0.0, 2.0, 4.0, 1.0]))
+    found = leftover(w, data(turn_hz=turn_hz), PAIRS)
+    assert any("torque rings" in reason for reason in found.reasons) == rings
+
+
+def test_what_repeats_beside_a_much_greater_force_that_was_explained_is_no_reason() -> None:
+    w, greater = noise(1), noise(2)
+    twin = np.tile(np.random.default_rng(3).normal(size=(SEGMENTS, BINS, 3)), (FLIGHTS, 1, 1))
+    w[:, :, :3] += 0.06 * twin
+    greater[:, :, :3] += 1.5 * twin
+    found = leftover(w, data(), PAIRS)
+    assert found.reasons
+    assert not found.beside(leftover(greater, data(), PAIRS)).reasons
+    assert found.beside(leftover(noise(2), data(), PAIRS)).reasons == found.reasons
 
 
 def test_leftover_without_twins_says_so() -> None:

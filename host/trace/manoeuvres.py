@@ -1,0 +1,56 @@
+"""Manoeuvres: routes that a vehicle can fly, as flat outputs, for the choice of the next flight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from host.errors import TrimtabError
+from host.models.reference import flat_outputs
+from host.plan import plan
+from host.route import Route
+from host.trace.data import DT_S
+from host.vehicle import ConfigurationError, Vehicle
+
+PACES = (1.0, 1.4, 2.0)
+"""Shares of a route's own time that are tried, the shortest first."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Manoeuvre:
+    """A flight along a route in `total_time_s`; `slowed` where the route's own time is too short for it.
+
+    flat (14, n): p, v, a, j NED, yaw, yaw rate each DT_S, as `host.models.reference.flat_outputs` gives them.
+    """
+
+    route: str
+    total_time_s: float
+    slowed: bool
+    flat: np.ndarray
+
+
+def manoeuvre(name: str, route: Route, vehicle: Vehicle) -> Manoeuvre | None:
+    """The min-snap flight along the route known as `name`, at the first of PACES that keeps limits and
+    geofence; None where none does.
+    """
+    for pace in PACES:
+        try:
+            planned = plan(route, vehicle, kind="min-snap", total_time_s=pace * route.duration_s)
+        except (TrimtabError, ConfigurationError):
+            continue
+        t_s = np.arange(0.0, planned.duration_s, DT_S)
+        return Manoeuvre(
+            route=name,
+            total_time_s=planned.duration_s,
+            slowed=pace > 1.0,
+            flat=flat_outputs(planned.reference, t_s),
+        )
+    return None
+
+
+def manoeuvres(routes: Mapping[str, Route], vehicle: Vehicle) -> tuple[Manoeuvre, ...]:
+    """Those of the routes that the vehicle can fly, by the routes' order."""
+    found = (manoeuvre(name, route, vehicle) for name, route in routes.items())
+    return tuple(each for each in found if each is not None)

@@ -1,0 +1,222 @@
+"""How far two effects are apart, by what was flown and what might be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from host.effects import load_effects
+from host.log import read_flight
+from host.report.manoeuvres_page import INSTRUMENTS
+from host.route import load_route
+from host.trace.data import segments_of
+from host.trace.diagnose import Fit, refit
+from host.trace.form import Form
+from host.trace.manoeuvres import Manoeuvre, manoeuvres
+from host.trace.parameters import Space, space
+from host.trace.separate import (
+    DECISIVE_SIGMA,
+    UNDECIDED_SIGMA,
+    Instruments,
+    NextFlight,
+    information,
+    propose,
+    separation,
+)
+from host.vehicle import Vehicle, load_vehicle
+
+DATA = Path(__file__).parent.parent.parent / "data"
+LIBRARY = ("com-offset", "frame-tilt", "linear-drag", "mass", "thrust-gain", "torque-bias", "wind")
+NAMES = ("hover", "hover-turns", "doublets")
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle("research")
+
+
+@pytest.fixture(scope="module")
+def library(vehicle: Vehicle) -> Space:
+    effects = load_effects()
+    return space(vehicle, {name: effects[name] for name in LIBRARY})
+
+
+@pytest.fixture(scope="module")
+def form(vehicle: Vehicle, library: Space) -> Form:
+    return Form(vehicle, library, dt_s=0.01, in_newton=False, rate_driven=False)
+
+
+@pytest.fixture(scope="module")
+def known(vehicle: Vehicle) -> dict[str, Manoeuvre]:
+    return {flown.route: flown for flown in manoeuvres({n: load_route(n) for n in NAMES}, vehicle)}
+
+
+@pytest.fixture(scope="module")
+def fit(form: Form) -> Fit:
+    """A shipped flight with a centre of mass that is taken to be off."""
+    flight = read_flight(DATA / "c1.mcap")
+    data, _ = segments_of([flight])
+    found = refit(form, data, ("com-offset",), None, iterations=2)
+    z = found.z.copy()
+    z[list(form.space.groups["com-offset"])] = 0.5
+    return replace(found, z=z)
+
+
+def columns_of(library: Space, *effects: str) -> list[int]:
+    return [library.groups[name][0] for name in effects]
+
+
+def test_separation_of_an_effect_alone_is_its_length(library: Space) -> None:
+    (gain, tilt) = columns_of(library, "thrust-gain", "frame-tilt")
+    gram = np.zeros((len(library.columns),) * 2)
+    gram[gain, gain], gram[tilt, tilt] = 25.0, 100.0
+    z = np.zeros(len(library.columns))
+    z[gain] = 2.0
+    assert separation(library, gram, ("thrust-gain",), z, "thrust-gain", "frame-tilt") == pytest.approx(10.0)
+
+
+def test_separation_from_an_alias_of_the_same_shape_is_what_the_aliass_range_leaves(library: Space) -> None:
+    gain, tilt = columns_of(library, "thrust-gain", "frame-tilt")
+    shape = np.zeros(len(library.columns))
+    shape[[gain, tilt]] = 50.0
+    z = np.zeros(len(library.columns))
+    z[gain] = 1.0
+    apart = separation(library, np.outer(shape, shape), ("thrust-gain",), z, "thrust-gain", "frame-tilt")
+    # Two parallel columns of length 50, the alias free within 2 typical sizes: 50 / sqrt(1 + 100^2).
+    assert apart == pytest.approx(50.0 / np.sqrt(1.0 + 100.0**2))
+
+
+def test_separation_leaves_the_other_effects_of_the_set_free(library: Space) -> None:
+    gain, drag = columns_of(library, "thrust-gain", "linear-drag")
+    shape = np.zeros(len(library.columns))
+    shape[[gain, drag]] = 50.0
+    gram, z = np.outer(shape, shape), np.zeros(len(library.columns))
+    z[gain] = 1.0
+    alone = separation(library, gram, ("thrust-gain",), z, "thrust-gain", "frame-tilt")
+    beside = separation(library, gram, ("thrust-gain", "linear-drag"), z, "thrust-gain", "frame-tilt")
+    assert alone > 10.0
+    assert beside < 1.0
+
+
+def test_instruments_of_a_logged_flight_are_the_simulators(fit: Fit) -> None:
+    found = Instruments.of(fit)
+    np.testing.assert_allclose(found.sigma[1:], INSTRUMENTS.sigma[1:], rtol=0.1)
+    # Poses whose latency varies look noisier at speed.
+    assert 1.0 <= found.sigma[0] / INSTRUMENTS.sigma[0] < 2.0
+    np.testing.assert_allclose(found.shares, 1.0, atol=0.15)
+    assert found.voltage[0] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_instruments_of_wrong_shape_are_refused() -> None:
+    with pytest.raises(ValueError, match="sigma"):
+        replace(INSTRUMENTS, sigma=np.array([1.0, 1.0, 0.0, 1.0]))
+    with pytest.raises(ValueError, match="shares"):
+        replace(INSTRUMENTS, shares=np.ones(2))
+
+
+def test_nominal_commands_do_not_leave_the_path_of_a_vehicle_that_is_off(
+    form: Form, known: dict[str, Manoeuvre]
+) -> None:
+    """What a flight tells does not hang on the point it is linearised at: a torque that turns the vehicle
+    over within a segment would look like information.
+    """
+    effect, alias = "com-offset", "torque-bias"
+    z = np.zeros(len(form.space.columns))
+    z[list(form.space.groups[effect])] = 1.0
+    at = [
+        separation(form.space, information(form, flat, point, INSTRUMENTS), (effect,), z, effect, alias)
+        for flat in (known["doublets"].flat,)
+        for point in (np.zeros(len(z)), z)
+    ]
+    assert at[1] == pytest.approx(at[0], rel=0.1)
+
+
+def test_flight_shorter_than_a_segment_tells_nothing(form: Form, known: dict[str, Manoeuvre]) -> None:
+    z = np.zeros(len(form.space.columns))
+    assert information(form, known["hover"].flat[:, :50], z, INSTRUMENTS) is None
+
+
+def test_wind_and_tilt_without_accelerometer_part_by_motion_alone(
+    form: Form, known: dict[str, Manoeuvre]
+) -> None:
+    blind = replace(INSTRUMENTS, shares=np.array([1.0, 1.0, 0.0]))
+    drag = list(form.space.groups["linear-drag"])
+    z = np.zeros(len(form.space.columns))
+    z[drag] = 1.0
+    sigma = {}
+    size = np.zeros(len(z))
+    size[list(form.space.groups["wind"])] = 1.0
+    for name, flown in known.items():
+        told = information(form, flown.flat, z, blind)
+        assert told is not None
+        sigma[name] = separation(form.space, told, ("linear-drag",), size, "wind", "frame-tilt")
+    # What hover shows is that so strong a wind would take a tilt of twice the typical size.
+    assert sigma["hover"] < DECISIVE_SIGMA < sigma["hover-turns"]
+    assert sigma["doublets"] > 4.0 * sigma["hover"]
+
+
+def test_proposal_is_the_manoeuvre_of_most_sigma_and_counts_what_was_flown(
+    form: Form, fit: Fit, known: dict[str, Manoeuvre]
+) -> None:
+    alone = propose(form, fit, "com-offset", "torque-bias", [known["hover"]])
+    best = propose(form, fit, "com-offset", "torque-bias", list(known.values()))
+    assert alone is not None
+    assert best is not None
+    assert (best.route, best.separates) == ("doublets", ("com-offset", "torque-bias"))
+    assert best.so_far_sigma == alone.so_far_sigma
+    assert 0.0 < best.so_far_sigma <= UNDECIDED_SIGMA
+    assert alone.so_far_sigma < alone.expected_sigma < best.expected_sigma
+    assert best.decides
+    assert best.total_time_s is None
+    assert propose(form, fit, "com-offset", "torque-bias", []) is None
+
+
+def test_alias_that_acts_through_an_effect_not_found_gets_it(
+    form: Form, fit: Fit, known: dict[str, Manoeuvre]
+) -> None:
+    """Without drag a wind does nothing, and a tilted frame would look as if nothing could be mistaken for
+    it.
+    """
+    z = fit.z.copy()
+    z[list(form.space.groups["frame-tilt"])] = 1.0
+    z[list(form.space.groups["linear-drag"])] = 0.0
+    tilted = replace(fit, effects=("frame-tilt",), z=z)
+    still = propose(form, tilted, "frame-tilt", "thrust-gain", [known["hover"]])
+    windy = propose(form, tilted, "frame-tilt", "wind", [known["hover"]])
+    assert still is not None
+    assert windy is not None
+    assert windy.expected_sigma < 0.7 * still.expected_sigma
+
+
+def test_next_flight_says_so_where_no_manoeuvre_decides() -> None:
+    best = NextFlight(
+        route="low", total_time_s=14.0, separates=("frame-tilt", "wind"), so_far_sigma=0.5, expected_sigma=2.1
+    )
+    assert not best.decides
+    assert best.line() == (
+        "no known route tells frame-tilt from wind: with the best, low (plan it with --time-s 14.0), they "
+        "are 2.1 sigma apart, 4.2 are needed; fly once more without wind, or level the camera system"
+    )
+    enough = replace(best, expected_sigma=DECISIVE_SIGMA, total_time_s=None)
+    assert enough.decides
+    assert enough.measurement is None
+    assert enough.line() == (
+        "fly low next and trace with it added: frame-tilt and wind are then 4.2 sigma apart, 0.5 so far"
+    )
+    assert enough.to_json()["decides"] is True
+
+
+def test_log_without_inputs_tells_of_forces_and_nothing_of_torques(
+    vehicle: Vehicle, library: Space, known: dict[str, Manoeuvre]
+) -> None:
+    """Thrust in N and the measured body rate drive such a log."""
+    poses = replace(INSTRUMENTS, shares=np.array([0.5, 0.0, 0.0]), in_newton=True, rate_driven=True)
+    form = Form(vehicle, library, dt_s=0.01, in_newton=True, rate_driven=True)
+    told = information(form, known["doublets"].flat, np.zeros(len(library.columns)), poses)
+    assert told is not None
+    (drag, turn) = columns_of(library, "linear-drag", "torque-bias")
+    assert told[drag, drag] > 100.0
+    assert told[turn, turn] < 1e-6
