@@ -138,6 +138,7 @@ def test_a_hover_traces_nothing_and_says_what_it_hides(
         assert found.verdict in ("undecided", "nothing-missing"), (seed, found.lines())
         if "thrust-gain" in world or "tilt" in world or "wind" in world:
             assert found.verdict == "undecided", (seed, found.lines())
-        assert {"ground-effect", "quadratic-drag", "translational-lift"} <= set(found.hidden)
+        unsure = {*found.hidden, *(effect.name for effect in found.effects)}
+        assert {"ground-effect", "quadratic-drag", "translational-lift"} <= unsure
         assert any("these flights would not show" in line for line in found.lines())
         assert any("s of tracking" in doubt or "hover" in doubt for doubt in found.doubts)
