@@ -45,7 +45,8 @@ class Diagnosis:
 
     best: the segments under the kept set, nothing: without any effect. method: what the set and its
     parameters were found by. inclusion: each candidate's posterior probability. weights: the relative
-    posterior weight of every set considered. sets: the evidence of every fitted one.
+    posterior weight of every set considered. sets: the evidence of every fitted one. stands_out: by how many
+    sigma each effect of typical size would show in these flights.
     """
 
     best: Fit
@@ -54,6 +55,31 @@ class Diagnosis:
     inclusion: Mapping[str, float]
     weights: Mapping[Names, float]
     sets: Mapping[Names, float]
+    stands_out: Mapping[str, float]
+
+    @property
+    def none(self) -> float:
+        """Posterior probability that no effect is missing."""
+        return self.weights.get((), 0.0) / sum(self.weights.values())
+
+
+def stands_out(space: Space, gram: np.ndarray, precision: np.ndarray) -> dict[str, float]:
+    """By how many sigma each effect of typical size would show in flights of this whitened `gram`
+    (1 + P, 1 + P) of [residual | slopes], everything else moving under the prior `precision` (P,).
+
+    sqrt(theta' S' (I - P) S theta), of all parameters a typical step away, the strongest where one of several
+    is. An effect that acts through another one stands out as far as that one was found.
+    """
+    whole = gram[1:, 1:] + np.diag(precision)
+    found: dict[str, float] = {}
+    for candidate in space.candidates:
+        mine = np.array(space.groups[candidate])
+        rest = np.setdiff1d(np.arange(len(precision)), mine)
+        cross = whole[np.ix_(rest, mine)]
+        own = gram[np.ix_(1 + mine, 1 + mine)] - cross.T @ np.linalg.solve(whole[np.ix_(rest, rest)], cross)
+        name = space.effect(candidate).name
+        found[name] = max(found.get(name, 0.0), float(np.sqrt(max(own.sum(), 0.0))))
+    return found
 
 
 def starting_process(data: Segments) -> Process:
@@ -89,7 +115,9 @@ class SegmentFitter:
         saturated = evidence.fit_process(fit.lin, prior, candidates, fit.process)
         each = [evidence.whitened(fit.lin, process, prior) for process in (saturated, fit.process)]
         return [
-            lambda names, white=white: evidence.log_evidence(white, fit.z, prior.precision(names), len(names))
+            lambda names, white=white: evidence.log_evidence(
+                white, fit.z, prior.precision(names), len(names), self.space.bounds
+            )
             for white in each
         ]
 
@@ -151,7 +179,7 @@ def refit(
                 kept = segments.basis(form, data, z, local)
     return Fit(
         effects=tuple(sorted(effects)),
-        log_evidence=evidence.log_evidence(white, z, precision, len(effects)),
+        log_evidence=evidence.log_evidence(white, z, precision, len(effects), space.bounds),
         z=z,
         local=local,
         covariance=covariance,

@@ -155,15 +155,38 @@ def local_step(lin: Linearisation, white: Whitened, prior: Prior, step: np.ndarr
     return np.linalg.solve(inner, rhs[:, :, None])[:, :, 0]
 
 
-def log_evidence(white: Whitened, z: np.ndarray, precision: np.ndarray, count: int) -> float:
-    """Log evidence, up to a constant, of a set of `count` effects in the linearisation at z."""
+def log_evidence(
+    white: Whitened, z: np.ndarray, precision: np.ndarray, count: int, limits: tuple[np.ndarray, np.ndarray]
+) -> float:
+    """Log evidence, up to a constant, of a set of `count` effects in the linearisation at z.
+
+    At the best point within `limits` (P,) of the scaled parameters: bounds of an effect are physics, and what
+    only a value beyond them explains is not explained.
+    """
     gram = white.gram
     rhs = gram[0, 1:] - precision * z
-    chol = np.linalg.cholesky(gram[1:, 1:] + np.diag(precision))
+    normal = gram[1:, 1:] + np.diag(precision)
+    chol = np.linalg.cholesky(normal)
     half = np.linalg.solve(chol, rhs)
     quadratic = gram[0, 0] + precision @ (z * z) - half @ half
+    quadratic += held(normal, np.linalg.solve(chol.T, half), limits[0] - z, limits[1] - z)
     occam = 2.0 * np.log(np.diag(chol)).sum() - np.log(precision).sum()
     return float(-0.5 * (quadratic + occam + white.log_det) + LOG_ODDS * count)
+
+
+def held(normal: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
+    """By how much a quadratic of Hessian `normal` (P, P) that is least at `step` (P,) rises where its
+    argument is held between `lower` and `upper`: what crosses a bound is put on it, the rest solved again.
+    """
+    fixed, at = np.zeros(len(step), dtype=bool), step
+    while ((at < lower) | (at > upper)).any():
+        fixed |= (at < lower) | (at > upper)
+        at = np.where(fixed, np.clip(step, lower, upper), 0.0)
+        free = ~fixed
+        shift = normal[np.ix_(free, fixed)] @ (at - step)[fixed]
+        at[free] = step[free] - np.linalg.solve(normal[np.ix_(free, free)], shift)
+        at = np.where(fixed, np.clip(at, lower, upper), at)
+    return float((at - step) @ normal @ (at - step))
 
 
 def posterior(gram: np.ndarray, z: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

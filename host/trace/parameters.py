@@ -50,9 +50,13 @@ DISCREPANCY: Mapping[str, float] = {
     "actuation-delay": 0.4,
     "mocap-latency": 0.1,
     "inertia": 0.2,
+    "slung-payload.ratio": 0.15,
+    "slung-payload.length_m": 1.0,
 }
 """One sigma, in typical sizes, of what segments read into an effect that is not there, 0.05 for the others:
-rotors are no first-order lag, and what the loop does about noise within a step looks like a wrong one."""
+rotors are no first-order lag, and what the loop does about noise within a step looks like a wrong one. A
+payload pulls against slow changes of speed as a scale error of a hundredth of the attitude or the thrust
+does, and the line of one too light to name may have any length."""
 
 _FREE = {
     "motor-lag": ("motor-lag", (0.05,)),
@@ -61,6 +65,9 @@ _FREE = {
     "pose-latency": ("mocap-latency", (0.02,)),
 }
 """Unknowns that are an effect of the library left free: its name, and one sigma of each parameter."""
+
+_EITHER_SIGN = frozenset({"mocap-latency"})
+"""Effects that, left free, take either sign: two clocks that were brought together afterwards."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,9 +218,9 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
             neutral=p.neutral,
             scale=p.typical,
             tolerance=free[name][i] if name in free else tolerance_of(vehicle, name, p.key, p.tolerance),
-            lower=p.lower,
+            lower=-p.upper if name in free and name in _EITHER_SIGN else p.lower,
             upper=p.upper,
-            discrepancy=DISCREPANCY.get(name, 0.05),
+            discrepancy=DISCREPANCY.get(f"{name}.{p.key}", DISCREPANCY.get(name, 0.05)),
         )
         for name in acting
         for i, p in enumerate(effects[name].parameters)

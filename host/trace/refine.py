@@ -24,10 +24,12 @@ from host.models.phi import INTEGRAL, Phi
 from host.models.rollout import half_steps, reference_drive, roll_out
 from host.models.states import States, flight_states
 from host.trace.data import averaged
-from host.trace.evidence import LOG_ODDS, Prior
+from host.trace.diagnose import Fit
+from host.trace.evidence import LOG_ODDS, Linearisation, Prior, held
+from host.trace.evidence import whitened as whitened_segments
 from host.trace.parameters import Space
 from host.trace.search import Names
-from host.trace.signals import signals
+from host.trace.signals import Signals, signals
 from host.vehicle import Vehicle
 
 STEP_S = 0.02
@@ -45,6 +47,15 @@ holds is the torque that something else takes.
 """
 
 ORDERS = (1, 2, 3, 4, 6)
+BINS_AN_ORDER = 10 * CHANNELS
+"""Bins that one more order of the autoregression takes to be known: ten a coefficient."""
+
+LEAST_S = 2 * BINS_AN_ORDER * BIN_S
+"""Time of tracking below which whole flights are too little to whiten."""
+
+MOVED_M = 0.3
+"""Extent of a flight below which it is a hover: whitened, what is constant in it does not show."""
+
 LOOP_DISCREPANCY = {"motor-lag": 0.05, "translational-lift": 0.05}
 """One sigma, in typical sizes, of what phi itself may be off by, 0.01 for the others: what it reads into
 flights of a simulated vehicle without noise, turbulence or effect.
@@ -55,6 +66,9 @@ SETTLED = 0.3
 
 JACKKNIFE_PRIOR = 7.0
 """Flights that a jackknife is taken to have seen with the expected spread."""
+
+PIECES = 4
+"""Fewer flights than these are cut into as many pieces each, for a jackknife to leave out."""
 
 _Z_STEP = 1e-4
 _ITERATIONS = 4
@@ -388,9 +402,28 @@ def closed_loop(flights: Sequence[Flight], vehicle: Vehicle, space: Space, z: np
     return Loop([record(flight, latency_s) for flight in flights], vehicle, space)
 
 
+def too_little(flights: Sequence[Flight]) -> str | None:
+    """What these flights lack to be searched over the closed loop; None where they are enough.
+
+    They are then searched by segments, and what they hide is listed beside what they show.
+    """
+    spans = [signals(flight) for flight in flights]
+    flown_s = sum(s.span_s[1] - s.span_s[0] for s in spans)
+    if flown_s < LEAST_S:
+        return f"only {flown_s:.1f} s of tracking in all: fly longer; whole flights are not searched"
+    if all(_extent(s) < MOVED_M for s in spans):
+        return "a hover throughout: fly manoeuvres; whole flights are not searched"
+    return None
+
+
+def _extent(s: Signals) -> float:
+    inside = (s.pose_s >= s.span_s[0]) & (s.pose_s <= s.span_s[1])
+    return float(np.ptp(s.p[inside], axis=0).max())
+
+
 def order_of(loop: Loop, z: np.ndarray) -> int:
     """The order of ORDERS whose autoregression describes the residuals at z (P,) best, by Schwarz's
-    criterion.
+    criterion; none greater than the flights can tell.
     """
     left = [r[0] for r in loop.residuals(z[:, None])]
 
@@ -400,7 +433,8 @@ def order_of(loop: Loop, z: np.ndarray) -> int:
         count = sum(len(_stretches(known, max(ORDERS))) for known in loop.known)
         return count * float(np.linalg.slogdet(innovation)[1]) + order * CHANNELS**2 * np.log(count)
 
-    return min(ORDERS, key=criterion)
+    most = max(1, sum(int(whole.sum()) for whole in loop.known) // BINS_AN_ORDER)
+    return min((order for order in ORDERS if order <= most), key=criterion)
 
 
 def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> ClosedFit:
@@ -433,7 +467,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         z=space.clipped(z + step),
         at=z,
         covariance=covariance,
-        log_evidence=_log_evidence(grams.sum(0), z, precision, log_det, len(effects)),
+        log_evidence=_log_evidence(grams.sum(0), z, precision, log_det, len(effects), space.bounds),
         whitening=white,
         grams=grams,
         residuals=tuple(base),
@@ -457,11 +491,18 @@ def _posterior(gram: np.ndarray, z: np.ndarray, precision: np.ndarray) -> tuple[
 
 
 def _log_evidence(
-    gram: np.ndarray, z: np.ndarray, precision: np.ndarray, log_det: float, count: int
+    gram: np.ndarray,
+    z: np.ndarray,
+    precision: np.ndarray,
+    log_det: float,
+    count: int,
+    limits: tuple[np.ndarray, np.ndarray],
 ) -> float:
     normal = gram[1:, 1:] + np.diag(precision)
     rhs = gram[0, 1:] - precision * z
-    quadratic = gram[0, 0] + precision @ (z * z) - rhs @ np.linalg.solve(normal, rhs)
+    step = np.linalg.solve(normal, rhs)
+    quadratic = gram[0, 0] + precision @ (z * z) - rhs @ step
+    quadratic += held(normal, step, limits[0] - z, limits[1] - z)
     occam = float(np.linalg.slogdet(normal)[1] - np.log(precision).sum())
     return float(-0.5 * (quadratic + occam + log_det) + LOG_ODDS * count)
 
@@ -507,14 +548,52 @@ class LoopFitter:
 
         A hint for sets with more effects, since the whitening has taken up a part of what they explain.
         """
-        gram, prior = fit.grams.sum(0), self.prior
-        return [lambda names: _log_evidence(gram, fit.at, prior.precision(names), 0.0, len(names))]
+        gram, prior, limits = fit.grams.sum(0), self.prior, self.space.bounds
+        return [lambda names: _log_evidence(gram, fit.at, prior.precision(names), 0.0, len(names), limits)]
 
 
 def honest_covariance(space: Space, closed: ClosedFit) -> np.ndarray:
     """Covariance (P, P), scaled: the fit's, widened by its jackknife and by what phi itself may be off by."""
     widened = jackknife_by_flight(closed.grams, closed.at, prior_of(space).precision(closed.effects))
     return closed.covariance * np.outer(widened, widened) + np.diag(loop_discrepancy(space) ** 2)
+
+
+def by_segments(space: Space, fit: Fit) -> np.ndarray:
+    """Covariance (P, P), scaled, of an estimate from segments alone.
+
+    Widened by the jackknife over flights, or over quarters of them where there are few, and by what is read
+    into segments (`Column.discrepancy`).
+    """
+    prior = space.prior
+    grams = segment_grams(replace(fit, lin=_in_pieces(fit.lin)), prior)
+    widened = jackknife_by_flight(grams, fit.lin.z, prior.precision(fit.effects))
+    read_into = np.array([column.discrepancy for column in space.columns])
+    return fit.covariance * np.outer(widened, widened) + np.diag(read_into**2)
+
+
+def _in_pieces(lin: Linearisation) -> Linearisation:
+    """The linearisation with PIECES or more flights, or else with each flight's quarters in their place."""
+    if len(lin.local) >= PIECES:
+        return lin
+    quarter = np.empty(len(lin.flight), dtype=int)
+    for flight in range(len(lin.local)):
+        mine = np.flatnonzero(lin.flight == flight)
+        quarter[mine] = np.arange(len(mine)) * PIECES // max(len(mine), 1)
+    owner, piece = np.unique(lin.flight * PIECES + quarter, return_inverse=True)
+    return replace(lin, flight=piece, local=lin.local[owner // PIECES])
+
+
+def segment_grams(fit: Fit, prior: Prior) -> np.ndarray:
+    """(flights, 1 + P, 1 + P) of [residual | slopes] of command-driven segments, flights' nuisances
+    integrated out.
+    """
+    grams = whitened_segments(fit.lin, fit.process, prior).local_gram
+    m = 1 + fit.lin.parameters
+    precision = 1.0 / prior.local**2
+    rhs = grams[:, m:, :m].copy()
+    rhs[:, :, 0] -= precision * fit.lin.local
+    inner = grams[:, m:, m:] + np.diag(precision)
+    return grams[:, :m, :m] - np.swapaxes(rhs, 1, 2) @ np.linalg.solve(inner, rhs)
 
 
 def jackknife_by_flight(grams: np.ndarray, z: np.ndarray, precision: np.ndarray) -> np.ndarray:

@@ -18,6 +18,9 @@ from host.trace.separate import NextFlight
 from host.trace.twins import Leftover
 from host.trace.unexplained import Unexplained
 
+SHOWN = 4.2
+"""Sigma by which an effect stands out where flights show it."""
+
 Verdict = Literal["traced", "nothing-missing", "undecided", "outside-library"]
 
 
@@ -71,6 +74,8 @@ class Trace:
     audits: tuple[Audit, ...]
     description: Description | None
     """What the disturbance outside the library depends on; None where the verdict is another."""
+    doubts: tuple[str, ...]
+    """What the flights as a whole lack, a sentence each."""
     unexplained: Unexplained | None
     """The network's errors on what is left, where one was trained."""
 
@@ -90,6 +95,13 @@ class Trace:
                 out[name] = -gain if name in kept else gain
         return out
 
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """Effects that these flights would not show at typical size, or only within an alias of theirs."""
+        weak = self.diagnosis.stands_out
+        kept = {effect.name for effect in self.effects}
+        return tuple(sorted(name for name, sigma in weak.items() if sigma < SHOWN and name not in kept))
+
     def lines(self) -> list[str]:
         """The result for people, a few lines."""
         out = [f"verdict: {self.verdict}"]
@@ -108,6 +120,14 @@ class Trace:
         if self.possible:
             names = ", ".join(f"{name} ({p:.2f})" for name, p in self.possible.items())
             out.append(f"  not excluded beside them: {names}" if self.effects else f"  not excluded: {names}")
+        if self.verdict == "undecided" and not self.effects and self.diagnosis.none < 0.5:
+            out.append(
+                f"  something is missing with probability {1.0 - self.diagnosis.none:.2f}, "
+                "and these flights do not say what"
+            )
+        out += [f"  {doubt}" for doubt in self.doubts]
+        if self.hidden:
+            out.append(f"  of typical size, these flights would not show: {', '.join(self.hidden)}")
         out += [f"  {reason}" for reason in self.reasons]
         if self.description is not None:
             out += [f"  {line}" for line in self.description.lines()]
@@ -156,6 +176,8 @@ class Trace:
             "report": report_path,
             "reasons": list(self.reasons),
             "possible": [{"name": name, "probability": p} for name, p in self.possible.items()],
+            "hidden": list(self.hidden),
+            "doubts": list(self.doubts),
             "description": None if self.description is None else self.description.to_json(),
             "unexplained": None if self.unexplained is None else self.unexplained.to_json(network_path),
             "audit": [audit.to_json() for audit in self.audits],

@@ -5,6 +5,7 @@ flights.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,12 +18,22 @@ from host.trace import evidence
 from host.trace.audit import without_twins
 from host.trace.data import SEGMENT_S, segments_of
 from host.trace.describe import describe
-from host.trace.diagnose import Diagnosis, Fit, SegmentFitter, at_parameters, refit
+from host.trace.diagnose import Diagnosis, Fit, SegmentFitter, at_parameters, refit, stands_out
 from host.trace.form import Form
 from host.trace.manoeuvres import Manoeuvre
 from host.trace.parameters import MASS, Space, space, tolerance_of
-from host.trace.refine import LoopFitter, closed_loop, fit_loop, honest_covariance, order_of
-from host.trace.result import Named, Trace, Value, Verdict
+from host.trace.refine import (
+    LoopFitter,
+    by_segments,
+    closed_loop,
+    fit_loop,
+    honest_covariance,
+    order_of,
+    prior_of,
+    segment_grams,
+    too_little,
+)
+from host.trace.result import SHOWN, Named, Trace, Value, Verdict
 from host.trace.score import (
     Errors,
     drive_of,
@@ -50,6 +61,15 @@ SAG_SEEN = 0.01
 
 ALIAS_PROBABILITY = 0.05
 """What the data gives an effect more than is not excluded."""
+
+SOMETHING = 0.5
+"""Probability of no effect at all up to which it is undecided whether one is missing, if none is kept."""
+
+RESTLESS = 0.5
+"""Disturbance in m/s^2 that is left and counts as more than turbulence where no reference was flown twice."""
+
+RESTLESS_TURN = 3.0
+"""The same for angular acceleration in rad/s^2."""
 
 Report = Callable[[str], None]
 Manoeuvres = Callable[[], Sequence[Manoeuvre]]
@@ -113,15 +133,21 @@ def run(
     data, audits = segments_of(flights)
     form = Form(airframe, chosen, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
     drive = drive_of([*flights, *held_out])
-    diagnosis = _diagnosis(form, data, flights if drive == "reference" else (), report)
+    short = too_little(flights)
+    whole = flights if drive == "reference" and short is None else ()
+    diagnosis = _diagnosis(form, data, whole, report)
     fit, twins = diagnosis.best, twins_of(flights)
+    axial = "thrust" not in unknowns(flights)
     nothing, unread = diagnosis.nothing, _reading(chosen, diagnosis)
     # How much is missing counts from the model without any: what the library fitted in vain may be wild.
-    missing = leftover(_left(nothing, unread), nothing.data, twins)
-    rest = leftover(_left(fit, fit.z), fit.data, twins)
+    missing = leftover(_left(nothing, unread), nothing.data, twins, axial=axial)
+    rest = leftover(*_remainder(form, diagnosis), twins, axial=axial)
     rest = rest.beside(missing) if fit.effects else rest
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
-    verdict = _verdict(fit, rest, aliases)
+    if short is not None:
+        aliases = _with_hidden(aliases, chosen, diagnosis.stands_out)
+    restless = None if twins else _restless(fit, axial=axial)
+    verdict = _verdict(diagnosis, rest, aliases, restless)
     added = verdict != "outside-library"
     named = _named(airframe, chosen, diagnosis, aliases) if added else ()
     z = fit.z if added else unread
@@ -132,9 +158,10 @@ def run(
     report("predicting the held-out flights")
     before, after, middle = _errors(drive, form, diagnosis, added, model, held_out, effects)
     following: NextFlight | None = None
-    if verdict == "undecided" and manoeuvres is not None:
+    closest = _closest(aliases) if verdict == "undecided" else None
+    if closest is not None and manoeuvres is not None:
         report("looking for the flight that decides")
-        effect, alias = _closest(aliases)
+        effect, alias = closest
         following = propose(form, fit, effect, alias, manoeuvres())
     told = more = None
     if not added:
@@ -163,6 +190,7 @@ def run(
         diagnosis=diagnosis,
         leftover=rest,
         audits=without_twins(audits, twins),
+        doubts=tuple(doubt for doubt in (short, restless) if doubt is not None),
         description=told,
         unexplained=more,
     )
@@ -177,7 +205,9 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
     report("no effect fitted")
     if not flights:
         found = search(SegmentFitter(form=form), nothing, report)
-        best, method = found.best, "segments"
+        covariance = by_segments(form.space, found.best)
+        best, method = replace(found.best, covariance=covariance), "segments"
+        gram, prior = segment_grams(best, form.space.prior).sum(0), form.space.prior
     else:
         loop = closed_loop(flights, form.vehicle, form.space, nothing.z)
         order = order_of(loop, nothing.z)
@@ -185,6 +215,7 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         kept, covariance = found.best, honest_covariance(form.space, found.best)
         best = at_parameters(form, nothing, kept.effects, kept.z, covariance, kept.log_evidence)
         method = "closed-loop"
+        gram, prior = kept.grams.sum(0), prior_of(form.space)
     return Diagnosis(
         best=best,
         nothing=nothing,
@@ -192,6 +223,7 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         inclusion=found.inclusion,
         weights=found.weights,
         sets=found.sets,
+        stands_out=stands_out(form.space, gram, prior.precision(best.effects)),
     )
 
 
@@ -199,6 +231,19 @@ def _observable(effects: Mapping[str, Effect], flights: Sequence[Flight]) -> dic
     """The effects that these flights could show: no sag where every battery stayed full."""
     sagged = any(np.abs(battery_of(flight)[1] - 1.0).max() > SAG_SEEN for flight in flights)
     return {name: effect for name, effect in effects.items() if sagged or name != "battery-sag"}
+
+
+def _remainder(form: Form, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
+    """Disturbance (segments, bins, 6) that the library leaves, by which abstention is judged.
+
+    Of the kept set; where none is kept though one is more probable than nothing, of the most probable.
+    """
+    best = diagnosis.best
+    if best.effects or diagnosis.none > SOMETHING:
+        return _left(best, best.z), best.data
+    likeliest = max(diagnosis.weights, key=lambda names: (diagnosis.weights[names], names))
+    fit = refit(form, diagnosis.nothing.data, likeliest, diagnosis.nothing)
+    return _left(fit, fit.z), fit.data
 
 
 def _left(fit: Fit, z: np.ndarray) -> np.ndarray:
@@ -223,11 +268,46 @@ def _substitutes(diagnosis: Diagnosis, chosen: Space, name: str) -> dict[str, fl
     return dict(sorted(out.items(), key=lambda item: -item[1]))
 
 
-def _verdict(fit: Fit, rest: Leftover, aliases: Mapping[str, Mapping[str, float]]) -> Verdict:
+def _restless(fit: Fit, *, axial: bool) -> str | None:
+    """What the kept set leaves where it is too much for turbulence and no twin says whether it repeats."""
+    sigma = fit.process.sigma()
+    force, torque = float(sigma[: 3 if axial else 2].max()), float(sigma[3:].max())
+    if force > RESTLESS:
+        what = f"a force of {force:.1f} m/s^2"
+    elif torque > RESTLESS_TURN and not fit.data.rate_driven:
+        what = f"an angular acceleration of {torque:.0f} rad/s^2"
+    else:
+        return None
+    return f"{what} is left, too much for turbulence indoors; fly references twice to see whether it repeats"
+
+
+def _with_hidden(
+    aliases: Mapping[str, Mapping[str, float]], chosen: Space, stands_out: Mapping[str, float]
+) -> dict[str, dict[str, float]]:
+    """The aliases with those that an effect is known for and that too little data would not show at typical
+    size: nothing speaks against them, so they are as probable as what was named.
+    """
+    hidden = [name for name, sigma in stands_out.items() if sigma < SHOWN and name not in aliases]
+    out: dict[str, dict[str, float]] = {}
+    for name, others in aliases.items():
+        effect = chosen.effect(name)
+        known = [o for o in hidden if o in effect.aliases or effect.name in chosen.effects[o].aliases]
+        out[name] = {**{other: 0.5 for other in known if not chosen.effects[other].one_of}, **others}
+    return out
+
+
+def _verdict(
+    diagnosis: Diagnosis,
+    rest: Leftover,
+    aliases: Mapping[str, Mapping[str, float]],
+    restless: str | None,
+) -> Verdict:
     if rest.reasons:
         return "outside-library"
-    if not fit.effects:
-        return "nothing-missing"
+    if restless is not None:
+        return "undecided"
+    if not diagnosis.best.effects:
+        return "nothing-missing" if diagnosis.none > SOMETHING else "undecided"
     return "undecided" if any(aliases.values()) else "traced"
 
 
@@ -239,9 +319,11 @@ def _reading(chosen: Space, diagnosis: Diagnosis) -> np.ndarray:
     return z
 
 
-def _closest(aliases: Mapping[str, Mapping[str, float]]) -> tuple[str, str]:
-    """The effect and the alias that the data separates least."""
+def _closest(aliases: Mapping[str, Mapping[str, float]]) -> tuple[str, str] | None:
+    """The effect and the alias that the data separates least; None where nothing was named."""
     pairs = [(p, name, other) for name, others in aliases.items() for other, p in others.items()]
+    if not pairs:
+        return None
     _, name, other = max(pairs)
     return name, other
 

@@ -22,6 +22,9 @@ quieter than they are.
 WITHOUT_INPUTS = frozenset({"thrust", "motor-lag", "inertia", "torque"})
 """What a log of poses alone leaves unknown."""
 
+TOO_SLOW = frozenset({"motor-lag", "inertia", "torque"})
+"""What commands leave unknown that are sampled more seldom than the motors follow them."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Signals:
@@ -187,7 +190,17 @@ def unknowns(flights: Sequence[Flight]) -> frozenset[str]:
     declared = {word for flight in flights for word in flight.metadata.get("unknown", "").split()}
     if any(without_inputs(flight) for flight in flights):
         declared |= WITHOUT_INPUTS
+    if any(_too_slow(flight) for flight in flights):
+        declared |= TOO_SLOW
     return frozenset(declared)
+
+
+def _too_slow(flight: Flight) -> bool:
+    """Whether commands were sampled, and more seldom than once a lag of the motors."""
+    recorded = flight.recorded_inputs
+    if flight.control is not None or recorded is None or len(recorded.t_us) < 2:
+        return False
+    return float(np.median(np.diff(recorded.t_us))) * 1e-6 > flight.vehicle.motor_lag_s
 
 
 def without_inputs(flight: Flight) -> bool:

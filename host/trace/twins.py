@@ -88,11 +88,14 @@ class Leftover:
         return tuple(out)
 
 
-def leftover(w: np.ndarray, data: Segments, twins: Sequence[tuple[int, int]]) -> Leftover:
+def leftover(
+    w: np.ndarray, data: Segments, twins: Sequence[tuple[int, int]], *, axial: bool = True
+) -> Leftover:
     """Repeatability and spectrum of disturbances w (segments, bins, 6); twins pair flight indices.
 
     Twin segments match by their start since tracking began. Where the measured body rate drives the attitude,
-    the last three channels are gyro errors: they say nothing of torque.
+    the last three channels are gyro errors: they say nothing of torque. Without `axial`, force along the
+    thrust is left out: where the thrust is unknown, it holds what was commanded.
     """
     flight, start_s = data.flight, data.start_s
     per_bin = data.steps // w.shape[1]
@@ -100,7 +103,8 @@ def leftover(w: np.ndarray, data: Segments, twins: Sequence[tuple[int, int]]) ->
     turned = data.rate if data.rate_weight.any() else speed
     motions = [each.reshape(len(w), w.shape[1], per_bin, 3).mean(2) for each in (speed, turned)]
     found: dict[str, float] = {}
-    for name, channel, motion in zip(("force", "torque"), (slice(0, 3), slice(3, 6)), motions, strict=True):
+    channels = (slice(0, 3 if axial else 2), slice(3, 6))
+    for name, channel, motion in zip(("force", "torque"), channels, motions, strict=True):
         found[f"{name}_repeat"], found[f"{name}_z"] = _repeat(w[:, :, channel], flight, start_s, twins)
         silent = name == "torque" and data.rate_driven
         line = (1.0, 0.0, 1.0) if silent else _line(w[:, :, channel], motion, flight, start_s)
@@ -153,7 +157,8 @@ def _line(
     for f in np.unique(flight):
         mine = np.flatnonzero(flight == f)
         mine = mine[np.argsort(start_s[mine])]
-        for window in _windows(w[mine], start_s[mine]):
+        # A segment's edges know less than its middle: a constant force would have a line at its length.
+        for window in _windows(w[mine] - w[mine].mean(0), start_s[mine]):
             for each in _periodogram(window).T:
                 power += each / max(float(np.median(each)), 1e-300)
                 series += 1

@@ -99,14 +99,16 @@ def trace_of(
     return found, {effect.name: effect for effect in found.effects}
 
 
-def test_standard_motors_show_their_thrust_over_the_declared_mass(
+def test_standard_motors_show_their_thrust_but_six_seconds_are_too_little_to_be_sure(
     bring_in: Callable[[str, str], Flight],
 ) -> None:
     logs = "crazyswarm2_tools/logs/log"
-    found, named = trace_of(bring_in, "crazyflie-usd", [f"{logs}148"], f"{logs}153")
-    assert found.verdict == "traced"
-    assert named["thrust-gain"].parameters["gain"].value == pytest.approx(1.06, abs=0.05)
-    assert "mass" in named["thrust-gain"].aliases
+    found, named = trace_of(bring_in, "crazyflie-usd", [f"{logs}153"], f"{logs}148")
+    assert found.verdict == "undecided"
+    gain = named["thrust-gain"].parameters["gain"]
+    assert abs(gain.value - 1.06) <= 2.0 * gain.sd < 0.06
+    assert {"mass", "ground-effect"} <= set(named["thrust-gain"].aliases)
+    assert found.doubts[0].startswith("only 5.8 s of tracking")
 
 
 @pytest.mark.full
@@ -118,13 +120,22 @@ def test_stronger_motors_show_their_thrust_and_the_drag(bring_in: Callable[[str,
     drag = named["linear-drag"].parameters["dy"]
     # Its value moves with the pose delay that no file states: an interval wide enough, and no wider.
     assert abs(drag.value - 0.36) <= 2.0 * drag.sd
-    assert drag.sd < 0.09
+    assert drag.sd < 0.12
 
 
 @pytest.mark.full
-def test_nanobench_shows_the_drag_of_its_accelerometer(bring_in: Callable[[str, str], Flight]) -> None:
-    found, named = trace_of(bring_in, "nanobench", [f"nanobench/{NANOBENCH[1]}"], f"nanobench/{NANOBENCH[0]}")
+@pytest.mark.parametrize(("used", "held_out"), [((1,), 0), ((0, 2), 1), ((1, 2), 0), ((0, 1), 2)])
+def test_nanobench_shows_drag_sag_and_lift_and_no_payload(
+    bring_in: Callable[[str, str], Flight], used: tuple[int, ...], held_out: int
+) -> None:
+    files = [f"nanobench/{name}" for name in NANOBENCH]
+    found, named = trace_of(bring_in, "nanobench", [files[i] for i in used], files[held_out])
     assert found.verdict == "traced"
-    drag = named["linear-drag"].parameters
-    assert drag["dx"].value == pytest.approx(0.38, rel=0.1)
-    assert drag["dy"].value == pytest.approx(0.40, rel=0.1)
+    assert {"battery-sag", "linear-drag", "translational-lift"} <= set(named)
+    assert set(named) <= {"battery-sag", "linear-drag", "quadratic-drag", "translational-lift"}
+    if "quadratic-drag" not in named:  # it takes a part of the drag that a regression on speed gives
+        drag = named["linear-drag"].parameters
+        assert abs(drag["dx"].value - 0.38) <= 2.0 * drag["dx"].sd
+        assert abs(drag["dy"].value - 0.40) <= 2.0 * drag["dy"].sd
+    lift = named["translational-lift"].parameters["k"]
+    assert abs(lift.value - 0.07) <= 2.5 * lift.sd  # momentum theory for its rotors

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from host.trace import evidence
 from host.trace.evidence import Linearisation, Prior, Process
 
 BINS, P, K, ROWS = 2, 3, 2, 40
 PROCESS = Process(log_lateral=np.log(0.5), log_axial=np.log(0.2), log_torque=np.log(2.0))
+FREE = (np.full(3, -np.inf), np.full(3, np.inf))
 PRIOR = Prior(groups={"a": (0, 1), "b": (2,)}, spike=np.array([0.1, 0.2, 0.05]), local=np.array([0.5, 1.5]))
 
 
@@ -69,7 +71,7 @@ def test_log_evidence_of_a_set_is_the_gaussian_marginal_likelihood_up_to_a_const
     expected = -0.5 * (error @ np.linalg.solve(total, error) + np.linalg.slogdet(total)[1])
     expected += evidence.LOG_ODDS * len(chosen)
     white = evidence.whitened(dense.lin, PROCESS, PRIOR)
-    assert evidence.log_evidence(white, dense.lin.z, precision, len(chosen)) == pytest.approx(
+    assert evidence.log_evidence(white, dense.lin.z, precision, len(chosen), FREE) == pytest.approx(
         expected, abs=1e-7
     )
 
@@ -121,7 +123,7 @@ def test_slope_of_the_evidence_is_that_of_differences(dense: Dense) -> None:
     def value(logs: np.ndarray) -> float:
         process = Process(log_lateral=logs[0], log_axial=logs[1], log_torque=logs[2])
         white = evidence.whitened(dense.lin, process, PRIOR)
-        return evidence.log_evidence(white, dense.lin.z, precision, 0)
+        return evidence.log_evidence(white, dense.lin.z, precision, 0, FREE)
 
     slope = evidence._evidence_and_slope(dense.lin, PROCESS, PRIOR, precision)[1]
     for i, step in enumerate(h * np.eye(3)):
@@ -148,3 +150,18 @@ def test_fit_process_finds_the_variances_the_data_were_made_with() -> None:
     assert found.log_lateral == pytest.approx(truth.log_lateral, abs=0.5)
     assert found.log_axial == pytest.approx(truth.log_axial, abs=0.6)
     assert found.log_torque == pytest.approx(truth.log_torque, abs=0.4)
+
+
+def test_a_held_quadratic_rises_by_what_a_search_inside_the_bounds_finds() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        A = rng.standard_normal((9, 3))
+        normal, step = A.T @ A, rng.standard_normal(3)
+        lower, upper = np.array([-0.3, -9.0, -9.0]), np.array([9.0, 0.4, 9.0])
+
+        def rise(at: np.ndarray, step: np.ndarray = step, normal: np.ndarray = normal) -> float:
+            return float((at - step) @ normal @ (at - step))
+
+        best = minimize(rise, np.zeros(3), bounds=list(zip(lower, upper, strict=True)), tol=1e-14)
+        assert evidence.held(normal, step, lower, upper) == pytest.approx(best.fun, abs=1e-6)
+    assert evidence.held(np.eye(2), np.ones(2), -np.ones(2), 2.0 * np.ones(2)) == 0.0

@@ -1,0 +1,144 @@
+"""Thin data: each gets the best verdict that it allows, says what it lacks, and no name that is wrong.
+
+The shipped flights hold a thrust gain, slow motors and a late camera; hovers are flown here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from host.effects import load_effects
+from host.errors import UsageError
+from host.link.flight import FlightOrder
+from host.link.fly import fly_lockstep
+from host.link.vehicle import vehicle_class
+from host.log import Flight, RecordedImu, RecordedInputs, read_flight
+from host.models.states import TooLittleData
+from host.trace.result import Trace
+from host.trace.run import run
+from host.vehicle import load_vehicle
+from protocol.blobs import Node, Reference
+
+DATA = Path(__file__).parents[2] / "data"
+PRESENT = {"thrust-gain", "motor-lag", "mocap-latency"}
+SEEDS = (1,)
+WINDY = "[effects.linear-drag]\ndx = 0.4\ndy = 0.35\ndz = 0.2\n[effects.wind]\nwx = 1.5\nwy = 0.5\n"
+
+Change = Callable[[Flight], Flight]
+
+
+def short(flight: Flight, duration_s: float) -> Flight:
+    assert flight.tracking is not None
+    begin = flight.tracking[0] + 3_000_000
+    return replace(flight, tracking=(begin, begin + round(1e6 * duration_s)))
+
+
+def without_law(flight: Flight) -> Flight:
+    return replace(flight, reference=None, firmware_parameters=None)
+
+
+def sampled(flight: Flight, *, every: int = 1, gyro: bool = True) -> Flight:
+    """As somebody else's logger would have it: commands and sensors at instants, no reference, no law."""
+    c = flight.control
+    assert c is not None
+    inputs = RecordedInputs(t_us=c.t1_us[::every], level="motor", motor=c.motor_mean[::every])
+    imu = RecordedImu(t_us=c.t1_us, gyro=c.gyro_mean, specific_force=c.force_mean) if gyro else None
+    return replace(without_law(flight), control=None, recorded_inputs=inputs, recorded_imu=imu)
+
+
+def poses_alone(flight: Flight) -> Flight:
+    return replace(without_law(flight), control=None)
+
+
+def is_honest(found: Trace, present: set[str]) -> bool:
+    """Whether nothing absent is named for sure, and something present not denied for sure."""
+    if found.verdict == "traced":
+        return {effect.name for effect in found.effects} <= present
+    return found.verdict in ("undecided", "nothing-missing")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda f: f, "no twin"),
+        (without_law, "no twin"),
+        (lambda f: short(f, 3.12), "only 3.1 s of tracking"),
+        (sampled, "sampled commands make false lag and inertia"),
+        (lambda f: sampled(f, every=5), "too slow to show the motors' lag"),
+        (lambda f: sampled(f, gyro=False), "no gyro: delay and latency are hard to tell apart"),
+        (poses_alone, "no inputs recorded: only forces across the thrust show"),
+    ],
+    ids=["one", "no-law", "3s", "sampled", "slow", "no-gyro", "poses"],
+)
+@pytest.mark.parametrize(
+    "name", ["c1", pytest.param("a1", marks=pytest.mark.full), pytest.param("b1", marks=pytest.mark.full)]
+)
+def test_one_thin_flight_says_what_it_lacks_and_names_nothing_absent(
+    name: str, change: Change, said: str
+) -> None:
+    found = run([change(read_flight(DATA / f"{name}.mcap"))], [], load_effects())
+    answer = found.to_json(model_path=None, report_path=None)
+    told = [*answer["doubts"], *(remark for audit in answer["audit"] for remark in audit["remarks"])]
+    assert any(said in line for line in told), told
+    assert any(said in line for line in found.lines())
+    assert is_honest(found, PRESENT), found.lines()
+
+
+def test_less_than_three_seconds_are_refused_with_what_to_do() -> None:
+    with pytest.raises(TooLittleData, match=r"usable segments of 0\.6 s; fly longer or log more"):
+        run([short(read_flight(DATA / "a1.mcap"), 2.4)], [], load_effects())
+
+
+def test_flights_of_two_vehicles_are_refused() -> None:
+    one, other = (read_flight(DATA / f"{name}.mcap") for name in ("a1", "b1"))
+    heavier = replace(other, vehicle=other.vehicle.model_copy(update={"mass_kg": 0.8}))
+    with pytest.raises(UsageError, match="trace each vehicle's logs apart"):
+        run([one, heavier], [], load_effects())
+
+
+def hovered(folder: Path, world: str, seed: int) -> Flight:
+    vehicle = load_vehicle("research")
+    nodes = tuple(Node(100_000 * k, (0.0,) * 12) for k in range(81))
+    reference = Reference(vehicle_id=vehicle.id, origin_ned=(0.0, 0.0, -1.2), nodes=nodes)
+    file, log = folder / "world.toml", folder / "hover.mcap"
+    file.write_text(f'description = "A hover"\ntolerances = true\n{world}', encoding="utf-8")
+    simulated = vehicle_class().create(vehicle, world=str(file), world_seed=seed)
+    fly_lockstep(FlightOrder(vehicle=vehicle, reference=reference, log_path=log), simulated)
+    return read_flight(log)
+
+
+@pytest.mark.parametrize(
+    ("world", "seeds"),
+    [
+        ("", SEEDS),
+        ("[effects.thrust-gain]\ngain = 0.93\n", SEEDS),
+        (WINDY, SEEDS),
+        ("[effects.frame-tilt]\ntilt_x = 0.015\ntilt_y = -0.008\n", SEEDS),
+        *(
+            pytest.param(world, (3, 4, 5, 6), marks=pytest.mark.full)
+            for world in (
+                "",
+                "[effects.thrust-gain]\ngain = 0.93\n",
+                WINDY,
+                "[effects.frame-tilt]\ntilt_x = 0.015\ntilt_y = -0.008\n",
+                "[effects.slung-payload]\nratio = 0.08\nlength_m = 0.6\n",
+            )
+        ),
+    ],
+)
+def test_a_hover_traces_nothing_and_says_what_it_hides(
+    tmp_path: Path, world: str, seeds: tuple[int, ...]
+) -> None:
+    for seed in seeds:
+        found = run([hovered(tmp_path, world, seed)], [], load_effects())
+        assert found.verdict in ("undecided", "nothing-missing"), (seed, found.lines())
+        if "thrust-gain" in world or "tilt" in world or "wind" in world:
+            assert found.verdict == "undecided", (seed, found.lines())
+        unsure = {*found.hidden, *(effect.name for effect in found.effects)}
+        assert {"ground-effect", "quadratic-drag", "translational-lift"} <= unsure
+        assert any("these flights would not show" in line for line in found.lines())
+        assert any("s of tracking" in doubt or "hover" in doubt for doubt in found.doubts)
