@@ -4,7 +4,7 @@ An effect is data (`Effect`): equation, parameters with typical size and toleran
 through which it enters the model, what closing the loop on it means, and where it comes from.
 """
 
-from host.effects.effect import SLOTS, Closing, Context, Effect, Parameter
+from host.effects.effect import SLOTS, Closing, Context, Effect, Parameter, number
 from host.effects.feedforward import compose_feedforward
 from host.effects.registry import EffectError, load_effects
 
@@ -17,4 +17,5 @@ __all__ = [
     "Parameter",
     "compose_feedforward",
     "load_effects",
+    "number",
 ]

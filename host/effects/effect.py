@@ -81,6 +81,29 @@ class Parameter:
             )
 
 
+def number(
+    key: str,
+    unit: str,
+    neutral: float,
+    typical: float,
+    tolerance: float,
+    lower: float,
+    upper: float,
+    description: str,
+) -> Parameter:
+    """A Parameter in one line, for a workspace's own effects."""
+    return Parameter(
+        key=key,
+        unit=unit,
+        neutral=neutral,
+        typical=typical,
+        tolerance=tolerance,
+        lower=lower,
+        upper=upper,
+        description=description,
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Closing:
     """What closing the loop on this effect means, as sentences for the report.
@@ -99,7 +122,7 @@ class Closing:
 class Effect:
     """A candidate: one named piece of physics the nominal model does not have.
 
-    `aliases` names the effects it is mistaken for; `requires_any` those of which one must be present for this
+    `title` is made of the name where none is given. `aliases` names the effects it is mistaken for; `requires_any` those of which one must be present for this
     one to change anything. `observable` says in a sentence what a flight must do to show it. `one_of`:
     exactly one of the parameters leaves neutral (one rotor of four), each is a candidate of its own.
     `memory` counts the effect's own states: `memory_start` gives them at rest, `memory_rates` their
@@ -112,12 +135,12 @@ class Effect:
     """
 
     name: str
-    title: str
     equation: str
     source: str
     parameters: tuple[Parameter, ...]
-    aliases: tuple[str, ...]
     closing: Closing
+    title: str = ""
+    aliases: tuple[str, ...] = ()
     observable: str = ""
     requires_any: tuple[str, ...] = ()
     one_of: bool = False
@@ -141,6 +164,8 @@ class Effect:
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             raise ValueError(f"effect name {self.name!r} is not lower-case words joined by hyphens")
+        if not self.title:
+            object.__setattr__(self, "title", self.name.replace("-", " ").capitalize())
         if not self.parameters:
             raise ValueError(f"effect {self.name}: no parameters")
         if len(set(self.keys)) != len(self.keys):
