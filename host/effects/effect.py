@@ -122,12 +122,12 @@ class Closing:
 class Effect:
     """A candidate: one named piece of physics the nominal model does not have.
 
-    `title` is made of the name where none is given. `aliases` names the effects it is mistaken for; `requires_any` those of which one must be present for this
-    one to change anything. `observable` says in a sentence what a flight must do to show it. `one_of`:
-    exactly one of the parameters leaves neutral (one rotor of four), each is a candidate of its own.
-    `memory` counts the effect's own states: `memory_start` gives them at rest, `memory_rates` their
-    derivatives. `source_id` is the first 12 hex of the SHA-256 of the file it came from, filled by the
-    registry.
+    `title` is made of the name where none is given. `aliases` names the effects it is mistaken for;
+    `requires_any` those of which one must be present for this one to change anything. `observable` says in a
+    sentence what a flight must do to show it. `one_of`: exactly one of the parameters leaves neutral (one
+    rotor of four), each is a candidate of its own. `memory` counts the effect's own states: `memory_start`
+    gives them at rest, `memory_rates` their derivatives. `source_id` is the first 12 hex of the SHA-256 of
+    the file it came from, filled by the registry.
 
     Slots: factors on mass, on all rotors' thrust, on each rotor's and on the principal moments of inertia;
     the air's velocity; gravity added in the frame of the measurements; specific force and torque; the

@@ -142,7 +142,9 @@ def run(
     # How much is missing counts from the model without any: what the library fitted in vain may be wild.
     missing = leftover(_left(nothing, unread), nothing.data, twins, axial=axial)
     rest = leftover(*_remainder(form, diagnosis), twins, axial=axial)
-    rest = rest.beside(missing) if fit.effects else rest
+    if fit.effects:
+        swinging = any(chosen.effect(name).memory for name in fit.effects)
+        rest = rest.beside(missing, swinging=swinging)
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
     if short is not None:
         aliases = _with_hidden(aliases, chosen, diagnosis.stands_out)

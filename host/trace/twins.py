@@ -27,6 +27,9 @@ FORM_SHARE = 0.1
 """Share of what was explained that may repeat besides: no form is exact."""
 
 LINE_RATIO = 3.5
+SWINGING_LINE_RATIO = 10.0
+"""The same beside an effect that swings by itself: a little of its swing is always left."""
+
 LINE_CHANCE = 1e-3
 """A line counts when noise alone would show one as strong less often than this."""
 
@@ -56,13 +59,18 @@ class Leftover:
     pairs: int
     force_floor: float = FORCE_FLOOR
     torque_floor: float = TORQUE_FLOOR
+    line_floor: float = LINE_RATIO
 
-    def beside(self, missing: Leftover) -> Leftover:
-        """The same, its floors raised to FORM_SHARE of what a model without any effect leaves: `missing`."""
+    def beside(self, missing: Leftover, *, swinging: bool = False) -> Leftover:
+        """The same, its floors raised to FORM_SHARE of what a model without any effect leaves: `missing`.
+
+        `swinging`: an effect with states of its own was found.
+        """
         return replace(
             self,
             force_floor=max(self.force_floor, FORM_SHARE * missing.force_repeat),
             torque_floor=max(self.torque_floor, FORM_SHARE * missing.torque_repeat),
+            line_floor=SWINGING_LINE_RATIO if swinging else self.line_floor,
         )
 
     @property
@@ -83,7 +91,7 @@ class Leftover:
             ("force", self.force_line, self.force_line_hz, self.force_line_chance),
             ("torque", self.torque_line, self.torque_line_hz, self.torque_line_chance),
         ):
-            if line > LINE_RATIO and chance < LINE_CHANCE:
+            if line > self.line_floor and chance < LINE_CHANCE:
                 out.append(f"the residual {name} rings at {hz:.2f} Hz, {line:.1f} times its surroundings")
         return tuple(out)
 
