@@ -160,7 +160,7 @@ def run(
     report("predicting the held-out flights")
     before, after, middle = _errors(drive, form, diagnosis, added, model, held_out, effects)
     following: NextFlight | None = None
-    closest = _closest(aliases) if verdict == "undecided" else None
+    closest = _closest(aliases, diagnosis.inclusion) if verdict == "undecided" else None
     if closest is not None and manoeuvres is not None:
         report("looking for the flight that decides")
         effect, alias = closest
@@ -321,13 +321,17 @@ def _reading(chosen: Space, diagnosis: Diagnosis) -> np.ndarray:
     return z
 
 
-def _closest(aliases: Mapping[str, Mapping[str, float]]) -> tuple[str, str] | None:
-    """The effect and the alias that the data separates least; None where nothing was named."""
+def _closest(
+    aliases: Mapping[str, Mapping[str, float]], inclusion: Mapping[str, float]
+) -> tuple[str, str] | None:
+    """The effect and the alias that the data separates least; where nothing was named, the two candidates
+    most probable, and None where there are none.
+    """
     pairs = [(p, name, other) for name, others in aliases.items() for other, p in others.items()]
-    if not pairs:
-        return None
-    _, name, other = max(pairs)
-    return name, other
+    if pairs:
+        return max(pairs)[1:]
+    likely = sorted(((p, name) for name, p in inclusion.items() if p > ALIAS_PROBABILITY), reverse=True)[:2]
+    return (likely[0][1], likely[1][1]) if not aliases and len(likely) == 2 else None
 
 
 def _named(

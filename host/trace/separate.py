@@ -165,12 +165,12 @@ def propose(form: Form, fit: Fit, effect: str, alias: str, known: Sequence[Manoe
 
     Counted with what the fitted flights tell already, at most what leaves them undecided. Where one of the
     two acts through an effect that was not found (wind through a drag), that is taken at its typical size and
-    free.
+    free; so is `effect` itself where the fit has none.
     """
     space = form.space
     carriers = _carriers(space, fit.effects, (effect, alias))
     z = fit.z.copy()
-    for name in carriers:
+    for name in (*carriers, *({effect} - set(fit.effects))):
         z[list(space.groups[name])] = 1.0
     instruments = Instruments.of(fit)
     present = {*fit.effects, *carriers}
