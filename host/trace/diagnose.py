@@ -116,7 +116,7 @@ class SegmentFitter:
         each = [evidence.whitened(fit.lin, process, prior) for process in (saturated, fit.process)]
         return [
             lambda names, white=white: evidence.log_evidence(
-                white, fit.z, prior.precision(names), len(names), self.space.bounds
+                white.gram, white.log_det, fit.z, prior.precision(names), len(names), self.space.bounds
             )
             for white in each
         ]
@@ -179,7 +179,9 @@ def refit(
                 kept = segments.basis(form, data, z, local)
     return Fit(
         effects=tuple(sorted(effects)),
-        log_evidence=evidence.log_evidence(white, z, precision, len(effects), space.bounds),
+        log_evidence=evidence.log_evidence(
+            white.gram, white.log_det, z, precision, len(effects), space.bounds
+        ),
         z=z,
         local=local,
         covariance=covariance,

@@ -113,12 +113,13 @@ class Prior:
 class Whitened:
     """Summed Gram (1 + P, 1 + P) of [r | S] with disturbance and flight nuisances integrated out.
 
-    `log_det` and `local_penalty` complete the evidence; `local_gram` (flights, 1 + P + K, same) keeps what
-    the nuisances' own posterior needs.
+    `log_det` completes the evidence. `flight_grams` (flights, 1 + P, 1 + P) are the same by flight, less the
+    nuisances' own prior; `local_gram` (flights, 1 + P + K, same) keeps what the nuisances' posterior needs.
     """
 
     gram: np.ndarray
     log_det: float
+    flight_grams: np.ndarray
     local_gram: np.ndarray
 
 
@@ -140,10 +141,11 @@ def whitened(lin: Linearisation, process: Process, prior: Prior) -> Whitened:
     inner = flights[:, m:, m:] + np.diag(precision)
     rhs = flights[:, m:, :m].copy()
     rhs[:, :, 0] -= precision * lin.local
-    gram = (flights[:, :m, :m] - np.swapaxes(rhs, 1, 2) @ np.linalg.solve(inner, rhs)).sum(0)
+    own = flights[:, :m, :m] - np.swapaxes(rhs, 1, 2) @ np.linalg.solve(inner, rhs)
+    gram = own.sum(0)
     gram[0, 0] += float((precision * lin.local**2).sum())
     log_det += float(np.linalg.slogdet(inner)[1].sum() - count * np.log(precision).sum())
-    return Whitened(gram=gram, log_det=log_det, local_gram=flights)
+    return Whitened(gram=gram, log_det=log_det, flight_grams=own, local_gram=flights)
 
 
 def local_step(lin: Linearisation, white: Whitened, prior: Prior, step: np.ndarray) -> np.ndarray:
@@ -156,14 +158,19 @@ def local_step(lin: Linearisation, white: Whitened, prior: Prior, step: np.ndarr
 
 
 def log_evidence(
-    white: Whitened, z: np.ndarray, precision: np.ndarray, count: int, limits: tuple[np.ndarray, np.ndarray]
+    gram: np.ndarray,
+    log_det: float,
+    z: np.ndarray,
+    precision: np.ndarray,
+    count: int,
+    limits: tuple[np.ndarray, np.ndarray],
 ) -> float:
     """Log evidence, up to a constant, of a set of `count` effects in the linearisation at z.
 
-    At the best point within `limits` (P,) of the scaled parameters: bounds of an effect are physics, and what
-    only a value beyond them explains is not explained.
+    gram (1 + P, 1 + P) of the whitened [r | S], log_det of what whitened them. At the best point within
+    `limits` (P,) of the scaled parameters: bounds of an effect are physics, and what only a value beyond
+    them explains is not explained.
     """
-    gram = white.gram
     rhs = gram[0, 1:] - precision * z
     normal = gram[1:, 1:] + np.diag(precision)
     chol = np.linalg.cholesky(normal)
@@ -171,7 +178,7 @@ def log_evidence(
     quadratic = gram[0, 0] + precision @ (z * z) - half @ half
     quadratic += held(normal, np.linalg.solve(chol.T, half), limits[0] - z, limits[1] - z)
     occam = 2.0 * np.log(np.diag(chol)).sum() - np.log(precision).sum()
-    return float(-0.5 * (quadratic + occam + white.log_det) + LOG_ODDS * count)
+    return float(-0.5 * (quadratic + occam + log_det) + LOG_ODDS * count)
 
 
 def held(normal: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:

@@ -23,10 +23,10 @@ from host.models.dynamics import mocap_latency_s as latency_of
 from host.models.phi import INTEGRAL, Phi
 from host.models.rollout import half_steps, reference_drive, roll_out
 from host.models.states import States, flight_states
+from host.trace import evidence
 from host.trace.data import averaged
 from host.trace.diagnose import Fit
-from host.trace.evidence import LOG_ODDS, Linearisation, Prior, held
-from host.trace.evidence import whitened as whitened_segments
+from host.trace.evidence import Linearisation, Prior
 from host.trace.parameters import Space
 from host.trace.search import Names
 from host.trace.signals import Signals, signals
@@ -452,7 +452,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
             left = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
             white = autoregression(left, loop.known, order)
             grams = _grams(white, loop, base, slopes)
-            step, covariance = _posterior(grams.sum(0), z, precision)
+            step, covariance = evidence.posterior(grams.sum(0), z, precision)
         small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < SETTLED
         if small or iteration == _ITERATIONS - 1:
             break
@@ -467,7 +467,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         z=space.clipped(z + step),
         at=z,
         covariance=covariance,
-        log_evidence=_log_evidence(grams.sum(0), z, precision, log_det, len(effects), space.bounds),
+        log_evidence=evidence.log_evidence(grams.sum(0), log_det, z, precision, len(effects), space.bounds),
         whitening=white,
         grams=grams,
         residuals=tuple(base),
@@ -483,28 +483,6 @@ def prior_of(space: Space) -> Prior:
 def loop_discrepancy(space: Space) -> np.ndarray:
     """LOOP_DISCREPANCY (P,) of every column."""
     return np.array([LOOP_DISCREPANCY.get(column.owner, 0.01) for column in space.columns])
-
-
-def _posterior(gram: np.ndarray, z: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    covariance = np.linalg.inv(gram[1:, 1:] + np.diag(precision))
-    return covariance @ (gram[0, 1:] - precision * z), covariance
-
-
-def _log_evidence(
-    gram: np.ndarray,
-    z: np.ndarray,
-    precision: np.ndarray,
-    log_det: float,
-    count: int,
-    limits: tuple[np.ndarray, np.ndarray],
-) -> float:
-    normal = gram[1:, 1:] + np.diag(precision)
-    rhs = gram[0, 1:] - precision * z
-    step = np.linalg.solve(normal, rhs)
-    quadratic = gram[0, 0] + precision @ (z * z) - rhs @ step
-    quadratic += held(normal, step, limits[0] - z, limits[1] - z)
-    occam = float(np.linalg.slogdet(normal)[1] - np.log(precision).sum())
-    return float(-0.5 * (quadratic + occam + log_det) + LOG_ODDS * count)
 
 
 def _line_search(
@@ -549,7 +527,9 @@ class LoopFitter:
         A hint for sets with more effects, since the whitening has taken up a part of what they explain.
         """
         gram, prior, limits = fit.grams.sum(0), self.prior, self.space.bounds
-        return [lambda names: _log_evidence(gram, fit.at, prior.precision(names), 0.0, len(names), limits)]
+        return [
+            lambda names: evidence.log_evidence(gram, 0.0, fit.at, prior.precision(names), len(names), limits)
+        ]
 
 
 def honest_covariance(space: Space, closed: ClosedFit) -> np.ndarray:
@@ -565,7 +545,7 @@ def by_segments(space: Space, fit: Fit) -> np.ndarray:
     into segments (`Column.discrepancy`).
     """
     prior = space.prior
-    grams = segment_grams(replace(fit, lin=_in_pieces(fit.lin)), prior)
+    grams = evidence.whitened(_in_pieces(fit.lin), fit.process, prior).flight_grams
     widened = jackknife_by_flight(grams, fit.lin.z, prior.precision(fit.effects))
     read_into = np.array([column.discrepancy for column in space.columns])
     return fit.covariance * np.outer(widened, widened) + np.diag(read_into**2)
@@ -583,19 +563,6 @@ def _in_pieces(lin: Linearisation) -> Linearisation:
     return replace(lin, flight=piece, local=lin.local[owner // PIECES])
 
 
-def segment_grams(fit: Fit, prior: Prior) -> np.ndarray:
-    """(flights, 1 + P, 1 + P) of [residual | slopes] of command-driven segments, flights' nuisances
-    integrated out.
-    """
-    grams = whitened_segments(fit.lin, fit.process, prior).local_gram
-    m = 1 + fit.lin.parameters
-    precision = 1.0 / prior.local**2
-    rhs = grams[:, m:, :m].copy()
-    rhs[:, :, 0] -= precision * fit.lin.local
-    inner = grams[:, m:, m:] + np.diag(precision)
-    return grams[:, :m, :m] - np.swapaxes(rhs, 1, 2) @ np.linalg.solve(inner, rhs)
-
-
 def jackknife_by_flight(grams: np.ndarray, z: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """(P,) factors >= 1 on the standard deviations for what repeats within a flight but not between flights.
 
@@ -608,10 +575,10 @@ def jackknife_by_flight(grams: np.ndarray, z: np.ndarray, precision: np.ndarray)
     count = len(grams)
     if count < 2:
         return np.ones(len(z))
-    _, covariance = _posterior(total, z, precision)
+    _, covariance = evidence.posterior(total, z, precision)
     # A parameter's prior does not vary between flights: expected is the data's share of the variance.
     expected = np.diag(covariance @ total[1:, 1:] @ covariance)
-    steps = np.stack([_posterior(total - gram, z, precision)[0] for gram in grams])
+    steps = np.stack([evidence.posterior(total - gram, z, precision)[0] for gram in grams])
     spread = (count - 1) / count * ((steps - steps.mean(0)) ** 2).sum(0)
     ratio = spread / np.maximum(expected, 1e-300)
     variance = (JACKKNIFE_PRIOR + (count - 1) * ratio) / (JACKKNIFE_PRIOR + count - 1)

@@ -30,7 +30,6 @@ from host.trace.refine import (
     honest_covariance,
     order_of,
     prior_of,
-    segment_grams,
     too_little,
 )
 from host.trace.result import SHOWN, Named, Trace, Value, Verdict
@@ -209,7 +208,8 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         found = search(SegmentFitter(form=form), nothing, report)
         covariance = by_segments(form.space, found.best)
         best, method = replace(found.best, covariance=covariance), "segments"
-        gram, prior = segment_grams(best, form.space.prior).sum(0), form.space.prior
+        prior = form.space.prior
+        gram = evidence.whitened(best.lin, best.process, prior).flight_grams.sum(0)
     else:
         loop = closed_loop(flights, form.vehicle, form.space, nothing.z)
         order = order_of(loop, nothing.z)

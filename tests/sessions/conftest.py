@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import socket
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from host import cli, output
 from host.link.flight import FlightOrder
 from host.link.fly import fly_lockstep
 from host.link.summary import FlightResult
@@ -61,6 +63,23 @@ def reference(vehicle: Vehicle) -> Reference:
 @pytest.fixture(scope="session", name="figure_eight")
 def _figure_eight() -> Callable[..., Reference]:
     return figure_eight
+
+
+@pytest.fixture
+def trimtab(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., dict[str, Any]]:
+    """Runs the command line in the test's folder, which is the workspace: the JSON of its last line."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: str) -> dict[str, Any]:
+        monkeypatch.setattr(output, "_emitted", False)
+        monkeypatch.setattr("sys.argv", ["trimtab", *words, "--json"])
+        capsys.readouterr()
+        assert cli.main([*words, "--json"]) == 0, capsys.readouterr().err
+        return json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+
+    return run
 
 
 @pytest.fixture

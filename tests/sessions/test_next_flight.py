@@ -2,34 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from host import cli, output
-
 GAIN = 0.95
 WORLD = f'description = "weak motors"\ntolerances = true\n\n[effects.thrust-gain]\ngain = {GAIN}\n'
-
-
-@pytest.fixture
-def trimtab(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., dict[str, Any]]:
-    """Runs the command line in the test's folder: the JSON of its last line."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*words: str) -> dict[str, Any]:
-        monkeypatch.setattr(output, "_emitted", False)
-        monkeypatch.setattr("sys.argv", ["trimtab", *words, "--json"])
-        capsys.readouterr()
-        assert cli.main([*words, "--json"]) == 0, capsys.readouterr().err
-        return json.loads(capsys.readouterr().out.strip().splitlines()[-1])
-
-    return run
 
 
 @pytest.mark.full

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-from host import cli, output
 
 PAGE = Path(__file__).parents[2] / "docs" / "workspace.md"
 TRUTH = {"stiffness": 0.6, "slack_m": 0.8, "north_m": 0.4, "east_m": -0.3}
@@ -22,22 +19,6 @@ ROUTES = {
     "unseen": [[1.5, -1, -0.9], [-1.5, 0.5, -2.2], [0.5, 2.2, -1.1], [0.4, -1.8, -1.6], [-1, -0.5, -1.2]],
 }
 FLIGHTS = {"rounds": (1, 2), "climbs": (3, 4), "unseen": (5,)}
-
-
-@pytest.fixture
-def trimtab(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., dict[str, Any]]:
-    """Runs the command line in the test's folder, which is the workspace: the JSON of its last line."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*words: str) -> dict[str, Any]:
-        monkeypatch.setattr(output, "_emitted", False)
-        capsys.readouterr()
-        assert cli.main((*words, "--json")) == 0
-        return json.loads(capsys.readouterr().out.strip().splitlines()[-1])
-
-    return run
 
 
 @pytest.mark.full
