@@ -59,10 +59,9 @@ def derivative(
     t_s: Scalar = 0.0,
     acceleration_ned: Sequence[Scalar] | None = None,
     rate_dot_frd: Sequence[Scalar] | None = None,
-    memory: Sequence[Scalar] = (),
 ) -> list[Scalar]:
     """xdot, 16 scalars, for commanded rotor thrusts in N; the other arguments as of `rigid_body`."""
-    body = rigid_body(ops, vehicle, effects, x, voltage_ratio, t_s, acceleration_ned, rate_dot_frd, memory)
+    body = rigid_body(ops, vehicle, effects, x, voltage_ratio, t_s, acceleration_ned, rate_dot_frd)
     return [*body, *thrust_rates(x[THRUST], thrust_command, motor_lag_s(ops, vehicle, effects))]
 
 
@@ -129,11 +128,10 @@ def residual_acceleration_ned(
     x: Sequence[Scalar],
     voltage_ratio: Scalar = 1.0,
     t_s: Scalar = 0.0,
-    memory: Sequence[Scalar] = (),
 ) -> Sequence[Scalar]:
     """The effects' state-only force as acceleration in the world: the part of d(x) a planner minimises."""
     R = euler_to_matrix(ops, x[6:9])
-    force = _loads(ops, vehicle, effects, x, R, x[12:16], voltage_ratio, t_s, memory)[3]
+    force = _loads(ops, vehicle, effects, x, R, x[12:16], voltage_ratio, t_s, ())[3]
     return (0.0, 0.0, 0.0) if force is None else mat_vec(R, force)
 
 

@@ -116,7 +116,7 @@ class ClosedFit:
     """A set of effects fitted over the closed loop, comparable with others of the same recordings and order.
 
     z (P,) and covariance (P, P) scaled; grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] by
-    flight, and residuals, (bins, 12) a flight in m, rad, rad/s, linearised at `at` (P,).
+    flight, linearised at `at` (P,).
     """
 
     effects: tuple[str, ...]
@@ -126,7 +126,6 @@ class ClosedFit:
     log_evidence: float
     whitening: Whitening
     grams: np.ndarray
-    residuals: tuple[np.ndarray, ...]
 
 
 def record(flight: Flight, latency_s: float = 0.0) -> Recording:
@@ -470,7 +469,6 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         log_evidence=evidence.log_evidence(grams.sum(0), log_det, z, precision, len(effects), space.bounds),
         whitening=white,
         grams=grams,
-        residuals=tuple(base),
     )
 
 
