@@ -38,10 +38,10 @@ class Programme:
 
 BLIND = Programme(
     routes=Path(str(files("sitl.studies"))) / "routes",
-    learning=("eight", "low", "climbs", "sprint"),
+    learning=("fast-lemniscate", "low", "climbs", "sprint"),
     held_out=("check-loop", "check-points"),
 )
-"""Speed, the ground and headings, vertical motion, accelerations in all directions; 12 s each."""
+"""Speed and quick turns, the ground and headings, vertical motion, accelerations all round; 12 s each."""
 
 TRUTH, VERDICT, SCORE = "truth.json", "verdict.json", "score.json"
 """The three stages of a world; each file is there when its stage is done."""
