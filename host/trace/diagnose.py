@@ -12,8 +12,9 @@ from host.trace import evidence, segments
 from host.trace.evidence import Linearisation, Prior, Process
 from host.trace.form import Form
 from host.trace.parameters import Space
-from host.trace.search import Names
+from host.trace.search import Names, none_of
 from host.trace.segments import Basis, Segments
+from host.trace.twins import Repeat
 
 _CALM = float(np.log(0.05**2))
 START = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6**2)))
@@ -46,7 +47,8 @@ class Diagnosis:
     best: the segments under the kept set, nothing: without any effect. method: what the set and its
     parameters were found by. inclusion: each candidate's posterior probability. weights: the relative
     posterior weight of every set considered. sets: the evidence of every fitted one. stands_out: by how many
-    sigma each effect of typical size would show in these flights.
+    sigma each effect of typical size would show in these flights. repeats: of whole flights, where twins were
+    flown, beside what was found and of a model without any effect.
     """
 
     best: Fit
@@ -56,11 +58,12 @@ class Diagnosis:
     weights: Mapping[Names, float]
     sets: Mapping[Names, float]
     stands_out: Mapping[str, float]
+    repeats: tuple[Repeat | None, Repeat | None] = (None, None)
 
     @property
     def none(self) -> float:
         """Posterior probability that no effect is missing."""
-        return self.weights.get((), 0.0) / sum(self.weights.values())
+        return none_of(self.weights)
 
 
 def stands_out(space: Space, gram: np.ndarray, precision: np.ndarray) -> dict[str, float]:

@@ -351,7 +351,7 @@ def autoregression(
     """
     past, now = [], []
     for r, whole in zip(residuals, known, strict=True):
-        at = _stretches(whole, max(order, skip))
+        at = stretches(whole, max(order, skip))
         past.append(np.concatenate([r[at - i] for i in range(1, order + 1)], axis=1))
         now.append(r[at])
     X, Y = np.concatenate(past), np.concatenate(now)
@@ -363,7 +363,7 @@ def autoregression(
     )
 
 
-def _stretches(known: np.ndarray, order: int) -> np.ndarray:
+def stretches(known: np.ndarray, order: int) -> np.ndarray:
     """Bins that are known with the `order` bins before them."""
     run = np.convolve(known.astype(int), np.ones(order + 1, dtype=int))[: len(known)]
     at = np.flatnonzero(run == order + 1)
@@ -372,7 +372,7 @@ def _stretches(known: np.ndarray, order: int) -> np.ndarray:
 
 def whitened(white: Whitening, columns: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Columns (m, bins, 12) of a flight as (m, n): innovations of unit covariance."""
-    at = _stretches(known, white.order)
+    at = stretches(known, white.order)
     out = columns[:, at].copy()
     for i, a in enumerate(white.coefficients, start=1):
         out -= columns[:, at - i] @ a.T
@@ -429,7 +429,7 @@ def order_of(loop: Loop, z: np.ndarray) -> int:
     def criterion(order: int) -> float:
         # The same bins for all orders, or the longest would have the fewest to explain.
         innovation = autoregression(left, loop.known, order, skip=max(ORDERS)).innovation
-        count = sum(len(_stretches(known, max(ORDERS))) for known in loop.known)
+        count = sum(len(stretches(known, max(ORDERS))) for known in loop.known)
         return count * float(np.linalg.slogdet(innovation)[1]) + order * CHANNELS**2 * np.log(count)
 
     most = max(1, sum(int(whole.sum()) for whole in loop.known) // BINS_AN_ORDER)
@@ -459,7 +459,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         if np.array_equal(moved, z):
             break
         z = moved
-    count = sum(len(_stretches(k, order)) for k in loop.known)
+    count = sum(len(stretches(k, order)) for k in loop.known)
     log_det = count * float(np.linalg.slogdet(white.innovation)[1])
     return ClosedFit(
         effects=tuple(sorted(effects)),

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from host.trace.refine import (
     prior_of,
     too_little,
 )
+from host.trace.repeats import repeat
 from host.trace.result import SHOWN, Named, Trace, Value, Verdict
 from host.trace.score import (
     Errors,
@@ -42,7 +44,7 @@ from host.trace.score import (
     rmse,
     twins_of,
 )
-from host.trace.search import search
+from host.trace.search import Found, Names, search
 from host.trace.segments import Segments, nominal_thrust
 from host.trace.separate import NextFlight, propose
 from host.trace.signals import signals, unknowns
@@ -61,7 +63,7 @@ SAG_SEEN = 0.01
 ALIAS_PROBABILITY = 0.05
 """What the data gives an effect more than is not excluded."""
 
-SOMETHING = 0.5
+SOMETHING = 0.05
 """Probability of no effect at all up to which it is undecided whether one is missing, if none is kept."""
 
 RESTLESS = 0.5
@@ -137,10 +139,11 @@ def run(
     diagnosis = _diagnosis(form, data, whole, report)
     fit, twins = diagnosis.best, twins_of(flights)
     axial = "thrust" not in unknowns(flights)
-    nothing, unread = diagnosis.nothing, _reading(chosen, diagnosis)
+    nothing, unread = diagnosis.nothing, _reading(chosen, diagnosis.nothing)
     # How much is missing counts from the model without any: what the library fitted in vain may be wild.
     missing = leftover(_left(nothing, unread), nothing.data, twins, axial=axial)
     rest = leftover(*_remainder(form, diagnosis), twins, axial=axial)
+    rest, missing = (replace(e, whole=w) for e, w in zip((rest, missing), diagnosis.repeats, strict=True))
     if fit.effects:
         swinging = any(chosen.effect(name).memory for name in fit.effects)
         rest = rest.beside(missing, swinging=swinging)
@@ -205,7 +208,7 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
     nothing = refit(form, data, (), None, iterations=3)
     report("no effect fitted")
     if not flights:
-        found = search(SegmentFitter(form=form), nothing, report)
+        found, repeats = search(SegmentFitter(form=form), nothing, report), (None, None)
         covariance = by_segments(form.space, found.best)
         best, method = replace(found.best, covariance=covariance), "segments"
         prior = form.space.prior
@@ -213,8 +216,13 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
     else:
         loop = closed_loop(flights, form.vehicle, form.space, nothing.z)
         order = order_of(loop, nothing.z)
-        found = search(LoopFitter(loop=loop, order=order), fit_loop(loop, (), nothing.z, order), report)
+        fitter = LoopFitter(loop=loop, order=order)
+        found = search(fitter, fit_loop(loop, (), nothing.z, order), report)
         kept, covariance = found.best, honest_covariance(form.space, found.best)
+        judged = kept if _is_judged(found) else fitter.fit(_likeliest(found.weights), kept)
+        report("comparing twin flights")
+        points = (judged.z, _reading(form.space, nothing))
+        repeats = tuple(repeat(loop, z, order, twins_of(flights)) for z in points)
         best = at_parameters(form, nothing, kept.effects, kept.z, covariance, kept.log_evidence)
         method = "closed-loop"
         gram, prior = kept.grams.sum(0), prior_of(form.space)
@@ -226,6 +234,7 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         weights=found.weights,
         sets=found.sets,
         stands_out=stands_out(form.space, gram, prior.precision(best.effects)),
+        repeats=repeats,
     )
 
 
@@ -241,11 +250,19 @@ def _remainder(form: Form, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
     Of the kept set; where none is kept though one is more probable than nothing, of the most probable.
     """
     best = diagnosis.best
-    if best.effects or diagnosis.none > SOMETHING:
+    if _is_judged(diagnosis):
         return _left(best, best.z), best.data
-    likeliest = max(diagnosis.weights, key=lambda names: (diagnosis.weights[names], names))
-    fit = refit(form, diagnosis.nothing.data, likeliest, diagnosis.nothing)
+    fit = refit(form, diagnosis.nothing.data, _likeliest(diagnosis.weights), diagnosis.nothing)
     return _left(fit, fit.z), fit.data
+
+
+def _is_judged(found: Found[Any] | Diagnosis) -> bool:
+    """Whether what was kept is what abstention is judged by: not where nothing was, though it is improbable."""
+    return bool(found.best.effects) or found.none > SOMETHING
+
+
+def _likeliest(weights: Mapping[Names, float]) -> Names:
+    return max(weights, key=lambda names: (weights[names], names))
 
 
 def _left(fit: Fit, z: np.ndarray) -> np.ndarray:
@@ -313,11 +330,11 @@ def _verdict(
     return "undecided" if any(aliases.values()) else "traced"
 
 
-def _reading(chosen: Space, diagnosis: Diagnosis) -> np.ndarray:
+def _reading(chosen: Space, nothing: Fit) -> np.ndarray:
     """Scaled values (P,) of a model that adds nothing: only what the logs declare unknown is fitted."""
     unknown = [i for i, column in enumerate(chosen.columns) if column.owner in chosen.unknown]
     z = np.zeros(len(chosen.columns))
-    z[unknown] = diagnosis.nothing.z[unknown]
+    z[unknown] = nothing.z[unknown]
     return z
 
 
@@ -463,7 +480,7 @@ def _errors(
             return predict_flights(held_out, whole, effects)
         return predict_segments(held_out, form, values)
 
-    before = predict(_reading(chosen, diagnosis), None)
+    before = predict(_reading(chosen, diagnosis.nothing), None)
     if not added:
         return before, before, before
     z = diagnosis.best.z

@@ -75,6 +75,16 @@ class Found(Generic[F]):
     weights: Mapping[Names, float]
     sets: Mapping[Names, float]
 
+    @property
+    def none(self) -> float:
+        """Posterior probability that no effect is missing."""
+        return none_of(self.weights)
+
+
+def none_of(weights: Mapping[Names, float]) -> float:
+    """Share of the empty set in posterior `weights`."""
+    return weights.get((), 0.0) / sum(weights.values())
+
 
 def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Found[F]:
     """The missing effects, from the fit of `nothing`: as many as the evidence pays, up to MAX_EFFECTS."""

@@ -36,14 +36,41 @@ LINE_CHANCE = 1e-3
 MOVED_SHARE = 0.02
 """Share of the motion's strongest frequency from which on the vehicle was made to move at a frequency."""
 
+REPEAT_SHARE = 0.15
+"""Power of whole flights that repeats, over turbulence's and noise's, below which it is not worth a name."""
+
+REPEAT_FORM = 0.2
+"""Amplitude that may repeat besides, over that of a model without any effect: no form is exact."""
+
 _LINE_BAND_HZ = (0.3, 4.0)
 _FFT = 256
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repeat:
+    """What repeats of whole flights less their prediction.
+
+    share: its power over that of turbulence and noise, both whitened; negative where it reverses. z: its
+    score, of unit variance where nothing repeats. position_m: rms of the position that repeats.
+    """
+
+    share: float
+    z: float
+    position_m: float
+
+    @property
+    def amplitude(self) -> float:
+        """Its amplitude over that of turbulence and noise."""
+        return float(np.sqrt(max(self.share, 0.0)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Leftover:
     """What repeats or rings in the residual disturbance: rms that repeats, its z score, and the strongest
     line.
+
+    Where `whole` flights were compared over the closed loop, it is they that say whether something repeats,
+    and the disturbance what.
     """
 
     force_repeat: float
@@ -60,6 +87,8 @@ class Leftover:
     force_floor: float = FORCE_FLOOR
     torque_floor: float = TORQUE_FLOOR
     line_floor: float = LINE_RATIO
+    whole: Repeat | None = None
+    whole_floor: float = REPEAT_SHARE
 
     def beside(self, missing: Leftover, *, swinging: bool = False) -> Leftover:
         """The same, its floors raised to FORM_SHARE of what a model without any effect leaves: `missing`.
@@ -71,11 +100,27 @@ class Leftover:
             force_floor=max(self.force_floor, FORM_SHARE * missing.force_repeat),
             torque_floor=max(self.torque_floor, FORM_SHARE * missing.torque_repeat),
             line_floor=SWINGING_LINE_RATIO if swinging else self.line_floor,
+            whole_floor=max(
+                self.whole_floor,
+                REPEAT_FORM**2 * missing.whole.share if missing.whole is not None else 0.0,
+            ),
         )
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why the residual cannot be the library's, one sentence each; empty when nothing stands out."""
+        out = []
+        if self.whole is not None and self.whole.z > REPEAT_Z and self.whole.share > self.whole_floor:
+            out.append(
+                f"what is left of whole flights repeats between twin flights, {1e3 * self.whole.position_m:.1f} mm, "
+                f"{self.whole.amplitude:.1f} times turbulence and noise (z {self.whole.z:.1f})"
+            )
+        if self.whole is None or out:
+            out += self._repeating()
+        out += self._ringing()
+        return tuple(out)
+
+    def _repeating(self) -> list[str]:
         out = []
         if self.force_z > REPEAT_Z and self.force_repeat > self.force_floor:
             out.append(
@@ -87,13 +132,17 @@ class Leftover:
                 f"an angular acceleration of {self.torque_repeat:.2f} rad/s^2 repeats between twin flights "
                 f"(z {self.torque_z:.1f})"
             )
+        return out
+
+    def _ringing(self) -> list[str]:
+        out = []
         for name, line, hz, chance in (
             ("force", self.force_line, self.force_line_hz, self.force_line_chance),
             ("torque", self.torque_line, self.torque_line_hz, self.torque_line_chance),
         ):
             if line > self.line_floor and chance < LINE_CHANCE:
                 out.append(f"the residual {name} rings at {hz:.2f} Hz, {line:.1f} times its surroundings")
-        return tuple(out)
+        return out
 
 
 def leftover(
