@@ -373,11 +373,11 @@ def _stretches(known: np.ndarray, order: int) -> np.ndarray:
 def whitened(white: Whitening, columns: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Columns (m, bins, 12) of a flight as (m, n): innovations of unit covariance."""
     at = _stretches(known, white.order)
-    out = columns[:, at].copy()
+    whiten = np.linalg.inv(np.linalg.cholesky(white.innovation))
+    out = columns[:, at] @ whiten.T
     for i, a in enumerate(white.coefficients, start=1):
-        out -= columns[:, at - i] @ a.T
-    root = np.linalg.cholesky(white.innovation)
-    return np.linalg.solve(root, out.reshape(-1, CHANNELS).T).T.reshape(len(columns), -1)
+        out -= columns[:, at - i] @ (whiten @ a).T
+    return out.reshape(len(columns), -1)
 
 
 def _grams(
