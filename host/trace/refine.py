@@ -202,7 +202,7 @@ class Loop:
                     phi=phi,
                     fine=fine,
                     x0=np.stack([recording.states.initial(phi) for recording in chosen], axis=1),
-                    drive=np.stack(drives, axis=2),
+                    drive=np.stack(drives).transpose(1, 2, 0),
                     constants=np.stack([recording.states.constants for recording in chosen], axis=1),
                 )
             )

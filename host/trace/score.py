@@ -138,6 +138,7 @@ def _predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[st
         theta=phi.theta(parts),
         step_s=_STEP_S / fine,
         every=fine,
+        compiled=True,
     )
     grid = _STEP_S * np.arange(steps + 1)
     out = []
