@@ -455,7 +455,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < SETTLED
         if small or iteration == _ITERATIONS - 1:
             break
-        moved = _line_search(loop, white, precision, z, step)
+        moved = _line_search(loop, white, precision, z, step, base)
         if np.array_equal(moved, z):
             break
         z = moved
@@ -484,14 +484,23 @@ def loop_discrepancy(space: Space) -> np.ndarray:
 
 
 def _line_search(
-    loop: Loop, white: Whitening, precision: np.ndarray, z: np.ndarray, step: np.ndarray
+    loop: Loop,
+    white: Whitening,
+    precision: np.ndarray,
+    z: np.ndarray,
+    step: np.ndarray,
+    base: Sequence[np.ndarray],
 ) -> np.ndarray:
-    """The best of z and a few points along the step, by the cost of real roll-outs; z if none is better."""
-    shares = (0.0, *_LINE)
-    points = np.column_stack([loop.space.clipped(z + share * step) for share in shares])
+    """The best of z and a few points along the step, by the cost of real roll-outs; z if none is better.
+
+    base: per flight the residual (bins, 12) at z.
+    """
+    points = np.column_stack([loop.space.clipped(z + share * step) for share in _LINE])
+    rolled = loop.residuals(points)
+    points = np.column_stack([z, points])
     cost = (precision[:, None] * points**2).sum(0)
-    for recording, r in zip(loop.recordings, loop.residuals(points), strict=True):
-        cost += (whitened(white, r, recording.known) ** 2).sum(1)
+    for recording, at_z, r in zip(loop.recordings, base, rolled, strict=True):
+        cost += (whitened(white, np.concatenate([at_z[None], r]), recording.known) ** 2).sum(1)
     return points[:, int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))]
 
 
