@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from host.codegen.rk4 import runge_kutta
 from host.models.network import Network
 from host.models.phi import DRIVE_ROWS, Phi
 from host.models.reference import FLAT_ROWS, feedforward_rows, flat_outputs
@@ -81,10 +80,10 @@ def roll_out(
     flight_of = own if lane_flight is None else np.asarray(lane_flight)
     gather = flights != 1 and not np.array_equal(flight_of, np.arange(lanes))
 
-    if compiled and network is None and (integrate := runge_kutta(phi.program.function)) is not None:
+    if compiled and network is None and phi.integrator is not None:
         each = flight if flight.shape[1] == 1 else flight[:, flight_of]
         constants = [np.broadcast_to(values, (len(values), lanes)).T for values in (each, theta)]
-        samples = integrate(
+        samples = phi.integrator(
             x0.T, drive.transpose(2, 0, 1), flight_of, constants, step_s=step_s, every=every, rows=rows
         )
         return samples.transpose(1, 2, 0)

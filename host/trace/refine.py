@@ -128,12 +128,8 @@ class ClosedFit:
     grams: np.ndarray
 
 
-def record(flight: Flight, latency_s: float = 0.0) -> Recording:
-    """The recording of a flight with reference, law and telemetry; `latency_s` dates its starting state.
-
-    Raises TooLittleData where the log lacks something.
-    """
-    states = flight_states(flight, latency_s=latency_s)
+def record(flight: Flight, states: States) -> Recording:
+    """The recording of a flight with reference, law and telemetry, and its `states`."""
     s = signals(flight)
     start = s.span_s[0]
     duration = min(states.reference.nodes[-1].t_us * 1e-6, s.span_s[1] - start)
@@ -398,7 +394,8 @@ def closed_loop(flights: Sequence[Flight], vehicle: Vehicle, space: Space, z: np
     """
     values = space.theta(list(space.values(z)))
     latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
-    return Loop([record(flight, latency_s) for flight in flights], vehicle, space)
+    states = flight_states(flights, latency_s=latency_s)
+    return Loop([record(*each) for each in zip(flights, states, strict=True)], vehicle, space)
 
 
 def too_little(flights: Sequence[Flight]) -> str | None:
