@@ -99,6 +99,13 @@ def sx_function(
     return ca.Function(name, symbols, columns, labels_in, labels_out, {"cse": True})
 
 
+def c_source(function: ca.Function) -> str:
+    """The function as C, callable by its name."""
+    generator = ca.CodeGenerator(f"{function.name()}.c", {"with_header": False})
+    generator.add(function)
+    return generator.dump()
+
+
 def compile_function(function: ca.Function, *, engine: str | None = None) -> tuple[ca.Function, str]:
     """The same function and "c" where it could be compiled, else `function` itself and "vm".
 
@@ -112,10 +119,7 @@ def compile_function(function: ca.Function, *, engine: str | None = None) -> tup
         if choice == "c":
             raise CodegenError("no C compiler: install cc, gcc, clang or the Python package ziglang")
         return function, "vm"
-    name = function.name()
-    generator = ca.CodeGenerator(f"{name}.c", {"with_header": False})
-    generator.add(function)
-    source = generator.dump()
+    name, source = function.name(), c_source(function)
     try:
         path = shared_library(source, compiler)
         try:

@@ -91,9 +91,9 @@ def learn(
     rng = np.random.default_rng(seed)
     parts = _parts(base, effects or {})
     latency_s = float(mocap_latency_s(FLOAT, parts))
-    states = [flight_states(flight, latency_s=latency_s) for flight in flights]
+    states = flight_states(flights, latency_s=latency_s)
     if hold_out:
-        test = [flight_states(flight, latency_s=latency_s) for flight in hold_out]
+        test = flight_states(hold_out, latency_s=latency_s)
         shared = {s.reference_id for s in test} & {s.reference_id for s in states}
         if shared:
             names = ", ".join(sorted(shared))
@@ -129,7 +129,7 @@ def learn(
         """Of the vehicle file alone, which takes poses to be as old as stamped."""
         bare = Phi(vehicle=vehicle, parameters=states[0].parameters)
         logs = {flight.id: flight for flight in [*flights, *hold_out]}
-        return whole_flights(bare, bare.theta_neutral, [flight_states(logs[s.flight_id]) for s in chosen])
+        return whole_flights(bare, bare.theta_neutral, flight_states([logs[s.flight_id] for s in chosen]))
 
     def judged(chosen: Sequence[States]) -> Judged:
         before = whole_flights(whole, theta, chosen)

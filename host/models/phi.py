@@ -32,6 +32,7 @@ from firmware_model.law.observer import GREATEST, bounded, disturbance_seen
 from firmware_model.law.ops import Ops
 from firmware_model.law.rotations import dot, euler_to_matrix, mat_vec
 from host.codegen.ops import CASADI, NUMPY
+from host.codegen.rk4 import RungeKutta, runge_kutta
 from host.effects import Effect
 from host.models import estimator
 from host.models.bias import standing_errors
@@ -364,6 +365,11 @@ class Phi:
     def program(self) -> LaneProgram:
         """The derivative over numpy lanes."""
         return lane_program(self.function)
+
+    @cached_property
+    def integrator(self) -> RungeKutta | None:
+        """Roll-outs of the derivative in C; None where it cannot be compiled."""
+        return runge_kutta(self.program.function)
 
     @cached_property
     def stiffness(self) -> float:

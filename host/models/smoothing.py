@@ -6,9 +6,12 @@ Each axis has the same sigma, so one covariance serves all axes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+_FIRST = np.array([[1.0], [0.0], [0.0]])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,53 +24,72 @@ class Smoothed:
     sigma_v: np.ndarray
 
 
-def smooth(
-    t_s: np.ndarray, samples: np.ndarray, sigma: float, at_s: np.ndarray, *, jerk_density: float
-) -> Smoothed:
-    """Position and velocity at times (n,) `at_s` from samples (m, axes) of sigma at times (m,) `t_s`.
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """Samples (m, axes) of sigma at times (m,) `t_s`, to be smoothed at times (n,) `at_s`.
 
     `jerk_density`: power of the white jerk, unit^2/s^5: larger follows faster changes and smooths less. Times
     must not run back. Raises ValueError for fewer than three samples.
     """
-    if len(t_s) < 3:
-        raise ValueError(f"smoothing needs at least 3 samples, got {len(t_s)}")
-    times = np.concatenate([t_s, at_s])
-    order = np.argsort(times, kind="stable")
-    measured = order < len(t_s)
-    values = np.concatenate([samples, np.zeros((len(at_s), samples.shape[1]))])[order]
-    times = times[order]
-    n, axes = values.shape
 
-    x = np.zeros((3, axes))
-    x[0] = samples[0]
-    scale = max(float(np.ptp(samples)), 10.0 * sigma)
-    P = np.diag([sigma**2 * 10.0, (10.0 * scale) ** 2, (100.0 * scale) ** 2])
-    xs, Ps = np.empty((n, 3, axes)), np.empty((n, 3, 3))
-    before_x, before_P = np.empty((n, 3, axes)), np.empty((n, 3, 3))
-    steps, noise = _transitions(np.diff(times, prepend=times[0]), jerk_density)
-    eye = np.eye(3)
+    t_s: np.ndarray
+    samples: np.ndarray
+    sigma: float
+    at_s: np.ndarray
+    jerk_density: float
+
+    def __post_init__(self) -> None:
+        if len(self.t_s) < 3:
+            raise ValueError(f"smoothing needs at least 3 samples, got {len(self.t_s)}")
+
+
+def smooth(series: Sequence[Series]) -> list[Smoothed]:
+    """Position and velocity of every series; all have as many axes.
+
+    All take their steps together: many cost little more than one.
+    """
+    merged = [np.argsort(np.concatenate([s.t_s, s.at_s]), kind="stable") for s in series]
+    n, count, axes = max(map(len, merged)), len(series), series[0].samples.shape[1]
+    values, measured = np.zeros((n, count, axes)), np.zeros((n, count))
+    steps, noise = np.zeros((n, count, 3, 3)), np.zeros((n, count, 3, 3))
+    x, P = np.zeros((count, 3, axes)), np.zeros((count, 3, 3))
+    # A shorter series stands still behind its end.
+    steps[:] = np.eye(3)
+    for b, (s, order) in enumerate(zip(series, merged, strict=True)):
+        own = len(order)
+        values[:own, b] = np.concatenate([s.samples, np.zeros((len(s.at_s), axes))])[order]
+        measured[:own, b] = order < len(s.t_s)
+        times = np.concatenate([s.t_s, s.at_s])[order]
+        steps[:own, b], noise[:own, b] = _transitions(np.diff(times, prepend=times[0]), s.jerk_density)
+        x[b, 0] = s.samples[0]
+        scale = max(float(np.ptp(s.samples)), 10.0 * s.sigma)
+        P[b] = np.diag([s.sigma**2 * 10.0, (10.0 * scale) ** 2, (100.0 * scale) ** 2])
+    variance = np.array([s.sigma**2 for s in series])
+    xs, Ps = np.empty((n, *x.shape)), np.empty((n, *P.shape))
+    before_x, before_P = np.empty_like(xs), np.empty_like(Ps)
+    turned = steps.swapaxes(2, 3)
+    keep = np.tile(np.eye(3), (count, 1, 1))
     for k in range(n):
-        F = steps[k]
-        x, P = F @ x, F @ P @ F.T + noise[k]
+        x, P = steps[k] @ x, steps[k] @ P @ turned[k] + noise[k]
         before_x[k], before_P[k] = x, P
-        if measured[k]:
-            gain = P[:, 0] / (P[0, 0] + sigma**2)
-            x = x + gain[:, None] * (values[k] - x[0])
-            # Joseph form: stays symmetric and positive over thousands of steps.
-            keep = eye.copy()
-            keep[:, 0] -= gain
-            P = keep @ P @ keep.T + sigma**2 * gain[:, None] * gain
+        gain = P[:, :, :1] * (measured[k] / (P[:, 0, 0] + variance))[:, None, None]
+        x = x + gain * (values[k] - x[:, 0])[:, None]
+        # Joseph form: stays symmetric and positive over thousands of steps.
+        keep[:, :, :1] = _FIRST - gain
+        P = keep @ P @ keep.swapaxes(1, 2) + variance[:, None, None] * (gain * gain.swapaxes(1, 2))
         xs[k], Ps[k] = x, P
-    backs = np.linalg.solve(before_P[1:] + 1e-30 * eye, steps[1:] @ Ps[:-1]).swapaxes(1, 2)
+    backs = np.linalg.solve(before_P[1:] + 1e-30 * np.eye(3), steps[1:] @ Ps[:-1]).swapaxes(2, 3)
+    forth = backs.swapaxes(2, 3)
     for k in range(n - 2, -1, -1):
-        back = backs[k]
-        xs[k] += back @ (xs[k + 1] - before_x[k + 1])
-        Ps[k] += back @ (Ps[k + 1] - before_P[k + 1]) @ back.T
-    where = np.flatnonzero(~measured)
-    rank = np.argsort(order[where])  # back into the order of at_s
-    xs, Ps = xs[where[rank]], Ps[where[rank]]
-    spread = np.sqrt(np.maximum(np.einsum("nii->ni", Ps), 0.0))
-    return Smoothed(p=xs[:, 0], v=xs[:, 1], sigma_p=spread[:, 0], sigma_v=spread[:, 1])
+        xs[k] += backs[k] @ (xs[k + 1] - before_x[k + 1])
+        Ps[k] += backs[k] @ (Ps[k + 1] - before_P[k + 1]) @ forth[k]
+    out = []
+    for b, (s, order) in enumerate(zip(series, merged, strict=True)):
+        where = np.argsort(order)[len(s.t_s) :]  # back into the order of at_s
+        spread = np.sqrt(np.maximum(np.einsum("nii->ni", Ps[where, b]), 0.0))
+        found = xs[where, b]
+        out.append(Smoothed(p=found[:, 0], v=found[:, 1], sigma_p=spread[:, 0], sigma_v=spread[:, 1]))
+    return out
 
 
 def _transitions(dt: np.ndarray, density: float) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ gyro. Nothing here knows an effect; a camera that is late makes states that are 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from host.log import Control, Estimate, Flight, Observer
 from host.models.bias import accelerometer_bias, standing_errors
 from host.models.phi import INTEGRAL, Phi, flight_constants
 from host.models.reference import block
-from host.models.smoothing import smooth
+from host.models.smoothing import Series, Smoothed, smooth
 from host.vehicle import Vehicle, to_parameters
 from protocol.blobs import FeedForward, Reference
 from protocol.parameters import DEFAULTS
@@ -93,12 +93,41 @@ class States:
         return x
 
 
-def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 0.0) -> States:
-    """The states of a flight's tracking phase; poses are taken to be `latency_s` older than stamped.
+def flight_states(
+    flights: Sequence[Flight], *, step_s: float = STEP_S, latency_s: float = 0.0
+) -> list[States]:
+    """The states of the flights' tracking phases; poses are taken to be `latency_s` older than stamped.
 
-    Raises TooLittleData where the log has no poses, no telemetry of the control law, no reference or no
-    tracking phase.
+    Together they cost less than one by one. Raises TooLittleData where a log has no poses, no telemetry of
+    the control law, no reference or no tracking phase.
     """
+    measured = [_measured(flight, step_s, latency_s) for flight in flights]
+    if not measured:
+        return []
+    smoothed = smooth([each for m in measured for each in (m.path, m.turned)])
+    pairs = zip(smoothed[0::2], smoothed[1::2], strict=True)
+    return [_states(m, path, turned, step_s) for m, (path, turned) in zip(measured, pairs, strict=True)]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Measured:
+    """What of a flight is smoothed: `path`, positions; `turned`, the camera's turn from `gyro` and `base`.
+
+    start_s of the tracking phase, which the grid begins at; interval_s between poses. base: the first of
+    those turns; gyro: the gyro's attitudes on the grid.
+    """
+
+    flight: Flight
+    start_s: float
+    interval_s: float
+    path: Series
+    turned: Series
+    base: Any
+    gyro: Any
+
+
+def _measured(flight: Flight, step_s: float, latency_s: float) -> _Measured:
+    """What of a flight is smoothed. Raises TooLittleData."""
     needed = {
         "poses": flight.mocap,
         "control telemetry": flight.control,
@@ -111,12 +140,9 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 
         raise TooLittleData(
             f"{flight.path.name}: no {', no '.join(missing)}; use a flight tracked to its end"
         )
-    mocap, control, estimate = flight.mocap, flight.control, flight.estimate
-    reference, tracking = flight.reference, flight.tracking
+    mocap, control, tracking = flight.mocap, flight.control, flight.tracking
     assert mocap is not None
     assert control is not None
-    assert estimate is not None
-    assert reference is not None
     assert tracking is not None
     start_s, end_s = (t * 1e-6 for t in tracking)
     steps = int((end_s - start_s) / step_s + 1e-6)
@@ -126,9 +152,31 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 
     if steps < 25 or inside.sum() < 50:
         raise TooLittleData(f"{flight.path.name}: less than half a second of tracking with poses")
     pose_s, p = taken_s[inside], mocap.p[inside]
-    sigma_p = _noise(p)
-    path = smooth(pose_s, p, sigma_p, at, jerk_density=_JERK_DENSITY)
-    theta, sigma_theta = _attitude(pose_s, mocap.q[inside], control, at)
+    path = Series(t_s=pose_s, samples=p, sigma=_noise(p), at_s=at, jerk_density=_JERK_DENSITY)
+    turned, base, gyro = _attitude(pose_s, mocap.q[inside], control, at)
+    return _Measured(
+        flight=flight,
+        start_s=start_s,
+        interval_s=float(np.median(np.diff(pose_s))),
+        path=path,
+        turned=turned,
+        base=base,
+        gyro=gyro,
+    )
+
+
+def _states(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: float) -> States:
+    """The states of a flight from what was measured and that smoothed."""
+    flight, start_s, at = measured.flight, measured.start_s, measured.path.at_s
+    control, estimate = flight.control, flight.estimate
+    reference, tracking = flight.reference, flight.tracking
+    assert control is not None
+    assert estimate is not None
+    assert reference is not None
+    assert tracking is not None
+    theta = (Rotation.from_rotvec(turned.p) * measured.base * measured.gyro).as_euler("ZYX")[:, ::-1].copy()
+    theta[:, 2] = np.unwrap(theta[:, 2])
+    sigma_theta = float(np.median(turned.sigma_p))
     rate = _gyro(control, estimate, at, step_s)
     least_p, least_v, least_theta = _LEAST_SIGMA
     sigma = np.repeat(
@@ -143,12 +191,13 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 
     # A tick's errors are integrated over the tick after it: in the mean, what is logged is half a tick ahead.
     integral_s = control.sensed_us[:, 1] * 1e-6
     integral = np.column_stack([np.interp(at, integral_s, control.rate_integral[:, i]) for i in range(3)])
-    interval_s = float(np.median(np.diff(pose_s)))
-    tracked = (estimate.t_us * 1e-6 >= start_s) & (estimate.t_us * 1e-6 <= end_s)
+    tracked = (estimate.t_us >= tracking[0]) & (estimate.t_us <= tracking[1])
     # The telemetry's age grows from a pose's use to the next one's; at its use it is half an interval less.
-    age_s = float(np.mean(estimate.mocap_age_s[tracked])) - 0.5 * interval_s if tracked.any() else 0.0
+    age_s = (
+        float(np.mean(estimate.mocap_age_s[tracked])) - 0.5 * measured.interval_s if tracked.any() else 0.0
+    )
     gains = law_step.estimator_gains(law_step.parameter_vector(_parameters(flight)))
-    per_bias, _ = standing_errors(gains, max(age_s, 0.0), interval_s)
+    per_bias, _ = standing_errors(gains, max(age_s, 0.0), measured.interval_s)
     estimated = np.column_stack([np.interp(at, estimate.t_us * 1e-6, estimate.p[:, i]) for i in range(3)])
     R = Rotation.from_euler("ZYX", theta[:, ::-1]).as_matrix()
     imu_bias, per_gravity = accelerometer_bias(
@@ -171,7 +220,7 @@ def flight_states(flight: Flight, *, step_s: float = STEP_S, latency_s: float = 
         constants=flight_constants(
             block(flight.feedforward),
             mocap_age_s=max(age_s, 0.0),
-            mocap_interval_s=interval_s,
+            mocap_interval_s=measured.interval_s,
             accelerometer_bias=imu_bias,
             bias_per_gravity=per_gravity,
         ),
@@ -198,10 +247,10 @@ def _noise(samples: np.ndarray) -> float:
     return max(float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)), 1e-5)
 
 
-def _attitude(
-    pose_s: np.ndarray, q: np.ndarray, control: Control, at: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """Theta (n, 3) with yaw unwrapped, and its sigma: the gyro's turn, its drift taken from the camera."""
+def _attitude(pose_s: np.ndarray, q: np.ndarray, control: Control, at: np.ndarray) -> tuple[Series, Any, Any]:
+    """What attitude comes from: the turn from gyro to camera, which the gyro's drift makes, beyond the first;
+    that first turn; and the gyro's attitudes at times `at`.
+    """
     length = 1e-6 * (control.t1_us - control.t0_us)
     gap = np.diff(control.t1_us * 1e-6, prepend=control.t0_us[0] * 1e-6)
     covered = np.where(np.abs(gap - length) < 1e-4, length, gap)  # an invalid interval: the next one's mean
@@ -212,12 +261,8 @@ def _attitude(
     drift = camera * _between(knots_s, gyro, turns, pose_s).inv()
     base = drift[0]
     offset = (drift * base.inv()).as_rotvec()
-    sigma = _noise(offset)
-    smoothed = smooth(pose_s, offset, sigma, at, jerk_density=_DRIFT_DENSITY)
-    turned = Rotation.from_rotvec(smoothed.p) * base * _between(knots_s, gyro, turns, at)
-    theta = turned.as_euler("ZYX")[:, ::-1].copy()
-    theta[:, 2] = np.unwrap(theta[:, 2])
-    return theta, float(np.median(smoothed.sigma_p))
+    series = Series(t_s=pose_s, samples=offset, sigma=_noise(offset), at_s=at, jerk_density=_DRIFT_DENSITY)
+    return series, base, _between(knots_s, gyro, turns, at)
 
 
 def _cumulated(turns: Any) -> Any:

@@ -61,7 +61,7 @@ class Form:
         """The program `name` ("step", "rotors" or "memory") with arrays for `lanes` lanes, kept."""
         key = name, lanes
         if key not in self._bound:
-            self._bound[key] = self._programs[name].bind(lanes)
+            self._bound[key] = self._programs[name].bind(lanes, compiled=name == "memory")
         return self._bound[key]
 
     def memory_of(self, owner: str) -> int:

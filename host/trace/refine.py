@@ -128,12 +128,8 @@ class ClosedFit:
     grams: np.ndarray
 
 
-def record(flight: Flight, latency_s: float = 0.0) -> Recording:
-    """The recording of a flight with reference, law and telemetry; `latency_s` dates its starting state.
-
-    Raises TooLittleData where the log lacks something.
-    """
-    states = flight_states(flight, latency_s=latency_s)
+def record(flight: Flight, states: States) -> Recording:
+    """The recording of a flight with reference, law and telemetry, and its `states`."""
     s = signals(flight)
     start = s.span_s[0]
     duration = min(states.reference.nodes[-1].t_us * 1e-6, s.span_s[1] - start)
@@ -202,7 +198,7 @@ class Loop:
                     phi=phi,
                     fine=fine,
                     x0=np.stack([recording.states.initial(phi) for recording in chosen], axis=1),
-                    drive=np.stack(drives, axis=2),
+                    drive=np.stack(drives).transpose(1, 2, 0),
                     constants=np.stack([recording.states.constants for recording in chosen], axis=1),
                 )
             )
@@ -373,11 +369,11 @@ def stretches(known: np.ndarray, order: int) -> np.ndarray:
 def whitened(white: Whitening, columns: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Columns (m, bins, 12) of a flight as (m, n): innovations of unit covariance."""
     at = stretches(known, white.order)
-    out = columns[:, at].copy()
+    whiten = np.linalg.inv(np.linalg.cholesky(white.innovation))
+    out = columns[:, at] @ whiten.T
     for i, a in enumerate(white.coefficients, start=1):
-        out -= columns[:, at - i] @ a.T
-    root = np.linalg.cholesky(white.innovation)
-    return np.linalg.solve(root, out.reshape(-1, CHANNELS).T).T.reshape(len(columns), -1)
+        out -= columns[:, at - i] @ (whiten @ a).T
+    return out.reshape(len(columns), -1)
 
 
 def _grams(
@@ -398,7 +394,8 @@ def closed_loop(flights: Sequence[Flight], vehicle: Vehicle, space: Space, z: np
     """
     values = space.theta(list(space.values(z)))
     latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
-    return Loop([record(flight, latency_s) for flight in flights], vehicle, space)
+    states = flight_states(flights, latency_s=latency_s)
+    return Loop([record(*each) for each in zip(flights, states, strict=True)], vehicle, space)
 
 
 def too_little(flights: Sequence[Flight]) -> str | None:
@@ -455,7 +452,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < SETTLED
         if small or iteration == _ITERATIONS - 1:
             break
-        moved = _line_search(loop, white, precision, z, step)
+        moved = _line_search(loop, white, precision, z, step, base)
         if np.array_equal(moved, z):
             break
         z = moved
@@ -484,14 +481,23 @@ def loop_discrepancy(space: Space) -> np.ndarray:
 
 
 def _line_search(
-    loop: Loop, white: Whitening, precision: np.ndarray, z: np.ndarray, step: np.ndarray
+    loop: Loop,
+    white: Whitening,
+    precision: np.ndarray,
+    z: np.ndarray,
+    step: np.ndarray,
+    base: Sequence[np.ndarray],
 ) -> np.ndarray:
-    """The best of z and a few points along the step, by the cost of real roll-outs; z if none is better."""
-    shares = (0.0, *_LINE)
-    points = np.column_stack([loop.space.clipped(z + share * step) for share in shares])
+    """The best of z and a few points along the step, by the cost of real roll-outs; z if none is better.
+
+    base: per flight the residual (bins, 12) at z.
+    """
+    points = np.column_stack([loop.space.clipped(z + share * step) for share in _LINE])
+    rolled = loop.residuals(points)
+    points = np.column_stack([z, points])
     cost = (precision[:, None] * points**2).sum(0)
-    for recording, r in zip(loop.recordings, loop.residuals(points), strict=True):
-        cost += (whitened(white, r, recording.known) ** 2).sum(1)
+    for recording, at_z, r in zip(loop.recordings, base, rolled, strict=True):
+        cost += (whitened(white, np.concatenate([at_z[None], r]), recording.known) ** 2).sum(1)
     return points[:, int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))]
 
 

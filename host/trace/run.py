@@ -257,7 +257,7 @@ def _remainder(form: Form, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
 
 
 def _is_judged(found: Found[Any] | Diagnosis) -> bool:
-    """Whether what was kept is what abstention is judged by: not where nothing was, though it is improbable."""
+    """Whether abstention is judged by what was kept: not by nothing where that is improbable."""
     return bool(found.best.effects) or found.none > SOMETHING
 
 

@@ -116,7 +116,7 @@ def _predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[st
         parameters=flights[0].firmware_parameters,
     )
     latency = float(latency_of(NUMPY, parts))
-    known = [flight_states(flight, latency_s=latency) for flight in flights]
+    known = flight_states(flights, latency_s=latency)
     duration = [states.reference.nodes[-1].t_us * 1e-6 for states in known]
     steps = round(max(duration) / _STEP_S)
     fine = phi.substeps(_STEP_S)
@@ -138,6 +138,7 @@ def _predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[st
         theta=phi.theta(parts),
         step_s=_STEP_S / fine,
         every=fine,
+        compiled=True,
     )
     grid = _STEP_S * np.arange(steps + 1)
     out = []

@@ -104,12 +104,13 @@ def roll_out(
     z: np.ndarray,
     local: np.ndarray,
     bins: np.ndarray | None = None,
+    memory: np.ndarray | None = None,
 ) -> np.ndarray:
     """Predicted measurements (H, 12, C, S) of lanes: `form.CHANNELS` of every step.
 
     x0 (12, C, S); z (P, C); local (9, C, S); bins (bins, 6, C) disturbance, specific force m/s^2 then angular
     acceleration rad/s^2, both FRD. Motors start at the lagged command of the run-up, the effects' own states
-    with what the measured flight made of them.
+    at `memory` (M, C, S); by default with what the measured flight made of them.
     """
     lanes, count = x0.shape[1:]
     total = lanes * count
@@ -128,7 +129,8 @@ def roll_out(
     commands = _delayed(form, data.command, z)
     inputs["thrust"][:] = _spun_up(form, commands[:pre], each)
     if form.memory:
-        inputs["memory"][:] = _remembered(form, data, z).reshape(form.memory, total)
+        memory = remembered(form, data, z) if memory is None else memory
+        inputs["memory"][:] = memory.reshape(form.memory, total)
     predicted = np.empty((data.steps, CHANNELS, lanes, count))
     per_bin = round(BIN_S / data.dt_s)
     w = inputs["w"].reshape(6, lanes, count)
@@ -180,10 +182,12 @@ def _spun_up(form: Form, commands: np.ndarray, z: np.ndarray) -> np.ndarray:
     return rotors.outputs["next"].copy()
 
 
-def _remembered(form: Form, data: Segments, z: np.ndarray) -> np.ndarray:
-    """The effects' own states (M, C, S) at the segments' starts, along the measured paths of their
-    flights.
+def remembered(form: Form, data: Segments, z: np.ndarray) -> np.ndarray:
+    """The effects' own states (M, C, S) at the segments' starts for scaled parameters z (P, C), along the
+    measured paths of their flights.
     """
+    if not form.memory:
+        return np.empty((0, z.shape[1], len(data.flight)))
     own = [i for name, rows in form.space.owners.items() if form.memory_of(name) for i in rows]
     kinds, lane = np.unique(z[own], axis=1, return_inverse=True)
     values = np.repeat(z[:, :1], kinds.shape[1], axis=1)
@@ -264,9 +268,12 @@ class Grams:
 class _Lanes:
     """Lanes of perturbed roll-outs, all starting from one point of every segment."""
 
-    def __init__(self, data: Segments, x0: np.ndarray, z: np.ndarray, local: np.ndarray, count: int) -> None:
+    def __init__(
+        self, data: Segments, x0: np.ndarray, z: np.ndarray, local: np.ndarray, memory: np.ndarray, count: int
+    ) -> None:
         self.x0 = np.repeat(x0.T[:, None, :], count, axis=1)
         self.z = np.repeat(z[:, None], count, axis=1)
+        self.memory = np.broadcast_to(memory, (len(memory), count, len(data.flight)))
         self.local = np.repeat(local[data.flight].T[:, None, :], count, axis=1)
         self.bins = np.zeros((data.bins, 6, count))
         self.steps = np.ones(count)
@@ -274,7 +281,7 @@ class _Lanes:
     def jacobian(self, form: Form, data: Segments, *, bins: bool) -> np.ndarray:
         """(S, lanes, n): the residual in lane 0, in the others its negative slope along the perturbation."""
         pushed = self.bins if bins else None
-        r = residuals(data, roll_out(form, data, self.x0, self.z, self.local, pushed))
+        r = residuals(data, roll_out(form, data, self.x0, self.z, self.local, pushed, self.memory))
         A = (r[0] - r) / self.steps[:, None, None]
         A[0] = r[0]
         return np.swapaxes(A, 0, 1)
@@ -288,10 +295,11 @@ def _chunks(data: Segments, lanes: int) -> list[slice]:
 def basis(form: Form, data: Segments, z: np.ndarray, local: np.ndarray) -> Basis:
     """The basis at scaled parameters z (P,) and flight nuisances `local` (flights, 9)."""
     count = 1 + STATES + LOCALS + 6 * data.bins
+    memory = remembered(form, data, z[:, None])
     parts = []
     for chunk in _chunks(data, count):
         part = data.take(chunk)
-        lanes = _Lanes(part, part.x0, z, local, count)
+        lanes = _Lanes(part, part.x0, z, local, memory[:, :, chunk], count)
         for i in range(STATES):
             lanes.steps[1 + i] = _X_STEP[i]
             lanes.x0[i, 1 + i] += _X_STEP[i]
@@ -352,15 +360,21 @@ def fitted_x0(
     local: np.ndarray,
     kept: Basis,
     iterations: int = 1,
+    memory: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Initial states (S, 12) that fit each segment's own measurements best; the rest is given."""
+    """Initial states (S, 12) that fit each segment's own measurements best; the rest is given.
+
+    `memory` (M, 1, S) is `remembered` at z, where it is known.
+    """
     x0 = data.x0
+    if memory is None:
+        memory = remembered(form, data, z[:, None])
     normal = kept.gram[:, :STATES, :STATES] + 1e-9 * np.eye(STATES)
     for _ in range(iterations):
         residual = []
         for chunk in _chunks(data, 1):
             part = data.take(chunk)
-            lanes = _Lanes(part, x0[chunk], z, local, 1)
+            lanes = _Lanes(part, x0[chunk], z, local, memory[:, :, chunk], 1)
             residual.append(lanes.jacobian(form, part, bins=False)[:, 0])
         x0 = x0 + np.linalg.solve(normal, kept.x @ np.concatenate(residual)[:, :, None])[:, :, 0]
     return x0
@@ -371,18 +385,20 @@ def linearise(form: Form, data: Segments, z: np.ndarray, local: np.ndarray, kept
 
     Initial states take one Gauss-Newton step towards their own segment first.
     """
-    x0 = fitted_x0(form, data, z, local, kept)
     count = 1 + len(z)
+    points = np.repeat(z[:, None], count, axis=1)
+    points[:, 1:] += _Z_STEP * np.eye(len(z))
+    memory = remembered(form, data, points)
+    x0 = fitted_x0(form, data, z, local, kept, memory=memory[:, :1])
     first = 1 + len(z)
     size = first + kept.columns.shape[1]
     gram = np.empty((len(data.flight), size, size))
     gram[:, first:, first:] = kept.gram
     for chunk in _chunks(data, count):
         part = data.take(chunk)
-        lanes = _Lanes(part, x0[chunk], z, local, count)
-        for i in range(len(z)):
-            lanes.steps[1 + i] = _Z_STEP
-            lanes.z[i, 1 + i] += _Z_STEP
+        lanes = _Lanes(part, x0[chunk], z, local, memory[:, :, chunk], count)
+        lanes.steps[1:] = _Z_STEP
+        lanes.z = points
         A = lanes.jacobian(form, part, bins=False)
         columns = kept.columns[chunk]
         A[:, 0] += np.einsum("szn,sz->sn", kept.bins[chunk], part.w.reshape(len(part.w), -1))

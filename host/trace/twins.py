@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import gamma
+from scipy.special import gammaincc, gammainccinv
 
 from host.trace.segments import BIN_S, Segments
 
@@ -112,7 +112,7 @@ class Leftover:
         out = []
         if self.whole is not None and self.whole.z > REPEAT_Z and self.whole.share > self.whole_floor:
             out.append(
-                f"what is left of whole flights repeats between twin flights, {1e3 * self.whole.position_m:.1f} mm, "
+                f"{1e3 * self.whole.position_m:.1f} mm of what whole flights differ by repeat between twin flights, "
                 f"{self.whole.amplitude:.1f} times turbulence and noise (z {self.whole.z:.1f})"
             )
         if self.whole is None or out:
@@ -228,7 +228,8 @@ def _line(
         return 1.0, 0.0, 1.0
     ratio = power[band] / np.maximum(around[band], 1e-300)
     best = int(ratio.argmax())
-    chance = len(band) * float(gamma.sf(ratio[best] * gamma.median(series), series))
+    # Sums of `series` exponentials are gamma distributed.
+    chance = len(band) * float(gammaincc(series, ratio[best] * gammainccinv(series, 0.5)))
     return float(ratio[best]), float(hz[band][best]), min(1.0, chance)
 
 

@@ -81,7 +81,7 @@ def flight(request, fly) -> Flight:
 
 
 def test_phi_whole_flight_in_an_empty_world_is_predicted_within_3_mm(flight):
-    states = flight_states(flight)
+    (states,) = flight_states([flight])
     phi = Phi(vehicle=flight.vehicle, parameters=flight.firmware_parameters)
     errors = whole_flights(phi, np.zeros(0), [states])
     assert errors.position_rmse_m < 3e-3
@@ -95,7 +95,7 @@ def test_poses_and_body_rate_of_a_log_are_dated_within_a_quarter_of_a_tick(fly, 
     world = tmp_path / "exact.toml"
     world.write_text(EXACT, encoding="utf-8")
     _, flight = fly(5.0, 0, str(world))
-    states = flight_states(flight)
+    (states,) = flight_states([flight])
     predicted = predict(
         Phi(vehicle=flight.vehicle, parameters=flight.firmware_parameters), np.zeros(0), states
     )
@@ -111,7 +111,7 @@ def test_phi_whole_flight_with_the_observer_on_is_predicted_within_3_mm(fly, dur
     _, flight = fly(duration_s, index, observer=5.0)
     assert flight.observer is not None
     assert len(flight.observer) == pytest.approx(100 * flight.duration_s, rel=0.1)
-    states = flight_states(flight)
+    (states,) = flight_states([flight])
     phi = Phi(vehicle=flight.vehicle, parameters=flight.firmware_parameters)
     assert phi.observes
     assert states.observer is not None
@@ -130,7 +130,7 @@ def test_observer_halves_the_tracking_error_under_drag_and_phi_predicts_both_fli
         result, flight = fly(7.0, 1, str(world), observer)
         tracked.append(result.tracking_rmse_m)
         assert flight.firmware_parameters["OBS_GAIN"] == observer
-        states = flight_states(flight)
+        (states,) = flight_states([flight])
         phi = Phi(vehicle=flight.vehicle, effects=(DRAG[0],), parameters=flight.firmware_parameters)
         errors = whole_flights(phi, phi.theta([DRAG]), [states])
         assert errors.position_rmse_m < 3e-3
@@ -144,7 +144,7 @@ def test_observer_halves_the_tracking_error_under_drag_and_phi_predicts_both_fli
 
 
 def test_flight_states_follow_the_reference_and_hover_thrust(flight):
-    states = flight_states(flight)
+    (states,) = flight_states([flight])
     reference = flat_outputs(states.reference, states.t_s)
     assert np.abs(states.x[:, :3] - reference[:3].T).max() < 0.06
     assert np.sqrt(np.square(states.x[:, 3:6] - reference[3:6].T).mean()) < 0.05
@@ -155,7 +155,7 @@ def test_flight_states_follow_the_reference_and_hover_thrust(flight):
 
 
 def test_flight_states_poses_taken_as_older_move_along_the_flight(flight):
-    late, plain = flight_states(flight, latency_s=0.02), flight_states(flight)
+    (late,), (plain,) = flight_states([flight], latency_s=0.02), flight_states([flight])
     moved = (late.x - plain.x)[:, :3]
     np.testing.assert_allclose(moved, 0.02 * plain.x[:, 3:6], atol=3e-3)
 
@@ -164,5 +164,5 @@ def test_flight_states_without_a_reference_say_what_is_missing(flight):
     import dataclasses
 
     with pytest.raises(TooLittleData, match=r"quiet\.mcap: no reference; use a flight tracked") as error:
-        flight_states(dataclasses.replace(flight, reference=None))
+        flight_states([dataclasses.replace(flight, reference=None)])
     assert error.value.exit_code == 2

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from firmware_model.law.estimator import EstimatorGains
 from host.models.bias import accelerometer_bias, standing_errors
-from host.models.smoothing import smooth
+from host.models.smoothing import Series, Smoothed, smooth
 
 
 def curve(t):
@@ -20,12 +20,16 @@ def slope(t):
     return np.stack(terms, axis=1)
 
 
+def smoothed(t, samples, sigma, at, *, jerk_density) -> Smoothed:
+    return smooth([Series(t_s=t, samples=samples, sigma=sigma, at_s=at, jerk_density=jerk_density)])[0]
+
+
 def test_smooth_noisy_curve_gives_position_velocity_and_honest_sigma():
     rng = np.random.default_rng(0)
     t = np.sort(rng.uniform(0.0, 6.0, 600))
     at = np.linspace(0.5, 5.5, 101)
     samples = curve(t) + 1e-3 * rng.standard_normal((600, 3))
-    found = smooth(t, samples, 1e-3, at, jerk_density=20.0)
+    found = smoothed(t, samples, 1e-3, at, jerk_density=20.0)
     p_rms = np.sqrt(np.square(found.p - curve(at)).mean())
     v_rms = np.sqrt(np.square(found.v - slope(at)).mean())
     assert p_rms < 0.5e-3
@@ -37,7 +41,7 @@ def test_smooth_noisy_curve_gives_position_velocity_and_honest_sigma():
 def test_smooth_gap_is_bridged_with_a_larger_sigma():
     t = np.arange(0.0, 4.0, 0.01)
     t = t[(t < 1.9) | (t > 2.1)]
-    found = smooth(t, curve(t), 1e-3, np.array([1.0, 2.0, 3.0]), jerk_density=20.0)
+    found = smoothed(t, curve(t), 1e-3, np.array([1.0, 2.0, 3.0]), jerk_density=20.0)
     assert found.sigma_p[1] > 2.0 * found.sigma_p[0]
     np.testing.assert_allclose(found.p, curve(np.array([1.0, 2.0, 3.0])), atol=3e-3)
 
@@ -45,13 +49,28 @@ def test_smooth_gap_is_bridged_with_a_larger_sigma():
 def test_smooth_times_in_any_order_keep_theirs():
     t = np.arange(0.0, 2.0, 0.01)
     at = np.array([1.5, 0.5, 1.0])
-    found = smooth(t, curve(t), 1e-3, at, jerk_density=20.0)
+    found = smoothed(t, curve(t), 1e-3, at, jerk_density=20.0)
     np.testing.assert_allclose(found.p, curve(at), atol=1e-3)
+
+
+def test_smooth_of_many_is_as_of_each_alone():
+    rng = np.random.default_rng(2)
+    series = []
+    for count, sigma, density in ((200, 1e-3, 20.0), (120, 3e-3, 0.1), (160, 1e-4, 5.0)):
+        t = np.sort(rng.uniform(0.0, 2.0, count))
+        samples = curve(t) + sigma * rng.standard_normal((count, 3))
+        series.append(
+            Series(t_s=t, samples=samples, sigma=sigma, at_s=np.linspace(0.1, 1.9, 40), jerk_density=density)
+        )
+    for one, found in zip(series, smooth(series), strict=True):
+        (alone,) = smooth([one])
+        for kind in ("p", "v", "sigma_p", "sigma_v"):
+            np.testing.assert_allclose(getattr(found, kind), getattr(alone, kind), rtol=1e-9, atol=1e-12)
 
 
 def test_smooth_too_few_samples_are_refused():
     with pytest.raises(ValueError, match="at least 3 samples"):
-        smooth(np.zeros(2), np.zeros((2, 3)), 1e-3, np.zeros(1), jerk_density=1.0)
+        smoothed(np.zeros(2), np.zeros((2, 3)), 1e-3, np.zeros(1), jerk_density=1.0)
 
 
 def test_accelerometer_bias_is_found_beside_lateness():

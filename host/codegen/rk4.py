@@ -1,0 +1,101 @@
+"""Runge-Kutta of fourth order over many lanes in C, around a compiled slope function.
+
+The loop over steps and lanes is one small library that serves every slope function: it gets the function's
+address. Its arithmetic is in the order of `host.models.rollout`, and so are its bits.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from host.codegen.compiler import find_compiler, library_path, shared_library
+from host.codegen.engine import c_source, compile_function
+
+_SOURCE = """
+typedef int (*slopes)(const double **, double **, long long *, double *, int);
+
+/* work: 4 size doubles, then the function's own. */
+void rk4(slopes f, const double **arg, double **res, long long *iw, double *work, long long size,
+         long long inputs, long long steps, long long every, long long rows, double step_s,
+         const double *x0, const double *drive, double *samples)
+{
+    double *x = work, *at = x + size, *k = at + size, *total = k + size, *w = total + size;
+    double half = 0.5 * step_s, sixth = step_s / 6.0;
+    for (long long i = 0; i < size; ++i) x[i] = x0[i];
+    for (long long i = 0; i < rows; ++i) *samples++ = x[i];
+    for (long long step = 1; step <= steps; ++step) {
+        for (int stage = 0; stage < 4; ++stage) {
+            double ahead = stage == 0 ? 0.0 : stage == 3 ? step_s : half;
+            for (long long i = 0; i < size; ++i) at[i] = stage == 0 ? x[i] : x[i] + k[i] * ahead;
+            if (stage == 1 || stage == 3) drive += inputs;
+            arg[0] = at, arg[1] = drive, res[0] = k;
+            f(arg, res, iw, w, 0);
+            for (long long i = 0; i < size; ++i) {
+                if (stage == 0) total[i] = k[i];
+                else total[i] += stage == 3 ? k[i] : k[i] * 2.0;
+            }
+        }
+        for (long long i = 0; i < size; ++i) x[i] += total[i] * sixth;
+        if (step % every == 0) for (long long i = 0; i < rows; ++i) *samples++ = x[i];
+    }
+}
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RungeKutta:
+    """A slope function (x, drive, constants...) -> xdot, ready to be integrated."""
+
+    function: ca.Function
+    slopes: Callable[..., int]
+    loop: Callable[..., None]
+
+    def __call__(
+        self,
+        x0: np.ndarray,
+        drive: np.ndarray,
+        drive_of: np.ndarray,
+        constants: list[np.ndarray],
+        *,
+        step_s: float,
+        every: int,
+        rows: int,
+    ) -> np.ndarray:
+        """(lanes, n, rows): the first `rows` states at the start and after every `every` steps.
+
+        x0 (lanes, size); drive (drives, 2 steps + 1, inputs) at the steps' starts, middles and ends; drive_of
+        (lanes,) which of them each lane has; constants (lanes, each), those after the last are 0.
+        """
+        f, (lanes, size) = self.function, x0.shape
+        steps = drive.shape[1] // 2
+        x0, drive, *constants = (np.ascontiguousarray(each, dtype=float) for each in (x0, drive, *constants))
+        samples = np.empty((lanes, steps // every + 1, rows))
+        arg, res = (ctypes.c_void_p * f.sz_arg())(), (ctypes.c_void_p * f.sz_res())()
+        iw, work = (ctypes.c_longlong * (f.sz_iw() + 1))(), (ctypes.c_double * (4 * size + f.sz_w()))()
+        sizes = [ctypes.c_longlong(n) for n in (size, drive.shape[2], steps, every, rows)]
+        for lane in range(lanes):
+            for i, each in enumerate(constants):
+                arg[2 + i] = each[lane].ctypes.data
+            own = x0[lane], drive[drive_of[lane]], samples[lane]
+            arrays = [ctypes.c_void_p(each.ctypes.data) for each in own]
+            self.loop(self.slopes, arg, res, iw, work, *sizes, ctypes.c_double(step_s), *arrays)
+        return samples
+
+
+def runge_kutta(function: ca.Function) -> RungeKutta | None:
+    """The slope function (x, drive, constants...) -> xdot of dense columns, compiled; None where C is not to
+    be had (`compile_function`).
+    """
+    _, kind = compile_function(function)
+    compiler = find_compiler()
+    if kind != "c" or compiler is None:
+        return None
+    slopes = ctypes.CDLL(str(library_path(c_source(function), compiler)))
+    loop = ctypes.CDLL(str(shared_library(_SOURCE, compiler))).rk4
+    loop.restype = None
+    return RungeKutta(function=function, slopes=slopes[function.name()], loop=loop)
