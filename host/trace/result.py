@@ -15,7 +15,7 @@ from host.trace.diagnose import Diagnosis
 from host.trace.parameters import Space
 from host.trace.score import Errors
 from host.trace.separate import NextFlight
-from host.trace.twins import Leftover
+from host.trace.twins import Leftover, Repeat
 from host.trace.unexplained import Unexplained
 
 SHOWN = 4.2
@@ -175,6 +175,7 @@ class Trace:
             "model": model_path,
             "report": report_path,
             "reasons": list(self.reasons),
+            "repeats": dict(zip(("after", "before"), map(_repeat, self.diagnosis.repeats), strict=True)),
             "possible": [{"name": name, "probability": p} for name, p in self.possible.items()],
             "hidden": list(self.hidden),
             "doubts": list(self.doubts),
@@ -182,3 +183,7 @@ class Trace:
             "unexplained": None if self.unexplained is None else self.unexplained.to_json(network_path),
             "audit": [audit.to_json() for audit in self.audits],
         }
+
+
+def _repeat(found: Repeat | None) -> dict[str, float] | None:
+    return None if found is None else {"share": found.share, "z": found.z, "position_m": found.position_m}

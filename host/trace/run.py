@@ -221,8 +221,8 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         kept, covariance = found.best, honest_covariance(form.space, found.best)
         judged = kept if _is_judged(found) else fitter.fit(_likeliest(found.weights), kept)
         report("comparing twin flights")
-        points = (judged.z, _reading(form.space, nothing))
-        repeats = tuple(repeat(loop, z, order, twins_of(flights)) for z in points)
+        twins, unread = twins_of(flights), _reading(form.space, nothing)
+        repeats = repeat(loop, judged.z, order, twins), repeat(loop, unread, order, twins)
         best = at_parameters(form, nothing, kept.effects, kept.z, covariance, kept.log_evidence)
         method = "closed-loop"
         gram, prior = kept.grams.sum(0), prior_of(form.space)

@@ -112,7 +112,7 @@ class Leftover:
         out = []
         if self.whole is not None and self.whole.z > REPEAT_Z and self.whole.share > self.whole_floor:
             out.append(
-                f"{1e3 * self.whole.position_m:.1f} mm of what whole flights differ by repeat between twin flights, "
+                f"{1e3 * self.whole.position_m:.1f} mm of whole flights' error repeat between twin flights, "
                 f"{self.whole.amplitude:.1f} times turbulence and noise (z {self.whole.z:.1f})"
             )
         if self.whole is None or out:
@@ -166,7 +166,7 @@ def leftover(
         silent = name == "torque" and data.rate_driven
         line = (1.0, 0.0, 1.0) if silent else _line(w[:, :, channel], motion, flight, start_s)
         found[f"{name}_line"], found[f"{name}_line_hz"], found[f"{name}_line_chance"] = line
-    return Leftover(pairs=len(twins), **found)
+    return Leftover(pairs=len(twins), **found)  # pyright: ignore[reportArgumentType]
 
 
 def _repeat(
