@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from host.trace.refine import BIN_S, Loop, autoregression, stretches, whitened
+from host.trace.refine import BIN_S, CHANNELS, Loop, autoregression, stretches, whitened
 from host.trace.twins import Repeat
 
 APART_S = 1.0
@@ -47,6 +47,10 @@ def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int
         position += float((one[whole, :3] * other[whole, :3]).sum()) / int(whole.sum())
     if not count:
         return None
+    # The autoregression fits the difference, which it was made from, better than the sum: without any repeat
+    # the sum's power is greater by as much as the coefficients and the innovation's covariance took up.
+    rows, coefficients = count / CHANNELS, CHANNELS * order
+    common -= 0.5 * count * (2 * coefficients + CHANNELS + 1) / (rows - coefficients - CHANNELS - 1)
     return Repeat(
         share=common / count,
         z=common / float(np.sqrt(variance)),

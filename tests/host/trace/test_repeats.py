@@ -1,0 +1,101 @@
+"""What of whole flights repeats between twins, against noise that does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from host.trace.refine import CHANNELS, Loop
+from host.trace.repeats import repeat
+from host.trace.twins import REPEAT_SHARE, REPEAT_Z, Leftover, Repeat
+
+BINS = 290
+TWINS = [(0, 1), (2, 3), (4, 5), (6, 7)]
+
+
+class Left:
+    """A loop of which only the residuals are known: gusts, and what repeats."""
+
+    def __init__(self, seed: int, physics: float = 0.0, bins: tuple[int, ...] = (BINS,) * 8) -> None:
+        rng = np.random.default_rng(seed)
+        shared = np.random.default_rng([seed, 1])
+        common = [coloured(shared, BINS) for _ in range(4)]
+        self.left = [coloured(rng, count) + physics * common[i // 2][:count] for i, count in enumerate(bins)]
+        self.known = [np.arange(count) > 7 for count in bins]
+
+    def residuals(self, z: np.ndarray) -> list[np.ndarray]:
+        return [each[None] for each in self.left]
+
+
+def coloured(rng: np.random.Generator, bins: int) -> np.ndarray:
+    out = rng.standard_normal((bins + 50, CHANNELS)) * np.repeat([1e-4, 1e-3, 1e-2, 1e-2], 3)
+    for k in range(1, len(out)):
+        out[k] += 0.9 * out[k - 1]
+        out[k, :3] += 0.1 * out[k - 1, 3:6]
+    return out[50:]
+
+
+def found(left: Left) -> Repeat:
+    result = repeat(cast(Loop, left), np.zeros(1), 2, TWINS)
+    assert result is not None
+    return result
+
+
+def test_gusts_alone_repeat_by_chance_only():
+    each = [found(Left(seed)) for seed in range(30)]
+    assert abs(np.mean([r.z for r in each])) < 0.6
+    assert 0.5 < np.std([r.z for r in each]) < 1.5
+    assert max(r.share for r in each) < REPEAT_SHARE / 3
+
+
+@pytest.mark.parametrize("physics", [0.6, 2.0])
+def test_what_the_world_adds_to_both_is_found_with_its_power(physics: float):
+    result = found(Left(3, physics))
+    assert result.z > 2 * REPEAT_Z
+    assert result.share == pytest.approx(physics**2, rel=0.3)
+    assert result.position_m > 0.0
+
+
+def test_twins_of_different_length_are_compared_as_far_as_both_go():
+    assert found(Left(3, 1.0, (BINS, 200) * 4)).share == pytest.approx(1.0, rel=0.4)
+
+
+def test_without_twins_or_with_moments_of_them_nothing_is_said():
+    assert repeat(cast(Loop, Left(0)), np.zeros(1), 2, []) is None
+    assert repeat(cast(Loop, Left(0, bins=(90, 90) * 4)), np.zeros(1), 2, TWINS) is None
+
+
+def test_whole_flights_overrule_what_segments_see_in_both_directions():
+    segments = by_segments(force=0.5)
+    assert segments.reasons
+    calm, moved = found(Left(4)), found(Left(4, 1.0))
+    assert replace(segments, whole=calm).reasons == ()
+    assert "whole flights" in replace(segments, whole=moved).reasons[0]
+    assert replace(segments, whole=moved).reasons[1:] == segments.reasons
+
+
+def test_a_small_part_of_what_was_explained_may_repeat():
+    rest = replace(by_segments(force=0.0), whole=found(Left(4, 0.7)))
+    missing = replace(by_segments(force=1.0), whole=found(Left(4, 7.0)))
+    assert rest.reasons
+    assert rest.beside(missing).reasons == ()
+
+
+def by_segments(force: float) -> Leftover:
+    """What segments leave: a force, m/s^2, that repeats."""
+    return Leftover(
+        force_repeat=force,
+        force_z=20.0 * force,
+        force_line=1.0,
+        force_line_hz=1.0,
+        force_line_chance=1.0,
+        torque_repeat=0.0,
+        torque_z=0.0,
+        torque_line=1.0,
+        torque_line_hz=1.0,
+        torque_line_chance=1.0,
+        pairs=4,
+    )
