@@ -7,14 +7,17 @@ address. Its arithmetic is in the order of `host.models.rollout`, and so are its
 from __future__ import annotations
 
 import ctypes
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from host.codegen.compiler import find_compiler, library_path, shared_library
+from host.codegen.compiler import CodegenError, engine_choice, find_compiler, library_path, shared_library
 from host.codegen.engine import c_source, compile_function
+
+_log = logging.getLogger(__name__)
 
 _SOURCE = """
 typedef int (*slopes)(const double **, double **, long long *, double *, int);
@@ -88,14 +91,21 @@ class RungeKutta:
 
 
 def runge_kutta(function: ca.Function) -> RungeKutta | None:
-    """The slope function (x, drive, constants...) -> xdot of dense columns, compiled; None where C is not to
-    be had (`compile_function`).
+    """The slope function (x, drive, constants...) -> xdot of dense columns in C; None where that cannot be.
+
+    Raises CodegenError as `compile_function` does.
     """
     _, kind = compile_function(function)
     compiler = find_compiler()
     if kind != "c" or compiler is None:
         return None
-    slopes = ctypes.CDLL(str(library_path(c_source(function), compiler)))
-    loop = ctypes.CDLL(str(shared_library(_SOURCE, compiler))).rk4
+    try:
+        slopes = ctypes.CDLL(str(library_path(c_source(function), compiler)))
+        loop = ctypes.CDLL(str(shared_library(_SOURCE, compiler))).rk4
+    except (CodegenError, OSError) as error:
+        if engine_choice() == "c":
+            raise
+        _log.warning("%s; going on without it, slower", error)
+        return None
     loop.restype = None
     return RungeKutta(function=function, slopes=slopes[function.name()], loop=loop)

@@ -59,4 +59,5 @@ def predict(phi: Phi, theta: np.ndarray, states: States, network: Network | None
         step_s=step_s,
         every=split,
         network=network,
+        compiled=True,
     )[:, :, 0]

@@ -88,6 +88,7 @@ def _sensitivity(phi: Phi, theta: np.ndarray, segments: Segments, sigma: np.ndar
         theta=theta,
         step_s=segments.step_s,
         lane_flight=np.repeat(np.arange(count), 2 * size),
+        compiled=True,
     )[1:]
     states = states.reshape(segments.steps * 12, count, size, 2)
     return 0.5 * (states[..., 0] - states[..., 1])

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from host.errors import TrimtabError
 from host.models.reference import flat_outputs
-from host.plan import plan
-from host.route import Route
 from host.trace.data import DT_S
 from host.vehicle import ConfigurationError, Vehicle
+
+if TYPE_CHECKING:
+    from host.route import Route
 
 PACES = (1.0, 1.4, 2.0)
 """Shares of a route's own time that are tried, the shortest first."""
@@ -35,6 +37,8 @@ def manoeuvre(name: str, route: Route, vehicle: Vehicle) -> Manoeuvre | None:
     """The min-snap flight along the route known as `name`, at the first of PACES that keeps limits and
     geofence; None where none does.
     """
+    from host.plan import plan  # takes long to import, and few traces ask for a flight
+
     for pace in PACES:
         try:
             planned = plan(route, vehicle, kind="min-snap", total_time_s=pace * route.duration_s)

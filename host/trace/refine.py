@@ -244,30 +244,30 @@ class Loop:
             out.append(_in_body(recording, r))
         return out
 
-    def linearised(self, z: np.ndarray, effects: Sequence[str]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Per flight the residual (bins, 12) at z (P,) and its negative slopes (P, bins, 12).
+    def slopes(self, z: np.ndarray, effects: Sequence[str], base: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Per flight the negative slopes (P, bins, 12) at z (P,) of the residual, which is `base` (bins, 12).
 
         The first call computes all slopes; later ones those of `effects` alone, for what stays within its
         tolerance hardly changes them.
         """
         chosen = {i for name in effects for i in self.space.groups[name]}
         rows = [i for i in self._rows if not self._slopes or i in chosen]
-        lanes = np.repeat(z[:, None], 1 + len(rows), axis=1)
+        lanes = np.repeat(z[:, None], len(rows), axis=1)
         for lane, row in enumerate(rows):
-            lanes[row, 1 + lane] += _Z_STEP
-        residuals = self.residuals(lanes)
+            lanes[row, lane] += _Z_STEP
+        pushed = self.residuals(lanes) if rows else [np.empty((0, *r.shape)) for r in base]
         if not self._slopes:
-            self._slopes = [np.zeros((len(z), *r.shape[1:])) for r in residuals]
+            self._slopes = [np.zeros((len(z), *r.shape)) for r in base]
         slopes = [kept.copy() for kept in self._slopes]
         sizes = np.zeros(1 + len(z))
-        sizes[0] = sum(float(np.square(r[0]).sum()) for r in residuals)
-        sizes[[1 + row for row in rows]] = sum(np.square(r[1:]).sum((1, 2)) for r in residuals)
+        sizes[0] = sum(float(np.square(r).sum()) for r in base)
+        sizes[[1 + row for row in rows]] = sum(np.square(r).sum((1, 2)) for r in pushed)
         self.space.check_finite(sizes)
-        for each, r in zip(slopes, residuals, strict=True):
-            each[rows] = (r[0] - r[1:]) / _Z_STEP
+        for each, r, away in zip(slopes, base, pushed, strict=True):
+            each[rows] = (r - away) / _Z_STEP
         if len(rows) == len(self._rows):
             self._slopes = slopes
-        return [r[0] for r in residuals], slopes
+        return slopes
 
 
 def _drive(states: States, stages: np.ndarray) -> np.ndarray:
@@ -441,8 +441,9 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
     space = loop.space
     precision = prior_of(space).precision(effects)
     z = space.clipped(z)
+    base = [r[0] for r in loop.residuals(z[:, None])]
     for iteration in range(_ITERATIONS):
-        base, slopes = loop.linearised(z, effects)
+        slopes = loop.slopes(z, effects, base)
         step = np.zeros(len(z))
         for _ in range(3):
             left = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
@@ -452,10 +453,10 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < SETTLED
         if small or iteration == _ITERATIONS - 1:
             break
-        moved = _line_search(loop, white, precision, z, step, base)
+        moved, there = _line_search(loop, white, precision, z, step, base)
         if np.array_equal(moved, z):
             break
-        z = moved
+        z, base = moved, there
     count = sum(len(stretches(k, order)) for k in loop.known)
     log_det = count * float(np.linalg.slogdet(white.innovation)[1])
     return ClosedFit(
@@ -487,18 +488,19 @@ def _line_search(
     z: np.ndarray,
     step: np.ndarray,
     base: Sequence[np.ndarray],
-) -> np.ndarray:
+) -> tuple[np.ndarray, list[np.ndarray]]:
     """The best of z and a few points along the step, by the cost of real roll-outs; z if none is better.
 
-    base: per flight the residual (bins, 12) at z.
+    With it, as `base` for z, per flight the residual (bins, 12) there.
     """
     points = np.column_stack([loop.space.clipped(z + share * step) for share in _LINE])
-    rolled = loop.residuals(points)
+    rolled = [np.concatenate([r[None], along]) for r, along in zip(base, loop.residuals(points), strict=True)]
     points = np.column_stack([z, points])
     cost = (precision[:, None] * points**2).sum(0)
-    for recording, at_z, r in zip(loop.recordings, base, rolled, strict=True):
-        cost += (whitened(white, np.concatenate([at_z[None], r]), recording.known) ** 2).sum(1)
-    return points[:, int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))]
+    for recording, r in zip(loop.recordings, rolled, strict=True):
+        cost += (whitened(white, r, recording.known) ** 2).sum(1)
+    best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
+    return points[:, best], [r[best] for r in rolled]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
