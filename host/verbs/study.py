@@ -30,7 +30,7 @@ def command(
     seed
         The worlds are drawn from it.
     worlds
-        How many; 490 is the study of full size.
+        How many; 538 is the study of full size.
     jobs
         Processes at a time; one for each core by default.
     baselines

@@ -24,7 +24,8 @@ from sitl.studies.flights import BLIND, SCORE, TRUTH, VERDICT, Programme, fly_an
 from sitl.studies.scoring.baselines import BASELINES, judge_others, summary_lines
 from sitl.studies.scoring.metrics import baseline_rows, confusion, deviations, summary
 from sitl.studies.scoring.world import library, score_world
-from sitl.studies.table import failure, lines, table
+from sitl.studies.table import failure, lines, table, thin_table
+from sitl.studies.thin import copier_of, plan_thin_references, programme_of
 from sitl.studies.worlds import PlannedWorld, plan_worlds
 
 LEDGER, ORDER = "ledger.json", "study.json"
@@ -60,7 +61,7 @@ def run(
     report: Report = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """The study's outcome as plain data: `answer` (the machine's object), `lines` (for people), `table`,
-    `baselines`, `confusion`, `deviations` (errors in reported sd by family), `wrong`, `scores`.
+    `thin`, `baselines`, `confusion`, `deviations` (errors in reported sd by family), `wrong`, `scores`.
 
     folder: state and results, made or gone on with. programme: what is flown in every world. jobs:
     processes at a time. Raises StudyError where the folder is another study's or in use, a route cannot be
@@ -71,6 +72,7 @@ def run(
     folder.mkdir(parents=True, exist_ok=True)
     with _alone(folder):
         references = plan_references(folder, vehicle, programme)
+        plan_thin_references(folder, vehicle, programme)
         _same_order(folder, {
             "study": "blind",
             "seed": seed,
@@ -87,8 +89,8 @@ def run(
                 references=references,
                 ledger=folder / LEDGER,
                 vehicle=vehicle,
-                programme=programme,
-                with_baselines=with_baselines,
+                programme=programme_of(world.case, programme),
+                with_baselines=with_baselines and world.case is None,
             )
             for world in planned
         ]
@@ -99,6 +101,7 @@ def run(
         "answer": {"study": "blind", "seed": seed, "worlds": worlds, "folder": str(folder), **figures},
         "lines": [*lines(figures, scores), *summary_lines(others)],
         "table": table(figures),
+        "thin": thin_table(figures),
         "baselines": others,
         "confusion": confusion(scores),
         "deviations": deviations(scores),
@@ -156,7 +159,7 @@ def fly(task: Task) -> str:
 
 def judge(task: Task) -> str:
     """The verdict on the task's world, traced and scored where it was not."""
-    trace(task.folder, task.programme)
+    trace(task.folder, task.programme, copier_of(task.world.case))
     score = score_world(task.folder, Ledger(task.ledger), task.programme)
     if task.with_baselines:
         judge_others(task.folder, task.programme)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sitl.studies.scoring.metrics import is_right
+from sitl.studies.scoring.metrics import OUTCOMES, is_right
 
 Row = dict[str, Any]
 
@@ -16,6 +16,8 @@ _SHARES = (
     ("false_alarm", "false alarms where nothing is missing", "<= 2 %"),
     ("abstain_outside", "abstention outside the library", ">= 90 %"),
     ("abstain_inside", "abstention inside the library", "<= 3 %"),
+    ("thin_wrong", "thin data: traced with a name that is not true", "0 %"),
+    ("thin_told", "thin data: what is missing is said", "100 %"),
 )
 _NUMBERS = (
     ("parameter_error_median", "parameter error, median", "<= 3 %", "parameter_error", "%"),
@@ -53,11 +55,19 @@ def table(figures: Mapping[str, Any]) -> list[Row]:
     return rows
 
 
+def thin_table(figures: Mapping[str, Any]) -> list[Row]:
+    """Rows of what came of thin data, by case: the case, how many, and how many of each outcome."""
+    return [{"case": case, **counts} for case, counts in figures["thin"].items()]
+
+
 def lines(figures: Mapping[str, Any], scores: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The table as text, then each world that was judged wrongly."""
+    """The table as text, what came of thin data, then each world that was judged wrongly."""
     rows = [{"figure": "", "value": "", "n": "n", "interval": "95 %", "target": "target"}, *table(figures)]
     widths = {key: max(len(str(row[key])) for row in rows) for key in rows[0]}
     out = ["  ".join(str(row[key]).ljust(width) for key, width in widths.items()).rstrip() for row in rows]
+    for row in thin_table(figures):
+        counts = ", ".join(f"{row[word]} {word}" for word in OUTCOMES if row[word])
+        out.append(f"{row['case']}: {counts}; what is missing is said in {row['told']} of {row['n']}")
     for score in scores:
         wrong = failure(score)
         if wrong:
@@ -72,6 +82,8 @@ def failure(score: Mapping[str, Any]) -> str | None:
         return None
     weak = "" if score["identifiable"] in (None, True) else ", not identifiable"
     said = "; ".join(score["reasons"]) or score["errors"].strip()
+    if score["case"] is not None:
+        weak = f", {score['case']}{'' if score['told'] else ', which is not said'}"
     return f"{kinds}{weak}: {score['verdict']}, {named}{f' ({said})' if said else ''}"
 
 

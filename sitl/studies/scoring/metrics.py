@@ -9,9 +9,19 @@ import numpy as np
 from scipy.stats import binomtest
 
 from sitl.studies.scoring.world import NAMING
+from sitl.studies.worlds import THIN
 
 SURE_SIGMA = 15.0
 """Parameter errors count where the truth is at least typical and so many sigma of the bound."""
+
+REFUSED = 2
+"""Exit code of logs that say too little or do not belong together."""
+
+OUTCOMES = ("right", "undecided", "nothing-missing", "refused", "outside-library", "wrong", "failed")
+"""Of thin data: traced with true names only, the other verdicts, traced with a name that is not true."""
+
+THIN_GOOD = OUTCOMES[:4]
+"""Those that claim nothing untrue."""
 
 FAMILIES = ("force", "torque", "timing", "aerodynamic")
 Scores = Sequence[Mapping[str, Any]]
@@ -28,10 +38,11 @@ def exact_interval(hits: int, count: int, confidence: float = 0.95) -> tuple[flo
 def summary(scores: Scores) -> dict[str, Any]:
     """The figures of a study as plain data: the machine's keys, None where nothing was counted.
 
-    `n` and `interval` have the keys of the figures; `by_family` has coverage and width once more by family.
+    `n` and `interval` have the keys of the figures; `by_family` has coverage and width once more by family,
+    `thin` counts outcomes by case.
     """
-    single, pair, none, outside = (
-        [s for s in scores if s["class"] == c] for c in ("single", "pair", "none", "outside")
+    single, pair, none, outside, thin = (
+        [s for s in scores if s["class"] == c] for c in ("single", "pair", "none", "outside", "thin")
     )
     inside = [*single, *pair]
     hits = {
@@ -44,6 +55,8 @@ def summary(scores: Scores) -> dict[str, Any]:
         "false_alarm": [s["verdict"] != "nothing-missing" for s in none],
         "abstain_outside": [s["verdict"] == "outside-library" for s in outside],
         "abstain_inside": [s["verdict"] == "outside-library" for s in inside],
+        "thin_wrong": [s["wrong"] for s in thin],
+        "thin_told": [s["told"] for s in thin],
     }
     rows = [row for s in inside for row in s["parameters"]]
     errors = relative_errors(inside)
@@ -52,7 +65,7 @@ def summary(scores: Scores) -> dict[str, Any]:
     judged = [s for s in inside if s["after_m"] is not None and s["floor_m"]]
     over = [s["after_m"] / s["floor_m"] for s in judged]
     sizes = [size for s in inside if s["verdict"] in NAMING for size in s["alias_sizes"]]
-    times = [s["trace_s"] for s in scores if s["trace_s"] is not None]
+    times = [s["trace_s"] for s in scores if s["class"] != "thin" and s["trace_s"] is not None]
     steady = [e["error"] for e in errors if e["family"] != "torque"]
     turning = [e["error"] for e in errors if e["family"] == "torque"]
     return {
@@ -66,6 +79,7 @@ def summary(scores: Scores) -> dict[str, Any]:
         "coverage_2sigma": _share(covered),
         "width_over_bound": _quantile(widths, 0.5),
         "by_family": {name: _family([row for row in rows if row["family"] == name]) for name in FAMILIES},
+        "thin": {case: _thin(found) for case in THIN if (found := [s for s in thin if s["case"] == case])},
         "after_over_floor_median": _quantile(over, 0.5),
         "after_over_floor_p90": _quantile(over, 0.9),
         "before_mm_median": _millimetres(judged, "before_m"),
@@ -102,6 +116,22 @@ def _family(rows: Scores) -> dict[str, Any]:
     }
 
 
+def outcome(score: Mapping[str, Any]) -> str:
+    """What came of a world with thin data: one of OUTCOMES."""
+    if score["verdict"] == "traced":
+        return "wrong" if score["wrong"] else "right"
+    if score["verdict"] == "failed":
+        return "refused" if score["exit_code"] == REFUSED else "failed"
+    return score["verdict"]
+
+
+def _thin(scores: Scores) -> dict[str, int]:
+    """Worlds of one case: how many, how many of each outcome, and how many answers say what is missing."""
+    found = [outcome(s) for s in scores]
+    counts = {word: found.count(word) for word in OUTCOMES}
+    return {"n": len(scores), **counts, "told": sum(s["told"] for s in scores)}
+
+
 def relative_errors(scores: Scores) -> list[dict[str, Any]]:
     """Errors over the truth's distance from neutral, of truths at least typical and SURE_SIGMA strong.
 
@@ -132,6 +162,8 @@ def relative_errors(scores: Scores) -> list[dict[str, Any]]:
 
 def is_right(score: Mapping[str, Any]) -> bool:
     """Whether a verdict is the one that was to be hoped for."""
+    if score["class"] == "thin":
+        return score["told"] and outcome(score) in THIN_GOOD
     wanted = {"none": "nothing-missing", "outside": "outside-library"}
     if score["class"] in wanted:
         return score["verdict"] == wanted[score["class"]]
@@ -183,8 +215,9 @@ def _of(hits: int, count: int) -> str:
 def confusion(scores: Scores) -> dict[str, dict[str, int]]:
     """Worlds by what was true (a kind, a pair of kinds, or nothing) and what was named first.
 
-    A verdict that names nothing counts under its own word.
+    A verdict that names nothing counts under its own word. Thin data are left out.
     """
+    scores = [s for s in scores if s["class"] != "thin"]
     table: dict[str, dict[str, int]] = {}
     order = ("single", "outside", "pair", "none")
     for s in sorted(scores, key=lambda s: (order.index(s["class"]), s["kinds"])):
