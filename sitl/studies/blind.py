@@ -21,10 +21,10 @@ from typing import Any
 from host.vehicle import load_vehicle
 from sitl.studies.files import Ledger, StudyError, read_json, sha256_of, write_json
 from sitl.studies.flights import BLIND, SCORE, TRUTH, VERDICT, Programme, fly_and_seal, plan_references, trace
-from sitl.studies.scoring.baselines import BASELINES, judge_others, summary_lines
+from sitl.studies.scoring.baselines import BASELINES, judge_others
 from sitl.studies.scoring.metrics import baseline_rows, confusion, deviations, summary
 from sitl.studies.scoring.world import library, score_world
-from sitl.studies.table import failure, lines, table, thin_table
+from sitl.studies.table import baseline_table, failure, lines, table, thin_table
 from sitl.studies.thin import copier_of, plan_thin_references, programme_of
 from sitl.studies.worlds import PlannedWorld, plan_worlds
 
@@ -98,11 +98,18 @@ def run(
         scores = [_scores(task) for task in tasks]
     figures, others = summary(scores), baseline_rows(scores)
     return {
-        "answer": {"study": "blind", "seed": seed, "worlds": worlds, "folder": str(folder), **figures},
-        "lines": [*lines(figures, scores), *summary_lines(others)],
+        "answer": {
+            "study": "blind",
+            "seed": seed,
+            "worlds": worlds,
+            "folder": str(folder),
+            **figures,
+            "baselines": others,
+        },
+        "lines": lines(figures, scores, others),
         "table": table(figures),
         "thin": thin_table(figures),
-        "baselines": others,
+        "baselines": baseline_table(others),
         "confusion": confusion(scores),
         "deviations": deviations(scores),
         "wrong": [(score["world"], what) for score in scores if (what := failure(score)) is not None],

@@ -60,8 +60,30 @@ def thin_table(figures: Mapping[str, Any]) -> list[Row]:
     return [{"case": case, **counts} for case, counts in figures["thin"].items()]
 
 
-def lines(figures: Mapping[str, Any], scores: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The table as text, what came of thin data, then each world that was judged wrongly."""
+def baseline_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Rows of texts: method, top1, pairs, alarms, named, error."""
+    return [
+        {
+            "method": row["method"],
+            "top1": _of(row, "top1"),
+            "pairs": _of(row, "pairs_exact"),
+            "alarms": _of(row, "false_alarm"),
+            "named": _text(row["named_mean"], ""),
+            "error": _text(row["after_mm_median"], "mm"),
+        }
+        for row in rows
+    ]
+
+
+def _of(row: Mapping[str, Any], key: str) -> str:
+    n = row["n"][key]
+    return f"{round(row[key] * n)} of {n}" if n else "-"
+
+
+def lines(
+    figures: Mapping[str, Any], scores: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]] = ()
+) -> list[str]:
+    """The table as text, what came of thin data, each world that was judged wrongly, then other methods."""
     rows = [{"figure": "", "value": "", "n": "n", "interval": "95 %", "target": "target"}, *table(figures)]
     widths = {key: max(len(str(row[key])) for row in rows) for key in rows[0]}
     out = ["  ".join(str(row[key]).ljust(width) for key, width in widths.items()).rstrip() for row in rows]
@@ -72,6 +94,11 @@ def lines(figures: Mapping[str, Any], scores: Sequence[Mapping[str, Any]]) -> li
         wrong = failure(score)
         if wrong:
             out.append(f"world {score['world']}: {wrong}")
+    out += [
+        f"{row['method']}: first name right {row['top1']}, pairs exact {row['pairs']}, false alarms "
+        f"{row['alarms']}, {row['named']} effects named in the mean, held-out error {row['error']}"
+        for row in baseline_table(others)
+    ]
     return out
 
 

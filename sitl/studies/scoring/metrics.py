@@ -23,6 +23,7 @@ OUTCOMES = ("right", "undecided", "nothing-missing", "refused", "outside-library
 THIN_GOOD = OUTCOMES[:4]
 """Those that claim nothing untrue."""
 
+TRACING = "trimtab trace"
 FAMILIES = ("force", "torque", "timing", "aerodynamic")
 Scores = Sequence[Mapping[str, Any]]
 
@@ -181,35 +182,47 @@ def deviations(scores: Scores) -> dict[str, list[float]]:
 
 
 def baseline_rows(scores: Scores) -> list[dict[str, Any]]:
-    """Rows of texts for the methods that were set beside tracing, empty where none were.
+    """Figures of tracing and of the methods set beside it, of the same worlds; empty where none were.
 
-    Sets are judged on worlds with effects of the library, false alarms on those with nothing.
+    `top1` (single effects), `pairs_exact` and `false_alarm` are shares, `n` their counts, None and 0 for a
+    method that names nothing; `named_mean` is how many effects it names where some are, `after_mm_median` its
+    error on held-out flights.
     """
     judged = [s for s in scores if s["baselines"]]
     methods = list(dict.fromkeys(name for s in judged for name in s["baselines"]))
-    return [_baseline_row(name, [s for s in judged if name in s["baselines"]]) for name in methods]
+    said = {TRACING: [_as_baseline(s) for s in judged]} if judged else {}
+    said |= {name: [s["baselines"][name] for s in judged] for name in methods}
+    classes = [s["class"] for s in judged]
+    return [_baseline_row(name, list(zip(classes, found, strict=True))) for name, found in said.items()]
 
 
-def _baseline_row(method: str, scores: Scores) -> dict[str, Any]:
-    inside = [s for s in scores if s["class"] in ("single", "pair")]
-    none = [s for s in scores if s["class"] == "none"]
-    said = [s["baselines"][method] for s in scores]
-    naming = [s for s in inside if s["baselines"][method]["names"] is not None]
-    quiet = [s for s in none if s["baselines"][method]["names"] is not None]
-    terms = [len(s["baselines"][method]["names"]) for s in naming]
-    errors = [1e3 * one["after_m"] for one in said if one["after_m"] is not None]
+def _as_baseline(score: Mapping[str, Any]) -> dict[str, Any]:
+    """What tracing said of a world, in the words of the other methods: whatever is named counts as named."""
+    alarm = ["something"] if score["verdict"] != "nothing-missing" else []
     return {
-        "method": method,
-        "first": _of(sum(s["baselines"][method]["first_right"] for s in naming), len(naming)),
-        "exact": _of(sum(s["baselines"][method]["exact"] for s in naming), len(naming)),
-        "false_alarm": _of(sum(bool(s["baselines"][method]["names"]) for s in quiet), len(quiet)),
-        "terms": f"{np.mean(terms):.1f}" if terms else "-",
-        "error": f"{np.median(errors):.1f} mm" if errors else "-",
+        "names": alarm if score["class"] == "none" else score["named"],
+        "first_right": score["top1"],
+        "exact": score["exact"],
+        "after_m": score["after_m"],
     }
 
 
-def _of(hits: int, count: int) -> str:
-    return f"{hits} of {count}" if count else "-"
+def _baseline_row(method: str, said: Sequence[tuple[str, Mapping[str, Any]]]) -> dict[str, Any]:
+    naming = [(kind_class, one) for kind_class, one in said if one["names"] is not None]
+    hits = {
+        "top1": [one["first_right"] for kind_class, one in naming if kind_class == "single"],
+        "pairs_exact": [one["exact"] for kind_class, one in naming if kind_class == "pair"],
+        "false_alarm": [bool(one["names"]) for kind_class, one in naming if kind_class == "none"],
+    }
+    counts = [len(one["names"]) for kind_class, one in naming if kind_class in ("single", "pair")]
+    errors = [1e3 * one["after_m"] for _, one in said if one["after_m"] is not None]
+    return {
+        "method": method,
+        **{name: _share(found) for name, found in hits.items()},
+        "named_mean": _mean(counts),
+        "after_mm_median": _quantile(errors, 0.5),
+        "n": {name: len(found) for name, found in hits.items()},
+    }
 
 
 def confusion(scores: Scores) -> dict[str, dict[str, int]]:

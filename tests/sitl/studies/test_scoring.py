@@ -15,7 +15,14 @@ from host.vehicle import load_vehicle
 from sitl.studies.scoring.baselines import stepwise_bic, weak_sindy
 from sitl.studies.scoring.bounds import Bounds
 from sitl.studies.scoring.effective import effective
-from sitl.studies.scoring.metrics import confusion, exact_interval, is_right, relative_errors, summary
+from sitl.studies.scoring.metrics import (
+    baseline_rows,
+    confusion,
+    exact_interval,
+    is_right,
+    relative_errors,
+    summary,
+)
 from sitl.studies.scoring.names import collapsed
 from sitl.studies.scoring.world import is_told, judge, parameter_rows
 from sitl.studies.table import failure, lines
@@ -223,6 +230,33 @@ def test_what_thin_data_lack_is_looked_for_where_an_answer_says_it() -> None:
     refusal = {"answer": {}, "errors": "a.mcap: mass_kg differ; trace each vehicle's logs apart"}
     assert is_told("two vehicles", refusal)
     assert not is_told("no gyro", refusal)
+
+
+def test_other_methods_stand_beside_tracing_on_the_same_worlds() -> None:
+    def other(*names: str, first: bool = False, exact: bool = False) -> dict[str, Any]:
+        named = {"names": list(names), "first_right": first, "exact": exact, "after_m": None}
+        silent = {"names": None, "first_right": None, "exact": None, "after_m": 0.03}
+        return {"regression": named, "network": silent}
+
+    asked = [
+        {**SCORES[0], "baselines": other("motor-lag", "mass", first=True)},
+        {**SCORES[1], "baselines": other("wind")},
+        {**SCORES[2], "baselines": other("linear-drag", "wind", first=True, exact=True)},
+        {**SCORES[3], "baselines": other("mass")},
+        {**SCORES[4], "baselines": other()},
+        SCORES[5],
+    ]
+    tracing, regression, network = baseline_rows(asked)
+    assert (tracing["top1"], tracing["pairs_exact"], tracing["false_alarm"]) == (0.5, 1.0, 0.5)
+    assert (regression["top1"], regression["pairs_exact"], regression["false_alarm"]) == (0.5, 1.0, 0.5)
+    assert regression["n"] == tracing["n"] == {"top1": 2, "pairs_exact": 1, "false_alarm": 2}
+    assert regression["named_mean"] == pytest.approx(5 / 3)
+    assert (network["top1"], network["after_mm_median"]) == (None, 30.0)
+    assert tracing["after_mm_median"] == pytest.approx(25.5)
+    assert baseline_rows(SCORES) == []
+    text = "\n".join(lines(summary(SCORES), SCORES, baseline_rows(asked)))
+    assert "trimtab trace: first name right 1 of 2, pairs exact 1 of 1, false alarms 1 of 2" in text
+    assert "network: first name right -, pairs exact -, false alarms -, - effects" in text
 
 
 @pytest.fixture
