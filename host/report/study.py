@@ -49,6 +49,7 @@ def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Ma
         title=f"Blind study of {answer['worlds']} worlds, seed {answer['seed']}",
         table=outcome["table"],
         thin=outcome["thin"],
+        real=outcome["real"],
         baselines=outcome["baselines"],
         figures=list(drawn.values()),
         wrong=outcome["wrong"],

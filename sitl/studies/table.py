@@ -75,15 +75,49 @@ def baseline_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
     ]
 
 
+def real_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Rows of texts: name, used, held_out, verdict, said, before, after, seconds."""
+    return [
+        {
+            "name": row["name"],
+            "used": ", ".join(row["used"]),
+            "held_out": ", ".join(row["held_out"]) or "-",
+            "verdict": row["verdict"],
+            "said": "; ".join([*map(_effect, row["effects"]), *row["doubts"]]) or row["errors"].strip(),
+            "before": _millimetres(row["before_m"]),
+            "after": _millimetres(row["after_m"]),
+            "seconds": _text(row["trace_s"], "s"),
+        }
+        for row in rows
+    ]
+
+
+def _effect(effect: Mapping[str, Any]) -> str:
+    """An effect with its values and two standard deviations, and what it could be in its place."""
+    values = ", ".join(
+        f"{key} {p['value']:.3g} +- {2 * p['sd']:.2g}{'' if p['unit'] == '1' else ' ' + p['unit']}"
+        for key, p in effect["parameters"].items()
+    )
+    others = ", ".join(alias["name"] for alias in effect["aliases"])
+    return f"{effect['name']} {values}{f' (or {others})' if others else ''}"
+
+
+def _millimetres(value_m: float | None) -> str:
+    return "-" if value_m is None else f"{1e3 * value_m:.1f} mm"
+
+
 def _of(row: Mapping[str, Any], key: str) -> str:
     n = row["n"][key]
     return f"{round(row[key] * n)} of {n}" if n else "-"
 
 
 def lines(
-    figures: Mapping[str, Any], scores: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]] = ()
+    figures: Mapping[str, Any],
+    scores: Sequence[Mapping[str, Any]],
+    others: Sequence[Mapping[str, Any]] = (),
+    real: Sequence[Mapping[str, Any]] = (),
 ) -> list[str]:
-    """The table as text, what came of thin data, each world that was judged wrongly, then other methods."""
+    """The table as text, what came of thin data, worlds that were judged wrongly, other methods, flights."""
     rows = [{"figure": "", "value": "", "n": "n", "interval": "95 %", "target": "target"}, *table(figures)]
     widths = {key: max(len(str(row[key])) for row in rows) for key in rows[0]}
     out = ["  ".join(str(row[key]).ljust(width) for key, width in widths.items()).rstrip() for row in rows]
@@ -98,6 +132,11 @@ def lines(
         f"{row['method']}: first name right {row['top1']}, pairs exact {row['pairs']}, false alarms "
         f"{row['alarms']}, {row['named']} effects named in the mean, held-out error {row['error']}"
         for row in baseline_table(others)
+    ]
+    out += [
+        f"{row['name']}: {row['verdict']}, {row['said'] or 'nothing named'}; held out {row['held_out']}: "
+        f"{row['before']} before, {row['after']} after"
+        for row in real_table(real)
     ]
     return out
 

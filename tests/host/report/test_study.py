@@ -24,6 +24,10 @@ OUTCOME = {
         {"case": "no <i>", "n": 7, "told": 6, "right": 5, "undecided": 2, "nothing-missing": 0, "refused": 0}
         | {"outside-library": 0, "wrong": 0, "failed": 0}
     ],
+    "real": [
+        {"name": "our", "used": "a1", "held_out": "c1", "verdict": "traced", "said": "mass & more"}
+        | {"before": "9.0 mm", "after": "4.0 mm", "seconds": "3 s"}
+    ],
     "baselines": [],
     "confusion": {"motor-lag": {"motor-lag": 3, "undecided": 1}, "nothing": {"nothing-missing": 2}},
     "deviations": {"timing": [0.4, -9.0], "force": []},
@@ -47,6 +51,7 @@ def test_page_holds_table_pictures_and_wrong_worlds_and_nothing_from_elsewhere()
     assert "motor-lag: undecided, motor-lag" in html
     assert "no &lt;i&gt;" in html
     assert ">6</td></tr>" in html
+    assert "mass &amp; more" in html
     assert html.count("<img ") == 2
     assert not re.search(r'(src|href)="(?!data:)', html)
 
