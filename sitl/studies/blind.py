@@ -67,8 +67,9 @@ def run(
     `scores`.
 
     folder: state and results, made or gone on with. real: file of groups of flights that are traced beside
-    the worlds. programme: what is flown in every world. jobs: processes at a time. Raises StudyError where the folder is another study's or in use, a route cannot be
-    planned or a world not flown; SealBroken where a truth is not the one that was sealed.
+    the worlds. programme: what is flown in every world. jobs: processes at a time.
+    Raises StudyError where the folder is another study's or in use, a route cannot be planned or a world not
+    flown; SealBroken where a truth is not the one that was sealed.
     """
     planned = plan_worlds(seed, worlds, library())
     groups = [] if real is None else read_groups(real)
