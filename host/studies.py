@@ -24,12 +24,14 @@ class Study(Protocol):
         vehicle: str,
         jobs: int,
         with_baselines: bool = False,
+        real: Path | None = None,
         report: Callable[[float, float, str], None],
     ) -> Mapping[str, Any]:
-        """The outcome as plain data: `answer`, `lines`, `table`, `baselines`, `confusion`, `deviations`,
-        `wrong`, `scores`.
+        """The outcome as plain data: `answer`, `lines`, `table`, `thin`, `real`, `baselines`, `confusion`,
+        `deviations`, `wrong`, `scores`.
 
-        folder: state and results, gone on with where they are there. report: called with what is done, what
+        folder: state and results, gone on with where they are there. real: file of groups of flights that are
+        traced beside the worlds. report: called with what is done, what
         there is to do, and a word.
         """
         ...

@@ -48,6 +48,8 @@ def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Ma
     return environment.from_string(template).render(
         title=f"Blind study of {answer['worlds']} worlds, seed {answer['seed']}",
         table=outcome["table"],
+        thin=outcome["thin"],
+        real=outcome["real"],
         baselines=outcome["baselines"],
         figures=list(drawn.values()),
         wrong=outcome["wrong"],

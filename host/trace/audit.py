@@ -391,6 +391,8 @@ def _sampling(flight: Flight, rates: Sequence[Rate]) -> list[str]:
     driven = not without_inputs(flight)
     if not driven:
         out.append("no inputs recorded: only forces across the thrust show")
+    if flight.reference is None or flight.firmware_parameters is None:
+        out.append("no reference with the law that flew it: read in segments, which know timing less well")
     if flight.control is None and (flight.recorded_imu is None or flight.recorded_imu.gyro is None):
         out.append("no gyro: delay and latency are hard to tell apart")
     lag_s = flight.vehicle.motor_lag_s

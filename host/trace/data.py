@@ -121,7 +121,7 @@ def _cut(
                 "in_newton": s.in_newton,
                 "flight": np.array(index),
                 "start_s": np.array(start_s),
-                "x0": _initial(s, grid[a], rate[a] if rate_share[a] > 0.5 else np.zeros(3)),
+                "x0": _initial(s, grid[a], rate[a] if rate_share[a] > 0.5 else None),
                 "position": s.p[np.where(here, pick, 0)],
                 "attitude": R.reshape(steps, 9),
                 "shift_s": np.where(here, s.pose_s[np.where(here, pick, 0)] - grid[a : a + steps], 0.0),
@@ -149,14 +149,17 @@ def _cut(
     )
 
 
-def _initial(s: Signals, t: float, rate: np.ndarray) -> np.ndarray:
+def _initial(s: Signals, t: float, rate: np.ndarray | None) -> np.ndarray:
     """Initial state (12,) at t: local quadratic through the positions, attitude of the nearest pose, body
-    rate.
+    rate; where no gyro says that, how the poses turn.
     """
     near = np.flatnonzero(np.abs(s.pose_s - t) < 0.06)
     if len(near) < 4:
         near = np.argsort(np.abs(s.pose_s - t))[:4]
     fit = np.polynomial.polynomial.polyfit(s.pose_s[near] - t, s.p[near], 2)
     nearest = near[np.argmin(np.abs(s.pose_s[near] - t))]
+    if rate is None:
+        turned = Rotation.from_matrix(s.R[nearest].T @ s.R[near]).as_rotvec()
+        rate = np.polynomial.polynomial.polyfit(s.pose_s[near] - t, turned, 1)[1]
     yaw, pitch, roll = Rotation.from_matrix(s.R[nearest]).as_euler("ZYX")
     return np.concatenate([fit[0], fit[1], [roll, pitch, yaw], rate])

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from host.models import dynamics
 from host.trace.evidence import Linearisation
@@ -23,6 +24,9 @@ PATH_S = 0.02
 
 _LANES = 2500
 _X_STEP = np.full(STATES, 1e-6)
+TURN_STEPS = 6
+"""Steps over which poses say a body rate: noise of attitude asks for many, a turn that changes for few."""
+
 _LOCAL_STEP = np.full(LOCALS, 1e-5)
 _BIN_STEP = np.full(6, 1e-5)
 _Z_STEP = 1e-5
@@ -327,7 +331,8 @@ def measured_turn(form: Form, data: Segments) -> np.ndarray:
     """Disturbance (S, bins, 6) with the angular acceleration that the nominal model lacks along the
     measurements.
 
-    Read off the measured body rate; the force part is zero, errors of force turn nothing.
+    Read off the measured body rate, where no gyro spoke off the poses' turning; the force part is zero,
+    errors of force turn nothing.
     """
     w = np.zeros((len(data.flight), data.bins, 6))
     if data.rate_driven:
@@ -338,19 +343,34 @@ def measured_turn(form: Form, data: Segments) -> np.ndarray:
     target = nominal_thrust(vehicle, data.command, in_newton=data.in_newton)
     thrust = target[:, 0]
     modelled = np.empty((len(data.flight), data.steps, 3))
+    measured, weight = data.rate.copy(), data.rate_weight.copy()
+    for i in np.flatnonzero(~weight.any(axis=1)).tolist():
+        measured[i], weight[i] = _turning(data, i), 1.0
     j = np.array(vehicle.inertia_kg_m2)
     for k in range(-pre, data.steps):
         thrust = thrust + (target[:, pre + k] - thrust) * share
         if k >= 0:
             torque = np.stack(dynamics.rotor_torque(vehicle, list(thrust.T)), axis=1)
-            rate = data.rate[:, k]
+            rate = measured[:, k]
             modelled[:, k] = (torque - np.cross(rate, j * rate)) / j
     for b in range(data.bins):
         a, e = b * per_bin, min((b + 1) * per_bin, data.steps - 1)
-        known = (data.rate_weight[:, a] * data.rate_weight[:, e])[:, None]
-        gained = (data.rate[:, e] - data.rate[:, a]) / ((e - a) * data.dt_s)
+        known = (weight[:, a] * weight[:, e])[:, None]
+        gained = (measured[:, e] - measured[:, a]) / ((e - a) * data.dt_s)
         w[:, b, 3:] = known * (gained - modelled[:, a:e].mean(1))
     return w
+
+
+def _turning(data: Segments, i: int) -> np.ndarray:
+    """Body rate (steps, 3) along segment i from its poses alone: means over TURN_STEPS between them."""
+    at = np.flatnonzero(data.pose_weight[i])
+    apart = min(TURN_STEPS, len(at) - 1)
+    first, last = at[:-apart], at[apart:]
+    R = data.attitude[i].reshape(-1, 3, 3)
+    turned = Rotation.from_matrix(np.swapaxes(R[first], 1, 2) @ R[last]).as_rotvec()
+    rate = turned / ((last - first) * data.dt_s)[:, None]
+    middle = 0.5 * (first + last)
+    return np.column_stack([np.interp(np.arange(data.steps), middle, rate[:, axis]) for axis in range(3)])
 
 
 def fitted_x0(

@@ -17,6 +17,7 @@ def command(
     vehicle: VehicleName = DEFAULT_VEHICLE,
     jobs: int | None = None,
     baselines: bool = False,
+    real: Path | None = None,
     output: Output = None,
     workspace: WorkspaceFolder = None,
     json: Json = False,
@@ -30,11 +31,14 @@ def command(
     seed
         The worlds are drawn from it.
     worlds
-        How many; 490 is the study of full size.
+        How many; 538 is the study of full size.
     jobs
         Processes at a time; one for each core by default.
     baselines
         Judge other methods on the same logs too.
+    real
+        TOML file with groups of flights that somebody flew: traced beside the worlds, with the error on those
+        held out.
     output
         Folder for state and report, study-NAME-SEED in the workspace by default. What is there is gone on
         with.
@@ -67,6 +71,7 @@ def command(
             vehicle=craft,
             jobs=jobs or len(os.sched_getaffinity(0)),
             with_baselines=baselines,
+            real=real,
             report=lambda done, total, detail: progress.update(done, total=total, detail=detail),
         )
     drawn = pictures(outcome)

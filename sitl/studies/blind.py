@@ -21,10 +21,12 @@ from typing import Any
 from host.vehicle import load_vehicle
 from sitl.studies.files import Ledger, StudyError, read_json, sha256_of, write_json
 from sitl.studies.flights import BLIND, SCORE, TRUTH, VERDICT, Programme, fly_and_seal, plan_references, trace
-from sitl.studies.scoring.baselines import BASELINES, judge_others, summary_lines
+from sitl.studies.real import judge_real, read_groups
+from sitl.studies.scoring.baselines import BASELINES, judge_others
 from sitl.studies.scoring.metrics import baseline_rows, confusion, deviations, summary
 from sitl.studies.scoring.world import library, score_world
-from sitl.studies.table import failure, lines, table
+from sitl.studies.table import baseline_table, failure, lines, real_table, table, thin_table
+from sitl.studies.thin import copier_of, plan_thin_references, programme_of
 from sitl.studies.worlds import PlannedWorld, plan_worlds
 
 LEDGER, ORDER = "ledger.json", "study.json"
@@ -56,21 +58,26 @@ def run(
     vehicle: str,
     jobs: int,
     with_baselines: bool = False,
+    real: Path | None = None,
     programme: Programme = BLIND,
     report: Report = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """The study's outcome as plain data: `answer` (the machine's object), `lines` (for people), `table`,
-    `baselines`, `confusion`, `deviations` (errors in reported sd by family), `wrong`, `scores`.
+    `thin`, `real`, `baselines`, `confusion`, `deviations` (errors in reported sd by family), `wrong`,
+    `scores`.
 
-    folder: state and results, made or gone on with. programme: what is flown in every world. jobs:
-    processes at a time. Raises StudyError where the folder is another study's or in use, a route cannot be
-    planned or a world not flown; SealBroken where a truth is not the one that was sealed.
+    folder: state and results, made or gone on with. real: file of groups of flights that are traced beside
+    the worlds. programme: what is flown in every world. jobs: processes at a time.
+    Raises StudyError where the folder is another study's or in use, a route cannot be planned or a world not
+    flown; SealBroken where a truth is not the one that was sealed.
     """
     planned = plan_worlds(seed, worlds, library())
+    groups = [] if real is None else read_groups(real)
     folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
     with _alone(folder):
         references = plan_references(folder, vehicle, programme)
+        plan_thin_references(folder, vehicle, programme)
         _same_order(folder, {
             "study": "blind",
             "seed": seed,
@@ -87,19 +94,31 @@ def run(
                 references=references,
                 ledger=folder / LEDGER,
                 vehicle=vehicle,
-                programme=programme,
-                with_baselines=with_baselines,
+                programme=programme_of(world.case, programme),
+                with_baselines=with_baselines and world.case is None,
             )
             for world in planned
         ]
         _work(tasks, ledger, jobs, report)
         scores = [_scores(task) for task in tasks]
+        done = len(tasks) * (_FLOWN + _JUDGED)
+        flown = judge_real(groups, folder, lambda said: report(done, done, said))
     figures, others = summary(scores), baseline_rows(scores)
     return {
-        "answer": {"study": "blind", "seed": seed, "worlds": worlds, "folder": str(folder), **figures},
-        "lines": [*lines(figures, scores), *summary_lines(others)],
+        "answer": {
+            "study": "blind",
+            "seed": seed,
+            "worlds": worlds,
+            "folder": str(folder),
+            **figures,
+            "baselines": others,
+            "real": flown,
+        },
+        "lines": lines(figures, scores, others, flown),
         "table": table(figures),
-        "baselines": others,
+        "thin": thin_table(figures),
+        "real": real_table(flown),
+        "baselines": baseline_table(others),
         "confusion": confusion(scores),
         "deviations": deviations(scores),
         "wrong": [(score["world"], what) for score in scores if (what := failure(score)) is not None],
@@ -156,7 +175,7 @@ def fly(task: Task) -> str:
 
 def judge(task: Task) -> str:
     """The verdict on the task's world, traced and scored where it was not."""
-    trace(task.folder, task.programme)
+    trace(task.folder, task.programme, copier_of(task.world.case))
     score = score_world(task.folder, Ledger(task.ledger), task.programme)
     if task.with_baselines:
         judge_others(task.folder, task.programme)

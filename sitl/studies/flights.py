@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -35,6 +36,11 @@ class Programme:
         """File names of the logs of these routes."""
         return [f"{log}.mcap" for log, name, _ in self.flights() if name in routes]
 
+    def route(self, name: str) -> str:
+        """The route of this name as the command line takes it."""
+        own = self.routes / f"{name}.toml"
+        return str(own) if own.is_file() else name
+
 
 BLIND = Programme(
     routes=Path(str(files("sitl.studies"))) / "routes",
@@ -57,16 +63,20 @@ def plan_references(folder: Path, vehicle: str, programme: Programme) -> Path:
     target = folder / "references"
     target.mkdir(exist_ok=True)
     for name in (*programme.learning, *programme.held_out):
-        if (target / f"{name}.ref").is_file():
-            continue
-        own = programme.routes / f"{name}.toml"
-        route = str(own) if own.is_file() else name
-        done = run_apart(["plan", route, "--vehicle", vehicle, "-o", f"{name}.ref", "--force"], target)
-        if done.code:
-            raise StudyError(
-                f"the study's route {name} cannot be planned for {vehicle}: {done.errors.strip()}"
-            )
+        plan_route(target, name, programme.route(name), vehicle)
     return target
+
+
+def plan_route(folder: Path, name: str, route: str, vehicle: str) -> None:
+    """Nothing comes back; `folder` holds the reference `name` of a route, planned where it was not there yet.
+
+    Raises StudyError where it cannot be planned.
+    """
+    if (folder / f"{name}.ref").is_file():
+        return
+    done = run_apart(["plan", route, "--vehicle", vehicle, "-o", f"{name}.ref", "--force"], folder)
+    if done.code:
+        raise StudyError(f"the study's route {name} cannot be planned for {vehicle}: {done.errors.strip()}")
 
 
 def fly_and_seal(
@@ -74,7 +84,8 @@ def fly_and_seal(
 ) -> str:
     """The SHA-256 of the world's truth, flown and sealed in `folder`; what is there already stays.
 
-    A flight that fails is part of the world too, as far as it has left a log.
+    A reference with a vehicle file of its name beside it is flown by that vehicle. A flight that fails is
+    part of the world too, as far as it has left a log.
     """
     if (folder / TRUTH).is_file():
         return sha256_of(folder / TRUTH)
@@ -88,7 +99,9 @@ def fly_and_seal(
         log = logs / f"{name}.mcap"
         beside = log.with_name(log.name + _LOG_TRUTH)
         if not beside.is_file():
-            words = ["fly", str(references / f"{route}.ref"), "--vehicle", vehicle, "--world", str(file)]
+            own = references / f"{route}.toml"
+            craft = str(own) if own.is_file() else vehicle
+            words = ["fly", str(references / f"{route}.ref"), "--vehicle", craft, "--world", str(file)]
             words += ["--world-seed", str(world.seed), "--flight", str(index), "--seed", str(index)]
             done = run_inside([*words, "-o", str(log), "--force"])
             if done.code not in (0, 1) or not beside.is_file():
@@ -99,6 +112,7 @@ def fly_and_seal(
         "world": world.name,
         "class": world.kind_class,
         "kinds": list(world.kinds),
+        "case": world.case,
         "file": world.toml(),
         "seed": world.seed,
         "vehicle": vehicle,
@@ -114,10 +128,10 @@ def fly_and_seal(
     return sha256_of(folder / TRUTH)
 
 
-def trace(folder: Path, programme: Programme) -> None:
+def trace(folder: Path, programme: Programme, copy: Callable[[Path, Path], object] = shutil.copyfile) -> None:
     """Nothing comes back; the verdict on the world's logs is a file in `folder`, made once.
 
-    The command line sees a folder that holds copies of the logs and nothing else.
+    The command line sees a folder that holds what `copy` makes of each log and nothing else.
     """
     if (folder / VERDICT).is_file():
         return
@@ -125,9 +139,10 @@ def trace(folder: Path, programme: Programme) -> None:
     shutil.rmtree(bare, ignore_errors=True)
     bare.mkdir()
     for log in (folder / "flights").glob("*.mcap"):
-        shutil.copyfile(log, bare / log.name)
+        copy(log, bare / log.name)
     words = ["trace", *programme.logs(programme.learning)]
-    words += ["--hold-out", *programme.logs(programme.held_out)]
+    if programme.held_out:
+        words += ["--hold-out", *programme.logs(programme.held_out)]
     done = run_apart(words, bare)
     write_json(
         folder / VERDICT,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sitl.studies.scoring.metrics import is_right
+from sitl.studies.scoring.metrics import OUTCOMES, is_right
 
 Row = dict[str, Any]
 
@@ -16,6 +16,8 @@ _SHARES = (
     ("false_alarm", "false alarms where nothing is missing", "<= 2 %"),
     ("abstain_outside", "abstention outside the library", ">= 90 %"),
     ("abstain_inside", "abstention inside the library", "<= 3 %"),
+    ("thin_wrong", "thin data: traced with a name that is not true", "0 %"),
+    ("thin_told", "thin data: what is missing is said", "100 %"),
 )
 _NUMBERS = (
     ("parameter_error_median", "parameter error, median", "<= 3 %", "parameter_error", "%"),
@@ -53,15 +55,89 @@ def table(figures: Mapping[str, Any]) -> list[Row]:
     return rows
 
 
-def lines(figures: Mapping[str, Any], scores: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The table as text, then each world that was judged wrongly."""
+def thin_table(figures: Mapping[str, Any]) -> list[Row]:
+    """Rows of what came of thin data, by case: the case, how many, and how many of each outcome."""
+    return [{"case": case, **counts} for case, counts in figures["thin"].items()]
+
+
+def baseline_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Rows of texts: method, top1, pairs, alarms, named, error."""
+    return [
+        {
+            "method": row["method"],
+            "top1": _of(row, "top1"),
+            "pairs": _of(row, "pairs_exact"),
+            "alarms": _of(row, "false_alarm"),
+            "named": _text(row["named_mean"], ""),
+            "error": _text(row["after_mm_median"], "mm"),
+        }
+        for row in rows
+    ]
+
+
+def real_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Rows of texts: name, used, held_out, verdict, said, before, after, seconds."""
+    return [
+        {
+            "name": row["name"],
+            "used": ", ".join(row["used"]),
+            "held_out": ", ".join(row["held_out"]) or "-",
+            "verdict": row["verdict"],
+            "said": "; ".join([*map(_effect, row["effects"]), *row["doubts"]]) or row["errors"].strip(),
+            "before": _millimetres(row["before_m"]),
+            "after": _millimetres(row["after_m"]),
+            "seconds": _text(row["trace_s"], "s"),
+        }
+        for row in rows
+    ]
+
+
+def _effect(effect: Mapping[str, Any]) -> str:
+    """An effect with its values and two standard deviations, and what it could be in its place."""
+    values = ", ".join(
+        f"{key} {p['value']:.3g} +- {2 * p['sd']:.2g}{'' if p['unit'] == '1' else ' ' + p['unit']}"
+        for key, p in effect["parameters"].items()
+    )
+    others = ", ".join(alias["name"] for alias in effect["aliases"])
+    return f"{effect['name']} {values}{f' (or {others})' if others else ''}"
+
+
+def _millimetres(value_m: float | None) -> str:
+    return "-" if value_m is None else f"{1e3 * value_m:.1f} mm"
+
+
+def _of(row: Mapping[str, Any], key: str) -> str:
+    n = row["n"][key]
+    return f"{round(row[key] * n)} of {n}" if n else "-"
+
+
+def lines(
+    figures: Mapping[str, Any],
+    scores: Sequence[Mapping[str, Any]],
+    others: Sequence[Mapping[str, Any]] = (),
+    real: Sequence[Mapping[str, Any]] = (),
+) -> list[str]:
+    """The table as text, what came of thin data, worlds that were judged wrongly, other methods, flights."""
     rows = [{"figure": "", "value": "", "n": "n", "interval": "95 %", "target": "target"}, *table(figures)]
     widths = {key: max(len(str(row[key])) for row in rows) for key in rows[0]}
     out = ["  ".join(str(row[key]).ljust(width) for key, width in widths.items()).rstrip() for row in rows]
+    for row in thin_table(figures):
+        counts = ", ".join(f"{row[word]} {word}" for word in OUTCOMES if row[word])
+        out.append(f"{row['case']}: {counts}; what is missing is said in {row['told']} of {row['n']}")
     for score in scores:
         wrong = failure(score)
         if wrong:
             out.append(f"world {score['world']}: {wrong}")
+    out += [
+        f"{row['method']}: first name right {row['top1']}, pairs exact {row['pairs']}, false alarms "
+        f"{row['alarms']}, {row['named']} effects named in the mean, held-out error {row['error']}"
+        for row in baseline_table(others)
+    ]
+    out += [
+        f"{row['name']}: {row['verdict']}, {row['said'] or 'nothing named'}; held out {row['held_out']}: "
+        f"{row['before']} before, {row['after']} after"
+        for row in real_table(real)
+    ]
     return out
 
 
@@ -72,6 +148,8 @@ def failure(score: Mapping[str, Any]) -> str | None:
         return None
     weak = "" if score["identifiable"] in (None, True) else ", not identifiable"
     said = "; ".join(score["reasons"]) or score["errors"].strip()
+    if score["case"] is not None:
+        weak = f", {score['case']}{'' if score['told'] else ', which is not said'}"
     return f"{kinds}{weak}: {score['verdict']}, {named}{f' ({said})' if said else ''}"
 
 

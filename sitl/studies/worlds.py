@@ -19,8 +19,8 @@ from sitl.kinds import DRAG, KINDS
 from sitl.studies.files import StudyError
 from sitl.world import Turbulence
 
-Class = Literal["none", "single", "pair", "outside"]
-FULL: dict[Class, int] = {"single": 150, "pair": 60, "none": 200, "outside": 80}
+Class = Literal["none", "single", "pair", "outside", "thin"]
+FULL: dict[Class, int] = {"single": 150, "pair": 60, "none": 200, "outside": 80, "thin": 48}
 """Worlds of each class in a study of full size; smaller and larger ones keep the proportions."""
 
 SIZE = (0.5, 2.0)
@@ -29,19 +29,35 @@ SIZE = (0.5, 2.0)
 CALM = (0.5, 2.0)
 """Least and greatest multiple of the usual turbulence."""
 
+THIN = (
+    "one flight",
+    "no twins",
+    "no gyro",
+    "sampled telemetry",
+    "no reference",
+    "two vehicles",
+    "three seconds",
+    "constant hover",
+)
+"""What data of a thin world lack, in rotation."""
+
 SAME_RATIO = frozenset({"mass", "thrust-gain", "inertia"})
 """Kinds of which only ratios show in flight: no two of them make a pair."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedWorld:
-    """One world of a study: its name in the study, what it is drawn from, and its seed."""
+    """One world of a study: its name in the study, what it is drawn from, and its seed.
+
+    `case` says how the data of a thin world are thin.
+    """
 
     name: str
     kind_class: Class
     kinds: tuple[str, ...]
     seed: int
     turbulence: float
+    case: str | None = None
 
     def toml(self) -> str:
         """The world file."""
@@ -88,7 +104,8 @@ def plan_worlds(seed: int, count: int, library: Collection[str]) -> list[Planned
     """The `count` worlds of a seed, shuffled; `library` names the effects that the host has a form of.
 
     A kind outside the library by its own word is an outside one; one in the library is drawn alone (wind
-    never: it acts through a drag) and in pairs. Raises StudyError for fewer worlds than classes.
+    never: it acts through a drag), for thin data too, and in pairs. Raises StudyError for fewer worlds than
+    classes.
     """
     parts = split(count)
     rng = np.random.default_rng([seed, 0])
@@ -100,14 +117,21 @@ def plan_worlds(seed: int, count: int, library: Collection[str]) -> list[Planned
         "single": [(name,) for name in _rotation(alone, parts["single"], rng)],
         "pair": _pairs(inside, parts["pair"], rng),
         "outside": [(name,) for name in _rotation(outside, parts["outside"], rng)],
+        "thin": [(name,) for name in _rotation(alone, parts["thin"], rng)],
     }
-    drawn = [(kind_class, kinds) for kind_class, found in sets.items() for kinds in found]
+    cases = iter(_rotation(THIN, parts["thin"], rng))
+    drawn = [
+        (kind_class, kinds, next(cases) if kind_class == "thin" else None)
+        for kind_class, found in sets.items()
+        for kinds in found
+    ]
     low, high = (math.log(bound) for bound in CALM)
     return [
         PlannedWorld(
             name=f"{index:04d}",
             kind_class=drawn[place][0],
             kinds=drawn[place][1],
+            case=drawn[place][2],
             seed=world_seed(seed, index),
             turbulence=math.exp(rng.uniform(low, high)),
         )

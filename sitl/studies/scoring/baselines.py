@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -201,12 +201,3 @@ def _network(folder: Path, used: Sequence[str], held_out: Sequence[str]) -> floa
     for left in folder.glob("network.model.*"):
         left.unlink()
     return (done.data.get("test") or {}).get("position_rmse_m") if done.code == 0 else None
-
-
-def summary_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The other methods' row each, as text."""
-    return [
-        f"{row['method']}: first right {row['first']}, exact {row['exact']}, false alarms "
-        f"{row['false_alarm']}, {row['terms']} effects in the mean, held-out error {row['error']}"
-        for row in rows
-    ]

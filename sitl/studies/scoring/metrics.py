@@ -9,10 +9,21 @@ import numpy as np
 from scipy.stats import binomtest
 
 from sitl.studies.scoring.world import NAMING
+from sitl.studies.worlds import THIN
 
 SURE_SIGMA = 15.0
 """Parameter errors count where the truth is at least typical and so many sigma of the bound."""
 
+REFUSED = 2
+"""Exit code of logs that say too little or do not belong together."""
+
+OUTCOMES = ("right", "undecided", "nothing-missing", "refused", "outside-library", "wrong", "failed")
+"""Of thin data: traced with true names only, the other verdicts, traced with a name that is not true."""
+
+THIN_GOOD = OUTCOMES[:4]
+"""Those that claim nothing untrue."""
+
+TRACING = "trimtab trace"
 FAMILIES = ("force", "torque", "timing", "aerodynamic")
 Scores = Sequence[Mapping[str, Any]]
 
@@ -28,10 +39,11 @@ def exact_interval(hits: int, count: int, confidence: float = 0.95) -> tuple[flo
 def summary(scores: Scores) -> dict[str, Any]:
     """The figures of a study as plain data: the machine's keys, None where nothing was counted.
 
-    `n` and `interval` have the keys of the figures; `by_family` has coverage and width once more by family.
+    `n` and `interval` have the keys of the figures; `by_family` has coverage and width once more by family,
+    `thin` counts outcomes by case.
     """
-    single, pair, none, outside = (
-        [s for s in scores if s["class"] == c] for c in ("single", "pair", "none", "outside")
+    single, pair, none, outside, thin = (
+        [s for s in scores if s["class"] == c] for c in ("single", "pair", "none", "outside", "thin")
     )
     inside = [*single, *pair]
     hits = {
@@ -44,6 +56,8 @@ def summary(scores: Scores) -> dict[str, Any]:
         "false_alarm": [s["verdict"] != "nothing-missing" for s in none],
         "abstain_outside": [s["verdict"] == "outside-library" for s in outside],
         "abstain_inside": [s["verdict"] == "outside-library" for s in inside],
+        "thin_wrong": [s["wrong"] for s in thin],
+        "thin_told": [s["told"] for s in thin],
     }
     rows = [row for s in inside for row in s["parameters"]]
     errors = relative_errors(inside)
@@ -52,7 +66,7 @@ def summary(scores: Scores) -> dict[str, Any]:
     judged = [s for s in inside if s["after_m"] is not None and s["floor_m"]]
     over = [s["after_m"] / s["floor_m"] for s in judged]
     sizes = [size for s in inside if s["verdict"] in NAMING for size in s["alias_sizes"]]
-    times = [s["trace_s"] for s in scores if s["trace_s"] is not None]
+    times = [s["trace_s"] for s in scores if s["class"] != "thin" and s["trace_s"] is not None]
     steady = [e["error"] for e in errors if e["family"] != "torque"]
     turning = [e["error"] for e in errors if e["family"] == "torque"]
     return {
@@ -66,6 +80,7 @@ def summary(scores: Scores) -> dict[str, Any]:
         "coverage_2sigma": _share(covered),
         "width_over_bound": _quantile(widths, 0.5),
         "by_family": {name: _family([row for row in rows if row["family"] == name]) for name in FAMILIES},
+        "thin": {case: _thin(found) for case in THIN if (found := [s for s in thin if s["case"] == case])},
         "after_over_floor_median": _quantile(over, 0.5),
         "after_over_floor_p90": _quantile(over, 0.9),
         "before_mm_median": _millimetres(judged, "before_m"),
@@ -102,6 +117,22 @@ def _family(rows: Scores) -> dict[str, Any]:
     }
 
 
+def outcome(score: Mapping[str, Any]) -> str:
+    """What came of a world with thin data: one of OUTCOMES."""
+    if score["verdict"] == "traced":
+        return "wrong" if score["wrong"] else "right"
+    if score["verdict"] == "failed":
+        return "refused" if score["exit_code"] == REFUSED else "failed"
+    return score["verdict"]
+
+
+def _thin(scores: Scores) -> dict[str, int]:
+    """Worlds of one case: how many, how many of each outcome, and how many answers say what is missing."""
+    found = [outcome(s) for s in scores]
+    counts = {word: found.count(word) for word in OUTCOMES}
+    return {"n": len(scores), **counts, "told": sum(s["told"] for s in scores)}
+
+
 def relative_errors(scores: Scores) -> list[dict[str, Any]]:
     """Errors over the truth's distance from neutral, of truths at least typical and SURE_SIGMA strong.
 
@@ -132,6 +163,8 @@ def relative_errors(scores: Scores) -> list[dict[str, Any]]:
 
 def is_right(score: Mapping[str, Any]) -> bool:
     """Whether a verdict is the one that was to be hoped for."""
+    if score["class"] == "thin":
+        return score["told"] and outcome(score) in THIN_GOOD
     wanted = {"none": "nothing-missing", "outside": "outside-library"}
     if score["class"] in wanted:
         return score["verdict"] == wanted[score["class"]]
@@ -149,42 +182,55 @@ def deviations(scores: Scores) -> dict[str, list[float]]:
 
 
 def baseline_rows(scores: Scores) -> list[dict[str, Any]]:
-    """Rows of texts for the methods that were set beside tracing, empty where none were.
+    """Figures of tracing and of the methods set beside it, of the same worlds; empty where none were.
 
-    Sets are judged on worlds with effects of the library, false alarms on those with nothing.
+    `top1` (single effects), `pairs_exact` and `false_alarm` are shares, `n` their counts, None and 0 for a
+    method that names nothing; `named_mean` is how many effects it names where some are, `after_mm_median` its
+    error on held-out flights.
     """
     judged = [s for s in scores if s["baselines"]]
     methods = list(dict.fromkeys(name for s in judged for name in s["baselines"]))
-    return [_baseline_row(name, [s for s in judged if name in s["baselines"]]) for name in methods]
+    said = {TRACING: [_as_baseline(s) for s in judged]} if judged else {}
+    said |= {name: [s["baselines"][name] for s in judged] for name in methods}
+    classes = [s["class"] for s in judged]
+    return [_baseline_row(name, list(zip(classes, found, strict=True))) for name, found in said.items()]
 
 
-def _baseline_row(method: str, scores: Scores) -> dict[str, Any]:
-    inside = [s for s in scores if s["class"] in ("single", "pair")]
-    none = [s for s in scores if s["class"] == "none"]
-    said = [s["baselines"][method] for s in scores]
-    naming = [s for s in inside if s["baselines"][method]["names"] is not None]
-    quiet = [s for s in none if s["baselines"][method]["names"] is not None]
-    terms = [len(s["baselines"][method]["names"]) for s in naming]
-    errors = [1e3 * one["after_m"] for one in said if one["after_m"] is not None]
+def _as_baseline(score: Mapping[str, Any]) -> dict[str, Any]:
+    """What tracing said of a world, in the words of the other methods: whatever is named counts as named."""
+    alarm = ["something"] if score["verdict"] != "nothing-missing" else []
     return {
-        "method": method,
-        "first": _of(sum(s["baselines"][method]["first_right"] for s in naming), len(naming)),
-        "exact": _of(sum(s["baselines"][method]["exact"] for s in naming), len(naming)),
-        "false_alarm": _of(sum(bool(s["baselines"][method]["names"]) for s in quiet), len(quiet)),
-        "terms": f"{np.mean(terms):.1f}" if terms else "-",
-        "error": f"{np.median(errors):.1f} mm" if errors else "-",
+        "names": alarm if score["class"] == "none" else score["named"],
+        "first_right": score["top1"],
+        "exact": score["exact"],
+        "after_m": score["after_m"],
     }
 
 
-def _of(hits: int, count: int) -> str:
-    return f"{hits} of {count}" if count else "-"
+def _baseline_row(method: str, said: Sequence[tuple[str, Mapping[str, Any]]]) -> dict[str, Any]:
+    naming = [(kind_class, one) for kind_class, one in said if one["names"] is not None]
+    hits = {
+        "top1": [one["first_right"] for kind_class, one in naming if kind_class == "single"],
+        "pairs_exact": [one["exact"] for kind_class, one in naming if kind_class == "pair"],
+        "false_alarm": [bool(one["names"]) for kind_class, one in naming if kind_class == "none"],
+    }
+    counts = [len(one["names"]) for kind_class, one in naming if kind_class in ("single", "pair")]
+    errors = [1e3 * one["after_m"] for _, one in said if one["after_m"] is not None]
+    return {
+        "method": method,
+        **{name: _share(found) for name, found in hits.items()},
+        "named_mean": _mean(counts),
+        "after_mm_median": _quantile(errors, 0.5),
+        "n": {name: len(found) for name, found in hits.items()},
+    }
 
 
 def confusion(scores: Scores) -> dict[str, dict[str, int]]:
     """Worlds by what was true (a kind, a pair of kinds, or nothing) and what was named first.
 
-    A verdict that names nothing counts under its own word.
+    A verdict that names nothing counts under its own word. Thin data are left out.
     """
+    scores = [s for s in scores if s["class"] != "thin"]
     table: dict[str, dict[str, int]] = {}
     order = ("single", "outside", "pair", "none")
     for s in sorted(scores, key=lambda s: (order.index(s["class"]), s["kinds"])):

@@ -16,10 +16,14 @@ from sitl.studies.flights import SCORE, TRUTH, VERDICT, Programme
 from sitl.studies.scoring.bounds import Bounds, bounds, floor_m
 from sitl.studies.scoring.effective import Values, effective
 from sitl.studies.scoring.names import RATIO, collapsed, family, ordered
+from sitl.studies.thin import CASES
 from sitl.studies.worlds import SAME_RATIO
 
 NAMING = ("traced", "undecided")
 """Verdicts that name effects."""
+
+INSIDE = ("single", "pair", "none")
+"""Classes of worlds in which the host has a form of everything, and enough data to hold numbers against."""
 
 
 def library() -> dict[str, Effect]:
@@ -46,24 +50,37 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
     verdict = read_json(folder / VERDICT)
     vehicle, effects = load_vehicle(truth["vehicle"]), library()
     chosen = space(vehicle, effects)
-    flights = [read_flight(folder / "flights" / log) for log in programme.logs(programme.learning)]
-    held_out = [read_flight(folder / "flights" / log) for log in programme.logs(programme.held_out)]
-    within = truth["class"] != "outside"
-    true: Values = effective(vehicle, truth["effects"], chosen, flights) if within else {}
-    known = bounds(vehicle, chosen, true, flights, SAME_RATIO) if true else None
-    floor = floor_m(vehicle, chosen, effects, true, truth["deviations"], held_out) if within else None
+    within = truth["class"] in INSIDE
+    true: Values = {}
+    known = floor = None
+    if within:
+        flights = [read_flight(folder / "flights" / log) for log in programme.logs(programme.learning)]
+        held_out = [read_flight(folder / "flights" / log) for log in programme.logs(programme.held_out)]
+        true = effective(vehicle, truth["effects"], chosen, flights)
+        known = bounds(vehicle, chosen, true, flights, SAME_RATIO) if true else None
+        floor = floor_m(vehicle, chosen, effects, true, truth["deviations"], held_out)
     score = {
         "world": folder.name,
         "class": truth["class"],
         "kinds": truth["kinds"],
+        "case": truth["case"],
         "drawn": truth["effects"],
         "true": true,
         **judge(truth["kinds"], verdict, known, effects),
         "parameters": parameter_rows(truth, true, verdict["answer"], known, chosen),
         "floor_m": floor,
+        "told": None if truth["case"] is None else is_told(truth["case"], verdict),
     }
     write_json(folder / SCORE, score)
     return score
+
+
+def is_told(case: str, verdict: Mapping[str, Any]) -> bool:
+    """Whether the answer on thin data says what they lack."""
+    answer = verdict["answer"]
+    said = [verdict["errors"], *answer.get("doubts", ())]
+    said += [remark for audit in answer.get("audit", ()) for remark in audit["remarks"]]
+    return any(words in line for words in CASES[case].says for line in said)
 
 
 def judge(
@@ -102,6 +119,7 @@ def judge(
         "reasons": answer.get("reasons", []),
         "identifiable": identifiable,
         "separation": None if known is None else {k: dict(v) for k, v in known.separation.items()},
+        "wrong": said == "traced" and not names <= truth,
         "top1": bool(first) and right and decided,
         "exact": bool(first) and names == truth and decided,
         "in_alias": bool(kinds) and truth <= collapsed({*first, *aliases}, kinds),

@@ -20,6 +20,14 @@ OUTCOME = {
         },
     },
     "table": [{"figure": "top-1 <b>", "value": "50 %", "n": 2, "interval": "1-99 %", "target": ">= 95 %"}],
+    "thin": [
+        {"case": "no <i>", "n": 7, "told": 6, "right": 5, "undecided": 2, "nothing-missing": 0, "refused": 0}
+        | {"outside-library": 0, "wrong": 0, "failed": 0}
+    ],
+    "real": [
+        {"name": "our", "used": "a1", "held_out": "c1", "verdict": "traced", "said": "mass & more"}
+        | {"before": "9.0 mm", "after": "4.0 mm", "seconds": "3 s"}
+    ],
     "baselines": [],
     "confusion": {"motor-lag": {"motor-lag": 3, "undecided": 1}, "nothing": {"nothing-missing": 2}},
     "deviations": {"timing": [0.4, -9.0], "force": []},
@@ -41,6 +49,9 @@ def test_page_holds_table_pictures_and_wrong_worlds_and_nothing_from_elsewhere()
     assert "<title>Blind study of 4 worlds, seed 3 " in html
     assert "top-1 &lt;b&gt;" in html
     assert "motor-lag: undecided, motor-lag" in html
+    assert "no &lt;i&gt;" in html
+    assert ">6</td></tr>" in html
+    assert "mass &amp; more" in html
     assert html.count("<img ") == 2
     assert not re.search(r'(src|href)="(?!data:)', html)
 

@@ -109,3 +109,11 @@ def test_a_dead_battery_reading_is_no_measurement(tmp_path: Path) -> None:
         battery = Battery(t_us=t_us, battery_v=np.full(len(t_us), volts))
         found = signals(read_flight(log(tmp_path / f"{volts:.0f}.mcap", battery=battery)))
         np.testing.assert_allclose(found.voltage_ratio, ratio)
+
+
+def test_segment_without_a_gyro_starts_with_the_rate_of_the_poses(tmp_path: Path) -> None:
+    t_us = np.arange(0, 6_000_000, 10_000)
+    inputs = RecordedInputs(t_us=t_us, level="motor", motor=np.full((len(t_us), 4), 0.5))
+    data, _ = segments_of([read_flight(log(tmp_path / "deaf.mcap", inputs=inputs))])
+    assert not data.rate_driven
+    np.testing.assert_allclose(data.x0[:, 9:], np.tile([0.0, 0.0, 0.4], (len(data.flight), 1)), atol=1e-6)

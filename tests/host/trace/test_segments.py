@@ -193,6 +193,20 @@ def test_measured_turn_reads_a_constant_torque_off_the_gyro() -> None:
     np.testing.assert_allclose(w[0, :, [0, 1, 2]], 0.0)
 
 
+def test_measured_turn_without_a_gyro_reads_the_torque_off_the_poses() -> None:
+    data = make(np.full((1, PRE + STEPS, 4), HOVER), np.zeros((1, 12)))
+    t = DT * np.arange(STEPS)
+    turned = Rotation.from_euler("y", 0.5 * 3.0 * t[:, None] ** 2).as_matrix().reshape(1, STEPS, 9)
+    seen = np.ones((1, STEPS))
+    seen[0, 23:26] = 0.0
+    turned[0, 23:26] = 0.0
+    deaf = replace(data, attitude=turned, pose_weight=seen, rate_weight=np.zeros((1, STEPS)))
+    w = segments.measured_turn(FORM, deaf)
+    np.testing.assert_allclose(w[0, 1:5, 4], 3.0, atol=1e-6)
+    np.testing.assert_allclose(w[0, [0, 5], 4], 3.0, atol=1.2)  # no pose lies beyond a segment's ends
+    np.testing.assert_allclose(w[0, :, [0, 1, 2, 3, 5]], 0.0, atol=1e-9)
+
+
 def test_segments_refuse_steps_that_do_not_fill_bins() -> None:
     data = make(np.full((1, PRE + STEPS, 4), HOVER), np.zeros((1, 12)))
     with pytest.raises(ValueError, match="bins"):

@@ -29,6 +29,8 @@ KEYS = set(
         "false_alarm",
         "abstain_outside",
         "abstain_inside",
+        "thin_wrong",
+        "thin_told",
         "parameter_error_median",
         "parameter_error_p90",
         "coverage_2sigma",
@@ -49,7 +51,7 @@ from sitl.studies.flights import Programme
 def main():
     programme = Programme(routes=Path(sys.argv[2]), learning=("one",), held_out=("two",))
     outcome = blind.run(
-        folder=Path(sys.argv[1]), seed=3, worlds=4, vehicle="research", jobs=2, programme=programme,
+        folder=Path(sys.argv[1]), seed=3, worlds=5, vehicle="research", jobs=2, programme=programme,
         report=lambda done, total, detail: print(f"{done:g} of {total:g} {detail}", flush=True),
     )
     print(json.dumps(outcome["answer"]))
@@ -112,11 +114,11 @@ def test_killed_study_goes_on_and_leaves_what_was_done(
     study: Path, killed: dict[Path, str], answer: dict[str, Any]
 ) -> None:
     scored = [path for path in killed if path.name == SCORE]
-    assert 1 <= len(scored) < 4
+    assert 1 <= len(scored) < 5
     after = dict(stages(study))
     assert {path: after[path] for path in killed} == killed
-    assert len(after) == 12
-    assert answer["n"]["worlds"] == 4
+    assert len(after) == 15
+    assert answer["n"]["worlds"] == 5
     assert set(answer) >= KEYS
     assert not list((study / "state").glob("worlds/*/trace"))
 
@@ -127,8 +129,12 @@ def test_truths_are_sealed_in_the_ledger(study: Path, answer: dict[str, Any]) ->
     truths = {path.parent.name: digest for path, digest in stages(study) if path.name == TRUTH}
     assert ledger == truths
     for name in truths:
-        logs = {path.name for path in (study / "state" / "worlds" / name / "flights").iterdir()}
-        assert logs == {"one-1.mcap", "one-2.mcap", "two.mcap"}
+        folder = study / "state" / "worlds" / name
+        logs = {path.name for path in (folder / "flights").iterdir()}
+        truth = read_json(folder / TRUTH)
+        assert logs == {f["log"] for f in truth["flights"]}
+        if truth["class"] != "thin":
+            assert logs == {"one-1.mcap", "one-2.mcap", "two.mcap"}
 
 
 @pytest.mark.full
@@ -136,7 +142,7 @@ def test_finished_study_says_the_same_without_work_and_refuses_a_changed_truth(
     study: Path, answer: dict[str, Any], short_programme: Programme
 ) -> None:
     def again(**other: Any) -> dict[str, Any]:
-        usual = {"seed": 3, "worlds": 4, "vehicle": "research", "jobs": 1, "programme": short_programme}
+        usual = {"seed": 3, "worlds": 5, "vehicle": "research", "jobs": 1, "programme": short_programme}
         return blind.run(folder=study / "state", **{**usual, **other})["answer"]
 
     assert again() == answer

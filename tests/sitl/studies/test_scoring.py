@@ -15,9 +15,16 @@ from host.vehicle import load_vehicle
 from sitl.studies.scoring.baselines import stepwise_bic, weak_sindy
 from sitl.studies.scoring.bounds import Bounds
 from sitl.studies.scoring.effective import effective
-from sitl.studies.scoring.metrics import confusion, exact_interval, is_right, relative_errors, summary
+from sitl.studies.scoring.metrics import (
+    baseline_rows,
+    confusion,
+    exact_interval,
+    is_right,
+    relative_errors,
+    summary,
+)
 from sitl.studies.scoring.names import collapsed
-from sitl.studies.scoring.world import judge, parameter_rows
+from sitl.studies.scoring.world import is_told, judge, parameter_rows
 from sitl.studies.table import failure, lines
 
 DATA = Path(__file__).parents[2] / "data"
@@ -102,7 +109,14 @@ def row(effect: str, key: str, family: str, **numbers: Any) -> dict[str, Any]:
 def score(kind_class: str, kinds: list[str], said: dict[str, Any], **more: Any) -> dict[str, Any]:
     known = CLEAR if kind_class in ("single", "pair") else None
     base = {"world": "0000", "class": kind_class, "kinds": kinds, "parameters": [], "floor_m": None}
-    return {**base, "baselines": None, **judge(kinds, said, known, EFFECTS), **more}
+    return {
+        **base,
+        "case": None,
+        "told": None,
+        "baselines": None,
+        **judge(kinds, said, known, EFFECTS),
+        **more,
+    }
 
 
 SCORES = [
@@ -166,6 +180,83 @@ def test_table_names_every_world_that_was_judged_wrongly() -> None:
     assert failure(SCORES[1]) == "quadratic-drag: traced, linear-drag"
     assert confusion(SCORES)["quadratic-drag"] == {"linear-drag": 1}
     assert confusion(SCORES)["a pair"] == {"exact set": 1}
+
+
+def thin(case: str, kind: str, said: dict[str, Any], *, told: bool = True) -> dict[str, Any]:
+    return score("thin", [kind], said, case=case, told=told)
+
+
+REFUSAL = {"exit_code": 2, "answer": {}, "errors": "trimtab: two vehicles", "trace_s": 90.0}
+THIN_SCORES = [
+    thin("no gyro", "mass", verdict("traced", "thrust-gain")),
+    thin("no gyro", "motor-lag", verdict("traced", "motor-lag", "mass")),
+    thin("no gyro", "motor-lag", verdict("undecided", "mass"), told=False),
+    thin("two vehicles", "mass", REFUSAL),
+    thin("one flight", "mass", verdict("outside-library")),
+]
+
+
+def test_thin_data_are_counted_by_case_and_apart_from_all_else() -> None:
+    found = summary([*SCORES, *THIN_SCORES])
+    assert (found["thin_wrong"], found["n"]["thin_wrong"]) == (0.2, 5)
+    assert (found["thin_told"], found["n"]["thin_told"]) == (0.8, 5)
+    assert list(found["thin"]) == ["one flight", "no gyro", "two vehicles"]
+    none = dict.fromkeys(("nothing-missing", "refused", "outside-library", "failed"), 0)
+    assert found["thin"]["no gyro"] == {"n": 3, "right": 1, "wrong": 1, "undecided": 1, "told": 2, **none}
+    assert found["thin"]["two vehicles"]["refused"] == 1
+    without = summary(SCORES)
+    apart = ("thin", "thin_wrong", "thin_told", "n", "interval")
+    assert {k: v for k, v in found.items() if k not in apart} == {
+        k: v for k, v in without.items() if k not in apart
+    }
+    assert confusion([*SCORES, *THIN_SCORES]) == confusion(SCORES)
+
+
+def test_thin_world_is_right_where_nothing_untrue_is_claimed_and_the_lack_is_said() -> None:
+    assert [is_right(s) for s in THIN_SCORES] == [True, False, False, True, False]
+    assert failure(THIN_SCORES[1]) == "motor-lag, no gyro: traced, motor-lag, mass"
+    assert failure(THIN_SCORES[2]) == "motor-lag, no gyro, which is not said: undecided, mass"
+    text = "\n".join(lines(summary(THIN_SCORES), THIN_SCORES))
+    assert "no gyro: 1 right, 1 undecided, 1 wrong; what is missing is said in 2 of 3" in text
+
+
+def test_what_thin_data_lack_is_looked_for_where_an_answer_says_it() -> None:
+    def said(*, doubts: list[str], remarks: list[str], errors: str = "") -> dict[str, Any]:
+        return {"answer": {"doubts": doubts, "audit": [{"remarks": remarks}]}, "errors": errors}
+
+    assert is_told("no gyro", said(doubts=[], remarks=["clock", "no gyro: delay and latency"]))
+    assert is_told("constant hover", said(doubts=["a hover throughout: fly manoeuvres"], remarks=[]))
+    assert not is_told("no gyro", said(doubts=["no twin"], remarks=[]))
+    refusal = {"answer": {}, "errors": "a.mcap: mass_kg differ; trace each vehicle's logs apart"}
+    assert is_told("two vehicles", refusal)
+    assert not is_told("no gyro", refusal)
+
+
+def test_other_methods_stand_beside_tracing_on_the_same_worlds() -> None:
+    def other(*names: str, first: bool = False, exact: bool = False) -> dict[str, Any]:
+        named = {"names": list(names), "first_right": first, "exact": exact, "after_m": None}
+        silent = {"names": None, "first_right": None, "exact": None, "after_m": 0.03}
+        return {"regression": named, "network": silent}
+
+    asked = [
+        {**SCORES[0], "baselines": other("motor-lag", "mass", first=True)},
+        {**SCORES[1], "baselines": other("wind")},
+        {**SCORES[2], "baselines": other("linear-drag", "wind", first=True, exact=True)},
+        {**SCORES[3], "baselines": other("mass")},
+        {**SCORES[4], "baselines": other()},
+        SCORES[5],
+    ]
+    tracing, regression, network = baseline_rows(asked)
+    assert (tracing["top1"], tracing["pairs_exact"], tracing["false_alarm"]) == (0.5, 1.0, 0.5)
+    assert (regression["top1"], regression["pairs_exact"], regression["false_alarm"]) == (0.5, 1.0, 0.5)
+    assert regression["n"] == tracing["n"] == {"top1": 2, "pairs_exact": 1, "false_alarm": 2}
+    assert regression["named_mean"] == pytest.approx(5 / 3)
+    assert (network["top1"], network["after_mm_median"]) == (None, 30.0)
+    assert tracing["after_mm_median"] == pytest.approx(25.5)
+    assert baseline_rows(SCORES) == []
+    text = "\n".join(lines(summary(SCORES), SCORES, baseline_rows(asked)))
+    assert "trimtab trace: first name right 1 of 2, pairs exact 1 of 1, false alarms 1 of 2" in text
+    assert "network: first name right -, pairs exact -, false alarms -, - effects" in text
 
 
 @pytest.fixture

@@ -12,20 +12,20 @@ from sitl.draw import draw_world
 from sitl.kinds import DRAG, KINDS
 from sitl.studies.files import StudyError
 from sitl.studies.scoring.world import library
-from sitl.studies.worlds import FULL, SAME_RATIO, plan_worlds, split
+from sitl.studies.worlds import FULL, SAME_RATIO, THIN, plan_worlds, split
 from sitl.world import WorldFile
 
 
 def test_split_of_full_size_is_the_full_study() -> None:
-    assert split(490) == FULL == {"single": 150, "pair": 60, "none": 200, "outside": 80}
+    assert split(538) == FULL == {"single": 150, "pair": 60, "none": 200, "outside": 80, "thin": 48}
 
 
 def test_split_of_thirty_keeps_proportions() -> None:
-    # 30 / 490 of 150, 60, 200, 80 are 9.18, 3.67, 12.24, 4.90.
-    assert split(30) == {"single": 9, "pair": 4, "none": 12, "outside": 5}
+    # 30 / 538 of 150, 60, 200, 80, 48 are 8.36, 3.35, 11.15, 4.46, 2.68.
+    assert split(30) == {"single": 8, "pair": 3, "none": 11, "outside": 5, "thin": 3}
 
 
-@pytest.mark.parametrize("count", range(4, 60))
+@pytest.mark.parametrize("count", range(5, 60))
 def test_split_adds_up_with_one_of_each_at_least(count: int) -> None:
     parts = split(count)
     assert sum(parts.values()) == count
@@ -33,12 +33,12 @@ def test_split_adds_up_with_one_of_each_at_least(count: int) -> None:
 
 
 def test_split_of_fewer_than_classes_is_refused() -> None:
-    with pytest.raises(StudyError, match="--worlds 3"):
-        split(3)
+    with pytest.raises(StudyError, match="--worlds 4"):
+        split(4)
 
 
 def test_singles_and_outside_kinds_come_in_rotation() -> None:
-    worlds = plan_worlds(5, 490, library())
+    worlds = plan_worlds(5, 538, library())
     inside = {k.name for k in KINDS.values() if not k.outside and k.name in library()} - {"wind"}
     for kind_class, kinds in (
         ("single", inside),
@@ -49,8 +49,18 @@ def test_singles_and_outside_kinds_come_in_rotation() -> None:
         assert max(counts.values()) - min(counts.values()) <= 1
 
 
+def test_thin_worlds_hold_one_effect_and_lack_each_thing_as_often() -> None:
+    worlds = plan_worlds(5, 538, library())
+    thin = [w for w in worlds if w.kind_class == "thin"]
+    assert Counter(w.case for w in thin) == dict.fromkeys(THIN, 6)
+    assert {w.kinds for w in thin} == {w.kinds for w in worlds if w.kind_class == "single"}
+    assert all(w.case is None for w in worlds if w.kind_class != "thin")
+    # No kind meets the same case twice before it met others.
+    assert max(Counter((w.case, w.kinds) for w in thin).values()) == 1
+
+
 def test_pairs_are_apart_in_flight_and_wind_has_a_drag() -> None:
-    pairs = [set(w.kinds) for w in plan_worlds(6, 490, library()) if w.kind_class == "pair"]
+    pairs = [set(w.kinds) for w in plan_worlds(6, 538, library()) if w.kind_class == "pair"]
     assert all(len(pair) == 2 for pair in pairs)
     assert not any(pair <= SAME_RATIO for pair in pairs)
     windy = [pair for pair in pairs if "wind" in pair]

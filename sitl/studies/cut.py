@@ -1,0 +1,112 @@
+"""Copies of flight logs that hold less: what is left when somebody else's logger wrote them."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from firmware_model.law.allocation import allocation_matrix, thrust_to_command
+from firmware_model.law.ops import FLOAT
+from host.log import (
+    Battery,
+    Control,
+    Flight,
+    LogWriter,
+    Mocap,
+    Provenance,
+    RecordedImu,
+    RecordedInputs,
+    read_flight,
+    topics,
+    write_imported,
+)
+from host.log.flight import scan_closed, to_flight
+from host.log.scan import Entry
+from host.log.writer import PROVENANCE
+from host.vehicle import Vehicle
+
+_Rows = TypeVar("_Rows", Battery, Control, Mocap)
+_FLOWN = (topics.REFERENCE, topics.DISPLAY_REFERENCE)
+_TOLD_AGAIN = ("format", "kind", "time_unit", "vehicle_id", "vehicle_name", "reference_id", "feedforward_id")
+
+
+def without_gyro(log: Path, target: Path) -> None:
+    """Nothing comes back; `target` holds poses, motor commands, specific force and battery voltage.
+
+    Commands stand for the interval that follows their time; they are the flight's own means over it.
+    """
+    flight = read_flight(log)
+    if flight.control is None:
+        shutil.copyfile(log, target)
+        return
+    c = _since_arming(flight.control, flight.control.t0_us)
+    inputs = RecordedInputs(t_us=c.t0_us, level="motor", motor=c.motor_mean)
+    _write(flight, target, inputs, RecordedImu(t_us=c.t0_us, gyro=None, specific_force=c.force_mean))
+
+
+def sampled(log: Path, target: Path) -> None:
+    """Nothing comes back; `target` holds motor commands as they were at instants of 100 Hz in place of means.
+
+    Beside them poses, gyro, specific force and battery voltage.
+    """
+    flight = read_flight(log)
+    if flight.control is None:
+        shutil.copyfile(log, target)
+        return
+    c = _since_arming(flight.control, flight.control.t0_us)
+    motor = motor_commands(flight.vehicle, c)
+    imu = RecordedImu(t_us=c.t0_us, gyro=c.gyro_mean, specific_force=c.force_mean)
+    _write(flight, target, RecordedInputs(t_us=c.t1_us, level="motor", motor=motor), imu)
+
+
+def without_reference(log: Path, target: Path) -> None:
+    """Nothing comes back; `target` is the flight log without its reference and the law's parameters."""
+    found = scan_closed(log)
+    flight = to_flight(found)
+    told = {key: value for key, value in found.metadata[PROVENANCE].items() if key not in _TOLD_AGAIN}
+    kept = [topic for topic in topics.FLIGHT_TOPICS if topic.name not in _FLOWN]
+    with LogWriter(target, Provenance(vehicle=flight.vehicle, session=told), kept) as writer:
+        rows: list[tuple[Entry, str]] = []
+        for topic in kept:
+            rows += [(entry, topic.name) for entry in found.by_topic().get(topic.name, ())]
+        messages = {topic.name: topic.message for topic in kept}
+        for entry, name in sorted(rows, key=lambda row: row[0].log_time_us):
+            message = messages[name].FromString(entry.data)
+            writer.write(name, message, entry.log_time_us, entry.publish_time_us)
+
+
+def motor_commands(vehicle: Vehicle, control: Control) -> np.ndarray:
+    """Motor commands (n, 4) in 0..1 at the instants t1_us, from the thrust and torque commanded there."""
+    rotors = vehicle.rotors
+    matrix = allocation_matrix(
+        [r.position_m for r in rotors], [r.spin_sign for r in rotors], vehicle.torque_per_thrust_m
+    )
+    wanted = np.column_stack([control.collective, control.torque])
+    thrust = wanted @ np.linalg.inv(np.reshape(matrix, (4, 4))).T
+    c1, c2 = vehicle.thrust_curve
+    command = [thrust_to_command(FLOAT, t, vehicle.thrust_max_n, c1, c2) for t in thrust.ravel().tolist()]
+    return np.reshape(command, thrust.shape)
+
+
+def _since_arming(track: _Rows, t_us: np.ndarray) -> _Rows:
+    """The rows of a track that begin, t_us (n,), after arming: an import counts from its first sample."""
+    return replace(track, **{field.name: getattr(track, field.name)[t_us >= 0] for field in fields(track)})
+
+
+def _write(flight: Flight, target: Path, inputs: RecordedInputs, imu: RecordedImu) -> None:
+    """Nothing comes back; the log of these inputs and sensors as an import writes it."""
+    assert flight.mocap is not None
+    battery = flight.battery
+    write_imported(
+        target,
+        vehicle=flight.vehicle,
+        mocap=_since_arming(flight.mocap, flight.mocap.t_us),
+        inputs=inputs,
+        imu=imu,
+        battery=None if battery is None else _since_arming(battery, battery.t_us),
+        tracking_us=flight.tracking,
+    )

@@ -1,0 +1,86 @@
+"""Groups of flights beside the worlds: what a file may say, and what becomes of it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from host.vehicle import ConfigurationError
+from sitl.studies.files import StudyError, read_json
+from sitl.studies.real import judge_real, read_groups
+from sitl.studies.table import real_table
+
+ROOT = Path(__file__).parents[3]
+DATA = ROOT / "tests" / "data"
+FLIGHTS = ROOT.parent / "shared" / "data"
+OWN = '[[group]]\nname = "ours"\nlogs = ["a1.mcap", "a2.mcap", "b1.mcap"]\nhold_out = ["c1.mcap"]\n'
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "flights.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[[group]]\nname = "x"\nlogs = []\n', "logs"),
+        ('[[group]]\nname = "x"\nlogs = ["a.csv"]\nprofile = "csv"\n', "columns go with the profile csv"),
+        ('[[group]]\nname = "x"\nlogs = ["a.mcap"]\nhold_out = ["b/a.mcap"]\n', "two logs of one name"),
+        ('[[group]]\nname = "x"\nlogs = ["a.mcap"]\nholdout = ["b.mcap"]\n', "hold_out"),
+        ("", "group"),
+    ],
+)
+def test_file_that_says_something_wrong_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ConfigurationError, match=said):
+        read_groups(written(tmp_path, text))
+
+
+def test_log_that_is_not_there_is_refused_before_anything_is_traced(tmp_path: Path) -> None:
+    with pytest.raises(StudyError, match=r"ours: .*a1\.mcap is not there"):
+        read_groups(written(tmp_path, OWN))
+    with pytest.raises(StudyError, match="cannot be read"):
+        read_groups(tmp_path / "none.toml")
+
+
+def test_own_flights_are_traced_once_and_again_when_a_log_has_changed(tmp_path: Path) -> None:
+    for name in ("a1", "a2", "b1", "c1"):
+        shutil.copy(DATA / f"{name}.mcap", tmp_path)
+    groups = read_groups(written(tmp_path, OWN))
+    (row,) = judge_real(groups, tmp_path / "state")
+    assert row["held_out"] == ["c1"]
+    assert {effect["name"] for effect in row["effects"]} <= {"thrust-gain", "motor-lag", "mocap-latency"}
+    assert row["after_m"] < row["before_m"]
+    file = tmp_path / "state" / "real" / "00" / "verdict.json"
+    before = file.stat().st_mtime_ns
+    assert judge_real(groups, tmp_path / "state") == [row]
+    assert file.stat().st_mtime_ns == before
+    (text,) = real_table([row])
+    assert text["before"] == f"{1e3 * row['before_m']:.1f} mm"
+    assert "thrust-gain gain" in text["said"]
+    shutil.copy(DATA / "a2.mcap", tmp_path / "a1.mcap")
+    (again,) = judge_real(groups, tmp_path / "state")
+    assert again["verdict"] == "failed"
+    assert "a2.mcap" in real_table([again])[0]["said"]
+    assert read_json(file)["exit_code"] == 2
+
+
+def test_group_of_the_documentation_is_imported_and_traced(
+    tmp_path: Path, require: Callable[[str], None]
+) -> None:
+    require("flights")
+    page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    for name in ("nanobench", "crazyswarm2_tools"):
+        (tmp_path / name).symlink_to(FLIGHTS / name)
+    groups = read_groups(written(tmp_path, example))
+    assert [group.profile for group in groups] == ["nanobench", "crazyflie-usd"]
+    (row,) = judge_real(groups[1:], tmp_path / "state")
+    assert row["verdict"] == "undecided"
+    assert row["after_m"] < 0.7 * row["before_m"]
+    assert row["doubts"][0].startswith("only 5.8 s of tracking")
