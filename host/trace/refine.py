@@ -30,6 +30,15 @@ from host.trace.evidence import Linearisation, Prior
 from host.trace.parameters import Space
 from host.trace.search import Names
 from host.trace.signals import Signals, signals
+from host.trace.whitening import (
+    CHANNELS,
+    WINDOWS,
+    Whitening,
+    autoregression,
+    span_of,
+    stretches,
+    whitened,
+)
 from host.vehicle import Vehicle
 
 STEP_S = 0.02
@@ -41,12 +50,7 @@ STABLE = 2.5
 LEAD_S = 0.3
 """Time after the reference's start that is not compared: the start's own errors die away in it."""
 
-CHANNELS = 12
-"""Of a bin: position (heading frame), attitude (FRD), body rate (FRD), the law's rate integral (FRD): what it
-holds is the torque that something else takes.
-"""
-
-ORDERS = (1, 2, 3, 4, 6)
+ORDERS = tuple(range(1, len(WINDOWS) + 1))
 BINS_AN_ORDER = 10 * CHANNELS
 """Bins that one more order of the autoregression takes to be known: ten a coefficient."""
 
@@ -65,13 +69,14 @@ SETTLED = 0.3
 """Greatest step, in standard deviations, that is taken without looking at the roll-outs again."""
 
 JACKKNIFE_PRIOR = 7.0
-"""Flights that a jackknife is taken to have seen with the expected spread."""
+"""Flights that a jackknife is taken to have seen spread as the parameters do in the median."""
 
 PIECES = 4
 """Fewer flights than these are cut into as many pieces each, for a jackknife to leave out."""
 
 _Z_STEP = 1e-4
 _ITERATIONS = 4
+_PASSES, _SETTLED_WELL = 6, 0.1
 _LINE = (1.0, 0.5, 0.25, 0.1)
 
 
@@ -93,22 +98,6 @@ class Recording:
     def bins(self) -> int:
         """How many bins."""
         return len(self.measured)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Whitening:
-    """A vector autoregression: r_k = sum_i a_i r_{k-i} + e_k, e of covariance `innovation` (12, 12).
-
-    coefficients (order, 12, 12).
-    """
-
-    coefficients: np.ndarray
-    innovation: np.ndarray
-
-    @property
-    def order(self) -> int:
-        """How many earlier bins are looked at."""
-        return len(self.coefficients)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -339,43 +328,6 @@ def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
     return out
 
 
-def autoregression(
-    residuals: Sequence[np.ndarray], known: Sequence[np.ndarray], order: int, *, skip: int = 0
-) -> Whitening:
-    """The autoregression of residuals (bins, 12) by flight, where the `order` bins before are known, or
-    `skip`.
-    """
-    past, now = [], []
-    for r, whole in zip(residuals, known, strict=True):
-        at = stretches(whole, max(order, skip))
-        past.append(np.concatenate([r[at - i] for i in range(1, order + 1)], axis=1))
-        now.append(r[at])
-    X, Y = np.concatenate(past), np.concatenate(now)
-    found, *_ = np.linalg.lstsq(X, Y, rcond=None)
-    left = Y - X @ found
-    return Whitening(
-        coefficients=np.swapaxes(found.reshape(order, CHANNELS, CHANNELS), 1, 2),
-        innovation=left.T @ left / len(Y),
-    )
-
-
-def stretches(known: np.ndarray, order: int) -> np.ndarray:
-    """Bins that are known with the `order` bins before them."""
-    run = np.convolve(known.astype(int), np.ones(order + 1, dtype=int))[: len(known)]
-    at = np.flatnonzero(run == order + 1)
-    return at[at >= order]
-
-
-def whitened(white: Whitening, columns: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Columns (m, bins, 12) of a flight as (m, n): innovations of unit covariance."""
-    at = stretches(known, white.order)
-    whiten = np.linalg.inv(np.linalg.cholesky(white.innovation))
-    out = columns[:, at] @ whiten.T
-    for i, a in enumerate(white.coefficients, start=1):
-        out -= columns[:, at - i] @ (whiten @ a).T
-    return out.reshape(len(columns), -1)
-
-
 def _grams(
     white: Whitening, loop: Loop, base: Sequence[np.ndarray], slopes: Sequence[np.ndarray]
 ) -> np.ndarray:
@@ -425,8 +377,8 @@ def order_of(loop: Loop, z: np.ndarray) -> int:
 
     def criterion(order: int) -> float:
         # The same bins for all orders, or the longest would have the fewest to explain.
-        innovation = autoregression(left, loop.known, order, skip=max(ORDERS)).innovation
-        count = sum(len(stretches(known, max(ORDERS))) for known in loop.known)
+        innovation = autoregression(left, loop.known, order, skip=span_of(max(ORDERS))).innovation
+        count = sum(len(stretches(known, span_of(max(ORDERS)))) for known in loop.known)
         return count * float(np.linalg.slogdet(innovation)[1]) + order * CHANNELS**2 * np.log(count)
 
     most = max(1, sum(int(whole.sum()) for whole in loop.known) // BINS_AN_ORDER)
@@ -457,7 +409,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         if np.array_equal(moved, z):
             break
         z, base = moved, there
-    count = sum(len(stretches(k, order)) for k in loop.known)
+    count = sum(len(stretches(k, span_of(order))) for k in loop.known)
     log_det = count * float(np.linalg.slogdet(white.innovation)[1])
     return ClosedFit(
         effects=tuple(sorted(effects)),
@@ -538,10 +490,38 @@ class LoopFitter:
         ]
 
 
-def honest_covariance(space: Space, closed: ClosedFit) -> np.ndarray:
-    """Covariance (P, P), scaled: the fit's, widened by its jackknife and by what phi itself may be off by."""
-    widened = jackknife_by_flight(closed.grams, closed.at, prior_of(space).precision(closed.effects))
-    return closed.covariance * np.outer(widened, widened) + np.diag(loop_discrepancy(space) ** 2)
+def honest_covariance(
+    space: Space, closed: ClosedFit, strata: Sequence[Sequence[int]] | None = None
+) -> np.ndarray:
+    """Covariance (P, P), scaled: the fit's, widened by its jackknife over flights or within `strata`."""
+    precision = prior_of(space).precision(closed.effects)
+    widened = jackknife_by_flight(closed.grams, closed.at, precision, strata)
+    return closed.covariance * np.outer(widened, widened)
+
+
+def weighted(
+    loop: Loop,
+    white: Whitening,
+    effects: Sequence[str],
+    z: np.ndarray,
+    *,
+    centre: np.ndarray | float = 0.0,
+    count: float = 1.0,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Scaled parameters (P,), covariance (P, P) and Grams (flights, 1 + P, 1 + P) of `effects` fitted from z.
+
+    The whitening stays as given. `centre` (P,) is what the prior holds likeliest, `count` how often each
+    flight counts.
+    """
+    precision = prior_of(loop.space).precision(effects)
+    for _ in range(_PASSES):
+        base = [r[0] for r in loop.residuals(z[:, None])]
+        grams = count * _grams(white, loop, base, loop.slopes(z, effects, base))
+        step, covariance = evidence.posterior(grams.sum(0), z - centre, precision)
+        z = loop.space.clipped(z + step)
+        if (np.abs(step) / np.sqrt(np.diag(covariance))).max() < _SETTLED_WELL:
+            break
+    return z, covariance, grams
 
 
 def by_segments(space: Space, fit: Fit) -> np.ndarray:
@@ -569,23 +549,35 @@ def _in_pieces(lin: Linearisation) -> Linearisation:
     return replace(lin, flight=piece, local=lin.local[owner // PIECES])
 
 
-def jackknife_by_flight(grams: np.ndarray, z: np.ndarray, precision: np.ndarray) -> np.ndarray:
+def jackknife_by_flight(
+    grams: np.ndarray, z: np.ndarray, precision: np.ndarray, strata: Sequence[Sequence[int]] | None = None
+) -> np.ndarray:
     """(P,) factors >= 1 on the standard deviations for what repeats within a flight but not between flights.
 
-    grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] at z (P,), linearised; the prior's
-    precision (P,). Each parameter's spread over the fits that leave one flight out (Efron's jackknife), over
-    its posterior's; since so few flights tell a spread badly, it counts as much as JACKKNIFE_PRIOR flights
-    that spread as expected. Sum the Grams of flights of one reference first to leave out references.
+       grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] at z (P,), linearised; the prior's
+       precision (P,). Each parameter's spread over the fits that leave one flight out (Efron's jackknife), the
+    others of its stratum counting for it, over its posterior's. Since so few flights tell one spread badly,
+    it counts together with JACKKNIFE_PRIOR flights that spread as the parameters do in the median. `strata`
+    part the flights that are alike (default: all are): what differs between strata, such as references, is
+    what was flown, not chance.
     """
     total = grams.sum(0)
-    count = len(grams)
-    if count < 2:
+    parts = [list(part) for part in (strata or [range(len(grams))]) if len(part) > 1]
+    freedom = sum(len(part) - 1 for part in parts)
+    if not freedom:
         return np.ones(len(z))
     _, covariance = evidence.posterior(total, z, precision)
     # A parameter's prior does not vary between flights: expected is the data's share of the variance.
-    expected = np.diag(covariance @ total[1:, 1:] @ covariance)
-    steps = np.stack([evidence.posterior(total - gram, z, precision)[0] for gram in grams])
-    spread = (count - 1) / count * ((steps - steps.mean(0)) ** 2).sum(0)
-    ratio = spread / np.maximum(expected, 1e-300)
-    variance = (JACKKNIFE_PRIOR + (count - 1) * ratio) / (JACKKNIFE_PRIOR + count - 1)
+    data = grams[[i for part in parts for i in part]].sum(0)
+    expected = np.diag(covariance @ data[1:, 1:] @ covariance)
+    spread = np.zeros(len(z))
+    for part in parts:
+        own, count = grams[part].sum(0), len(part)
+        rest = [total - own + (own - grams[i]) * (count / (count - 1)) for i in part]
+        steps = np.stack([evidence.posterior(gram, z, precision)[0] for gram in rest])
+        spread += (count - 1) / count * ((steps - steps.mean(0)) ** 2).sum(0)
+    told = expected > 0.0
+    ratio = np.where(told, spread / np.where(told, expected, 1.0), 0.0)
+    usual = max(1.0, float(np.median(ratio[told]))) if told.any() else 1.0
+    variance = (JACKKNIFE_PRIOR * usual + freedom * ratio) / (JACKKNIFE_PRIOR + freedom)
     return np.sqrt(np.maximum(variance, 1.0))

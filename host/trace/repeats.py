@@ -9,14 +9,19 @@ the loop does about a gust within them looks like a wrong model, and repeats too
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from host.trace.refine import BIN_S, CHANNELS, Loop, autoregression, stretches, whitened
+from host.trace.refine import BIN_S, BINS_AN_ORDER, ClosedFit, Loop, weighted
 from host.trace.twins import Repeat
+from host.trace.whitening import CHANNELS, Whitening, autoregression, stretches, whitened
 
 APART_S = 1.0
 """Twins shifted by more than this have nothing in common but by chance."""
+
+LEAST_S = 4.0
+"""Shorter twins say nothing."""
 
 _EVERY = 5
 
@@ -26,27 +31,20 @@ def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int
 
     `twins` pair the loop's recordings.
     """
-    if not twins:
+    pairs = _pairs(loop, z, twins)
+    white = _turbulence(pairs, order)
+    if white is None:
         return None
-    left = [each[0] for each in loop.residuals(z[:, None])]
-    pairs = [(left[a][: len(left[b])], left[b][: len(left[a])]) for a, b in twins]
-    known = [loop.known[a][: len(left[b])] & loop.known[b][: len(left[a])] for a, b in twins]
-    gusts = [(one - other) / np.sqrt(2.0) for one, other in pairs]
-    white = autoregression(gusts, known, order)
     common, variance, count, position = 0.0, 0.0, 0, 0.0
-    for (one, other), whole in zip(pairs, known, strict=True):
-        at = stretches(whole, order)
-        if len(at) < 4 * APART_S / BIN_S:
-            continue
-        x, y = whitened(white, np.stack([one, other]), whole).reshape(2, len(at), -1)
+    for one, other, known in pairs:
+        at = stretches(known, white.span)
+        x, y = whitened(white, np.stack([one, other]), known).reshape(2, len(at), -1)
         apart = range(round(APART_S / BIN_S), len(at) - round(APART_S / BIN_S), _EVERY)
         by_chance = [float((x * np.roll(y, shift, axis=0)).sum()) for shift in apart]
         common += float((x * y).sum())
         variance += max(float(x.size), float(np.var(by_chance)))
         count += x.size
-        position += float((one[whole, :3] * other[whole, :3]).sum()) / int(whole.sum())
-    if not count:
-        return None
+        position += float((one[known, :3] * other[known, :3]).sum()) / int(known.sum())
     # The autoregression fits the difference, which it was made from, better than the sum: without any repeat
     # the sum's power is greater by as much as the coefficients and the innovation's covariance took up.
     rows, coefficients = count / CHANNELS, CHANNELS * order
@@ -56,3 +54,48 @@ def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int
         z=common / float(np.sqrt(variance)),
         position_m=float(np.sqrt(max(position / len(pairs), 0.0))),
     )
+
+
+def turbulence(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int]]) -> Whitening | None:
+    """What whitens turbulence and noise, from twins' differences at scaled parameters z (P,); None without
+    twins.
+    """
+    return _turbulence(_pairs(loop, z, twins), order)
+
+
+def in_turbulence(loop: Loop, fit: ClosedFit, order: int, twins: Sequence[tuple[int, int]]) -> ClosedFit:
+    """The fit's effects fitted once more, whitened by what twins differ by; as it is without twins.
+
+    The search whitens by all that a set leaves, so that what no form explains counts as noise and names
+    nothing. For how large an effect is, only chance is noise: weights are then those of the flights, not of
+    the library's shortcomings.
+    """
+    white = turbulence(loop, fit.z, order, twins)
+    if white is None:
+        return fit
+    z, covariance, grams = weighted(loop, white, fit.effects, fit.z)
+    return replace(fit, z=z, at=z, covariance=covariance, whitening=white, grams=grams)
+
+
+_Pair = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def _pairs(loop: Loop, z: np.ndarray, twins: Sequence[tuple[int, int]]) -> list[_Pair]:
+    """Of twins long enough to be compared: residuals (bins, 12) of both, and where they are known (bins,)."""
+    left = [each[0] for each in loop.residuals(z[:, None])] if twins else []
+    out = []
+    for a, b in twins:
+        bins = min(len(left[a]), len(left[b]))
+        known = loop.known[a][:bins] & loop.known[b][:bins]
+        if known.sum() * BIN_S >= LEAST_S:
+            out.append((left[a][:bins], left[b][:bins], known))
+    return out
+
+
+def _turbulence(pairs: Sequence[_Pair], order: int) -> Whitening | None:
+    if not pairs:
+        return None
+    rows = sum(int(known.sum()) for *_, known in pairs)
+    order = max(1, min(order, rows // BINS_AN_ORDER))
+    gusts = [(one - other) / np.sqrt(2.0) for one, other, _ in pairs]
+    return autoregression(gusts, [known for *_, known in pairs], order)

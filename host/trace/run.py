@@ -33,7 +33,7 @@ from host.trace.refine import (
     prior_of,
     too_little,
 )
-from host.trace.repeats import repeat
+from host.trace.repeats import in_turbulence, repeat
 from host.trace.result import SHOWN, Named, Trace, Value, Verdict
 from host.trace.score import (
     Errors,
@@ -42,6 +42,7 @@ from host.trace.score import (
     predict_flights,
     predict_segments,
     rmse,
+    strata_of,
     twins_of,
 )
 from host.trace.search import Found, Names, search
@@ -218,10 +219,11 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         order = order_of(loop, nothing.z)
         fitter = LoopFitter(loop=loop, order=order)
         found = search(fitter, fit_loop(loop, (), nothing.z, order), report)
-        kept, covariance = found.best, honest_covariance(form.space, found.best)
-        judged = kept if _is_judged(found) else fitter.fit(_likeliest(found.weights), kept)
         report("comparing twin flights")
         twins, unread = twins_of(flights), _reading(form.space, nothing)
+        kept = in_turbulence(loop, found.best, order, twins)
+        covariance = honest_covariance(form.space, kept, strata_of(twins, len(flights)))
+        judged = kept if _is_judged(found) else fitter.fit(_likeliest(found.weights), kept)
         repeats = repeat(loop, judged.z, order, twins), repeat(loop, unread, order, twins)
         best = at_parameters(form, nothing, kept.effects, kept.z, covariance, kept.log_evidence)
         method = "closed-loop"

@@ -263,3 +263,15 @@ def twins_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
         for flight in flights
     ]
     return [(a, b) for a, b in combinations(range(len(flights)), 2) if keys[a][0] and keys[a] == keys[b]]
+
+
+def strata_of(twins: Sequence[tuple[int, int]], count: int) -> list[list[int]]:
+    """Indices of `count` flights, those of one reference together; all that have no twin together."""
+    group = list(range(count))
+    for a, b in twins:
+        group[b] = min(group[a], group[b])
+    found: dict[int, list[int]] = {}
+    for flight, first in enumerate(group):
+        found.setdefault(first, []).append(flight)
+    alone = [flight for flights in found.values() if len(flights) == 1 for flight in flights]
+    return [flights for flights in found.values() if len(flights) > 1] + ([alone] if alone else [])

@@ -44,15 +44,18 @@ class Programme:
 
 BLIND = Programme(
     routes=Path(str(files("sitl.studies"))) / "routes",
-    learning=("fast-lemniscate", "low", "climbs", "sprint"),
+    learning=("quick", "low", "climbs", "sprint"),
     held_out=("check-loop", "check-points"),
 )
-"""Speed and quick turns, the ground and headings, vertical motion, accelerations all round; 12 s each."""
+"""Quick turns, the ground and headings, vertical motion, accelerations all round; 12 s each."""
 
 TRUTH, VERDICT, SCORE = "truth.json", "verdict.json", "score.json"
 """The three stages of a world; each file is there when its stage is done."""
 
-_LOG_TRUTH = ".truth.json"
+STILL = "still"
+"""Folder of the flights in still air, which the scorer alone opens."""
+
+_LOG_TRUTH, _WORLD = ".truth.json", "world.toml"
 
 
 def plan_references(folder: Path, vehicle: str, programme: Programme) -> Path:
@@ -91,23 +94,18 @@ def fly_and_seal(
         return sha256_of(folder / TRUTH)
     logs = folder / "flights"
     logs.mkdir(parents=True, exist_ok=True)
-    file = folder / "world.toml"
-    write_whole(file, world.toml().encode())
     flown = []
     sealed: dict[str, Any] = {}
     for name, route, index in programme.flights():
         log = logs / f"{name}.mcap"
-        beside = log.with_name(log.name + _LOG_TRUTH)
-        if not beside.is_file():
-            own = references / f"{route}.toml"
-            craft = str(own) if own.is_file() else vehicle
-            words = ["fly", str(references / f"{route}.ref"), "--vehicle", craft, "--world", str(file)]
-            words += ["--world-seed", str(world.seed), "--flight", str(index), "--seed", str(index)]
-            done = run_inside([*words, "-o", str(log), "--force"])
-            if done.code not in (0, 1) or not beside.is_file():
-                raise StudyError(f"world {world.name}, flight {name}: {done.errors.strip()}")
-        sealed = read_json(beside)
+        _fly(world, world.toml(), references / route, index, vehicle, log)
+        sealed = read_json(_beside(log))
         flown.append({"log": log.name, "sha256": sha256_of(log)})
+    if world.is_measured:
+        (folder / STILL).mkdir(exist_ok=True)
+        for index, route in enumerate(programme.learning, start=1):
+            log = folder / STILL / f"{route}.mcap"
+            _fly(world, world.toml(still=True), references / route, index, vehicle, log)
     truth = {
         "world": world.name,
         "class": world.kind_class,
@@ -122,10 +120,32 @@ def fly_and_seal(
         "flights": flown,
     }
     write_json(folder / TRUTH, truth)
-    for beside in logs.glob(f"*{_LOG_TRUTH}"):
+    for beside in folder.glob(f"*/*{_LOG_TRUTH}"):
         beside.unlink()
-    file.unlink()
+    (folder / _WORLD).unlink()
     return sha256_of(folder / TRUTH)
+
+
+def _fly(world: PlannedWorld, file: str, reference: Path, index: int, vehicle: str, log: Path) -> None:
+    """Nothing comes back; the flight of a world's `file` is logged, if it was not, with its truth beside it.
+
+    `reference` is without its suffix. Raises StudyError where it cannot be flown.
+    """
+    if _beside(log).is_file():
+        return
+    path = log.parent.parent / _WORLD
+    write_whole(path, file.encode())
+    own = reference.with_name(f"{reference.name}.toml")
+    craft = str(own) if own.is_file() else vehicle
+    words = ["fly", f"{reference}.ref", "--vehicle", craft, "--world", str(path)]
+    words += ["--world-seed", str(world.seed), "--flight", str(index), "--seed", str(index)]
+    done = run_inside([*words, "-o", str(log), "--force"])
+    if done.code not in (0, 1) or not _beside(log).is_file():
+        raise StudyError(f"world {world.name}, flight {log.stem}: {done.errors.strip()}")
+
+
+def _beside(log: Path) -> Path:
+    return log.with_name(log.name + _LOG_TRUTH)
 
 
 def trace(folder: Path, programme: Programme, copy: Callable[[Path, Path], object] = shutil.copyfile) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from sitl.kinds import DRAG, KINDS
 from sitl.studies.files import StudyError
-from sitl.world import Turbulence
+from sitl.world import ImuSettings, Turbulence
 
 Class = Literal["none", "single", "pair", "outside", "thin"]
 FULL: dict[Class, int] = {"single": 150, "pair": 60, "none": 200, "outside": 80, "thin": 48}
@@ -59,17 +59,25 @@ class PlannedWorld:
     turbulence: float
     case: str | None = None
 
-    def toml(self) -> str:
-        """The world file."""
-        usual = Turbulence()
+    @property
+    def is_measured(self) -> bool:
+        """Whether a verdict's numbers are compared: the world holds what the library has a form of."""
+        return self.kind_class in ("single", "pair")
+
+    def toml(self, *, still: bool = False) -> str:
+        """The world file; `still`: the same world in still air, seen by perfect sensors."""
+        usual, strength = Turbulence(), 0.0 if still else self.turbulence
         lines = [
             'description = "A world of a blind study"',
             "tolerances = true",
             "",
             "[turbulence]",
-            f"force_m_s2 = {usual.force_m_s2 * self.turbulence:.6f}",
-            f"torque_rad_s2 = {usual.torque_rad_s2 * self.turbulence:.6f}",
+            f"force_m_s2 = {usual.force_m_s2 * strength:.6f}",
+            f"torque_rad_s2 = {usual.torque_rad_s2 * strength:.6f}",
         ]
+        if still:
+            lines += ["", "[mocap]", "position_noise_m = 0.0", "attitude_noise_deg = 0.0", "dropout = 0.0"]
+            lines += ["", "[imu]", *(f"{name} = 0.0" for name in ImuSettings.model_fields)]
         if self.kinds:
             names = ", ".join(f'"{kind}"' for kind in self.kinds)
             count = len(self.kinds)

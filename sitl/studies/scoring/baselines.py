@@ -17,16 +17,21 @@ import numpy as np
 
 from host.effects import load_effects
 from host.log import Flight, read_flight
+from host.trace import segments
 from host.trace.data import DT_S, segments_of
+from host.trace.form import LOCALS, Form
 from host.trace.parameters import Space, space
+from host.trace.segments import Segments
 from host.vehicle import Vehicle, load_vehicle
 from sitl.studies.commandline import run_apart
 from sitl.studies.files import StudyError, read_json, write_json
 from sitl.studies.flights import SCORE, TRUTH, Programme
-from sitl.studies.scoring.effective import RUN_S, host_response
 from sitl.studies.scoring.names import collapsed
 
 BASELINES = "baselines.json"
+RUN_S = 0.1
+"""Stretches of flight that the regressions compare, begun from the measured state."""
+
 WINDOW_S = 0.4
 THRESHOLD = 0.25
 """Typical sizes below which a term of the sparse regression is dropped."""
@@ -86,7 +91,7 @@ def _series(vehicle: Vehicle, space: Space, flights: Sequence[Flight]) -> list[n
     count = len(space.columns)
     lanes = np.zeros((count, 1 + count))
     lanes[np.arange(count), 1 + np.arange(count)] = _STEP
-    out = host_response(vehicle, space, data, lanes)
+    out = _responses(vehicle, space, data, lanes)
     slopes = (out[1:] - out[0]) / _STEP
     slopes[..., 3:] = np.gradient(slopes[..., 3:], DT_S, axis=2)
     turning = np.gradient(out[0][..., 3:], DT_S, axis=1)
@@ -201,3 +206,16 @@ def _network(folder: Path, used: Sequence[str], held_out: Sequence[str]) -> floa
     for left in folder.glob("network.model.*"):
         left.unlink()
     return (done.data.get("test") or {}).get("position_rmse_m") if done.code == 0 else None
+
+
+def _responses(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray) -> np.ndarray:
+    """Specific force and body rate (lanes, S, H, 6), FRD, of the library's forms at scaled z (P, lanes).
+
+    Means over the data's steps, from its states under its motor commands.
+    """
+    lanes = z.shape[1]
+    x0 = np.repeat(data.x0.T[:, None, :], lanes, axis=1)
+    local = np.zeros((LOCALS, lanes, len(data.flight)))
+    form = Form(vehicle, space, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
+    found = segments.roll_out(form, data, x0, z, local)
+    return np.transpose(found[:, [9, 10, 11, 6, 7, 8]], (2, 3, 0, 1))

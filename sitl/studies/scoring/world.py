@@ -8,13 +8,12 @@ from typing import Any
 
 from host.effects import Effect, load_effects
 from host.log import read_flight
-from host.trace.parameters import Space, space
+from host.trace.parameters import space
 from host.vehicle import load_vehicle
 from sitl.kinds import KINDS
 from sitl.studies.files import Ledger, StudyError, read_json, sha256_of, write_json
-from sitl.studies.flights import SCORE, TRUTH, VERDICT, Programme
-from sitl.studies.scoring.bounds import Bounds, bounds, floor_m
-from sitl.studies.scoring.effective import Values, effective
+from sitl.studies.flights import SCORE, STILL, TRUTH, VERDICT, Programme
+from sitl.studies.scoring.effective import Effective, effective, floor_m, is_identifiable, nearest, off_by
 from sitl.studies.scoring.names import RATIO, collapsed, family, ordered
 from sitl.studies.thin import CASES
 from sitl.studies.worlds import SAME_RATIO
@@ -49,25 +48,27 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
     truth = open_truth(folder, ledger)
     verdict = read_json(folder / VERDICT)
     vehicle, effects = load_vehicle(truth["vehicle"]), library()
-    chosen = space(vehicle, effects)
-    within = truth["class"] in INSIDE
-    true: Values = {}
     known = floor = None
-    if within:
-        flights = [read_flight(folder / "flights" / log) for log in programme.logs(programme.learning)]
-        held_out = [read_flight(folder / "flights" / log) for log in programme.logs(programme.held_out)]
-        true = effective(vehicle, truth["effects"], chosen, flights)
-        known = bounds(vehicle, chosen, true, flights, SAME_RATIO) if true else None
-        floor = floor_m(vehicle, chosen, effects, true, truth["deviations"], held_out)
+    if truth["class"] in INSIDE:
+        learning, held_out = (
+            [read_flight(folder / "flights" / log) for log in programme.logs(routes)]
+            for routes in (programme.learning, programme.held_out)
+        )
+        chosen, drawn, deviations = space(vehicle, effects), truth["effects"], truth["deviations"]
+        if drawn:
+            still = [read_flight(folder / STILL / f"{name}.mcap") for name in programme.learning]
+            known = effective(vehicle, chosen, drawn, deviations, still, learning)
+        values = off_by(chosen, deviations) if known is None else known.values
+        floor = floor_m(vehicle, effects, values, drawn, held_out)
     score = {
         "world": folder.name,
         "class": truth["class"],
         "kinds": truth["kinds"],
         "case": truth["case"],
         "drawn": truth["effects"],
-        "true": true,
+        "true": {} if known is None else known.true(),
         **judge(truth["kinds"], verdict, known, effects),
-        "parameters": parameter_rows(truth, true, verdict["answer"], known, chosen),
+        "parameters": parameter_rows(truth, verdict["answer"], known),
         "floor_m": floor,
         "told": None if truth["case"] is None else is_told(truth["case"], verdict),
     }
@@ -84,7 +85,7 @@ def is_told(case: str, verdict: Mapping[str, Any]) -> bool:
 
 
 def judge(
-    kinds: Sequence[str], verdict: Mapping[str, Any], known: Bounds | None, effects: Mapping[str, Effect]
+    kinds: Sequence[str], verdict: Mapping[str, Any], known: Effective | None, effects: Mapping[str, Effect]
 ) -> dict[str, Any]:
     """What the verdict says of a world that holds `kinds`, as plain data.
 
@@ -101,7 +102,8 @@ def judge(
     names = collapsed(first, kinds)
     truth = collapsed(kinds, kinds)
     aliases = {a["name"] for e in named for a in e["aliases"]}
-    identifiable = None if known is None else known.identifiable
+    separations = None if known is None else nearest(known, SAME_RATIO)
+    identifiable = None if separations is None else is_identifiable(separations)
     right = set(first[:1]) <= set(kinds) or collapsed(first[:1], kinds) <= truth
     decided = said == "traced" or (said == "undecided" and not identifiable)
     sizes = [
@@ -118,7 +120,7 @@ def judge(
         "aliases": sorted(aliases),
         "reasons": answer.get("reasons", []),
         "identifiable": identifiable,
-        "separation": None if known is None else {k: dict(v) for k, v in known.separation.items()},
+        "separation": separations,
         "wrong": said == "traced" and not names <= truth,
         "top1": bool(first) and right and decided,
         "exact": bool(first) and names == truth and decided,
@@ -131,11 +133,7 @@ def judge(
 
 
 def parameter_rows(
-    truth: Mapping[str, Any],
-    true: Values,
-    answer: Mapping[str, Any],
-    known: Bounds | None,
-    chosen: Space,
+    truth: Mapping[str, Any], answer: Mapping[str, Any], known: Effective | None
 ) -> list[dict[str, Any]]:
     """A row for each parameter of each true effect that was named: truth, estimate, sd, bound, typical size.
 
@@ -146,15 +144,15 @@ def parameter_rows(
     if known is None:
         return []
     rows = []
-    for name, values in true.items():
+    for name, values in known.true().items():
         if name in ("mass", "thrust-gain"):
-            rows += _ratio_row(name, truth, true, found, known, chosen)
+            rows += _ratio_row(name, found, known)
             continue
         if name not in found:
             continue
-        gain = _gain(truth, true) if name == "inertia" else 1.0
-        for i in chosen.owners[name]:
-            column = chosen.columns[i]
+        gain = known.values["thrust-gain"]["gain"] if name == "inertia" else 1.0
+        for i in known.space.owners[name]:
+            column = known.space.columns[i]
             if truth["effects"][name].get(column.key, column.neutral) == column.neutral:
                 continue
             estimate = found[name].get(column.key)
@@ -167,7 +165,7 @@ def parameter_rows(
                     "true": values[column.key] / gain,
                     "estimate": None if estimate is None else estimate["value"],
                     "sd": None if estimate is None else estimate["sd"],
-                    "bound_sd": known.sd[name][column.key],
+                    "bound_sd": known.bound_sd(name, column.key),
                     "neutral": column.neutral,
                     "typical": column.scale,
                 }
@@ -175,44 +173,26 @@ def parameter_rows(
     return rows
 
 
-def _gain(truth: Mapping[str, Any], true: Values) -> float:
-    """The thrust gain that the vehicle flies with."""
-    return _factor("thrust-gain", "gain", truth, true)
-
-
-def _factor(name: str, key: str, truth: Mapping[str, Any], true: Values) -> float:
-    """A factor of the vehicle: the effect's, else 1 and what the build is off by."""
-    return true[name][key] if name in true else 1.0 + truth["deviations"].get(f"{name}.{key}", 0.0)
-
-
-def _ratio_row(
-    name: str,
-    truth: Mapping[str, Any],
-    true: Values,
-    found: Mapping[str, Any],
-    known: Bounds,
-    chosen: Space,
-) -> list[dict[str, Any]]:
+def _ratio_row(name: str, found: Mapping[str, Any], known: Effective) -> list[dict[str, Any]]:
     """The row of thrust over mass where either was named, to first order in the standard deviations."""
     if not {"mass", "thrust-gain"} & set(found):
         return []
-    mass = _factor("mass", "factor", truth, true)
     gain = found.get("thrust-gain", {}).get("gain", {"value": 1.0, "sd": 0.0})
     factor = found.get("mass", {}).get("factor", {"value": 1.0, "sd": 0.0})
     ratio = gain["value"] / factor["value"]
     share = ((gain["sd"] / gain["value"]) ** 2 + (factor["sd"] / factor["value"]) ** 2) ** 0.5
-    (bound,) = known.sd[name].values()
+    (key,) = known.true()[name]
     return [
         {
             "effect": name,
             "key": RATIO,
             "family": family(name),
             "turned": False,
-            "true": _gain(truth, true) / mass,
+            "true": known.values["thrust-gain"]["gain"] / known.values["mass"]["factor"],
             "estimate": ratio,
             "sd": ratio * share,
-            "bound_sd": bound,
+            "bound_sd": known.bound_sd(name, key),
             "neutral": 1.0,
-            "typical": chosen.columns[chosen.owners[name][0]].scale,
+            "typical": known.space.columns[known.space.owners[name][0]].scale,
         }
     ]
