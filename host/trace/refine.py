@@ -555,11 +555,11 @@ def jackknife_by_flight(
     """(P,) factors >= 1 on the standard deviations for what repeats within a flight but not between flights.
 
        grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] at z (P,), linearised; the prior's
-       precision (P,). Each parameter's spread over the fits that leave one flight out (Efron's jackknife), the
-    others of its stratum counting for it, over its posterior's. Since so few flights tell one spread badly,
-    it counts together with JACKKNIFE_PRIOR flights that spread as the parameters do in the median. `strata`
-    part the flights that are alike (default: all are): what differs between strata, such as references, is
-    what was flown, not chance.
+       precision (P,). Each parameter's spread over the fits that leave one flight out (Efron's jackknife),
+    the others of its stratum counting for it, over its posterior's. Since so few flights tell one spread
+    badly, it counts together with JACKKNIFE_PRIOR flights that spread as the parameters do in the median.
+    `strata` part the flights that are alike (default: all are): what differs between strata, such as
+    references, is what was flown, not chance.
     """
     total = grams.sum(0)
     parts = [list(part) for part in (strata or [range(len(grams))]) if len(part) > 1]

@@ -161,6 +161,7 @@ class Trace:
                         key: {"value": v.value, "sd": v.sd, "unit": v.unit} for key, v in e.parameters.items()
                     },
                     "probability": e.probability,
+                    "evidence_nats": self.evidence.get(e.name),
                     "aliases": [{"name": n, "probability": p} for n, p in e.aliases.items()],
                 }
                 for e in self.effects

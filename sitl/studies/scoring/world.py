@@ -67,7 +67,7 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
         "case": truth["case"],
         "drawn": truth["effects"],
         "true": {} if known is None else known.true(),
-        **judge(truth["kinds"], verdict, known, effects),
+        **judge(truth["kinds"], verdict, None if known is None else nearest(known, SAME_RATIO), effects),
         "parameters": parameter_rows(truth, verdict["answer"], known),
         "floor_m": floor,
         "told": None if truth["case"] is None else is_told(truth["case"], verdict),
@@ -85,12 +85,15 @@ def is_told(case: str, verdict: Mapping[str, Any]) -> bool:
 
 
 def judge(
-    kinds: Sequence[str], verdict: Mapping[str, Any], known: Effective | None, effects: Mapping[str, Effect]
+    kinds: Sequence[str],
+    verdict: Mapping[str, Any],
+    separations: Mapping[str, Mapping[str, float]] | None,
+    effects: Mapping[str, Effect],
 ) -> dict[str, Any]:
     """What the verdict says of a world that holds `kinds`, as plain data.
 
-    `known` is None where the world holds nothing of the library. An undecided verdict on an identifiable
-    world misses.
+    `separations` in sigma, of each true effect from each other candidate, are None where the world holds
+    nothing of the library. An undecided verdict on an identifiable world misses.
     """
     answer = verdict["answer"]
     said = answer.get("verdict", "failed")
@@ -102,7 +105,6 @@ def judge(
     names = collapsed(first, kinds)
     truth = collapsed(kinds, kinds)
     aliases = {a["name"] for e in named for a in e["aliases"]}
-    separations = None if known is None else nearest(known, SAME_RATIO)
     identifiable = None if separations is None else is_identifiable(separations)
     right = set(first[:1]) <= set(kinds) or collapsed(first[:1], kinds) <= truth
     decided = said == "traced" or (said == "undecided" and not identifiable)

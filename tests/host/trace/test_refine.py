@@ -130,7 +130,7 @@ def test_honest_covariance_is_never_less_than_the_fits(library: Space, loop: Loo
 
 
 def drifting(rng: np.random.Generator, shifts: np.ndarray) -> np.ndarray:
-    """Grams (flights, 5, 5) of 400 measurements each, of four parameters that are off by `shifts` (flights, 4)."""
+    """Grams (flights, 5, 5) of 400 measurements each; four parameters are off by `shifts` (flights, 4)."""
     grams = []
     for shift in shifts:
         slopes = rng.standard_normal((400, 4))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,13 @@ import numpy as np
 import pytest
 
 from host.effects import load_effects
-from host.log import Flight, read_flight
+from host.log import read_flight
 from host.trace.parameters import space
 from host.vehicle import load_vehicle
+from sitl.studies.files import read_json
+from sitl.studies.flights import BLIND, STILL, TRUTH, fly_and_seal, plan_references
 from sitl.studies.scoring.baselines import stepwise_bic, weak_sindy
-from sitl.studies.scoring.bounds import Bounds
-from sitl.studies.scoring.effective import effective
+from sitl.studies.scoring.effective import Effective, effective, nearest
 from sitl.studies.scoring.metrics import (
     baseline_rows,
     confusion,
@@ -26,13 +28,13 @@ from sitl.studies.scoring.metrics import (
 from sitl.studies.scoring.names import collapsed
 from sitl.studies.scoring.world import is_told, judge, parameter_rows
 from sitl.studies.table import failure, lines
+from sitl.studies.worlds import SAME_RATIO, PlannedWorld
 
-DATA = Path(__file__).parents[2] / "data"
 VEHICLE = load_vehicle("research")
 EFFECTS = load_effects()
 SPACE = space(VEHICLE, EFFECTS)
-CLEAR = Bounds(separation={"x": {"y": 9.0}}, sd={})
-HAZY = Bounds(separation={"x": {"y": 9.0, "z": 4.1}}, sd={})
+CLEAR = {"x": {"y": 9.0}}
+HAZY = {"x": {"y": 9.0, "z": 4.1}}
 
 
 def verdict(said: str, *names: str, aliases: dict[str, list[str]] | None = None) -> dict[str, Any]:
@@ -92,13 +94,22 @@ def test_mass_named_as_thrust_gain_is_right_and_scored_on_the_ratio() -> None:
     assert collapsed(["thrust-gain", "inertia"], ["mass"]) == collapsed(["mass"], ["mass"])
     assert collapsed(["inertia"], ["mass"]) != collapsed(["mass"], ["mass"])
     assert judge(["mass"], verdict("traced", "thrust-gain"), CLEAR, EFFECTS)["exact"]
-    truth = {"effects": {"mass": {"factor": 1.25}}, "deviations": {"thrust-gain.gain": 0.0}}
+    truth = {"effects": {"mass": {"factor": 1.25}}}
     answer = verdict("traced", "thrust-gain")["answer"]
     answer["effects"][0]["parameters"]["gain"] = {"value": 0.81, "sd": 0.004, "unit": "1"}
-    known = Bounds(separation={}, sd={"mass": {"factor": 0.005}})
-    (row,) = parameter_rows(truth, {"mass": {"factor": 1.25}}, answer, known, SPACE)
+    known = told(mass=1.25)
+    (row,) = parameter_rows(truth, answer, known)
+    assert row["bound_sd"] == pytest.approx(0.1 * SPACE.columns[SPACE.owners["mass"][0]].scale)
     assert row["true"] == pytest.approx(0.8)
     assert (row["estimate"], row["sd"]) == (pytest.approx(0.81), pytest.approx(0.004))
+
+
+def told(*, mass: float) -> Effective:
+    """A world of this mass, its parameters known to a tenth of their typical sizes."""
+    (column,) = SPACE.owners["mass"]
+    z, eye = np.zeros(len(SPACE.columns)), np.eye(len(SPACE.columns))
+    z[column] = (mass - 1.0) / SPACE.columns[column].scale
+    return Effective(space=SPACE, candidates={"mass": "mass"}, z=z, covariance=0.01 * eye, gram=100.0 * eye)
 
 
 def row(effect: str, key: str, family: str, **numbers: Any) -> dict[str, Any]:
@@ -284,34 +295,57 @@ def test_weak_sindy_finds_what_made_the_data(series: list[np.ndarray]) -> None:
     assert weak_sindy(SPACE, series) == ["quadratic-drag", "motor-lag"]
 
 
+Flown = tuple[Path, dict[str, Any]]
+
+
 @pytest.fixture(scope="module")
-def flights() -> list[Flight]:
-    return [read_flight(DATA / f"{name}.mcap") for name in ("a1", "b1")]
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
+    """Folder and truth of a world with drag and a late motor, flown twice in the air and once without."""
+    folder = tmp_path_factory.mktemp("world")
+    programme = replace(BLIND, learning=("quick", "climbs"), held_out=())
+    world = PlannedWorld(
+        name="w", kind_class="pair", kinds=("linear-drag", "motor-lag"), seed=5, turbulence=1.0
+    )
+    fly_and_seal(world, folder, plan_references(folder, "research", programme), "research", programme)
+    return folder, read_json(folder / TRUTH)
 
 
-@pytest.mark.parametrize(
-    ("drawn", "within"),
-    [
-        ({"thrust-gain": {"gain": 0.9}}, 0.005),
-        ({"motor-lag": {"extra_s": 0.015}}, 0.001),
-        ({"com-offset": {"x": 0.004, "y": -0.003}}, 0.0002),
-        ({"linear-drag": {"dx": 0.4, "dy": 0.3, "dz": 0.2}}, 0.03),
-    ],
-)
-def test_effective_parameters_are_near_the_plants_and_not_the_same(
-    drawn: dict[str, dict[str, float]], within: float, flights: list[Flight]
-) -> None:
-    found = effective(VEHICLE, drawn, SPACE, flights)
+def fitted(flown: Flown, drawn: dict[str, dict[str, float]]) -> Effective:
+    folder, truth = flown
+    logs = [[read_flight(log) for log in sorted((folder / n).glob("*.mcap"))] for n in (STILL, "flights")]
+    return effective(VEHICLE, SPACE, drawn, truth["deviations"], *logs)
+
+
+def test_effective_parameters_are_near_the_plants_and_not_the_same(flown: Flown) -> None:
+    drawn = flown[1]["effects"]
+    known = fitted(flown, drawn)
+    true = known.true()
+    assert set(true) == {"linear-drag", "motor-lag"}
     for name, values in drawn.items():
         for key, value in values.items():
-            assert found[name][key] == pytest.approx(value, abs=within)
-            assert found[name][key] != value
+            typical = EFFECTS[name].parameters[EFFECTS[name].keys.index(key)].typical
+            assert true[name][key] == pytest.approx(value, abs=0.15 * typical)
+            assert true[name][key] != value
+            assert 0.0 < known.bound_sd(name, key) < 0.1 * typical
 
 
-def test_effective_parameters_of_what_acts_on_the_pose_are_the_drawn_ones(flights: list[Flight]) -> None:
-    drawn = {"mocap-latency": {"latency_s": 0.013}}
-    assert effective(VEHICLE, drawn, SPACE, flights) == drawn
+def test_still_air_is_the_same_world_without_what_is_chance(flown: Flown) -> None:
+    folder, _ = flown
+    gusty, still = (folder / name for name in ("flights", STILL))
+    assert sorted(p.stem for p in still.glob("*.mcap")) == ["climbs", "quick"]
+    again = [read_flight(gusty / f"climbs-{k}.mcap").poses.p_ned for k in (1, 2)]
+    calm = read_flight(still / "climbs.mcap").poses.p_ned
+    rough = [np.diff(p[1000:1100], n=2, axis=0).std() for p in (*again, calm)]
+    assert rough[2] < 0.2 * min(rough[:2])
+    assert not list(folder.glob("*/*.truth.json"))
 
 
-def test_what_the_library_lacks_has_no_effective_parameters(flights: list[Flight]) -> None:
-    assert effective(VEHICLE, {"blade-flapping": {"moment": 2.0}}, SPACE, flights) == {}
+def test_separation_is_counted_from_every_other_candidate(flown: Flown) -> None:
+    separations = nearest(fitted(flown, flown[1]["effects"]), SAME_RATIO)
+    assert set(separations) == {"linear-drag", "motor-lag"}
+    assert set(separations["motor-lag"]) == set(SPACE.candidates) - {"linear-drag", "motor-lag"}
+    assert separations["linear-drag"]["wind"] > separations["linear-drag"]["quadratic-drag"] > 4.2
+
+
+def test_what_the_library_lacks_has_no_effective_parameters(flown: Flown) -> None:
+    assert fitted(flown, {"blade-flapping": {"moment": 2.0}}).true() == {}
