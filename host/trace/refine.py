@@ -77,7 +77,7 @@ _LINE = (1.0, 0.5, 0.25, 0.1)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """A flight's means over `bins` of BIN_S, from the reference's start.
+    """A flight's means over `bins` of BIN_S, from the reference's start; of the integral the bins' middles.
 
     states: for its start, law and constants. pose_s (m,) s, of the pose's stamp, and pose_bin (m,). measured
     (bins, 12): p NED, Theta, body rate and rate integral FRD; known (bins,) where all were.
@@ -281,8 +281,8 @@ def _drive(states: States, stages: np.ndarray) -> np.ndarray:
 
 
 def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> np.ndarray:
-    """(lanes, bins, 12) of states (n, 19, lanes): poses as stamped, `latency_s` (lanes,) old; mean rates and
-    integrals.
+    """(lanes, bins, 12) of states (n, 19, lanes): poses as stamped, `latency_s` (lanes,) old; mean rates;
+    integrals in the middle of each bin.
     """
     lanes, bins = samples.shape[2], recording.bins
     out = np.empty((lanes, bins, CHANNELS))
@@ -291,9 +291,10 @@ def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> 
         poses = samples[:, (0, 1, 2, 6, 7, 8)][:, :, mine].reshape(len(samples), -1)
         mean = _pose_means(recording, float(late), len(samples)) @ poses
         out[mine, :, :6] = mean.reshape(bins, 6, -1).transpose(2, 0, 1)
-    rate = samples[:, (9, 10, 11, *range(INTEGRAL.start, INTEGRAL.stop))]
+    rate = samples[:, 9:12]
     simpson = rate[0:-1:2] + 4.0 * rate[1::2] + rate[2::2]
-    out[:, :, 6:] = np.transpose(simpson / 6.0, (2, 0, 1))
+    out[:, :, 6:9] = np.transpose(simpson / 6.0, (2, 0, 1))
+    out[:, :, 9:] = np.transpose(samples[1::2, INTEGRAL], (2, 0, 1))
     return out
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from host.effects import load_effects
 from host.log import read_flight
+from host.models.phi import INTEGRAL
 from host.trace import refine as closed
 from host.trace.parameters import Space, space
 from host.trace.refine import CHANNELS, Loop
@@ -102,6 +103,18 @@ def test_evidence_prefers_the_drag_that_flew(library: Space, loop: Loop) -> None
     drag, linear, nothing = (fit.log_evidence for fit in fits)
     assert drag - linear > 5.0
     assert drag - nothing > 5.0
+
+
+def test_recorded_integral_is_compared_at_its_own_time(loop: Loop) -> None:
+    """Compared with means over the bins it looks like 1 ms of motor lag and inertia of 1 %."""
+    recording = loop.recordings[0]
+    t = closed.STEP_S * np.arange(recording.bins * closed.PER_BIN + 1)
+    states = np.repeat(np.sin(9.0 * t)[:, None, None], INTEGRAL.stop, axis=1)
+    predicted = closed._means(recording, states, np.zeros(1))[0]
+    middle = closed.BIN_S * (np.arange(recording.bins) + 0.5)
+    mean = np.sin(9.0 * middle) * np.sinc(4.5 * closed.BIN_S / np.pi)
+    np.testing.assert_allclose(predicted[:, 9:], np.repeat(np.sin(9.0 * middle)[:, None], 3, 1), atol=1e-9)
+    np.testing.assert_allclose(predicted[:, 6:9], np.repeat(mean[:, None], 3, 1), atol=1e-4)
 
 
 def test_autoregression_is_recovered_and_leaves_white_innovations() -> None:
