@@ -10,8 +10,8 @@ Drives:
     inputs     the recorded rotor thrusts drive the body; no law
 
 What the 1 kHz tick adds to continuous time is small and kept: a command held for a tick is late by half of
-it (`hold_s`, added to the rotor lag), and the sampled rate filter's slope is larger by half a tick times its
-corner.
+it (`hold_s`, part of the commands' delay where an effect has one, else added to the rotor lag), and the
+sampled rate filter's slope is larger by half a tick times its corner.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ from protocol.parameters import DEFAULTS
 Scalar = Any
 Drive = Literal["reference", "estimate", "inputs"]
 
-_DELAY_FILTER_S = 0.004
-"""T of the late commands' filter."""
+_DELAY_FILTER_S = 0.0041
+"""Least T of the late commands' filter: 10 ms are then a step that RK4 is stable at."""
 
 INTEGRAL = slice(16, 19)
 """The rate integral in the state. Behind it, where asked for: filtered body rate 3, estimator's errors 12;
@@ -310,8 +310,10 @@ class Phi:
         arriving, late_rates = command, []
         if self.commands.stop > self.commands.start:
             # exp(-D s) as 1 - D s / (1 + T s): right to second order in s where D = 2 T.
-            late_rates = [(u - x[self.commands.start + i]) / _DELAY_FILTER_S for i, u in enumerate(command)]
-            delay_s = command_delay_s(ops, parts)
+            delay_s = command_delay_s(ops, parts) + self.hold_s
+            lag = lag - self.hold_s  # the hold is a delay like the other, no part of the lag
+            filter_s = ops.maximum(0.5 * delay_s, _DELAY_FILTER_S)
+            late_rates = [(u - x[self.commands.start + i]) / filter_s for i, u in enumerate(command)]
             arriving = [u - delay_s * rate for u, rate in zip(command, late_rates, strict=True)]
         return [
             *body,

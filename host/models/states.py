@@ -197,11 +197,18 @@ def _states(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: float
         float(np.mean(estimate.mocap_age_s[tracked])) - 0.5 * measured.interval_s if tracked.any() else 0.0
     )
     gains = law_step.estimator_gains(law_step.parameter_vector(_parameters(flight)))
-    per_bias, _ = standing_errors(gains, max(age_s, 0.0), measured.interval_s)
     estimated = np.column_stack([np.interp(at, estimate.t_us * 1e-6, estimate.p[:, i]) for i in range(3)])
     R = Rotation.from_euler("ZYX", theta[:, ::-1]).as_matrix()
     imu_bias, per_gravity = accelerometer_bias(
-        estimated - path.p, R, path.v, np.gradient(path.v, step_s, axis=0), per_bias
+        estimated - path.p,
+        R,
+        path.v,
+        np.gradient(path.v, step_s, axis=0),
+        rate,
+        gains=gains,
+        age_s=max(age_s, 0.0),
+        interval_s=measured.interval_s,
+        step_s=step_s,
     )
     return States(
         flight_id=flight.id,

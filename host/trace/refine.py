@@ -24,7 +24,6 @@ from host.models.phi import INTEGRAL, Phi
 from host.models.rollout import half_steps, reference_drive, roll_out
 from host.models.states import States, flight_states
 from host.trace import evidence
-from host.trace.data import averaged
 from host.trace.diagnose import Fit
 from host.trace.evidence import Linearisation, Prior
 from host.trace.parameters import Space
@@ -82,10 +81,12 @@ _LINE = (1.0, 0.5, 0.25, 0.1)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """A flight's means over `bins` of BIN_S, from the reference's start.
+    """A flight's means over `bins` of BIN_S, from the reference's start; of the integral the bins' middles.
 
     states: for its start, law and constants. pose_s (m,) s, of the pose's stamp, and pose_bin (m,). measured
-    (bins, 12): p NED, Theta, body rate and rate integral FRD; known (bins,) where all were.
+    (bins, 12): p NED, Theta, body rate and rate integral FRD; known (bins,) where all were. rates, integrals
+    (bins, samples): what telemetry makes of states sampled every STEP_S; a gyro's mean goes over whole
+    intervals and the integral evenly from one frame to the next, as far apart as lost frames leave them.
     """
 
     states: States
@@ -93,6 +94,8 @@ class Recording:
     pose_bin: np.ndarray
     measured: np.ndarray
     known: np.ndarray
+    rates: csr_array
+    integrals: csr_array
 
     @property
     def bins(self) -> int:
@@ -130,17 +133,84 @@ def record(flight: Flight, states: States) -> Recording:
     poses = np.column_stack([s.p[inside], angles])
     count = np.bincount(pose_bin, minlength=bins)
     sums = np.column_stack([np.bincount(pose_bin, column, minlength=bins) for column in poses.T])
-    rate, share = averaged(start + BIN_S * np.arange(bins + 1), s.imu_s, s.gyro)
-    at = BIN_S * (np.arange(bins) + 0.5)
-    integral = np.column_stack([np.interp(at, states.t_s, column) for column in states.integral.T])
+    samples = bins * PER_BIN + 1
+    shares = _shares(BIN_S * np.arange(bins + 1), s.imu_s - start)
+    covered = shares.sum(1)
+    shares = shares.multiply(1.0 / np.maximum(covered, 1e-9)[:, None]).tocsr()
+    assert flight.control is not None
+    frames_s = flight.control.sensed_us[:, 1] * 1e-6 - start
+    between = _between_frames(BIN_S * (np.arange(bins) + 0.5), frames_s)
     late = BIN_S * (np.arange(bins) + 0.5) < LEAD_S
     return Recording(
         states=states,
         pose_s=t[inside],
         pose_bin=pose_bin,
-        measured=np.column_stack([sums / np.maximum(count, 1)[:, None], rate, integral]),
-        known=(count > 0) & (share > 0.5) & ~late,
+        measured=np.column_stack(
+            [
+                sums / np.maximum(count, 1)[:, None],
+                shares @ s.gyro,
+                between @ flight.control.rate_integral,
+            ]
+        ),
+        known=(count > 0) & (covered > 0.5 * BIN_S) & ~late,
+        rates=shares @ _interval_means(s.imu_s - start, samples),
+        integrals=between @ _interpolation(frames_s, samples),
     )
+
+
+def _shares(edges_s: np.ndarray, interval_s: np.ndarray) -> csr_array:
+    """(n, m): time in s that each of m intervals (m, 2), in order, has in each of n bins between edges."""
+    cuts = np.unique(np.clip(np.concatenate([edges_s, interval_s.ravel()]), edges_s[0], edges_s[-1]))
+    middle = 0.5 * (cuts[1:] + cuts[:-1])
+    owner = np.maximum(np.searchsorted(interval_s[:, 0], middle, side="right") - 1, 0)
+    inside = (middle > interval_s[owner, 0]) & (middle < interval_s[owner, 1])
+    rows = np.searchsorted(edges_s, middle[inside], side="right") - 1
+    shape = (len(edges_s) - 1, len(interval_s))
+    return csr_array((np.diff(cuts)[inside], (rows, owner[inside])), shape=shape)
+
+
+def _interval_means(interval_s: np.ndarray, samples: int) -> csr_array:
+    """(m, samples): means over intervals (m, 2) of what samples every STEP_S show, by Simpson's rule."""
+    length = np.diff(interval_s, axis=1)[:, 0]
+    parts = np.maximum(np.ceil(length / STEP_S - 1e-6), 1.0).astype(int)
+    owner = np.repeat(np.arange(len(interval_s)), parts)
+    part = np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)
+    nodes = part[:, None] + np.array([0.0, 0.5, 1.0])
+    at = interval_s[owner, :1] + nodes * (length / parts)[owner, None]
+    weights = np.array([1.0, 4.0, 1.0]) / 6.0 / parts[owner, None]
+    rule = csr_array(
+        (weights.ravel(), (np.repeat(owner, 3), np.arange(weights.size))),
+        shape=(len(interval_s), weights.size),
+    )
+    return rule @ _interpolation(at.ravel(), samples)
+
+
+def _between_frames(at_s: np.ndarray, frames_s: np.ndarray) -> csr_array:
+    """(n, m): linear interpolation at n times between m frames; at the ends the last frame's value."""
+    k = np.clip(np.searchsorted(frames_s, at_s, side="right") - 1, 0, len(frames_s) - 2)
+    u = np.clip((at_s - frames_s[k]) / np.maximum(frames_s[k + 1] - frames_s[k], 1e-9), 0.0, 1.0)
+    rows = np.repeat(np.arange(len(at_s)), 2)
+    columns = np.column_stack([k, k + 1]).ravel()
+    weights = np.column_stack([1.0 - u, u]).ravel()
+    return csr_array((weights, (rows, columns)), shape=(len(at_s), len(frames_s)))
+
+
+def _interpolation(t_s: np.ndarray, samples: int) -> csr_array:
+    """(n, samples): what samples every STEP_S show at times (n,), by the cubic through four of them."""
+    t = np.clip(t_s / STEP_S, 0.0, samples - 1.0)
+    k = np.clip(t.astype(int), 1, samples - 3)
+    u = t - k
+    weights = np.column_stack(
+        [
+            -u * (u - 1.0) * (u - 2.0) / 6.0,
+            (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
+            -(u + 1.0) * u * (u - 2.0) / 2.0,
+            (u + 1.0) * u * (u - 1.0) / 6.0,
+        ]
+    )
+    rows = np.repeat(np.arange(len(t)), 4)
+    columns = (k[:, None] + np.arange(-1, 3)).ravel()
+    return csr_array((weights.ravel(), (rows, columns)), shape=(len(t), samples))
 
 
 def _euler(R: np.ndarray) -> np.ndarray:
@@ -270,8 +340,8 @@ def _drive(states: States, stages: np.ndarray) -> np.ndarray:
 
 
 def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> np.ndarray:
-    """(lanes, bins, 12) of states (n, 19, lanes): poses as stamped, `latency_s` (lanes,) old; mean rates and
-    integrals.
+    """(lanes, bins, 12) of states (n, 19, lanes): poses as stamped, `latency_s` (lanes,) old; mean rates;
+    integrals in the middle of each bin.
     """
     lanes, bins = samples.shape[2], recording.bins
     out = np.empty((lanes, bins, CHANNELS))
@@ -280,33 +350,21 @@ def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> 
         poses = samples[:, (0, 1, 2, 6, 7, 8)][:, :, mine].reshape(len(samples), -1)
         mean = _pose_means(recording, float(late), len(samples)) @ poses
         out[mine, :, :6] = mean.reshape(bins, 6, -1).transpose(2, 0, 1)
-    rate = samples[:, (9, 10, 11, *range(INTEGRAL.start, INTEGRAL.stop))]
-    simpson = rate[0:-1:2] + 4.0 * rate[1::2] + rate[2::2]
-    out[:, :, 6:] = np.transpose(simpson / 6.0, (2, 0, 1))
+    for channels, columns, telemetry in (
+        (slice(6, 9), slice(9, 12), recording.rates),
+        (slice(9, CHANNELS), INTEGRAL, recording.integrals),
+    ):
+        mean = telemetry @ samples[:, columns].reshape(len(samples), -1)
+        out[:, :, channels] = mean.reshape(bins, 3, lanes).transpose(2, 0, 1)
     return out
 
 
 def _pose_means(recording: Recording, latency_s: float, count: int) -> csr_array:
-    """(bins, count): means over each bin's poses of what samples every STEP_S show `latency_s` earlier.
-
-    Between samples the cubic through four of them.
-    """
-    t = np.maximum(recording.pose_s - latency_s, 0.0) / STEP_S
-    k = np.clip(t.astype(int), 1, count - 3)
-    u = t - k
-    weights = np.column_stack(
-        [
-            -u * (u - 1.0) * (u - 2.0) / 6.0,
-            (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
-            -(u + 1.0) * u * (u - 2.0) / 2.0,
-            (u + 1.0) * u * (u - 1.0) / 6.0,
-        ]
-    )
+    """(bins, count): means over each bin's poses of what samples every STEP_S show `latency_s` earlier."""
     poses = np.maximum(np.bincount(recording.pose_bin, minlength=recording.bins), 1)
-    weights /= poses[recording.pose_bin][:, None]
-    rows = np.repeat(recording.pose_bin, 4)
-    columns = (k[:, None] + np.arange(-1, 3)).ravel()
-    return csr_array((weights.ravel(), (rows, columns)), shape=(recording.bins, count))
+    each = (1.0 / poses[recording.pose_bin], (recording.pose_bin, np.arange(len(recording.pose_bin))))
+    mean = csr_array(each, shape=(recording.bins, len(recording.pose_bin)))
+    return mean @ _interpolation(recording.pose_s - latency_s, count)
 
 
 def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:

@@ -60,7 +60,9 @@ def make_reference(vehicle) -> Callable[..., Reference]:
 
 @pytest.fixture(scope="session")
 def fly_sampled(vehicle) -> Callable[..., np.ndarray]:
-    """States (n, 12) every 10 ms of a flight with exact sensors and poses every 10 ms, `age_ticks` late."""
+    """States (n, 12) every 10 ms of a flight with exact sensors and poses every 10 ms, `age_ticks` late, and
+    motor commands `delay_ticks` late.
+    """
     engines: dict[Any, Any] = {}
 
     def tick(parts: tuple) -> Any:
@@ -96,6 +98,7 @@ def fly_sampled(vehicle) -> Callable[..., np.ndarray]:
         *,
         latency_s: float = 0.0,
         age_ticks: int = 12,
+        delay_ticks: int = 0,
         feedforward: tuple[float, ...] = law_feedforward.NEUTRAL,
         observer: float = 0.0,
     ) -> np.ndarray:
@@ -128,7 +131,8 @@ def fly_sampled(vehicle) -> Callable[..., np.ndarray]:
         past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=age_ticks + late + 1)
         plant.inputs["x"][:] = memoryview(x)
         hover = np.sqrt(x[12] / vehicle.thrust_max_n)
-        plant.inputs["command"][:] = memoryview(np.full(4, hover))
+        sent = deque([np.full(4, hover)] * (delay_ticks + 1), maxlen=delay_ticks + 1)
+        plant.inputs["command"][:] = memoryview(sent[0])
         samples = [x[:12].copy()]
         at = yaw_at = 0
         for k in range(1, steps + 1):
@@ -157,7 +161,8 @@ def fly_sampled(vehicle) -> Callable[..., np.ndarray]:
             law.inputs["mocap_interval_s"][0] = 0.01
             law()
             law.inputs["memory"][:] = law.outputs["memory"]
-            plant.inputs["command"][:] = law.outputs["motor_command"]
+            sent.append(np.array(law.outputs["motor_command"]))
+            plant.inputs["command"][:] = memoryview(sent[0])
             plant.inputs["x"][:] = plant.outputs["x"]
             if k % 10 == 0:
                 samples.append(x[:12].copy())

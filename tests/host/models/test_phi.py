@@ -118,6 +118,18 @@ def test_phi_mocap_latency_equals_the_sampled_loop_with_late_poses(vehicle, make
     assert rmse(predicted, flown) < 0.3e-3
 
 
+@pytest.mark.parametrize(("delay_s", "within"), [(0.0, 0.002), (0.006, 0.006), (0.012, 0.022)])
+def test_phi_actuation_delay_equals_the_sampled_loop(vehicle, make_reference, fly_sampled, delay_s, within):
+    """Body rates in a quick flight, rad/s: with the tick's hold as a lag they would be off twice as far."""
+    reference = make_reference(size=2.0)
+    late = (EFFECTS["actuation-delay"], (delay_s,))
+    flown = fly_sampled(reference, delay_ticks=round(1000 * delay_s))
+    phi = Phi(vehicle=vehicle, effects=(late[0],))
+    predicted = predict(phi, reference, (late,), mocap_age_s=0.012, mocap_interval_s=0.01)
+    rates = np.sqrt(np.square(predicted - flown)[:, 9:].sum(axis=1).mean())
+    assert rates < within
+
+
 def test_phi_prediction_time_undoes_a_latency(vehicle, make_reference):
     reference = make_reference()
     late = (EFFECTS["mocap-latency"], (0.02,))

@@ -7,6 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from firmware_model.law.estimator import EstimatorGains
+from firmware_model.law.ops import FLOAT
+from host.models import estimator
 from host.models.bias import accelerometer_bias, standing_errors
 from host.models.smoothing import Series, Smoothed, smooth
 
@@ -73,17 +75,63 @@ def test_smooth_too_few_samples_are_refused():
         smoothed(np.zeros(2), np.zeros((2, 3)), 1e-3, np.zeros(1), jerk_density=1.0)
 
 
+GAINS = EstimatorGains(20.0, 120.0, 5.0, 0.5)
+LATE = {"gains": GAINS, "age_s": 0.015, "interval_s": 0.01, "step_s": 0.02}
+
+
 def test_accelerometer_bias_is_found_beside_lateness():
     rng = np.random.default_rng(1)
     t = np.arange(0.0, 10.0, 0.02)
     v, a = slope(t), np.gradient(slope(t), 0.02, axis=0)
     R = np.repeat(np.eye(3)[None], len(t), axis=0)
     bias = np.array([0.03, -0.02, 0.05])
-    per_bias, velocity = standing_errors(EstimatorGains(20.0, 120.0, 5.0, 0.5), 0.015, 0.01)
+    per_bias, velocity = standing_errors(GAINS, 0.015, 0.01)
     assert velocity == pytest.approx(20.0 / 120.0)
     error = per_bias * bias - 0.012 * v + 2e-4 * a + 3e-4 * rng.standard_normal(v.shape)
-    found, _ = accelerometer_bias(error, R, v, a, per_bias)
+    found, _ = accelerometer_bias(error, R, v, a, np.zeros_like(v), **LATE)
     np.testing.assert_allclose(found, bias, atol=0.005)
+
+
+@pytest.mark.parametrize(("latency_s", "within"), [(0.0, 0.005), (0.015, 0.01), (0.03, 0.025)])
+def test_accelerometer_bias_is_not_what_late_poses_do_in_quick_turns(latency_s, within):
+    """The estimator's own equations along a circle of 3 rad/s and 10 m/s^2 that grows from rest."""
+    bias, step_s = np.array([0.03, -0.02, 0.04]), 0.02
+    t = np.arange(0.0, 10.0, 0.5 * step_s)
+    grown = 1.2 * (1.0 - np.exp(-((t / 2.0) ** 3)))[:, None]
+    p = grown * np.column_stack([np.cos(3.0 * t), np.sin(3.0 * t), 0.2 * np.sin(6.0 * t)])
+    v = np.gradient(p, t, axis=0)
+    a = np.gradient(v, t, axis=0)
+    down = np.array([0.0, 0.0, 9.81]) - a
+    down /= np.linalg.norm(down, axis=1)[:, None]
+    right = np.cross(down, [1.0, 0.0, 0.0])
+    right /= np.linalg.norm(right, axis=1)[:, None]
+    R = np.stack([np.cross(right, down), right, down], axis=2)
+    turns = Rotation.from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:]).as_rotvec() / (t[1] - t[0])
+    rate = np.concatenate([turns, turns[-1:]])
+    rate[1:-1] = 0.5 * (turns[1:] + turns[:-1])
+    rate_dot = np.gradient(rate, t, axis=0)
+
+    def slopes(k, x):
+        e = estimator.errors_of(x, a[k], rate[k])
+        attitude = R[k].ravel()
+        estimated = estimator.turn(FLOAT, attitude, e[6:9])
+        late = (LATE["age_s"], 0.0, latency_s, LATE["interval_s"], bias)
+        return np.array(
+            estimator.error_rates(GAINS, e, attitude, estimated, v[k], a[k], rate[k], rate_dot[k], *late)
+        )
+
+    per_bias, velocity = standing_errors(GAINS, LATE["age_s"], LATE["interval_s"])
+    x = np.concatenate([per_bias * (R[0] @ bias), velocity * (R[0] @ bias), np.zeros(6)])
+    errors = [x[:3]]
+    for k in range(0, len(t) - 2, 2):
+        middle = x + 0.5 * step_s * slopes(k, x)
+        x = x + step_s * slopes(k + 1, middle)
+        errors.append(x[:3])
+    whole = slice(0, 2 * len(errors) - 1, 2)
+    shown = -latency_s * v[whole] + 0.5 * latency_s**2 * a[whole]  # by the camera, over the truth
+    seen = np.array(errors) - shown
+    found, _ = accelerometer_bias(seen, R[whole], v[whole], a[whole], rate[whole], **LATE)
+    np.testing.assert_allclose(found, bias, atol=within)
 
 
 def test_accelerometer_bias_says_how_much_of_it_a_leaning_frame_may_be():
@@ -91,9 +139,12 @@ def test_accelerometer_bias_says_how_much_of_it_a_leaning_frame_may_be():
     t = np.arange(0.0, 10.0, 0.02)
     v, a = slope(t), np.gradient(slope(t), 0.02, axis=0)
     gravity = np.array([0.1, -0.2, 0.0])
+    per_bias, _ = standing_errors(GAINS, 0.015, 0.01)
     for turns, left in ((0.0, 0.0), (4.0, 1.0)):
         R = Rotation.from_rotvec(np.outer(0.4 + 0.2 * np.pi * turns * t, (0, 0, 1))).as_matrix()
-        found, share = accelerometer_bias(np.repeat(-0.008 * gravity[None], len(t), axis=0), R, v, a, 0.008)
-        np.testing.assert_allclose(found + share @ gravity[:2], 0.0, atol=1e-12)
+        rate = np.repeat([[0.0, 0.0, 0.2 * np.pi * turns]], len(t), axis=0)
+        error = np.repeat(-per_bias * gravity[None], len(t), axis=0)
+        found, share = accelerometer_bias(error, R, v, a, rate, **LATE)
+        np.testing.assert_allclose(found + share @ gravity[:2], 0.0, atol=1e-6)
         excess = R @ found + gravity
         assert np.sqrt((excess**2).sum(1).mean() / 0.05) == pytest.approx(left, abs=0.05)

@@ -11,6 +11,7 @@ import pytest
 
 from host.effects import load_effects
 from host.log import read_flight
+from host.models.phi import INTEGRAL
 from host.trace import refine as closed
 from host.trace.parameters import Space, space
 from host.trace.refine import Loop
@@ -74,7 +75,7 @@ def test_shipped_flights_show_what_their_world_holds(library: Space) -> None:
         if column.owner in truth:
             error = abs(values[i] - truth[column.owner][column.key])
             assert error < 3.0 * sd[i], column
-            assert error < 0.15 * abs(truth[column.owner][column.key] - column.neutral), column
+            assert error < 0.2 * abs(truth[column.owner][column.key] - column.neutral), column
     without = closed.fit_loop(whole, PRESENT[::2], start, fit.whitening.order)
     (score,) = closed.LoopFitter(loop=whole, order=fit.whitening.order).scorers(without)
     gain = score(tuple(sorted(PRESENT))) - score(tuple(sorted(PRESENT[::2])))
@@ -103,6 +104,38 @@ def test_evidence_prefers_the_drag_that_flew(library: Space, loop: Loop) -> None
     drag, linear, nothing = (fit.log_evidence for fit in fits)
     assert drag - linear > 5.0
     assert drag - nothing > 5.0
+
+
+def test_recording_is_compared_with_what_telemetry_makes_of_the_same_motion(loop: Loop) -> None:
+    """Six frames lost: the next one's mean goes over their time too, the integral is known at its ends."""
+    flight = read_flight(DATA / "a1.mcap")
+    control = flight.control
+    assert control is not None
+    assert flight.tracking is not None
+    start_s = flight.tracking[0] * 1e-6
+    lost = np.searchsorted(control.t0_us * 1e-6, start_s + 2.0) + np.arange(6)
+    kept = np.delete(np.arange(len(control)), lost)
+    t0_us = control.t0_us.copy()
+    t0_us[lost[-1] + 1] = t0_us[lost[0]]
+    fields = {name: getattr(control, name)[kept] for name in control.__dataclass_fields__ if name != "t0_us"}
+    gappy = replace(control, **fields | {"t0_us": t0_us[kept]})
+    begin, end = 9.0 * (gappy.sensed_us * 1e-6 - start_s).T
+    means = (np.cos(begin) - np.cos(end)) / (end - begin)
+    seen = replace(
+        gappy,
+        gyro_mean=np.repeat(means[:, None], 3, axis=1),
+        rate_integral=np.repeat(np.sin(end)[:, None], 3, axis=1),
+    )
+    recording = closed.record(replace(flight, control=seen), loop.recordings[0].states)
+    t = closed.STEP_S * np.arange(recording.bins * closed.PER_BIN + 1)
+    states = np.repeat(np.sin(9.0 * t)[:, None, None], INTEGRAL.stop, axis=1)
+    predicted = closed._means(recording, states, np.zeros(1))[0]
+    gap = slice(48, 56)
+    at = recording.known
+    np.testing.assert_allclose(predicted[at, 6:], recording.measured[at, 6:], atol=2e-4)
+    middle = closed.BIN_S * (np.arange(recording.bins) + 0.5)
+    mean = np.sin(9.0 * middle) * np.sinc(4.5 * closed.BIN_S / np.pi)
+    assert np.abs(recording.measured[gap, 6] - mean[gap]).max() > 0.02
 
 
 def test_autoregression_is_recovered_and_leaves_white_innovations() -> None:
