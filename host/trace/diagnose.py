@@ -20,6 +20,10 @@ _CALM = float(np.log(0.05**2))
 START = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6**2)))
 START_RATE_DRIVEN = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.02**2)))
 
+SETTLED = 0.2
+"""Greatest step, in standard deviations, after which a fit ends: what is left of a greater one makes the
+evidence depend on where the fit began, by nats."""
+
 Method = Literal["segments", "closed-loop"]
 
 
@@ -169,7 +173,7 @@ def refit(
         white = evidence.whitened(lin, process, prior)
         step, covariance = evidence.bounded(white.gram, z, precision, space.bounds)
         sigma = np.sqrt(np.diag(covariance))
-        if np.abs(step).max() < 0.03 or (iteration >= 1 and (np.abs(step) / sigma).max() < 1.0):
+        if np.abs(step).max() < 0.03 or (iteration >= 1 and (np.abs(step) / sigma).max() < SETTLED):
             break
         if iteration < iterations - 1:
             step = space.clipped(z + np.clip(step, -4.0, 4.0)) - z

@@ -154,8 +154,12 @@ def run(
     if diagnosis.method == "segments" or not twins:
         aliases = with_each_other(aliases, chosen)
     restless = None if twins else _restless(fit, axial=axial)
-    beyond = explained_beyond(diagnosis.sets, diagnosis.weights) if diagnosis.method == "segments" else None
-    verdict = _verdict(diagnosis, rest, aliases, doubted=restless is not None or beyond is not None)
+    if diagnosis.method == "segments":
+        against = explained_beyond(diagnosis.sets, diagnosis.weights)
+    else:
+        against = None if twins else spoken_against(form, nothing, fit.effects)
+    doubts = tuple(doubt for doubt in (short, restless, against) if doubt is not None)
+    verdict = _verdict(diagnosis, rest, aliases, doubted=restless is not None or against is not None)
     added = verdict != "outside-library"
     named = _named(airframe, chosen, diagnosis, aliases) if added else ()
     z = fit.z if added else unread
@@ -198,7 +202,7 @@ def run(
         diagnosis=diagnosis,
         leftover=rest,
         audits=without_twins(audits, twins),
-        doubts=tuple(doubt for doubt in (short, restless, beyond) if doubt is not None),
+        doubts=doubts,
         description=told,
         unexplained=more,
     )
@@ -347,6 +351,22 @@ def explained_beyond(sets: Mapping[Names, float], weights: Mapping[Names, float]
     if not out or out[names] < kept + WITHIN_NATS:
         return None
     return f"{', '.join(names)} would explain more, but not in sizes that they could have"
+
+
+def spoken_against(form: Form, nothing: Fit, kept: Names) -> str | None:
+    """Which effects, `kept` by whole flights, segments find far more probably absent; None where none is.
+
+    One flight's gusts are few, and its whitening may take them for physics; segments have a disturbance of
+    their own for them, and free states at each start.
+    """
+    whole = refit(form, nothing.data, kept, nothing)
+    absent = [
+        name
+        for name in kept
+        if refit(form, nothing.data, tuple(n for n in kept if n != name), whole).log_evidence
+        > whole.log_evidence + WITHIN_NATS
+    ]
+    return f"{', '.join(absent)}: whole flights say yes, segments no; fly more" if absent else None
 
 
 def _verdict(

@@ -12,10 +12,14 @@ from host.effects import load_effects
 from host.errors import UsageError
 from host.log import Battery, Mocap, read_flight, write_imported
 from host.models.states import TooLittleData
+from host.trace.data import segments_of
+from host.trace.diagnose import refit
+from host.trace.form import Form
 from host.trace.parameters import space
-from host.trace.run import check_logs, explained_beyond, run, with_each_other
+from host.trace.run import check_logs, explained_beyond, run, spoken_against, with_each_other
 from host.vehicle import Vehicle, load_vehicle
 
+DATA = Path(__file__).parents[2] / "data"
 VEHICLE = load_vehicle("research")
 
 
@@ -93,3 +97,19 @@ def test_a_set_that_cannot_be_kept_and_explains_far_more_is_said() -> None:
     assert said.startswith("linear-drag, thrust-inflow")
     assert explained_beyond({**sets, ("linear-drag", "thrust-inflow"): 7.0}, {("linear-drag",): 1.0}) is None
     assert explained_beyond(sets, dict.fromkeys(sets, 1.0)) is None
+
+
+def test_segments_speak_against_what_is_not_there() -> None:
+    """The shipped flights hold a thrust gain and no tilted frame."""
+    flight = read_flight(DATA / "a1.mcap")
+    effects = load_effects()
+    names = ("thrust-gain", "frame-tilt", "mass")
+    library = space(flight.vehicle, {name: effects[name] for name in names})
+    data, _ = segments_of([flight])
+    form = Form(flight.vehicle, library, dt_s=data.dt_s, in_newton=False, rate_driven=False)
+    nothing = refit(form, data, (), None, iterations=2)
+    said = spoken_against(form, nothing, ("frame-tilt", "thrust-gain"))
+    assert said is not None
+    assert said.startswith("frame-tilt:")
+    assert spoken_against(form, nothing, ("thrust-gain",)) is None
+    assert spoken_against(form, nothing, ()) is None
