@@ -106,7 +106,7 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Fo
         current = best
     kept, weights = _judged(fitter, fits)
     # What the kept fit's linearisation gives far more than that fit is fitted too, until nothing is left.
-    for _ in range(2 * MAX_EFFECTS):
+    for _ in range(MAX_EFFECTS):
         likeliest = max(weights, key=lambda names: (weights[names], names))
         close = weights[kept.effects] > np.exp(-WITHIN_NATS) * weights[likeliest]
         if close or likeliest in fits:
