@@ -26,7 +26,7 @@ EFFECT = Effect(
             description="time from a motor command to its arrival at the rotor",
         ),
     ),
-    aliases=("motor-lag", "mocap-latency", "inertia"),
+    aliases=("motor-lag", "mocap-latency", "inertia", "thrust-inflow"),
     observable="quick turns of roll and pitch with the gyro in the log; without it, it is a mocap latency",
     closing=Closing(
         model="the rotors follow the commands of a moment ago",

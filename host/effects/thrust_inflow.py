@@ -47,7 +47,7 @@ EFFECT = Effect(
             description="thrust lost over mass a metre a second of axial air speed, at hover rotor speed",
         ),
     ),
-    aliases=("linear-drag", "motor-lag"),
+    aliases=("linear-drag", "motor-lag", "actuation-delay"),
     observable="climbs and descents beyond 1 m/s; from drag along z only where thrust changes meanwhile",
     closing=Closing(
         model="a force of each rotor against its axial air speed that grows with rotor speed",

@@ -20,13 +20,17 @@ _CALM = float(np.log(0.05**2))
 START = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6**2)))
 START_RATE_DRIVEN = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.02**2)))
 
+SETTLED = 0.2
+"""Greatest step, in standard deviations, after which a fit ends: what is left of a greater one makes the
+evidence depend on where the fit began, by nats."""
+
 Method = Literal["segments", "closed-loop"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """One set of effects refitted: its evidence, the point (z, local), covariance (P, P) scaled, and
-    linearisation.
+    """One set of effects refitted: its evidence, the point (z, local), covariance (P, P) scaled, and the
+    linearisation it was found in, whose own point is up to a standard deviation away.
     """
 
     effects: Names
@@ -119,7 +123,7 @@ class SegmentFitter:
         each = [evidence.whitened(fit.lin, process, prior) for process in (saturated, fit.process)]
         return [
             lambda names, white=white: evidence.log_evidence(
-                white.gram, white.log_det, fit.z, prior.precision(names), len(names), self.space.bounds
+                white.gram, white.log_det, fit.lin.z, prior.precision(names), len(names), self.space.bounds
             )
             for white in each
         ]
@@ -149,7 +153,7 @@ def refit(
             starting_process(data),
         )
     else:
-        z, local, process = start.z.copy(), start.local, start.process
+        z, local, process = start.lin.z.copy(), start.lin.local, start.process
         for name in set(start.effects) - set(effects):
             z[list(groups[name])] = 0.0
     precision = prior.precision(effects)
@@ -159,7 +163,7 @@ def refit(
     else:
         kept = start.basis
     for iteration in range(iterations):
-        if iteration == 0 and start is not None and np.array_equal(z, start.z):
+        if iteration == 0 and start is not None and np.array_equal(z, start.lin.z):
             lin = start.lin
         else:
             grams = segments.linearise(form, data, z, local, kept)
@@ -167,9 +171,9 @@ def refit(
             lin = segments.project(grams, data, z, local)
         process = evidence.fit_process(lin, prior, effects, process)
         white = evidence.whitened(lin, process, prior)
-        step, covariance = evidence.posterior(white.gram, z, precision)
+        step, covariance = evidence.bounded(white.gram, z, precision, space.bounds)
         sigma = np.sqrt(np.diag(covariance))
-        if np.abs(step).max() < 0.03 or (iteration >= 1 and (np.abs(step) / sigma).max() < 1.0):
+        if np.abs(step).max() < 0.03 or (iteration >= 1 and (np.abs(step) / sigma).max() < SETTLED):
             break
         if iteration < iterations - 1:
             step = space.clipped(z + np.clip(step, -4.0, 4.0)) - z
@@ -180,13 +184,14 @@ def refit(
             if start is None and iteration < 2:
                 data = data.with_x0(segments.fitted_x0(form, data, z, local, kept, 2))
                 kept = segments.basis(form, data, z, local)
+    step = space.clipped(z + np.clip(step, -4.0, 4.0)) - z
     return Fit(
         effects=tuple(sorted(effects)),
         log_evidence=evidence.log_evidence(
             white.gram, white.log_det, z, precision, len(effects), space.bounds
         ),
-        z=z,
-        local=local,
+        z=z + step,
+        local=local + evidence.local_step(lin, white, prior, step),
         covariance=covariance,
         process=process,
         lin=lin,
@@ -209,9 +214,9 @@ def at_parameters(
         lin = segments.project(grams, data, z, local)
         process = evidence.fit_process(lin, prior, effects, process)
         moved = evidence.local_step(lin, evidence.whitened(lin, process, prior), prior, np.zeros(len(z)))
+        local = local + moved
         if not last:
             data = data.with_w(evidence.disturbances(lin, process, np.zeros(len(z)), moved))
-            local = local + moved
     return Fit(
         effects=effects,
         log_evidence=log_evidence,

@@ -176,14 +176,16 @@ def log_evidence(
     chol = np.linalg.cholesky(normal)
     half = np.linalg.solve(chol, rhs)
     quadratic = gram[0, 0] + precision @ (z * z) - half @ half
-    quadratic += held(normal, np.linalg.solve(chol.T, half), limits[0] - z, limits[1] - z)
+    free = np.linalg.solve(chol.T, half)
+    off = held(normal, free, limits[0] - z, limits[1] - z) - free
+    quadratic += off @ normal @ off
     occam = 2.0 * np.log(np.diag(chol)).sum() - np.log(precision).sum()
     return float(-0.5 * (quadratic + occam + log_det) + LOG_ODDS * count)
 
 
-def held(normal: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
-    """By how much a quadratic of Hessian `normal` (P, P) that is least at `step` (P,) rises where its
-    argument is held between `lower` and `upper`: what crosses a bound is put on it, the rest solved again.
+def held(normal: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Where (P,) between `lower` and `upper` a quadratic of Hessian `normal` (P, P) that is least at `step`
+    (P,) is least: what crosses a bound is put on it, the rest solved again.
     """
     fixed, at = np.zeros(len(step), dtype=bool), step
     while ((at < lower) | (at > upper)).any():
@@ -193,13 +195,25 @@ def held(normal: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndar
         shift = normal[np.ix_(free, fixed)] @ (at - step)[fixed]
         at[free] = step[free] - np.linalg.solve(normal[np.ix_(free, free)], shift)
         at = np.where(fixed, np.clip(at, lower, upper), at)
-    return float((at - step) @ normal @ (at - step))
+    return at
 
 
 def posterior(gram: np.ndarray, z: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Step (P,) to the posterior mean and the posterior covariance (P, P), scaled units."""
     covariance = np.linalg.inv(gram[1:, 1:] + np.diag(precision))
     return covariance @ (gram[0, 1:] - precision * z), covariance
+
+
+def bounded(
+    gram: np.ndarray, z: np.ndarray, precision: np.ndarray, limits: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `posterior`, the step to the best point within `limits` (P,) of the scaled parameters.
+
+    Cut off at a bound instead, a step would leave undone what it had meant to do beyond it.
+    """
+    step, covariance = posterior(gram, z, precision)
+    normal = gram[1:, 1:] + np.diag(precision)
+    return held(normal, step, limits[0] - z, limits[1] - z), covariance
 
 
 def fit_process(lin: Linearisation, prior: Prior, selected: Sequence[str], start: Process) -> Process:

@@ -74,7 +74,7 @@ PIECES = 4
 """Fewer flights than these are cut into as many pieces each, for a jackknife to leave out."""
 
 _Z_STEP = 1e-4
-_ITERATIONS = 4
+_ITERATIONS = 6
 _PASSES, _SETTLED_WELL = 6, 0.1
 _LINE = (1.0, 0.5, 0.25, 0.1)
 
@@ -238,6 +238,7 @@ class Loop:
     def __init__(self, recordings: Sequence[Recording], vehicle: Vehicle, space: Space) -> None:
         self.recordings, self.space = tuple(recordings), space
         self._rows = [i for name in space.parts for i in space.owners[name]]
+        self._products = {i for name in space.parts if space.effects[name].memory for i in space.owners[name]}
         self._slopes: list[np.ndarray] = []
         effects = tuple(space.effects[name] for name in space.parts)
         settings: dict[tuple[tuple[str, float], ...], list[int]] = {}
@@ -306,10 +307,11 @@ class Loop:
     def slopes(self, z: np.ndarray, effects: Sequence[str], base: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Per flight the negative slopes (P, bins, 12) at z (P,) of the residual, which is `base` (bins, 12).
 
-        The first call computes all slopes; later ones those of `effects` alone, for what stays within its
-        tolerance hardly changes them.
+        The first call computes all slopes; later ones those of `effects` and of effects with states of their
+        own, for what else stays within its tolerance hardly changes them: a payload's line does nothing where
+        there is no payload.
         """
-        chosen = {i for name in effects for i in self.space.groups[name]}
+        chosen = {i for name in effects for i in self.space.groups[name]} | self._products
         rows = [i for i in self._rows if not self._slopes or i in chosen]
         lanes = np.repeat(z[:, None], len(rows), axis=1)
         for lane, row in enumerate(rows):
@@ -459,7 +461,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
             left = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
             white = autoregression(left, loop.known, order)
             grams = _grams(white, loop, base, slopes)
-            step, covariance = evidence.posterior(grams.sum(0), z, precision)
+            step, covariance = evidence.bounded(grams.sum(0), z, precision, space.bounds)
         small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < SETTLED
         if small or iteration == _ITERATIONS - 1:
             break

@@ -45,7 +45,7 @@ from host.trace.score import (
     strata_of,
     twins_of,
 )
-from host.trace.search import Found, Names, search
+from host.trace.search import WITHIN_NATS, Found, Names, search
 from host.trace.segments import Segments, nominal_thrust
 from host.trace.separate import NextFlight, propose
 from host.trace.signals import signals, unknowns
@@ -151,8 +151,15 @@ def run(
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
     if short is not None:
         aliases = _with_hidden(aliases, chosen, diagnosis.stands_out)
+    if diagnosis.method == "segments" or not twins:
+        aliases = with_each_other(aliases, chosen)
     restless = None if twins else _restless(fit, axial=axial)
-    verdict = _verdict(diagnosis, rest, aliases, restless)
+    if diagnosis.method == "segments":
+        against = explained_beyond(diagnosis.sets, diagnosis.weights)
+    else:
+        against = None if twins else spoken_against(form, nothing, fit.effects)
+    doubts = tuple(doubt for doubt in (short, restless, against) if doubt is not None)
+    verdict = _verdict(diagnosis, rest, aliases, doubted=restless is not None or against is not None)
     added = verdict != "outside-library"
     named = _named(airframe, chosen, diagnosis, aliases) if added else ()
     z = fit.z if added else unread
@@ -195,7 +202,7 @@ def run(
         diagnosis=diagnosis,
         leftover=rest,
         audits=without_twins(audits, twins),
-        doubts=tuple(doubt for doubt in (short, restless) if doubt is not None),
+        doubts=doubts,
         description=told,
         unexplained=more,
     )
@@ -271,7 +278,7 @@ def _left(fit: Fit, z: np.ndarray) -> np.ndarray:
     """Disturbance (segments, bins, 6) that the model with scaled parameters z (P,) leaves, in the fit's
     linearisation.
     """
-    return evidence.disturbances(fit.lin, fit.process, z - fit.z, np.zeros_like(fit.local))
+    return evidence.disturbances(fit.lin, fit.process, z - fit.lin.z, fit.local - fit.lin.local)
 
 
 def _substitutes(diagnosis: Diagnosis, chosen: Space, name: str) -> dict[str, float]:
@@ -317,15 +324,61 @@ def _with_hidden(
     return out
 
 
+def with_each_other(aliases: Mapping[str, Mapping[str, float]], chosen: Space) -> dict[str, dict[str, float]]:
+    """The aliases with those among the effects named themselves.
+
+    For thin data: no form is exact, and what one effect leaves of itself its known alias takes up. What acts
+    through another effect is found beside it, not in its place.
+    """
+    out = {name: dict(others) for name, others in aliases.items()}
+    for name in aliases:
+        effect = chosen.effect(name)
+        for other in aliases:
+            beside = chosen.effect(other)
+            through = beside.name in effect.requires_any or effect.name in beside.requires_any
+            if not through and (beside.name in effect.aliases or effect.name in beside.aliases):
+                out[name][other] = 0.5
+    return out
+
+
+def explained_beyond(sets: Mapping[Names, float], weights: Mapping[Names, float]) -> str | None:
+    """What explains segments far better with an effect at its bounds, or too small to be there, than any set
+    does that could be kept, by the evidence of the fitted `sets`; only those that could be kept have weights.
+    """
+    kept = max(value for names, value in sets.items() if names in weights)
+    out = {names: value for names, value in sets.items() if names not in weights}
+    names = max(out, key=lambda each: (out[each], each), default=())
+    if not out or out[names] < kept + WITHIN_NATS:
+        return None
+    return f"{', '.join(names)} would explain more, but not in sizes that they could have"
+
+
+def spoken_against(form: Form, nothing: Fit, kept: Names) -> str | None:
+    """Which effects, `kept` by whole flights, segments find far more probably absent; None where none is.
+
+    One flight's gusts are few, and its whitening may take them for physics; segments have a disturbance of
+    their own for them, and free states at each start.
+    """
+    whole = refit(form, nothing.data, kept, nothing)
+    absent = [
+        name
+        for name in kept
+        if refit(form, nothing.data, tuple(n for n in kept if n != name), whole).log_evidence
+        > whole.log_evidence + WITHIN_NATS
+    ]
+    return f"{', '.join(absent)}: whole flights say yes, segments no; fly more" if absent else None
+
+
 def _verdict(
     diagnosis: Diagnosis,
     rest: Leftover,
     aliases: Mapping[str, Mapping[str, float]],
-    restless: str | None,
+    *,
+    doubted: bool,
 ) -> Verdict:
     if rest.reasons:
         return "outside-library"
-    if restless is not None:
+    if doubted:
         return "undecided"
     if not diagnosis.best.effects:
         return "nothing-missing" if diagnosis.none > SOMETHING else "undecided"

@@ -104,9 +104,16 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Fo
         if best.effects == current.effects:
             break
         current = best
-    borne = {names: fit for names, fit in fits.items() if _borne(fitter, fit)}
-    kept = _smallest(borne)
-    weights = _weights(fitter, kept, borne, frozenset(fits) - frozenset(borne))
+    kept, weights = _judged(fitter, fits)
+    # What the kept fit's linearisation gives far more than that fit is fitted too, until nothing is left.
+    for _ in range(MAX_EFFECTS):
+        likeliest = max(weights, key=lambda names: (weights[names], names))
+        close = weights[kept.effects] > np.exp(-WITHIN_NATS) * weights[likeliest]
+        if close or likeliest in fits:
+            break
+        fits[likeliest] = fitter.fit(likeliest, kept)
+        report(f"{', '.join(likeliest)} fitted")
+        kept, weights = _judged(fitter, fits)
     total = sum(weights.values())
     return Found(
         best=kept,
@@ -116,6 +123,13 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Fo
         weights=weights,
         sets={names: fit.log_evidence for names, fit in fits.items()},
     )
+
+
+def _judged(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, float]]:
+    """The set that is kept of the fitted ones, and the weights."""
+    borne = {names: fit for names, fit in fits.items() if _borne(fitter, fit)}
+    kept = _smallest(borne)
+    return kept, _weights(fitter, kept, borne, frozenset(fits) - frozenset(borne))
 
 
 def screen(space: Space, score: Callable[[Names], float], depth: int) -> dict[Names, float]:

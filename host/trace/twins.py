@@ -18,7 +18,7 @@ from host.trace.segments import BIN_S, Segments
 
 REPEAT_Z = 3.0
 FORCE_FLOOR = 0.06
-"""Repeatable specific force, m/s^2, below which what repeats is not worth a name (the turbulence's level)."""
+"""Specific force, m/s^2, below which what repeats or rings is not worth a name (the turbulence's level)."""
 
 TORQUE_FLOOR = 0.8
 """The same for angular acceleration, rad/s^2."""
@@ -42,6 +42,8 @@ REPEAT_SHARE = 0.15
 REPEAT_FORM = 0.2
 """Amplitude that may repeat besides, over that of a model without any effect: no form is exact."""
 
+NO_LINE = (1.0, 0.0, 1.0, 0.0)
+_OF_A_LINE = ("", "_hz", "_chance", "_rms")
 _LINE_BAND_HZ = (0.3, 4.0)
 _FFT = 256
 
@@ -78,11 +80,13 @@ class Leftover:
     force_line: float
     force_line_hz: float
     force_line_chance: float
+    force_line_rms: float
     torque_repeat: float
     torque_z: float
     torque_line: float
     torque_line_hz: float
     torque_line_chance: float
+    torque_line_rms: float
     pairs: int
     force_floor: float = FORCE_FLOOR
     torque_floor: float = TORQUE_FLOOR
@@ -136,11 +140,13 @@ class Leftover:
 
     def _ringing(self) -> list[str]:
         out = []
-        for name, line, hz, chance in (
-            ("force", self.force_line, self.force_line_hz, self.force_line_chance),
-            ("torque", self.torque_line, self.torque_line_hz, self.torque_line_chance),
+        force = self.force_line, self.force_line_hz, self.force_line_chance, self.force_line_rms
+        torque = self.torque_line, self.torque_line_hz, self.torque_line_chance, self.torque_line_rms
+        for name, (line, hz, chance, rms), floor in (
+            ("force", force, self.force_floor),
+            ("torque", torque, self.torque_floor),
         ):
-            if line > self.line_floor and chance < LINE_CHANCE:
+            if line > self.line_floor and chance < LINE_CHANCE and rms > floor:
                 out.append(f"the residual {name} rings at {hz:.2f} Hz, {line:.1f} times its surroundings")
         return out
 
@@ -164,8 +170,8 @@ def leftover(
     for name, channel, motion in zip(("force", "torque"), channels, motions, strict=True):
         found[f"{name}_repeat"], found[f"{name}_z"] = _repeat(w[:, :, channel], flight, start_s, twins)
         silent = name == "torque" and data.rate_driven
-        line = (1.0, 0.0, 1.0) if silent else _line(w[:, :, channel], motion, flight, start_s)
-        found[f"{name}_line"], found[f"{name}_line_hz"], found[f"{name}_line_chance"] = line
+        line = NO_LINE if silent else _line(w[:, :, channel], motion, flight, start_s)
+        found |= {f"{name}_line{of}": value for of, value in zip(_OF_A_LINE, line, strict=True)}
     return Leftover(pairs=len(twins), **found)  # pyright: ignore[reportArgumentType]
 
 
@@ -201,8 +207,9 @@ def _repeat(
 
 def _line(
     w: np.ndarray, motion: np.ndarray, flight: np.ndarray, start_s: np.ndarray
-) -> tuple[float, float, float]:
-    """The strongest line of w (segments, bins, 3): ratio over the median around it, frequency in Hz, chance.
+) -> tuple[float, float, float, float]:
+    """The strongest line of w (segments, bins, 3): ratio over the median around it, frequency in Hz, chance,
+    rms.
 
     Channels count by their own median power. Frequencies at which the vehicle itself was made to move, seen
     in `motion` (segments, bins, 3: velocity for a force, body rate for a torque), are left out: there any
@@ -211,12 +218,16 @@ def _line(
     """
     hz = np.fft.rfftfreq(_FFT, BIN_S)
     power, moved, series = np.zeros(len(hz)), np.zeros(len(hz)), 0
+    squares, windows = np.zeros(len(hz)), 0
     for f in np.unique(flight):
         mine = np.flatnonzero(flight == f)
         mine = mine[np.argsort(start_s[mine])]
         # A segment's edges know less than its middle: a constant force would have a line at its length.
         for window in _windows(w[mine] - w[mine].mean(0), start_s[mine]):
-            for each in _periodogram(window).T:
+            found = _periodogram(window)
+            squares += 2.0 * found.sum(1) / np.hanning(len(window)).sum() ** 2
+            windows += 1
+            for each in found.T:
                 power += each / max(float(np.median(each)), 1e-300)
                 series += 1
         for window in _windows(motion[mine], start_s[mine]):
@@ -225,12 +236,13 @@ def _line(
     inside = (hz > _LINE_BAND_HZ[0]) & (hz < _LINE_BAND_HZ[1]) & (moved <= MOVED_SHARE * moved.max())
     band = np.flatnonzero(inside)
     if not len(band):
-        return 1.0, 0.0, 1.0
+        return NO_LINE
     ratio = power[band] / np.maximum(around[band], 1e-300)
     best = int(ratio.argmax())
     # Sums of `series` exponentials are gamma distributed.
     chance = len(band) * float(gammaincc(series, ratio[best] * gammainccinv(series, 0.5)))
-    return float(ratio[best]), float(hz[band][best]), min(1.0, chance)
+    rms = float(np.sqrt(squares[band][best] / windows))
+    return float(ratio[best]), float(hz[band][best]), min(1.0, chance), rms
 
 
 def _windows(x: np.ndarray, start_s: np.ndarray) -> list[np.ndarray]:

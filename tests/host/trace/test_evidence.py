@@ -152,7 +152,7 @@ def test_fit_process_finds_the_variances_the_data_were_made_with() -> None:
     assert found.log_torque == pytest.approx(truth.log_torque, abs=0.4)
 
 
-def test_a_held_quadratic_rises_by_what_a_search_inside_the_bounds_finds() -> None:
+def test_a_held_quadratic_is_least_where_a_search_inside_the_bounds_finds() -> None:
     rng = np.random.default_rng(4)
     for _ in range(5):
         A = rng.standard_normal((9, 3))
@@ -163,5 +163,18 @@ def test_a_held_quadratic_rises_by_what_a_search_inside_the_bounds_finds() -> No
             return float((at - step) @ normal @ (at - step))
 
         best = minimize(rise, np.zeros(3), bounds=list(zip(lower, upper, strict=True)), tol=1e-14)
-        assert evidence.held(normal, step, lower, upper) == pytest.approx(best.fun, abs=1e-6)
-    assert evidence.held(np.eye(2), np.ones(2), -np.ones(2), 2.0 * np.ones(2)) == 0.0
+        held = evidence.held(normal, step, lower, upper)
+        assert np.all((held >= lower) & (held <= upper))
+        assert rise(held) == pytest.approx(best.fun, abs=1e-6)
+    assert np.array_equal(evidence.held(np.eye(2), np.ones(2), -np.ones(2), 2.0 * np.ones(2)), np.ones(2))
+
+
+def test_a_step_that_meets_a_bound_is_made_up_for_by_the_others() -> None:
+    """Two parameters push alike, one of them in one direction only: the other has to do all."""
+    push = np.array([1.0, -1.0, -1.0])
+    gram = 1e4 * np.outer(push, push)
+    limits = np.array([0.0, -5.0]), np.array([5.0, 5.0])
+    step, _ = evidence.bounded(gram, np.zeros(2), np.array([1.0, 1.0]), limits)
+    assert step == pytest.approx([0.0, -1.0], abs=1e-3)
+    free, _ = evidence.posterior(gram, np.zeros(2), np.array([1.0, 1.0]))
+    assert free == pytest.approx([-0.5, -0.5], abs=1e-3)

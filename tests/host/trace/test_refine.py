@@ -97,6 +97,21 @@ def test_parameters_of_simulated_flights_lie_within_their_intervals(library: Spa
     assert 0.2 < np.mean(squares) < 2.6
 
 
+def test_a_payloads_line_gets_its_slope_where_a_payload_is(loop: Loop) -> None:
+    """Without a payload its line does nothing, and what was once seen to do nothing is looked at again."""
+    effects = load_effects()
+    vehicle = loop.recordings[0].states.vehicle
+    library = space(vehicle, {name: effects[name] for name in ("slung-payload", "thrust-gain")})
+    nowhere, there = scaled(library), scaled(library, slung_payload__ratio=0.05)
+    whole, afresh = (Loop(loop.recordings, vehicle, library) for _ in range(2))
+    base = [[r[0] for r in whole.residuals(z[:, None])] for z in (nowhere, there)]
+    (line,) = (i for i, column in enumerate(library.columns) if column.key == "length_m")
+    assert not whole.slopes(nowhere, (), base[0])[0][line].any()
+    wanted = afresh.slopes(there, (), base[1])[0][line]
+    assert np.abs(wanted).max() > 0.0
+    np.testing.assert_allclose(whole.slopes(there, (), base[1])[0][line], wanted)
+
+
 def test_evidence_prefers_the_drag_that_flew(library: Space, loop: Loop) -> None:
     made = simulated(loop, scaled(library, quadratic_drag__c=0.06), 5)
     zero = np.zeros(len(library.columns))

@@ -92,10 +92,12 @@ def by_segments(force: float) -> Leftover:
         force_line=1.0,
         force_line_hz=1.0,
         force_line_chance=1.0,
+        force_line_rms=0.0,
         torque_repeat=0.0,
         torque_z=0.0,
         torque_line=1.0,
         torque_line_hz=1.0,
         torque_line_chance=1.0,
+        torque_line_rms=0.0,
         pairs=4,
     )

@@ -12,9 +12,14 @@ from host.effects import load_effects
 from host.errors import UsageError
 from host.log import Battery, Mocap, read_flight, write_imported
 from host.models.states import TooLittleData
-from host.trace.run import check_logs, run
+from host.trace.data import segments_of
+from host.trace.diagnose import refit
+from host.trace.form import Form
+from host.trace.parameters import space
+from host.trace.run import check_logs, explained_beyond, run, spoken_against, with_each_other
 from host.vehicle import Vehicle, load_vehicle
 
+DATA = Path(__file__).parents[2] / "data"
 VEHICLE = load_vehicle("research")
 
 
@@ -72,3 +77,39 @@ def test_a_sag_is_a_candidate_only_where_the_voltage_fell(
     effects = load_effects()
     known = {name: effects[name] for name in ("battery-sag", "linear-drag", "mass")}
     assert ("battery-sag" in run([flight], [], known).space.effects) == candidate
+
+
+def test_known_aliases_named_together_are_aliases_of_each_other() -> None:
+    effects = load_effects()
+    library = space(load_vehicle("research"), effects)
+    named = {"linear-drag": {}, "quadratic-drag": {"wind": 0.2}, "wind": {}, "motor-lag": {}}
+    found = with_each_other(named, library)
+    assert found["linear-drag"] == {"quadratic-drag": 0.5}
+    assert found["quadratic-drag"] == {"wind": 0.2, "linear-drag": 0.5}
+    assert found["wind"] == {}  # acts through a drag, not in its place
+    assert found["motor-lag"] == {}
+
+
+def test_a_set_that_cannot_be_kept_and_explains_far_more_is_said() -> None:
+    sets = {(): 0.0, ("linear-drag",): 5.0, ("linear-drag", "thrust-inflow"): 20.0}
+    said = explained_beyond(sets, {(): 0.01, ("linear-drag",): 1.0})
+    assert said is not None
+    assert said.startswith("linear-drag, thrust-inflow")
+    assert explained_beyond({**sets, ("linear-drag", "thrust-inflow"): 7.0}, {("linear-drag",): 1.0}) is None
+    assert explained_beyond(sets, dict.fromkeys(sets, 1.0)) is None
+
+
+def test_segments_speak_against_what_is_not_there() -> None:
+    """The shipped flights hold a thrust gain and no tilted frame."""
+    flight = read_flight(DATA / "a1.mcap")
+    effects = load_effects()
+    names = ("thrust-gain", "frame-tilt", "mass")
+    library = space(flight.vehicle, {name: effects[name] for name in names})
+    data, _ = segments_of([flight])
+    form = Form(flight.vehicle, library, dt_s=data.dt_s, in_newton=False, rate_driven=False)
+    nothing = refit(form, data, (), None, iterations=2)
+    said = spoken_against(form, nothing, ("frame-tilt", "thrust-gain"))
+    assert said is not None
+    assert said.startswith("frame-tilt:")
+    assert spoken_against(form, nothing, ("thrust-gain",)) is None
+    assert spoken_against(form, nothing, ()) is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from host.trace.segments import BIN_S, Segments
-from host.trace.twins import leftover
+from host.trace.twins import LINE_CHANCE, LINE_RATIO, leftover
 
 BINS, STEPS, SEGMENTS, FLIGHTS = 6, 60, 20, 4
 PAIRS = [(0, 1), (2, 3)]
@@ -104,6 +104,18 @@ def test_leftover_of_a_line_of_random_phase_rings() -> None:
     found = leftover(w, data(), PAIRS)
     assert found.force_line_hz == pytest.approx(0.8, abs=0.08)
     assert any("rings" in reason for reason in found.reasons)
+
+
+def test_leftover_of_a_clear_line_weaker_than_turbulence_is_no_ringing() -> None:
+    line = 0.15 * series(0.8, np.array([0.0, 2.0, 4.0, 1.0]))
+    w = noise(3)
+    w[:, :, 1] += line
+    calm = leftover(0.25 * w, data(), PAIRS)
+    assert calm.force_line > LINE_RATIO
+    assert calm.force_line_chance < LINE_CHANCE
+    assert calm.force_line_rms == pytest.approx(0.25 * 0.15 / np.sqrt(2.0), rel=0.2)
+    assert calm.reasons == ()
+    assert leftover(w, data(), PAIRS).reasons != ()
 
 
 @pytest.mark.parametrize("begin", [0, 50])

@@ -1,0 +1,40 @@
+"""Sets of effects fitted to segments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from host.effects import load_effects
+from host.log import read_flight
+from host.trace import evidence
+from host.trace.data import segments_of
+from host.trace.diagnose import at_parameters, refit
+from host.trace.form import Form
+from host.trace.parameters import space
+
+DATA = Path(__file__).parents[2] / "data"
+LIBRARY = ("thrust-gain", "mass", "com-offset", "ground-effect")
+
+
+def test_a_fit_is_the_optimum_of_its_linearisation() -> None:
+    """A fit that stops a standard deviation short leaves a push that would look like more physics."""
+    flight = read_flight(DATA / "c1.mcap")
+    effects = load_effects()
+    library = space(flight.vehicle, {name: effects[name] for name in LIBRARY})
+    data, _ = segments_of([flight])
+    form = Form(flight.vehicle, library, dt_s=data.dt_s, in_newton=False, rate_driven=False)
+    nothing = refit(form, data, (), None, iterations=2)
+    fit = refit(form, data, ("thrust-gain",), nothing, iterations=1)
+    white = evidence.whitened(fit.lin, fit.process, library.prior)
+    step, covariance = evidence.bounded(
+        white.gram, fit.lin.z, library.prior.precision(fit.effects), library.bounds
+    )
+    assert (np.abs(step) / np.sqrt(np.diag(covariance))).max() > 1.0
+    np.testing.assert_allclose(fit.z, fit.lin.z + step)
+
+    again = at_parameters(form, nothing, fit.effects, fit.z, fit.covariance, 0.0)
+    white = evidence.whitened(again.lin, again.process, library.prior)
+    moved = evidence.local_step(again.lin, white, library.prior, np.zeros(len(step)))
+    np.testing.assert_allclose(again.local, again.lin.local + moved)
