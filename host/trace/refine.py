@@ -638,6 +638,8 @@ def jackknife_by_flight(
         spread += (count - 1) / count * ((steps - steps.mean(0)) ** 2).sum(0)
     told = expected > 0.0
     ratio = np.where(told, spread / np.where(told, expected, 1.0), 0.0)
-    usual = max(1.0, float(np.median(ratio[told]))) if told.any() else 1.0
+    # Wilson and Hilferty's median of chi-square over its degrees of freedom.
+    middle = (1.0 - 2.0 / (9.0 * freedom)) ** 3
+    usual = max(1.0, float(np.median(ratio[told])) / middle) if told.any() else 1.0
     variance = (JACKKNIFE_PRIOR * usual + freedom * ratio) / (JACKKNIFE_PRIOR + freedom)
     return np.sqrt(np.maximum(variance, 1.0))
