@@ -577,7 +577,9 @@ def weighted(
     for _ in range(_PASSES):
         base = [r[0] for r in loop.residuals(z[:, None])]
         grams = count * _grams(white, loop, base, loop.slopes(z, effects, base))
-        step, covariance = evidence.posterior(grams.sum(0), z - centre, precision)
+        away = z - centre
+        limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
+        step, covariance = evidence.bounded(grams.sum(0), away, precision, limits)
         z = loop.space.clipped(z + step)
         if (np.abs(step) / np.sqrt(np.diag(covariance))).max() < _SETTLED_WELL:
             break
@@ -614,8 +616,8 @@ def jackknife_by_flight(
 ) -> np.ndarray:
     """(P,) factors >= 1 on the standard deviations for what repeats within a flight but not between flights.
 
-       grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] at z (P,), linearised; the prior's
-       precision (P,). Each parameter's spread over the fits that leave one flight out (Efron's jackknife),
+    grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] at z (P,), linearised; the prior's
+    precision (P,). Each parameter's spread over the fits that leave one flight out (Efron's jackknife),
     the others of its stratum counting for it, over its posterior's. Since so few flights tell one spread
     badly, it counts together with JACKKNIFE_PRIOR flights that spread as the parameters do in the median.
     `strata` part the flights that are alike (default: all are): what differs between strata, such as
