@@ -126,8 +126,9 @@ class Effect:
     `requires_any` those of which one must be present for this one to change anything. `observable` says in a
     sentence what a flight must do to show it. `one_of`: exactly one of the parameters leaves neutral (one
     rotor of four), each is a candidate of its own. `memory` counts the effect's own states: `memory_start`
-    gives them at rest, `memory_rates` their derivatives. `source_id` is the first 12 hex of the SHA-256 of
-    the file it came from, filled by the registry.
+    gives them at rest, `memory_rates` their derivatives. `starts` are values of all parameters from which a
+    fit may begin, where from neutral the effect does not show by what it is. `source_id` is the first 12 hex
+    of the SHA-256 of the file it came from, filled by the registry.
 
     Slots: factors on mass, on all rotors' thrust, on each rotor's and on the principal moments of inertia;
     the air's velocity; gravity added in the frame of the measurements; specific force and torque; the
@@ -145,6 +146,7 @@ class Effect:
     requires_any: tuple[str, ...] = ()
     one_of: bool = False
     memory: int = 0
+    starts: tuple[Theta, ...] = ()
     mass_factor: Callable[[Ops, Theta], Scalar] | None = None
     thrust_factor: Callable[[Ops, Theta, Context], Scalar] | None = None
     rotor_factors: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None

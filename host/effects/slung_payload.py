@@ -92,6 +92,7 @@ EFFECT = Effect(
         law="the commanded thrust is multiplied for the payload's weight; the swing stays",
     ),
     memory=4,
+    starts=tuple((0.08, length) for length in (0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95)),
     specific_force_frd=_force,
     memory_start=_start,
     memory_rates=_rates,

@@ -128,6 +128,10 @@ class SegmentFitter:
             for white in each
         ]
 
+    def beyond(self, fit: Fit) -> list[Names]:
+        """None: segments are begun from the measured path, which holds a swing already."""
+        return []
+
 
 def refit(
     form: Form,

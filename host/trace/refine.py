@@ -27,7 +27,7 @@ from host.trace import evidence
 from host.trace.diagnose import Fit
 from host.trace.evidence import Linearisation, Prior
 from host.trace.parameters import Space
-from host.trace.search import Names
+from host.trace.search import WORTH_FITTING, Names
 from host.trace.signals import Signals, signals
 from host.trace.whitening import (
     CHANNELS,
@@ -537,6 +537,11 @@ class LoopFitter:
         z = start.z.copy()
         for name in set(start.effects) - set(effects):
             z[list(self.space.groups[name])] = 0.0
+        for name in set(effects) - set(start.effects):
+            if self.space.effect(name).starts:
+                gain, begun = self._begun(name, start)
+                own = list(self.space.groups[name])
+                z[own] = begun[own] if gain > WORTH_FITTING else z[own]
         return fit_loop(self.loop, effects, z, self.order)
 
     def scorers(self, fit: ClosedFit) -> list[Callable[[Names], float]]:
@@ -548,6 +553,44 @@ class LoopFitter:
         return [
             lambda names: evidence.log_evidence(gram, 0.0, fit.at, prior.precision(names), len(names), limits)
         ]
+
+    def beyond(self, fit: ClosedFit) -> list[Names]:
+        """Sets with one effect more that explains much from one of its `starts`, if little as a slope."""
+        absent = set(self.space.candidates) - set(fit.effects)
+        found = [name for name in sorted(absent) if self.space.effect(name).starts]
+        grown = [name for name in found if self._begun(name, fit)[0] > WORTH_FITTING]
+        return [tuple(sorted((*fit.effects, name))) for name in grown]
+
+    def _begun(self, name: str, fit: ClosedFit) -> tuple[float, np.ndarray]:
+        """Nats that the effect gains at the best of its starts, in whatever strength and with all else that
+        may move moving along, and the scaled parameters (P,) there.
+        """
+        space, own = self.space, list(self.space.groups[name])
+        points = np.repeat(fit.z[:, None], len(space.effect(name).starts), axis=1)
+        for lane, values in enumerate(space.effect(name).starts):
+            columns = [space.columns[i] for i in own]
+            points[own, lane] = [(v - c.neutral) / c.scale for v, c in zip(values, columns, strict=True)]
+        base = [r[0] for r in self.loop.residuals(fit.z[:, None])]
+        slopes = self.loop.slopes(fit.z, fit.effects, base)
+        gram = np.zeros((1 + len(fit.z) + points.shape[1],) * 2)
+        for recording, r, s, there in zip(
+            self.loop.recordings, base, slopes, self.loop.residuals(points), strict=True
+        ):
+            columns = whitened(fit.whitening, np.concatenate([r[None], s, r - there]), recording.known)
+            gram += columns @ columns.T
+        rest = [i for i in range(len(fit.z)) if i not in own]
+        precision = self.prior.precision(fit.effects)[rest]
+        rhs = gram[0, 1:][rest] - precision * fit.z[rest]
+        normal = gram[1:, 1:][np.ix_(rest, rest)] + np.diag(precision)
+        gains = []
+        for start in range(1 + len(fit.z), len(gram)):
+            cross = gram[start, 1:][rest]
+            along = np.linalg.solve(normal, cross)
+            left = gram[start, start] - cross @ along
+            pull = gram[0, start] - rhs @ along
+            gains.append(0.5 * max(pull, 0.0) ** 2 / left if np.isfinite(left) and left > 0.0 else 0.0)
+        best = int(np.argmax(gains))
+        return gains[best], points[:, best]
 
 
 def honest_covariance(

@@ -61,6 +61,10 @@ class Fitter(Protocol[F]):
         """Log evidence of any set in `fit`'s linearisation, one way or several; the last as in the fit."""
         ...
 
+    def beyond(self, fit: F) -> list[Names]:
+        """Sets with one effect more that `fit`'s linearisation does not show for what they are."""
+        ...
+
 
 @dataclass(frozen=True, kw_only=True)
 class Found(Generic[F]):
@@ -96,6 +100,7 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Fo
         for score in fitter.scorers(current):
             depth = min(MAX_EFFECTS, len(current.effects) + 2)
             trials += _proposals(screen(space, score, depth), current.effects)
+        trials += fitter.beyond(current)
         for names in dict.fromkeys(trials):
             if names not in fits:
                 fits[names] = fitter.fit(names, current)

@@ -34,6 +34,7 @@ class KnownFitter:
     space: Space
     evidence: dict[Names, float]
     believed: dict[Names, float]
+    hidden: tuple[Names, ...] = ()
 
     @property
     def prior(self) -> Prior:
@@ -47,6 +48,9 @@ class KnownFitter:
 
     def scorers(self, fit: Known) -> list[Callable[[Names], float]]:
         return [lambda names: self.believed[names]]
+
+    def beyond(self, fit: Known) -> list[Names]:
+        return [names for names in self.hidden if set(fit.effects) < set(names)]
 
 
 @pytest.fixture(scope="module")
