@@ -31,6 +31,7 @@ from host.trace.search import WORTH_FITTING, Names
 from host.trace.signals import Signals, signals
 from host.trace.whitening import (
     CHANNELS,
+    SLOW,
     WINDOWS,
     Whitening,
     autoregression,
@@ -49,7 +50,6 @@ STABLE = 2.5
 LEAD_S = 0.3
 """Time after the reference's start that is not compared: the start's own errors die away in it."""
 
-ORDERS = tuple(range(1, len(WINDOWS) + 1))
 BINS_AN_ORDER = 10 * CHANNELS
 """Bins that one more order of the autoregression takes to be known: ten a coefficient."""
 
@@ -66,6 +66,9 @@ flights of a simulated vehicle without noise, turbulence or effect.
 
 SETTLED = 0.3
 """Greatest step, in standard deviations, that is taken without looking at the roll-outs again."""
+
+WORSE = 1.5
+"""A set that predicts positions so much worse than the set that it was made from explains nothing."""
 
 JACKKNIFE_PRIOR = 7.0
 """Flights that a jackknife is taken to have seen spread as the parameters do in the median."""
@@ -118,6 +121,7 @@ class ClosedFit:
     log_evidence: float
     whitening: Whitening
     grams: np.ndarray
+    error_m: float
 
 
 def record(flight: Flight, states: States) -> Recording:
@@ -429,20 +433,10 @@ def _extent(s: Signals) -> float:
     return float(np.ptp(s.p[inside], axis=0).max())
 
 
-def order_of(loop: Loop, z: np.ndarray) -> int:
-    """The order of ORDERS whose autoregression describes the residuals at z (P,) best, by Schwarz's
-    criterion; none greater than the flights can tell.
-    """
-    left = [r[0] for r in loop.residuals(z[:, None])]
-
-    def criterion(order: int) -> float:
-        # The same bins for all orders, or the longest would have the fewest to explain.
-        innovation = autoregression(left, loop.known, order, skip=span_of(max(ORDERS))).innovation
-        count = sum(len(stretches(known, span_of(max(ORDERS)))) for known in loop.known)
-        return count * float(np.linalg.slogdet(innovation)[1]) + order * CHANNELS**2 * np.log(count)
-
-    most = max(1, sum(int(whole.sum()) for whole in loop.known) // BINS_AN_ORDER)
-    return min((order for order in ORDERS if order <= most), key=criterion)
+def order_of(loop: Loop) -> int:
+    """The order of the autoregression that these flights have enough bins for: WINDOWS at most."""
+    bins = sum(int(whole.sum()) for whole in loop.known)
+    return max(1, min(len(WINDOWS), bins // BINS_AN_ORDER))
 
 
 def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> ClosedFit:
@@ -470,7 +464,8 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
             break
         z, base = moved, there
     count = sum(len(stretches(k, span_of(order))) for k in loop.known)
-    log_det = count * float(np.linalg.slogdet(white.innovation)[1])
+    # The innovations' covariance is that of what is left: tempered like the whitened residuals.
+    log_det = count * float(np.linalg.slogdet(white.innovation)[1]) / SLOW
     return ClosedFit(
         effects=tuple(sorted(effects)),
         z=space.clipped(z + step),
@@ -479,7 +474,14 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         log_evidence=evidence.log_evidence(grams.sum(0), log_det, z, precision, len(effects), space.bounds),
         whitening=white,
         grams=grams,
+        error_m=_position_rms(loop, base),
     )
+
+
+def _position_rms(loop: Loop, residuals: Sequence[np.ndarray]) -> float:
+    """Root mean square of the position's residuals (bins, 12) by flight."""
+    known = [np.square(r[whole, :3]).sum(1) for r, whole in zip(residuals, loop.known, strict=True)]
+    return float(np.sqrt(np.concatenate(known).mean()))
 
 
 def prior_of(space: Space) -> Prior:
@@ -542,7 +544,10 @@ class LoopFitter:
                 gain, begun = self._begun(name, start)
                 own = list(self.space.groups[name])
                 z[own] = begun[own] if gain > WORTH_FITTING else z[own]
-        return fit_loop(self.loop, effects, z, self.order)
+        fit = fit_loop(self.loop, effects, z, self.order)
+        # What is smooth and large an autoregression foretells: that alone would not speak against it.
+        worse = not fit.error_m < WORSE * start.error_m or not np.isfinite(fit.log_evidence)
+        return replace(fit, log_evidence=-np.inf) if worse else fit
 
     def scorers(self, fit: ClosedFit) -> list[Callable[[Names], float]]:
         """Log evidence of any set in the fit's linearisation and whitening.

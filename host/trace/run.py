@@ -223,7 +223,7 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         gram = evidence.whitened(best.lin, best.process, prior).flight_grams.sum(0)
     else:
         loop = closed_loop(flights, form.vehicle, form.space, nothing.z)
-        order = order_of(loop, nothing.z)
+        order = order_of(loop)
         fitter = LoopFitter(loop=loop, order=order)
         found = search(fitter, fit_loop(loop, (), nothing.z, order), report)
         report("comparing twin flights")

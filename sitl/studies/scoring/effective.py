@@ -77,7 +77,7 @@ def effective(
         space, {f"{n}.{k}": v for n in candidates for k, v in _away(space, n, drawn[n]).items()}
     )
     flown = closed_loop(flights, vehicle, space, z)
-    white = turbulence(flown, z, order_of(flown, z), twins_of(flights))
+    white = turbulence(flown, z, order_of(flown), twins_of(flights))
     if white is None:
         raise ValueError("the flights have no twins: their turbulence cannot be told from physics")
     loop = closed_loop(still, vehicle, space, z)

@@ -15,7 +15,7 @@ from host.models.phi import INTEGRAL
 from host.trace import refine as closed
 from host.trace.parameters import Space, space
 from host.trace.refine import Loop
-from host.trace.whitening import CHANNELS
+from host.trace.whitening import CHANNELS, SLOW
 
 DATA = Path(__file__).parents[2] / "data"
 PRESENT = ("thrust-gain", "motor-lag", "mocap-latency")
@@ -69,7 +69,7 @@ def test_shipped_flights_show_what_their_world_holds(library: Space) -> None:
     truth = json.loads((DATA / "truth.json").read_text())["effects"]
     start = scaled(library, mocap_latency__latency_s=0.018, motor_lag__extra_s=0.012, thrust_gain__gain=0.95)
     whole = closed.closed_loop(flights, flights[0].vehicle, library, start)
-    fit = closed.fit_loop(whole, PRESENT, start, closed.order_of(whole, start))
+    fit = closed.fit_loop(whole, PRESENT, start, closed.order_of(whole))
     values, sd = library.values(fit.z), np.sqrt(np.diag(fit.covariance)) * library.scale
     for i, column in enumerate(library.columns):
         if column.owner in truth:
@@ -78,9 +78,10 @@ def test_shipped_flights_show_what_their_world_holds(library: Space) -> None:
             assert error < 0.2 * abs(truth[column.owner][column.key] - column.neutral), column
     without = closed.fit_loop(whole, PRESENT[::2], start, fit.whitening.order)
     (score,) = closed.LoopFitter(loop=whole, order=fit.whitening.order).scorers(without)
-    gain = score(tuple(sorted(PRESENT))) - score(tuple(sorted(PRESENT[::2])))
-    # A hint only: the whitening without motor-lag has taken up a part of what it explains.
-    assert 1.0 < gain < fit.log_evidence - without.log_evidence + 3.0
+    # A hint only, for the whitening without motor-lag has taken up a part of what it explains; but it ranks.
+    others = [name for name in library.candidates if name not in PRESENT]
+    grown = {name: score(tuple(sorted((*PRESENT[::2], name)))) for name in ("motor-lag", *others)}
+    assert max(grown, key=lambda name: grown[name]) == "motor-lag"
     assert fit.log_evidence - without.log_evidence > 3.0
 
 
@@ -166,7 +167,7 @@ def test_autoregression_is_recovered_and_leaves_white_innovations() -> None:
     np.testing.assert_allclose(white.coefficients.T[:3, :6], wanted[:3, :6], atol=0.04)
     left = closed.whitened(white, spoilt[None], known)[0].reshape(-1, CHANNELS)
     assert len(left) == len(noise) - 1 - 4
-    np.testing.assert_allclose(left.T @ left / len(left), np.eye(CHANNELS), atol=1e-9)
+    np.testing.assert_allclose(SLOW * left.T @ left / len(left), np.eye(CHANNELS), atol=1e-9)
     assert np.abs((left[1:] * left[:-1]).mean(0)).max() < 0.06
 
 
