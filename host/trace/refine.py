@@ -50,10 +50,10 @@ STABLE = 2.5
 LEAD_S = 0.3
 """Time after the reference's start that is not compared: the start's own errors die away in it."""
 
-BINS_AN_ORDER = 10 * CHANNELS
-"""Bins that one more order of the autoregression takes to be known: ten a coefficient."""
+BINS_AN_ORDER = 14 * CHANNELS
+"""Bins that one more order of the autoregression takes to be known: 14 a coefficient."""
 
-LEAST_S = 2 * BINS_AN_ORDER * BIN_S
+LEAST_S = 20 * CHANNELS * BIN_S
 """Time of tracking below which whole flights are too little to whiten."""
 
 MOVED_M = 0.3
