@@ -31,7 +31,7 @@ from host.trace.search import WORTH_FITTING, Names
 from host.trace.signals import Signals, signals
 from host.trace.whitening import (
     CHANNELS,
-    SLOW,
+    TEMPER,
     WINDOWS,
     Whitening,
     autoregression,
@@ -465,7 +465,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         z, base = moved, there
     count = sum(len(stretches(k, span_of(order))) for k in loop.known)
     # The innovations' covariance is that of what is left: tempered like the whitened residuals.
-    log_det = count * float(np.linalg.slogdet(white.innovation)[1]) / SLOW
+    log_det = count * float(np.linalg.slogdet(white.innovation)[1]) / TEMPER
     return ClosedFit(
         effects=tuple(sorted(effects)),
         z=space.clipped(z + step),

@@ -15,7 +15,7 @@ import numpy as np
 
 from host.trace.refine import BIN_S, BINS_AN_ORDER, ClosedFit, Loop, weighted
 from host.trace.twins import Repeat
-from host.trace.whitening import CHANNELS, SLOW, Whitening, autoregression, stretches, whitened
+from host.trace.whitening import CHANNELS, TEMPER, Whitening, autoregression, stretches, whitened
 
 APART_S = 1.0
 """Twins shifted by more than this have nothing in common but by chance."""
@@ -38,7 +38,7 @@ def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int
     common, variance, count, position = 0.0, 0.0, 0, 0.0
     for one, other, known in pairs:
         at = stretches(known, white.span)
-        x, y = np.sqrt(SLOW) * whitened(white, np.stack([one, other]), known).reshape(2, len(at), -1)
+        x, y = np.sqrt(TEMPER) * whitened(white, np.stack([one, other]), known).reshape(2, len(at), -1)
         apart = range(round(APART_S / BIN_S), len(at) - round(APART_S / BIN_S), _EVERY)
         by_chance = [float((x * np.roll(y, shift, axis=0)).sum()) for shift in apart]
         common += float((x * y).sum())
