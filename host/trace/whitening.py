@@ -1,9 +1,10 @@
 """What whitens whole flights less their prediction: one coloured process in all channels at once.
 
-A gust shows in position, attitude and rate, so a bin is regressed on the bins before it: the last ones singly,
-earlier ones by their mean (Corsi 2009, "A simple approximate long-memory model of realized volatility"). The
-loop lets go of a gust only after about a second. Windows that reach so far learn the few gusts of these flights
-by heart and whiten no better; that the innovations keep a slow part is reckoned with instead (TEMPER).
+A gust shows in position, attitude and rate, so a bin is regressed on the bins before it: the last ones
+singly, earlier ones by their mean (Corsi 2009, "A simple approximate long-memory model of realized
+volatility"). The loop lets go of a gust only after about a second. Windows that reach so far learn the few
+gusts of these flights by heart and whiten no better; that the innovations keep a slow part is reckoned with
+instead (TEMPER).
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ many.
 
 
 TEMPER = 4.0
-"""Whitened residuals count for 1/TEMPER, for the innovations keep what is slower than the windows. Of it alone
-the slopes' products with what twins differ by vary twice as much as they should, in the mean over the library's
-parameters in 11 simulated worlds without effects; estimates in 60 worlds with one or two, held against the
-form's fit to flights in still air, scattered by a variance three to four times too great.
+"""Whitened residuals count for 1/TEMPER, for the innovations keep what is slower than the windows. Of it
+alone the slopes' products with what twins differ by vary twice as much as they should, in the mean over the
+library's parameters in 11 simulated worlds without effects; estimates in 60 worlds with one or two, held
+against the form's fit to flights in still air, scattered by a variance three to four times too great.
 """
 
 

@@ -75,7 +75,7 @@ def test_shipped_flights_show_what_their_world_holds(library: Space) -> None:
         if column.owner in truth:
             error = abs(values[i] - truth[column.owner][column.key])
             assert error < 3.0 * sd[i], column
-            assert error < 0.2 * abs(truth[column.owner][column.key] - column.neutral), column
+            assert error < 0.3 * abs(truth[column.owner][column.key] - column.neutral), column
     without = closed.fit_loop(whole, PRESENT[::2], start, fit.whitening.order)
     (score,) = closed.LoopFitter(loop=whole, order=fit.whitening.order).scorers(without)
     # A hint only, for the whitening without motor-lag has taken up a part of what it explains; but it ranks.
