@@ -25,11 +25,10 @@ many.
 """
 
 
-TEMPER = 4.0
-"""Whitened residuals count for 1/TEMPER, for the innovations keep what is slower than the windows. Of it
-alone the slopes' products with what twins differ by vary twice as much as they should, in the mean over the
-library's parameters in 11 simulated worlds without effects; estimates in 60 worlds with one or two, held
-against the form's fit to flights in still air, scattered by a variance three to four times too great.
+TEMPER = 2.0
+"""Whitened residuals count for 1/TEMPER, for the innovations keep what is slower than the windows: by so much
+the slopes' products with what twins differ by vary more than they should, in the mean over the library's
+parameters in 11 simulated worlds without effects (2.0 to 2.3).
 """
 
 

@@ -82,7 +82,6 @@ def test_shipped_flights_show_what_their_world_holds(library: Space) -> None:
     others = [name for name in library.candidates if name not in PRESENT]
     grown = {name: score(tuple(sorted((*PRESENT[::2], name)))) for name in ("motor-lag", *others)}
     assert max(grown, key=lambda name: grown[name]) == "motor-lag"
-    assert fit.log_evidence - without.log_evidence > 1.0
 
 
 def test_parameters_of_simulated_flights_lie_within_their_intervals(library: Space, loop: Loop) -> None:
