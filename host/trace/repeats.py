@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from host.trace.refine import BIN_S, BINS_AN_ORDER, ClosedFit, Loop, weighted
+from host.trace.refine import BIN_S, BINS_AN_ORDER, TEMPER, ClosedFit, Loop, weighted
 from host.trace.twins import Repeat
-from host.trace.whitening import CHANNELS, TEMPER, Whitening, autoregression, stretches, whitened
+from host.trace.whitening import CHANNELS, Whitening, autoregression, stretches, whitened
 
 APART_S = 1.0
 """Twins shifted by more than this have nothing in common but by chance."""
@@ -38,7 +38,7 @@ def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int
     common, variance, count, position = 0.0, 0.0, 0, 0.0
     for one, other, known in pairs:
         at = stretches(known, white.span)
-        x, y = np.sqrt(TEMPER) * whitened(white, np.stack([one, other]), known).reshape(2, len(at), -1)
+        x, y = whitened(white, np.stack([one, other]), known).reshape(2, len(at), -1)
         apart = range(round(APART_S / BIN_S), len(at) - round(APART_S / BIN_S), _EVERY)
         by_chance = [float((x * np.roll(y, shift, axis=0)).sum()) for shift in apart]
         common += float((x * y).sum())
@@ -64,7 +64,8 @@ def turbulence(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int,
 
 
 def in_turbulence(loop: Loop, fit: ClosedFit, order: int, twins: Sequence[tuple[int, int]]) -> ClosedFit:
-    """The fit's effects fitted once more, whitened by what twins differ by; as it is without twins.
+    """The fit's effects fitted once more, whitened by what twins differ by; without twins only
+    its covariance is another.
 
     The search whitens by all that a set leaves, so that what no form explains counts as noise and names
     nothing. For how large an effect is, only chance is noise: weights are then those of the flights, not of
@@ -72,7 +73,7 @@ def in_turbulence(loop: Loop, fit: ClosedFit, order: int, twins: Sequence[tuple[
     """
     white = turbulence(loop, fit.z, order, twins)
     if white is None:
-        return fit
+        return replace(fit, covariance=TEMPER * fit.covariance, grams=fit.grams / TEMPER)
     z, covariance, grams = weighted(loop, white, fit.effects, fit.z)
     return replace(fit, z=z, at=z, covariance=covariance, whitening=white, grams=grams)
 

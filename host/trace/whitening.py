@@ -3,8 +3,8 @@
 A gust shows in position, attitude and rate, so a bin is regressed on the bins before it: the last ones
 singly, earlier ones by their mean (Corsi 2009, "A simple approximate long-memory model of realized
 volatility"). The loop lets go of a gust only after about a second. Windows that reach so far learn the few
-gusts of these flights by heart and whiten no better; that the innovations keep a slow part is reckoned with
-instead (TEMPER).
+gusts of these flights by heart and whiten no better; where sizes are told, that the innovations keep a slow
+part is reckoned with instead (`host.trace.refine`).
 """
 
 from __future__ import annotations
@@ -25,18 +25,11 @@ many.
 """
 
 
-TEMPER = 2.0
-"""Whitened residuals count for 1/TEMPER, for the innovations keep what is slower than the windows: by so much
-the slopes' products with what twins differ by vary more than they should, in the mean over the library's
-parameters in 11 simulated worlds without effects (2.0 to 2.3).
-"""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Whitening:
     """A vector autoregression: r_k = past_k A + e_k, past_k (12 order,) the means over WINDOWS before bin k.
 
-    coefficients A (12 order, 12); `innovation` (12, 12) the covariance of e times TEMPER.
+    coefficients A (12 order, 12); covariance of e `innovation` (12, 12).
     """
 
     coefficients: np.ndarray
@@ -72,7 +65,7 @@ def autoregression(
     X, Y = np.concatenate(before), np.concatenate(now)
     found, *_ = np.linalg.lstsq(X, Y, rcond=None)
     left = Y - X @ found
-    return Whitening(coefficients=found, innovation=TEMPER * left.T @ left / len(Y))
+    return Whitening(coefficients=found, innovation=left.T @ left / len(Y))
 
 
 def _past(x: np.ndarray, order: int) -> np.ndarray:
