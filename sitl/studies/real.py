@@ -83,7 +83,7 @@ def judge_real(
     """
     rows = []
     for index, group in enumerate(groups):
-        rows.append(_row(group, _verdict(group, folder / REAL / f"{index:02d}")))
+        rows.append(real_row(group, _verdict(group, folder / REAL / f"{index:02d}")))
         report(f"{group.name}: {rows[-1]['verdict']}")
     return rows
 
@@ -125,7 +125,8 @@ def _bring_in(group: Group, path: str, folder: Path) -> None:
         raise StudyError(f"{group.name}: {done.errors.strip()}")
 
 
-def _row(group: Group, verdict: Mapping[str, Any]) -> dict[str, Any]:
+def real_row(group: Group, verdict: Mapping[str, Any]) -> dict[str, Any]:
+    """What the study tells of a group, from the verdict on it."""
     answer = verdict["answer"]
     before, after = answer.get("before") or {}, answer.get("after") or {}
     return {

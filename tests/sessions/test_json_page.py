@@ -18,7 +18,8 @@ from host import cli, output
 from host.demo.compare import Comparison
 from host.link.upload import UploadResult
 from protocol.blobs import Reference
-from sitl.studies.scoring.metrics import summary
+from sitl.studies.real import Group, real_row
+from sitl.studies.scoring.metrics import baseline_rows, summary
 
 ROOT = Path(__file__).parent.parent.parent
 MADE = ROOT / "tests" / "data"
@@ -175,10 +176,23 @@ def test_study_prints_what_the_page_says() -> None:
     row = {"effect": "wind", "key": "wx", "family": "aerodynamic", "turned": False, "true": 3.0}
     row |= {"estimate": 3.0, "sd": 0.1, "bound_sd": 0.1, "neutral": 0.0, "typical": 1.0}
     said = {"top1": True, "exact": True, "in_alias": True, "identifiable": True, "alias_sizes": [1]}
-    said |= {"verdict": "traced", "before_m": 0.1, "after_m": 0.1, "floor_m": 0.1, "trace_s": 1.0}
+    said |= {
+        "verdict": "traced",
+        "named": ["wind"],
+        "before_m": 0.1,
+        "after_m": 0.1,
+        "floor_m": 0.1,
+        "trace_s": 1.0,
+    }
     scores = [
         {"world": "0000", "class": name, "kinds": ["wind"], "parameters": [row], **said}
         for name in ("single", "pair", "none", "outside")
     ]
+    scores[0]["baselines"] = {"network": {"names": None, "first_right": None, "exact": None, "after_m": 0.1}}
+    for score in scores[1:]:
+        score["baselines"] = None
     told = {"study": "blind", "seed": 1, "worlds": 4, "folder": "f", "report": "f/report.html"}
-    check("study", {**told, **summary(scores)})
+    group = Group(name="g", logs=("a.mcap",), hold_out=("b.mcap",))
+    refused = {"answer": {}, "errors": "", "exit_code": 2, "trace_s": 1.0}
+    beside = {"baselines": baseline_rows(scores), "real": [real_row(group, refused)]}
+    check("study", {**told, **summary(scores), **beside})
