@@ -20,7 +20,7 @@ from host.trace.whitening import CHANNELS, Whitening, autoregression, stretches,
 APART_S = 1.0
 """Twins shifted by more than this have nothing in common but by chance."""
 
-LEAST_S = 4.0
+LEAST_S = 3.0
 """Shorter twins say nothing."""
 
 _EVERY = 5
