@@ -65,7 +65,7 @@ def test_twins_of_different_length_are_compared_as_far_as_both_go():
 
 def test_without_twins_or_with_moments_of_them_nothing_is_said():
     assert repeat(cast(Loop, Left(0)), np.zeros(1), 2, []) is None
-    assert repeat(cast(Loop, Left(0, bins=(90, 90) * 4)), np.zeros(1), 2, TWINS) is None
+    assert repeat(cast(Loop, Left(0, bins=(70, 70) * 4)), np.zeros(1), 2, TWINS) is None
 
 
 def test_whole_flights_overrule_what_segments_see_in_both_directions():
