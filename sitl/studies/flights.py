@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -160,12 +160,13 @@ def trace(folder: Path, programme: Programme, copy: Callable[[Path, Path], objec
     bare.mkdir()
     for log in (folder / "flights").glob("*.mcap"):
         copy(log, bare / log.name)
-    words = ["trace", *programme.logs(programme.learning)]
-    if programme.held_out:
-        words += ["--hold-out", *programme.logs(programme.held_out)]
-    done = run_apart(words, bare)
-    write_json(
-        folder / VERDICT,
-        {"exit_code": done.code, "answer": done.data, "errors": done.errors, "trace_s": done.cpu_s},
-    )
+    answer = ask(bare, programme.logs(programme.learning), programme.logs(programme.held_out))
+    write_json(folder / VERDICT, answer)
     shutil.rmtree(bare)
+
+
+def ask(folder: Path, logs: Sequence[str], held_out: Sequence[str]) -> dict[str, Any]:
+    """What `trimtab trace` says of the logs in `folder`: exit_code, answer, errors, trace_s."""
+    words = ["trace", *logs, *(["--hold-out", *held_out] if held_out else [])]
+    done = run_apart(words, folder)
+    return {"exit_code": done.code, "answer": done.data, "errors": done.errors, "trace_s": done.cpu_s}

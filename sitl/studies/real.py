@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from host.vehicle.strict_toml import Strict, read_strict
 from sitl.studies.commandline import run_apart
 from sitl.studies.files import StudyError, read_json, sha256_of, write_json
-from sitl.studies.flights import VERDICT
+from sitl.studies.flights import VERDICT, ask
 
 REAL = "real"
 
@@ -101,14 +101,11 @@ def _verdict(group: Group, folder: Path) -> dict[str, Any]:
     bare.mkdir(parents=True)
     for path in (*group.logs, *group.hold_out):
         _bring_in(group, path, bare)
-    words = ["trace", *(f"{Path(log).stem}.mcap" for log in group.logs)]
-    if group.hold_out:
-        words += ["--hold-out", *(f"{Path(log).stem}.mcap" for log in group.hold_out)]
-    done = run_apart(words, bare)
-    answer = {"exit_code": done.code, "answer": done.data, "errors": done.errors, "trace_s": done.cpu_s}
-    write_json(folder / VERDICT, {"asked": asked, **answer})
+    logs, held_out = ([f"{Path(log).stem}.mcap" for log in which] for which in (group.logs, group.hold_out))
+    verdict = {"asked": asked, **ask(bare, logs, held_out)}
+    write_json(folder / VERDICT, verdict)
     shutil.rmtree(bare)
-    return {"asked": asked, **answer}
+    return verdict
 
 
 def _bring_in(group: Group, path: str, folder: Path) -> None:
