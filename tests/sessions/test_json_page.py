@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from host import cli, output
+from host import cli
 from host.demo.compare import Comparison
 from host.link.upload import UploadResult
 from protocol.blobs import Reference
@@ -67,22 +67,6 @@ def check(verb: str, told: dict[str, Any], *more: Steps) -> None:
 
 
 @pytest.fixture
-def run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., dict[str, Any]]:
-    monkeypatch.chdir(tmp_path)
-
-    def call(*words: str) -> dict[str, Any]:
-        monkeypatch.setattr(output, "_emitted", False)
-        monkeypatch.setattr("sys.argv", ["trimtab", *words, "--json"])
-        capsys.readouterr()
-        assert cli.main([*words, "--json"]) == 0, capsys.readouterr().err
-        return json.loads(capsys.readouterr().out.strip().splitlines()[-1])
-
-    return call
-
-
-@pytest.fixture
 def log(tmp_path: Path, flown: Any) -> str:
     (tmp_path / "flight.mcap").write_bytes(flown[0].log.read_bytes())
     return "flight.mcap"
@@ -93,41 +77,45 @@ def test_page_has_a_table_for_every_verb() -> None:
     assert set(titles) == {verb.name for verb in cli.present_verbs()}
 
 
-def test_plan_and_fly_print_what_the_page_says(run: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
+def test_plan_and_fly_print_what_the_page_says(
+    trimtab: Callable[..., dict[str, Any]], tmp_path: Path
+) -> None:
     (tmp_path / "hop.toml").write_text(
         'name = "hop"\ntotal_time_s = 2.0\nwaypoints_m = [[0.0, 0.0, -1.0], [1.0, 0.0, -1.2]]\n'
     )
-    check("plan", run("plan", "hop.toml", "-o", "hop.ref"))
-    check("fly", run("fly", "hop.ref", "-o", "hop.mcap"))
+    check("plan", trimtab("plan", "hop.toml", "-o", "hop.ref"))
+    check("fly", trimtab("fly", "hop.ref", "-o", "hop.mcap"))
 
 
-def test_log_prints_what_the_page_says(run: Callable[..., dict[str, Any]], log: str, tmp_path: Path) -> None:
-    check("log info", run("log", "info", log))
-    check("log export", run("log", "export", log))
-    check("log recover", run("log", "recover", log))
+def test_log_prints_what_the_page_says(
+    trimtab: Callable[..., dict[str, Any]], log: str, tmp_path: Path
+) -> None:
+    check("log info", trimtab("log", "info", log))
+    check("log export", trimtab("log", "export", log))
+    check("log recover", trimtab("log", "recover", log))
     (tmp_path / "cut.mcap").write_bytes((tmp_path / log).read_bytes()[:200_000])
-    check("log recover", run("log", "recover", "cut.mcap"))
+    check("log recover", trimtab("log", "recover", "cut.mcap"))
 
 
-def test_trace_prints_what_the_page_says(run: Callable[..., dict[str, Any]]) -> None:
-    found = run("trace", str(MADE / "b1.mcap"), "-o", "out")
+def test_trace_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]) -> None:
+    found = trimtab("trace", str(MADE / "b1.mcap"), "-o", "out")
     assert found["effects"]
     check("trace", found)
 
 
-def test_learn_prints_what_the_page_says(run: Callable[..., dict[str, Any]]) -> None:
+def test_learn_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]) -> None:
     logs = (str(MADE / "a1.mcap"), "--hold-out", str(MADE / "b1.mcap"))
-    check("learn", run("learn", *logs, "-o", "x.model.toml", "--epochs", "1", "--hidden", "2"))
+    check("learn", trimtab("learn", *logs, "-o", "x.model.toml", "--epochs", "1", "--hidden", "2"))
 
 
-def test_import_prints_what_the_page_says(run: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
+def test_import_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
     rows = [f"{0.01 * k},{0.3 * k / 400:.4f},0,1,1,0,0,0,0.3" for k in range(400)]
     (tmp_path / "f.csv").write_text("\n".join(["t,x,y,z,qw,qx,qy,qz,T", *rows]))
     (tmp_path / "m.toml").write_text(
         'world = "nwu"\nbody = "flu"\ntime = "t"\nposition_m = ["x", "y", "z"]\n'
         'quaternion = ["qw", "qx", "qy", "qz"]\nthrust_n = "T"\n'
     )
-    check("import", run("import", "csv", "f.csv", "--columns", "m.toml", "-o", "f.mcap"))
+    check("import", trimtab("import", "csv", "f.csv", "--columns", "m.toml", "-o", "f.mcap"))
 
 
 def test_upload_prints_what_the_page_says(reference: Reference) -> None:
@@ -153,7 +141,7 @@ def test_sitl_prints_what_the_page_says(require: Callable[[str], None]) -> None:
     check("sitl", json.loads(said.strip().splitlines()[-1]))
 
 
-def test_demo_prints_what_the_page_says(run: Callable[..., dict[str, Any]], log: str) -> None:
+def test_demo_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], log: str) -> None:
     plan = SimpleNamespace(path_length_m=1.0, mean_speed_m_s=1.0)
     planned = SimpleNamespace(plan=plan, route=SimpleNamespace(name="r"))
     flight: Any = SimpleNamespace(
@@ -168,7 +156,7 @@ def test_demo_prints_what_the_page_says(run: Callable[..., dict[str, Any]], log:
         planned=planned,
     )
     compared = Comparison(first=(flight,), latency_s=0.0, no_new_plan="no", no_applied="no").to_json()
-    told = {**run("trace", log), **compared, "seconds": 1.0, "steps": [{"step": "plan", "seconds": 1.0}]}
+    told = {**trimtab("trace", log), **compared, "seconds": 1.0, "steps": [{"step": "plan", "seconds": 1.0}]}
     check("demo", told, *documented("trace"))
 
 
