@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -31,8 +31,8 @@ from host.trace.search import WORTH_FITTING, Names
 from host.trace.signals import Signals, signals
 from host.trace.whitening import (
     CHANNELS,
-    WINDOWS,
     Whitening,
+    affordable,
     autoregression,
     span_of,
     stretches,
@@ -48,9 +48,6 @@ STABLE = 2.5
 
 LEAD_S = 0.3
 """Time after the reference's start that is not compared: the start's own errors die away in it."""
-
-BINS_AN_ORDER = 14 * CHANNELS
-"""Bins that one more order of the autoregression takes to be known: 14 a coefficient."""
 
 LEAST_S = 20 * CHANNELS * BIN_S
 """Time of tracking below which whole flights are too little to whiten."""
@@ -445,9 +442,8 @@ def _extent(s: Signals) -> float:
 
 
 def order_of(loop: Loop) -> int:
-    """The order of the autoregression that these flights have enough bins for: WINDOWS at most."""
-    bins = sum(int(whole.sum()) for whole in loop.known)
-    return max(1, min(len(WINDOWS), bins // BINS_AN_ORDER))
+    """The order of the autoregression that these flights have enough bins for."""
+    return affordable(sum(int(whole.sum()) for whole in loop.known))
 
 
 def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> ClosedFit:
@@ -533,6 +529,7 @@ class LoopFitter:
 
     loop: Loop
     order: int
+    _found: dict[tuple[str, Names, bytes], tuple[float, np.ndarray]] = field(default_factory=dict, init=False)
 
     @property
     def space(self) -> Space:
@@ -578,8 +575,14 @@ class LoopFitter:
 
     def _begun(self, name: str, fit: ClosedFit) -> tuple[float, np.ndarray]:
         """Nats that the effect gains at the best of its starts, in whatever strength and with all else that
-        may move moving along, and the scaled parameters (P,) there.
+        may move moving along, and the scaled parameters (P,) there. Asked of a fit twice, found once.
         """
+        asked = (name, fit.effects, fit.z.tobytes())
+        if asked not in self._found:
+            self._found[asked] = self._best_start(name, fit)
+        return self._found[asked]
+
+    def _best_start(self, name: str, fit: ClosedFit) -> tuple[float, np.ndarray]:
         space, own = self.space, list(self.space.groups[name])
         points = np.repeat(fit.z[:, None], len(space.effect(name).starts), axis=1)
         for lane, values in enumerate(space.effect(name).starts):

@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from host.trace.refine import BIN_S, BINS_AN_ORDER, TEMPER, ClosedFit, Loop, weighted
+from host.trace.refine import BIN_S, TEMPER, ClosedFit, Loop, weighted
 from host.trace.twins import Repeat
-from host.trace.whitening import CHANNELS, Whitening, autoregression, stretches, whitened
+from host.trace.whitening import CHANNELS, Whitening, affordable, autoregression, stretches, whitened
 
 APART_S = 1.0
 """Twins shifted by more than this have nothing in common but by chance."""
@@ -47,7 +47,7 @@ def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int
         position += float((one[known, :3] * other[known, :3]).sum()) / int(known.sum())
     # The autoregression fits the difference, which it was made from, better than the sum: without any repeat
     # the sum's power is greater by as much as the coefficients and the innovation's covariance took up.
-    rows, coefficients = count / CHANNELS, CHANNELS * order
+    rows, coefficients = count / CHANNELS, CHANNELS * white.order
     common -= 0.5 * count * (2 * coefficients + CHANNELS + 1) / (rows - coefficients - CHANNELS - 1)
     return Repeat(
         share=common / count,
@@ -96,7 +96,6 @@ def _pairs(loop: Loop, z: np.ndarray, twins: Sequence[tuple[int, int]]) -> list[
 def _turbulence(pairs: Sequence[_Pair], order: int) -> Whitening | None:
     if not pairs:
         return None
-    rows = sum(int(known.sum()) for *_, known in pairs)
-    order = max(1, min(order, rows // BINS_AN_ORDER))
+    order = min(order, affordable(sum(int(known.sum()) for *_, known in pairs)))
     gusts = [(one - other) / np.sqrt(2.0) for one, other, _ in pairs]
     return autoregression(gusts, [known for *_, known in pairs], order)

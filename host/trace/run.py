@@ -45,7 +45,7 @@ from host.trace.score import (
     strata_of,
     twins_of,
 )
-from host.trace.search import WITHIN_NATS, Found, Names, search
+from host.trace.search import WITHIN_NATS, Found, Names, likeliest, search
 from host.trace.segments import Segments, nominal_thrust
 from host.trace.separate import NextFlight, propose
 from host.trace.signals import signals, unknowns
@@ -230,7 +230,7 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         twins, unread = twins_of(flights), _reading(form.space, nothing)
         kept = in_turbulence(loop, found.best, order, twins)
         covariance = honest_covariance(form.space, kept, strata_of(twins, len(flights)))
-        judged = kept if _is_judged(found) else fitter.fit(_likeliest(found.weights), kept)
+        judged = kept if _is_judged(found) else fitter.fit(likeliest(found.weights), kept)
         repeats = repeat(loop, judged.z, order, twins), repeat(loop, unread, order, twins)
         best = at_parameters(form, nothing, kept.effects, kept.z, covariance, kept.log_evidence)
         method = "closed-loop"
@@ -261,17 +261,13 @@ def _remainder(form: Form, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
     best = diagnosis.best
     if _is_judged(diagnosis):
         return _left(best, best.z), best.data
-    fit = refit(form, diagnosis.nothing.data, _likeliest(diagnosis.weights), diagnosis.nothing)
+    fit = refit(form, diagnosis.nothing.data, likeliest(diagnosis.weights), diagnosis.nothing)
     return _left(fit, fit.z), fit.data
 
 
 def _is_judged(found: Found[Any] | Diagnosis) -> bool:
     """Whether abstention is judged by what was kept: not by nothing where that is improbable."""
     return bool(found.best.effects) or found.none > SOMETHING
-
-
-def _likeliest(weights: Mapping[Names, float]) -> Names:
-    return max(weights, key=lambda names: (weights[names], names))
 
 
 def _left(fit: Fit, z: np.ndarray) -> np.ndarray:
@@ -347,8 +343,7 @@ def explained_beyond(sets: Mapping[Names, float], weights: Mapping[Names, float]
     """
     kept = max(value for names, value in sets.items() if names in weights)
     out = {names: value for names, value in sets.items() if names not in weights}
-    names = max(out, key=lambda each: (out[each], each), default=())
-    if not out or out[names] < kept + WITHIN_NATS:
+    if not out or out[names := likeliest(out)] < kept + WITHIN_NATS:
         return None
     return f"{', '.join(names)} would explain more, but not in sizes that they could have"
 

@@ -85,6 +85,11 @@ class Found(Generic[F]):
         return none_of(self.weights)
 
 
+def likeliest(weights: Mapping[Names, float]) -> Names:
+    """The set of greatest weight."""
+    return max(weights, key=lambda names: (weights[names], names))
+
+
 def none_of(weights: Mapping[Names, float]) -> float:
     """Share of the empty set in posterior `weights`."""
     return weights.get((), 0.0) / sum(weights.values())
@@ -112,12 +117,12 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Fo
     kept, weights = _judged(fitter, fits)
     # What the kept fit's linearisation gives far more than that fit is fitted too, until nothing is left.
     for _ in range(MAX_EFFECTS):
-        likeliest = max(weights, key=lambda names: (weights[names], names))
-        close = weights[kept.effects] > np.exp(-WITHIN_NATS) * weights[likeliest]
-        if close or likeliest in fits:
+        promised = likeliest(weights)
+        close = weights[kept.effects] > np.exp(-WITHIN_NATS) * weights[promised]
+        if close or promised in fits:
             break
-        fits[likeliest] = fitter.fit(likeliest, kept)
-        report(f"{', '.join(likeliest)} fitted")
+        fits[promised] = fitter.fit(promised, kept)
+        report(f"{', '.join(promised)} fitted")
         kept, weights = _judged(fitter, fits)
     total = sum(weights.values())
     return Found(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import gammaincc, gammainccinv
@@ -165,14 +166,14 @@ def leftover(
     speed = np.gradient(data.position, data.dt_s, axis=1)
     turned = data.rate if data.rate_weight.any() else speed
     motions = [each.reshape(len(w), w.shape[1], per_bin, 3).mean(2) for each in (speed, turned)]
-    found: dict[str, float] = {}
+    found: dict[str, Any] = {}
     channels = (slice(0, 3 if axial else 2), slice(3, 6))
     for name, channel, motion in zip(("force", "torque"), channels, motions, strict=True):
         found[f"{name}_repeat"], found[f"{name}_z"] = _repeat(w[:, :, channel], flight, start_s, twins)
         silent = name == "torque" and data.rate_driven
         line = NO_LINE if silent else _line(w[:, :, channel], motion, flight, start_s)
         found |= {f"{name}_line{of}": value for of, value in zip(_OF_A_LINE, line, strict=True)}
-    return Leftover(pairs=len(twins), **found)  # pyright: ignore[reportArgumentType]
+    return Leftover(pairs=len(twins), **found)
 
 
 def _repeat(

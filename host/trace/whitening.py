@@ -25,6 +25,10 @@ many.
 """
 
 
+BINS_AN_ORDER = 14 * CHANNELS
+"""Bins that one more order of the autoregression takes to be known: 14 a coefficient."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Whitening:
     """A vector autoregression: r_k = past_k A + e_k, past_k (12 order,) the means over WINDOWS before bin k.
@@ -44,6 +48,11 @@ class Whitening:
     def span(self) -> int:
         """How many earlier bins are looked at."""
         return span_of(self.order)
+
+
+def affordable(bins: int) -> int:
+    """The greatest order whose coefficients so many known bins tell, at least 1."""
+    return max(1, min(len(WINDOWS), bins // BINS_AN_ORDER))
 
 
 def span_of(order: int) -> int:
