@@ -20,7 +20,7 @@ from host.codegen.ops import NUMPY
 from host.trace import evidence, segments
 from host.trace.data import DT_S, LAGS, SEGMENT_S
 from host.trace.diagnose import Fit
-from host.trace.evidence import Process
+from host.trace.evidence import Prior, Process
 from host.trace.form import Form
 from host.trace.manoeuvres import Manoeuvre
 from host.trace.parameters import Space
@@ -143,18 +143,26 @@ class Instruments:
 
 
 def separation(
-    space: Space, gram: np.ndarray, present: Iterable[str], z: np.ndarray, effect: str, alias: str
+    space: Space,
+    gram: np.ndarray,
+    present: Iterable[str],
+    z: np.ndarray,
+    effect: str,
+    alias: str,
+    *,
+    prior: Prior | None = None,
 ) -> float:
     """Sigma by which `effect` at its size in z (P,) stands out where `alias` may take any size.
 
     lambda^2 = theta' S' (I - P) S theta, with gram = S' S (P, P) of the whitened columns of all scaled
     parameters. P projects on the alias and on the other effects that are `present`, all free within what an
-    effect may have, and on everything else within its tolerance.
+    effect may have, and on everything else within its tolerance: by the segments' `prior` unless another one
+    is given.
     """
     mine = list(space.groups[effect])
     rest = [i for i in range(len(space.columns)) if i not in mine]
     free = [name for name in present if name != effect]
-    inner = gram[np.ix_(rest, rest)] + np.diag(space.prior.precision([*free, alias])[rest])
+    inner = gram[np.ix_(rest, rest)] + np.diag((prior or space.prior).precision([*free, alias])[rest])
     cross = gram[np.ix_(rest, mine)]
     information = gram[np.ix_(mine, mine)] - cross.T @ np.linalg.solve(inner, cross)
     return float(np.sqrt(max(z[mine] @ information @ z[mine], 0.0)))

@@ -19,7 +19,7 @@ from host.effects import Effect
 from host.log import Flight
 from host.models.model import Model
 from host.trace.parameters import Space
-from host.trace.refine import closed_loop, order_of, weighted
+from host.trace.refine import closed_loop, order_of, prior_of, weighted
 from host.trace.repeats import turbulence
 from host.trace.score import predict_flights, rmse, twins_of
 from host.trace.separate import DECISIVE_SIGMA, separation
@@ -122,11 +122,14 @@ def nearest(known: Effective, same: frozenset[str]) -> dict[str, dict[str, float
 
     An effect of the set `same`, of which only ratios show, is no alias of another one.
     """
-    space, names = known.space, tuple(sorted(known.candidates.values()))
+    space, prior = known.space, prior_of(known.space)
+    names = tuple(sorted(known.candidates.values()))
     out = {}
     for name, candidate in known.candidates.items():
         others = [o for o in space.candidates if o not in names and not {name, o} <= same]
-        out[name] = {o: separation(space, known.gram, names, known.z, candidate, o) for o in others}
+        out[name] = {
+            o: separation(space, known.gram, names, known.z, candidate, o, prior=prior) for o in others
+        }
     return out
 
 
