@@ -179,7 +179,8 @@ KINDS: dict[str, Kind] = {
             name="slung-payload",
             quantities=(
                 _number("ratio", 0.08, 0.003, 0.0, 0.5),
-                _number("length_m", 0.3, 0.05, 0.15, 2.0, neutral=0.6, drawn=(0.4, 1.0)),
+                # Short enough to clear the floor where references come down to half a metre.
+                _number("length_m", 0.3, 0.05, 0.15, 2.0, neutral=0.6, drawn=(0.3, 0.45)),
             ),
             spread="above",
             deviates=False,

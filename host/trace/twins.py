@@ -43,6 +43,11 @@ REPEAT_SHARE = 0.15
 REPEAT_FORM = 0.2
 """Amplitude that may repeat besides, over that of a model without any effect: no form is exact."""
 
+WORSENED, WORSENED_M = 1.5, 0.01
+"""Effects with which so much more of the position repeats than without any, and so much in m, explain
+nothing.
+"""
+
 NO_LINE = (1.0, 0.0, 1.0, 0.0)
 _OF_A_LINE = ("", "_hz", "_chance", "_rms")
 _LINE_BAND_HZ = (0.3, 4.0)
@@ -94,9 +99,11 @@ class Leftover:
     line_floor: float = LINE_RATIO
     whole: Repeat | None = None
     whole_floor: float = REPEAT_SHARE
+    position_ceiling_m: float = np.inf
 
     def beside(self, missing: Leftover, *, swinging: bool = False) -> Leftover:
-        """The same, its floors raised to FORM_SHARE of what a model without any effect leaves: `missing`.
+        """The same, its floors raised to FORM_SHARE of what a model without any effect leaves, `missing`, of
+        which it has to be an improvement.
 
         `swinging`: an effect with states of its own was found.
         """
@@ -109,6 +116,9 @@ class Leftover:
                 self.whole_floor,
                 REPEAT_FORM**2 * missing.whole.share if missing.whole is not None else 0.0,
             ),
+            position_ceiling_m=(
+                max(WORSENED_M, WORSENED * missing.whole.position_m) if missing.whole else np.inf
+            ),
         )
 
     @property
@@ -119,6 +129,11 @@ class Leftover:
             out.append(
                 f"{1e3 * self.whole.position_m:.1f} mm of whole flights' error repeat between twin flights, "
                 f"{self.whole.amplitude:.1f} times turbulence and noise (z {self.whole.z:.1f})"
+            )
+        if self.whole is not None and self.whole.position_m > self.position_ceiling_m:
+            out.append(
+                f"{1e3 * self.whole.position_m:.1f} mm of whole flights' error repeat with the effects that "
+                f"fit best, less than {1e3 * self.position_ceiling_m:.1f} mm without any"
             )
         if self.whole is None or out:
             out += self._repeating()

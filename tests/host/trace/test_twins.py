@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from host.trace.segments import BIN_S, Segments
-from host.trace.twins import LINE_CHANCE, LINE_RATIO, leftover
+from host.trace.twins import LINE_CHANCE, LINE_RATIO, Repeat, leftover
 
 BINS, STEPS, SEGMENTS, FLIGHTS = 6, 60, 20, 4
 PAIRS = [(0, 1), (2, 3)]
@@ -157,6 +159,18 @@ def test_what_repeats_beside_a_much_greater_force_that_was_explained_is_no_reaso
     assert found.reasons
     assert not found.beside(leftover(greater, data(), PAIRS)).reasons
     assert found.beside(leftover(noise(2), data(), PAIRS)).reasons == found.reasons
+
+
+@pytest.mark.parametrize(("with_m", "without_m", "speaks"), [(0.12, 0.01, True), (0.011, 0.01, False)])
+def test_effects_with_which_more_of_the_position_repeats_explain_nothing(
+    with_m: float, without_m: float, speaks: bool
+) -> None:
+    quiet = leftover(noise(1), data(), PAIRS)
+    one, nothing = (
+        replace(quiet, whole=Repeat(share=0.05, z=5.0, position_m=position))
+        for position in (with_m, without_m)
+    )
+    assert bool(one.beside(nothing).reasons) == speaks
 
 
 def test_leftover_without_twins_says_so() -> None:
