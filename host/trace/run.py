@@ -64,7 +64,7 @@ SAG_SEEN = 0.01
 ALIAS_PROBABILITY = 0.05
 """What the data gives an effect more than is not excluded."""
 
-SOMETHING = 0.05
+SOMETHING = 0.5
 """Probability of no effect at all up to which it is undecided whether one is missing, if none is kept."""
 
 RESTLESS = 0.5

@@ -93,7 +93,8 @@ def judge(
     """What the verdict says of a world that holds `kinds`, as plain data.
 
     `separations` in sigma, of each true effect from each other candidate, are None where the world holds
-    nothing of the library. An undecided verdict on an identifiable world misses.
+    nothing of the library. An undecided verdict on an identifiable world misses. Where it names nothing, what
+    it holds possible is its alias set.
     """
     answer = verdict["answer"]
     said = answer.get("verdict", "failed")
@@ -104,7 +105,9 @@ def judge(
     first = ordered(named)
     names = collapsed(first, kinds)
     truth = collapsed(kinds, kinds)
-    aliases = {a["name"] for e in named for a in e["aliases"]}
+    unsure = said == "undecided" and not named
+    possible = {p["name"] for p in answer.get("possible", ())} if unsure else set[str]()
+    aliases = {a["name"] for e in named for a in e["aliases"]} | possible
     identifiable = None if separations is None else is_identifiable(separations)
     right = set(first[:1]) <= set(kinds) or collapsed(first[:1], kinds) <= truth
     decided = said == "traced" or (said == "undecided" and not identifiable)
@@ -112,6 +115,8 @@ def judge(
         1 + len(collapsed((a["name"] for a in e["aliases"]), kinds) - collapsed([e["name"]], kinds))
         for e in named
     ]
+    if possible:
+        sizes = [len(collapsed(possible, kinds))]
     before, after = answer.get("before") or {}, answer.get("after") or {}
     return {
         "exit_code": verdict["exit_code"],

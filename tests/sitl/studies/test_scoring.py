@@ -90,6 +90,19 @@ def test_truth_among_the_aliases_is_in_the_alias_set_and_no_hit() -> None:
     assert sorted(score["alias_sizes"]) == [1, 2]
 
 
+def test_what_is_possible_is_the_alias_set_of_a_verdict_that_names_nothing() -> None:
+    said = verdict("undecided")
+    said["answer"]["possible"] = [
+        {"name": "motor-lag", "probability": 0.6},
+        {"name": "wind", "probability": 0.1},
+    ]
+    score = judge(["motor-lag"], said, HAZY, EFFECTS)
+    assert score["in_alias"]
+    assert score["alias_sizes"] == [2]
+    said["answer"]["verdict"] = "nothing-missing"
+    assert not judge(["motor-lag"], said, HAZY, EFFECTS)["in_alias"]
+
+
 def test_mass_named_as_thrust_gain_is_right_and_scored_on_the_ratio() -> None:
     assert collapsed(["thrust-gain"], ["mass"]) == collapsed(["mass"], ["mass"])
     assert collapsed(["thrust-gain", "inertia"], ["mass"]) == collapsed(["mass"], ["mass"])
