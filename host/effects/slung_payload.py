@@ -6,49 +6,55 @@ from firmware_model.law.constants import GRAVITY
 from firmware_model.law.rotations import mat_t_vec
 from host.effects.effect import Closing, Effect, Parameter
 
-_DAMPING = 0.1
-_STEEPEST = 0.3  # depth over length that a swing goes up to
-_LIFT_M = 0.05  # height over which the floor gives it up
-_FRICTION = 10.0  # 1/s, of a payload that lies
+_TAUT = 20.0  # 1/s, at which the line's length comes back to what it is (Baumgarte)
+_FLOOR = 20.0  # 1/s, at which the floor gives way
+_FLOOR_M = 0.01  # depth from which on it does
+_HARDEST = 5.0  # times gravity, that it pushes back
+_FRICTION, _SLIP_M_S = 0.5, 0.2
 
 
 def _start(ops, theta, ctx):
-    return (ctx.p_ned[0], ctx.p_ned[1], 0.0, 0.0)
+    return (*ctx.p_ned, 0.0, 0.0, 0.0)
 
 
 def _line(ops, theta, ctx):
-    """The line from vehicle to payload in NED (3,), how fast it turns (2,) in xy, and lambda, 1/s^2: the pull
-    over the payload's mass and the line's length. The floor carries what hangs too low.
+    """The line from vehicle to payload in NED (3,), how fast it turns (3,), and lambda, 1/s^2: the line's
+    tension over the payload's mass and the line's length, none where it is slack.
     """
-    ratio, length = theta
-    x, y = (s - p for s, p in zip(ctx.memory[:2], ctx.p_ned[:2], strict=True))
-    vx, vy = (s - v for s, v in zip(ctx.memory[2:], ctx.v_ned[:2], strict=True))
-    # A line is no longer than it is, and a swing no faster than a fall from its upper end.
-    away = ops.sqrt(ops.maximum((x * x + y * y) / (length * length * (1.0 - _STEEPEST**2)), 1.0))
-    x, y = x / away, y / away
-    fast = ops.sqrt(ops.maximum((vx * vx + vy * vy) / (2.0 * GRAVITY * length), 1.0))
-    vx, vy = vx / fast, vy / fast
-    z = ops.sqrt(length * length - x * x - y * y)
-    vz = -(x * vx + y * vy) / z
-    lift = ctx.collective_n / ctx.mass_kg * (ctx.R[2] * x + ctx.R[5] * y + ctx.R[8] * z)
-    pull = (lift + vx * vx + vy * vy + vz * vz) / (length * length * (1.0 + ratio))
-    hangs = ops.clip((-ctx.p_ned[2] - z) / _LIFT_M, 0.0, 1.0)
-    return (x, y, z), (vx, vy), hangs * ops.maximum(pull, 0.0), hangs
+    ratio, length, _ = theta
+    x, y, z = (s - p for s, p in zip(ctx.memory[:3], ctx.p_ned, strict=True))
+    line = (x, y, z + length)
+    turning = [s - v for s, v in zip(ctx.memory[3:], ctx.v_ned, strict=True)]
+    lift = ctx.collective_n / ctx.mass_kg * _dot((ctx.R[2], ctx.R[5], ctx.R[8]), line)
+    longer = 0.5 * (_dot(line, line) - length * length)
+    kept = 2.0 * _TAUT * _dot(line, turning) + _TAUT * _TAUT * longer
+    pull = (lift + _dot(turning, turning) + kept) / (length * length * (1.0 + ratio))
+    return line, turning, ops.maximum(pull, 0.0)
+
+
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _rates(ops, theta, ctx):
-    line, turning, pull, hangs = _line(ops, theta, ctx)
-    damping = _DAMPING * ops.sqrt(GRAVITY / theta[1])
-    velocity = ctx.memory[2:]
-    rates = [
-        -pull * s - damping * hangs * v - _FRICTION * (1.0 - hangs) * own
-        for s, v, own in zip(line, turning, velocity, strict=False)
-    ]
+    _, length, damping = theta
+    line, turning, pull = _line(ops, theta, ctx)
+    slowed = 2.0 * damping * ops.sqrt(GRAVITY / length)
+    velocity, deep = ctx.memory[3:], ctx.memory[2] + length
+    push = ops.clip(deep / _FLOOR_M, 0.0, 1.0) * (_FLOOR * _FLOOR * deep + 2.0 * _FLOOR * velocity[2])
+    push = ops.clip(push, 0.0, _HARDEST * GRAVITY)
+    sliding = ops.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1] + _SLIP_M_S * _SLIP_M_S)
+    floor = (
+        -_FRICTION * push * velocity[0] / sliding,
+        -_FRICTION * push * velocity[1] / sliding,
+        GRAVITY - push,
+    )
+    rates = [f - pull * s - slowed * v for f, s, v in zip(floor, line, turning, strict=True)]
     return (*velocity, *rates)
 
 
 def _force(ops, theta, ctx):
-    line, _, pull, _ = _line(ops, theta, ctx)
+    line, _, pull = _line(ops, theta, ctx)
     return mat_t_vec(ctx.R, [theta[0] * pull * along for along in line])
 
 
@@ -59,9 +65,10 @@ def _feedforward(theta):
 EFFECT = Effect(
     name="slung-payload",
     title="Slung payload",
-    equation="s'' = -lambda d_xy - 0.1 sqrt(g/l) d_xy'; a_ned = ratio lambda d; d the line, |d| = l, "
-    "lambda = (T/m z_body . d + |d'|^2) / (l^2 (1 + ratio)); none while the floor carries the payload",
-    source="the pendulum on a vehicle that moves, the line's pull keeps |d| = l (Lagrange multiplier)",
+    equation="s'' = g - lambda d - 2 damping sqrt(g/l) d', a_ned = ratio lambda d above a floor; d the line: "
+    "lambda = max(0, T/m z_body . d + |d'|^2 + 40 d . d' + 200 (|d|^2 - l^2)) / (l^2 (1 + ratio))",
+    source="the pendulum on a vehicle that moves; the line's pull keeps |d| <= l (Lagrange multiplier, held in "
+    "place as by Baumgarte 1972)",
     parameters=(
         Parameter(
             key="ratio",
@@ -83,16 +90,26 @@ EFFECT = Effect(
             upper=2.0,
             description="length of the line",
         ),
+        Parameter(
+            key="damping",
+            unit="1",
+            neutral=0.05,
+            typical=0.05,
+            tolerance=0.02,
+            lower=0.0,
+            upper=0.5,
+            description="damping of the swing, over the critical one",
+        ),
     ),
     aliases=("mass", "thrust-gain"),
     observable="changes of horizontal speed within a period of the pendulum; in hover it is mass",
     closing=Closing(
-        model="a pendulum under the vehicle, with its own place and speed as states",
+        model="a pendulum under the vehicle, with its own place and velocity as states",
         planner="counts the weight as a constant pull; the swing is left out",
         law="the commanded thrust is multiplied for the payload's weight; the swing stays",
     ),
-    memory=4,
-    starts=tuple((0.08, length) for length in (0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95)),
+    memory=6,
+    starts=tuple((0.08, 0.25 + 0.1 * step, 0.05) for step in range(8)),
     specific_force_frd=_force,
     memory_start=_start,
     memory_rates=_rates,
