@@ -145,9 +145,7 @@ def run(
     missing = leftover(_left(nothing, unread), nothing.data, twins, axial=axial)
     rest = leftover(*_remainder(form, diagnosis), twins, axial=axial)
     rest, missing = (replace(e, whole=w) for e, w in zip((rest, missing), diagnosis.repeats, strict=True))
-    if fit.effects:
-        swinging = any(chosen.effect(name).memory for name in fit.effects)
-        rest = rest.beside(missing, swinging=swinging)
+    rest = rest.beside(missing, swinging=any(chosen.effect(name).memory for name in fit.effects))
     aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
     if short is not None:
         aliases = _with_hidden(aliases, chosen, diagnosis.stands_out)

@@ -37,7 +37,7 @@ LINE_CHANCE = 1e-3
 MOVED_SHARE = 0.02
 """Share of the motion's strongest frequency from which on the vehicle was made to move at a frequency."""
 
-REPEAT_SHARE = 0.15
+REPEAT_SHARE = 0.1
 """Power of whole flights that repeats, over turbulence's and noise's, below which it is not worth a name."""
 
 REPEAT_FORM = 0.2
