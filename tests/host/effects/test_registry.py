@@ -24,7 +24,7 @@ SHIPPED = {
     "gyroscopic": ("h",),
     "inertia": ("x", "y", "z"),
     "rotor-loss": ("loss_1", "loss_2", "loss_3", "loss_4"),
-    "slung-payload": ("ratio", "length_m"),
+    "slung-payload": ("ratio", "length_m", "damping"),
     "thrust-inflow": ("k",),
     "torque-bias": ("x", "y", "z"),
     "translational-lift": ("k",),
