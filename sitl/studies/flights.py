@@ -36,6 +36,14 @@ class Programme:
         """File names of the logs of these routes."""
         return [f"{log}.mcap" for log, name, _ in self.flights() if name in routes]
 
+    def still(self, *, each: bool) -> list[tuple[str, str, int]]:
+        """The same of the flights in still air: one a learning route, or one for `each` of its twins, where
+        every flight has a battery of its own.
+        """
+        if each:
+            return [flight for flight in self.flights() if flight[1] in self.learning]
+        return [(name, name, index) for index, name in enumerate(self.learning, start=1)]
+
     def route(self, name: str) -> str:
         """The route of this name as the command line takes it."""
         own = self.routes / f"{name}.toml"
@@ -103,8 +111,8 @@ def fly_and_seal(
         flown.append({"log": log.name, "sha256": sha256_of(log)})
     if world.is_measured:
         (folder / STILL).mkdir(exist_ok=True)
-        for index, route in enumerate(programme.learning, start=1):
-            log = folder / STILL / f"{route}.mcap"
+        for name, route, index in programme.still(each="battery-sag" in world.kinds):
+            log = folder / STILL / f"{name}.mcap"
             _fly(world, world.toml(still=True), references / route, index, vehicle, log)
     truth = {
         "world": world.name,

@@ -56,7 +56,7 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
         )
         chosen, drawn, deviations = space(vehicle, effects), truth["effects"], truth["deviations"]
         if drawn:
-            still = [read_flight(folder / STILL / f"{name}.mcap") for name in programme.learning]
+            still = [read_flight(log) for log in sorted((folder / STILL).glob("*.mcap"))]
             known = effective(vehicle, chosen, drawn, deviations, still, learning)
         values = off_by(chosen, deviations) if known is None else known.values
         floor = floor_m(vehicle, effects, values, drawn, held_out)

@@ -353,6 +353,12 @@ def test_still_air_is_the_same_world_without_what_is_chance(flown: Flown) -> Non
     assert not list(folder.glob("*/*.truth.json"))
 
 
+def test_still_air_has_every_flights_own_battery() -> None:
+    programme = replace(BLIND, learning=("quick", "climbs"))
+    assert programme.still(each=False) == [("quick", "quick", 1), ("climbs", "climbs", 2)]
+    assert programme.still(each=True) == programme.flights()[:4]
+
+
 def test_separation_is_counted_from_every_other_candidate(flown: Flown) -> None:
     separations = nearest(fitted(flown, flown[1]["effects"]), SAME_RATIO)
     assert set(separations) == {"linear-drag", "motor-lag"}
