@@ -13,7 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from host.trace.refine import BIN_S, TEMPER, ClosedFit, Loop, weighted
+from host.trace.loop import BIN_S, Loop
+from host.trace.refine import TEMPER, ClosedFit, weighted
 from host.trace.twins import Repeat
 from host.trace.whitening import CHANNELS, Whitening, affordable, autoregression, stretches, whitened
 

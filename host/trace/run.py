@@ -21,20 +21,13 @@ from host.trace.data import SEGMENT_S, segments_of
 from host.trace.describe import describe
 from host.trace.diagnose import Diagnosis, Fit, SegmentFitter, at_parameters, refit, stands_out
 from host.trace.form import Form
+from host.trace.intervals import by_segments, honest_covariance
+from host.trace.loop import closed_loop, order_of, too_little
 from host.trace.manoeuvres import Manoeuvre
 from host.trace.parameters import MASS, Space, space, tolerance_of
-from host.trace.refine import (
-    LoopFitter,
-    by_segments,
-    closed_loop,
-    fit_loop,
-    honest_covariance,
-    order_of,
-    prior_of,
-    too_little,
-)
+from host.trace.refine import LoopFitter, fit_loop, prior_of
 from host.trace.repeats import in_turbulence, repeat
-from host.trace.result import SHOWN, Named, Trace, Value, Verdict
+from host.trace.result import Named, Trace, Value
 from host.trace.score import (
     Errors,
     drive_of,
@@ -45,12 +38,24 @@ from host.trace.score import (
     strata_of,
     twins_of,
 )
-from host.trace.search import WITHIN_NATS, Found, Names, likeliest, search
+from host.trace.search import Found, likeliest, search
 from host.trace.segments import Segments, nominal_thrust
 from host.trace.separate import NextFlight, propose
 from host.trace.signals import signals, unknowns
-from host.trace.twins import Leftover, leftover
+from host.trace.twins import leftover
 from host.trace.unexplained import unexplained
+from host.trace.verdict import (
+    SOMETHING,
+    closest_of,
+    explained_beyond,
+    possible_of,
+    restless_of,
+    spoken_against,
+    substitutes,
+    verdict_of,
+    with_each_other,
+    with_hidden,
+)
 from host.vehicle import Vehicle
 
 WEIGHED = 0.005
@@ -61,17 +66,6 @@ thrust.
 SAG_SEEN = 0.01
 """Share of the full voltage by which a battery must have left it: less is the voltmeter's noise."""
 
-ALIAS_PROBABILITY = 0.05
-"""What the data gives an effect more than is not excluded."""
-
-SOMETHING = 0.5
-"""Probability of no effect at all up to which it is undecided whether one is missing, if none is kept."""
-
-RESTLESS = 0.5
-"""Disturbance in m/s^2 that is left and counts as more than turbulence where no reference was flown twice."""
-
-RESTLESS_TURN = 3.0
-"""The same for angular acceleration in rad/s^2."""
 
 Report = Callable[[str], None]
 Manoeuvres = Callable[[], Sequence[Manoeuvre]]
@@ -146,18 +140,18 @@ def run(
     rest = leftover(*_remainder(form, diagnosis), twins, axial=axial)
     rest, missing = (replace(e, whole=w) for e, w in zip((rest, missing), diagnosis.repeats, strict=True))
     rest = rest.beside(missing, swinging=any(chosen.effect(name).memory for name in fit.effects))
-    aliases = {name: _substitutes(diagnosis, chosen, name) for name in fit.effects}
+    aliases = {name: substitutes(diagnosis, chosen, name) for name in fit.effects}
     if short is not None:
-        aliases = _with_hidden(aliases, chosen, diagnosis.stands_out)
+        aliases = with_hidden(aliases, chosen, diagnosis.stands_out)
     if diagnosis.method == "segments" or not twins:
         aliases = with_each_other(aliases, chosen)
-    restless = None if twins else _restless(fit, axial=axial)
+    restless = None if twins else restless_of(fit, axial=axial)
     if diagnosis.method == "segments":
         against = explained_beyond(diagnosis.sets, diagnosis.weights)
     else:
         against = None if twins else spoken_against(form, nothing, fit.effects)
     doubts = tuple(doubt for doubt in (short, restless, against) if doubt is not None)
-    verdict = _verdict(diagnosis, rest, aliases, doubted=restless is not None or against is not None)
+    verdict = verdict_of(diagnosis, rest, aliases, doubted=restless is not None or against is not None)
     added = verdict != "outside-library"
     named = _named(airframe, chosen, diagnosis, aliases) if added else ()
     z = fit.z if added else unread
@@ -168,7 +162,7 @@ def run(
     report("predicting the held-out flights")
     before, after, middle = _errors(drive, form, diagnosis, added, model, held_out, effects)
     following: NextFlight | None = None
-    closest = _closest(aliases, diagnosis.inclusion) if verdict == "undecided" else None
+    closest = closest_of(aliases, diagnosis.inclusion) if verdict == "undecided" else None
     if closest is not None and manoeuvres is not None:
         report("looking for the flight that decides")
         effect, alias = closest
@@ -183,7 +177,7 @@ def run(
         verdict=verdict,
         reasons=rest.reasons,
         effects=named,
-        possible=_possible(diagnosis, aliases) if added else {},
+        possible=possible_of(diagnosis, aliases) if added else {},
         drive=drive,
         horizon_s=None if drive == "reference" else SEGMENT_S,
         before=before,
@@ -275,128 +269,12 @@ def _left(fit: Fit, z: np.ndarray) -> np.ndarray:
     return evidence.disturbances(fit.lin, fit.process, z - fit.lin.z, fit.local - fit.lin.local)
 
 
-def _substitutes(diagnosis: Diagnosis, chosen: Space, name: str) -> dict[str, float]:
-    """Probability of each effect in place of `name`: sets without `name` that have it."""
-    weights = diagnosis.weights
-    total = sum(weights.values())
-    kept = set(diagnosis.best.effects)
-    out = {}
-    for other in chosen.candidates:
-        if other in kept:
-            continue
-        share = sum(w for names, w in weights.items() if name not in names and other in names) / total
-        if share > ALIAS_PROBABILITY:
-            out[other] = share
-    return dict(sorted(out.items(), key=lambda item: -item[1]))
-
-
-def _restless(fit: Fit, *, axial: bool) -> str | None:
-    """What the kept set leaves where it is too much for turbulence and no twin says whether it repeats."""
-    sigma = fit.process.sigma()
-    force, torque = float(sigma[: 3 if axial else 2].max()), float(sigma[3:].max())
-    if force > RESTLESS:
-        what = f"a force of {force:.1f} m/s^2"
-    elif torque > RESTLESS_TURN and not fit.data.rate_driven:
-        what = f"an angular acceleration of {torque:.0f} rad/s^2"
-    else:
-        return None
-    return f"{what} is left, too much for turbulence indoors; fly references twice to see whether it repeats"
-
-
-def _with_hidden(
-    aliases: Mapping[str, Mapping[str, float]], chosen: Space, stands_out: Mapping[str, float]
-) -> dict[str, dict[str, float]]:
-    """The aliases with those that an effect is known for and that too little data would not show at typical
-    size: nothing speaks against them, so they are as probable as what was named.
-    """
-    hidden = [name for name, sigma in stands_out.items() if sigma < SHOWN and name not in aliases]
-    out: dict[str, dict[str, float]] = {}
-    for name, others in aliases.items():
-        effect = chosen.effect(name)
-        known = [o for o in hidden if o in effect.aliases or effect.name in chosen.effects[o].aliases]
-        out[name] = {**{other: 0.5 for other in known if not chosen.effects[other].one_of}, **others}
-    return out
-
-
-def with_each_other(aliases: Mapping[str, Mapping[str, float]], chosen: Space) -> dict[str, dict[str, float]]:
-    """The aliases with those among the effects named themselves.
-
-    For thin data: no form is exact, and what one effect leaves of itself its known alias takes up. What acts
-    through another effect is found beside it, not in its place.
-    """
-    out = {name: dict(others) for name, others in aliases.items()}
-    for name in aliases:
-        effect = chosen.effect(name)
-        for other in aliases:
-            beside = chosen.effect(other)
-            through = beside.name in effect.requires_any or effect.name in beside.requires_any
-            if not through and (beside.name in effect.aliases or effect.name in beside.aliases):
-                out[name][other] = 0.5
-    return out
-
-
-def explained_beyond(sets: Mapping[Names, float], weights: Mapping[Names, float]) -> str | None:
-    """What explains segments far better with an effect at its bounds, or too small to be there, than any set
-    does that could be kept, by the evidence of the fitted `sets`; only those that could be kept have weights.
-    """
-    kept = max(value for names, value in sets.items() if names in weights)
-    out = {names: value for names, value in sets.items() if names not in weights}
-    if not out or out[names := likeliest(out)] < kept + WITHIN_NATS:
-        return None
-    return f"{', '.join(names)} would explain more, but not in sizes that they could have"
-
-
-def spoken_against(form: Form, nothing: Fit, kept: Names) -> str | None:
-    """Which effects, `kept` by whole flights, segments find far more probably absent; None where none is.
-
-    One flight's gusts are few, and its whitening may take them for physics; segments have a disturbance of
-    their own for them, and free states at each start.
-    """
-    whole = refit(form, nothing.data, kept, nothing)
-    absent = [
-        name
-        for name in kept
-        if refit(form, nothing.data, tuple(n for n in kept if n != name), whole).log_evidence
-        > whole.log_evidence + WITHIN_NATS
-    ]
-    return f"{', '.join(absent)}: whole flights say yes, segments no; fly more" if absent else None
-
-
-def _verdict(
-    diagnosis: Diagnosis,
-    rest: Leftover,
-    aliases: Mapping[str, Mapping[str, float]],
-    *,
-    doubted: bool,
-) -> Verdict:
-    if rest.reasons:
-        return "outside-library"
-    if doubted:
-        return "undecided"
-    if not diagnosis.best.effects:
-        return "nothing-missing" if diagnosis.none > SOMETHING else "undecided"
-    return "undecided" if any(aliases.values()) else "traced"
-
-
 def _reading(chosen: Space, nothing: Fit) -> np.ndarray:
     """Scaled values (P,) of a model that adds nothing: only what the logs declare unknown is fitted."""
     unknown = [i for i, column in enumerate(chosen.columns) if column.owner in chosen.unknown]
     z = np.zeros(len(chosen.columns))
     z[unknown] = nothing.z[unknown]
     return z
-
-
-def _closest(
-    aliases: Mapping[str, Mapping[str, float]], inclusion: Mapping[str, float]
-) -> tuple[str, str] | None:
-    """The effect and the alias that the data separates least; where nothing was named, the two candidates
-    most probable, and None where there are none.
-    """
-    pairs = [(p, name, other) for name, others in aliases.items() for other, p in others.items()]
-    if pairs:
-        return max(pairs)[1:]
-    likely = sorted(((p, name) for name, p in inclusion.items() if p > ALIAS_PROBABILITY), reverse=True)[:2]
-    return (likely[0][1], likely[1][1]) if not aliases and len(likely) == 2 else None
 
 
 def _named(
@@ -442,17 +320,6 @@ def _thrust_over_mass(chosen: Space, diagnosis: Diagnosis) -> tuple[float, float
     covariance = (diagnosis.best.covariance * np.outer(chosen.scale, chosen.scale))[np.ix_(pair, pair)]
     slope = np.array([1.0 / mass, -gain / mass**2])
     return float(gain / mass), float(np.sqrt(slope @ covariance @ slope))
-
-
-def _possible(diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """Probability of each effect beside the kept ones that the data does not exclude; substitutes apart."""
-    substitutes = {other for others in aliases.values() for other in others}
-    found = {
-        name: probability
-        for name, probability in diagnosis.inclusion.items()
-        if name not in diagnosis.best.effects and name not in substitutes and probability > ALIAS_PROBABILITY
-    }
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def _model(

@@ -18,8 +18,9 @@ import numpy as np
 from host.effects import Effect
 from host.log import Flight
 from host.models.model import Model
+from host.trace.loop import closed_loop, order_of
 from host.trace.parameters import Space
-from host.trace.refine import closed_loop, order_of, prior_of, weighted
+from host.trace.refine import prior_of, weighted
 from host.trace.repeats import turbulence
 from host.trace.score import predict_flights, rmse, twins_of
 from host.trace.separate import DECISIVE_SIGMA, separation

@@ -12,9 +12,10 @@ import pytest
 from host.effects import load_effects
 from host.log import read_flight
 from host.models.phi import INTEGRAL
-from host.trace import refine as closed
+from host.trace import intervals, refine, whitening
+from host.trace import loop as closed
+from host.trace.loop import Loop
 from host.trace.parameters import Space, space
-from host.trace.refine import Loop
 from host.trace.whitening import CHANNELS
 
 DATA = Path(__file__).parents[2] / "data"
@@ -69,15 +70,15 @@ def test_shipped_flights_show_what_their_world_holds(library: Space) -> None:
     truth = json.loads((DATA / "truth.json").read_text())["effects"]
     start = scaled(library, mocap_latency__latency_s=0.018, motor_lag__extra_s=0.012, thrust_gain__gain=0.95)
     whole = closed.closed_loop(flights, flights[0].vehicle, library, start)
-    fit = closed.fit_loop(whole, PRESENT, start, closed.order_of(whole))
+    fit = refine.fit_loop(whole, PRESENT, start, closed.order_of(whole))
     values, sd = library.values(fit.z), np.sqrt(np.diag(fit.covariance)) * library.scale
     for i, column in enumerate(library.columns):
         if column.owner in truth:
             error = abs(values[i] - truth[column.owner][column.key])
             assert error < 3.0 * sd[i], column
             assert error < 0.3 * abs(truth[column.owner][column.key] - column.neutral), column
-    without = closed.fit_loop(whole, PRESENT[::2], start, fit.whitening.order)
-    (score,) = closed.LoopFitter(loop=whole, order=fit.whitening.order).scorers(without)
+    without = refine.fit_loop(whole, PRESENT[::2], start, fit.whitening.order)
+    (score,) = refine.LoopFitter(loop=whole, order=fit.whitening.order).scorers(without)
     # A hint only, for the whitening without motor-lag has taken up a part of what it explains; but it ranks.
     others = [name for name in library.candidates if name not in PRESENT]
     grown = {name: score(tuple(sorted((*PRESENT[::2], name)))) for name in ("motor-lag", *others)}
@@ -90,7 +91,7 @@ def test_parameters_of_simulated_flights_lie_within_their_intervals(library: Spa
     squares = []
     for seed in range(4):
         made = simulated(loop, true, seed)
-        fit = closed.fit_loop(made, ("linear-drag", "motor-lag"), np.zeros(len(true)), 2)
+        fit = refine.fit_loop(made, ("linear-drag", "motor-lag"), np.zeros(len(true)), 2)
         deviation = (fit.z - true) / np.sqrt(np.diag(fit.covariance))
         squares += [deviation[i] ** 2 for name in ("linear-drag", "motor-lag") for i in library.groups[name]]
         assert abs(fit.z[library.groups["motor-lag"][0]] * 0.015 - 0.01) < 0.002
@@ -116,7 +117,7 @@ def test_a_payloads_line_gets_its_slope_where_a_payload_is(loop: Loop) -> None:
 def test_evidence_prefers_the_drag_that_flew(library: Space, loop: Loop) -> None:
     made = simulated(loop, scaled(library, quadratic_drag__c=0.06), 5)
     zero = np.zeros(len(library.columns))
-    fits = [closed.fit_loop(made, names, zero, 2) for names in (("quadratic-drag",), ("linear-drag",), ())]
+    fits = [refine.fit_loop(made, names, zero, 2) for names in (("quadratic-drag",), ("linear-drag",), ())]
     drag, linear, nothing = (fit.log_evidence for fit in fits)
     assert drag - linear > 5.0
     assert drag - nothing > 5.0
@@ -160,20 +161,20 @@ def test_autoregression_is_recovered_and_leaves_white_innovations() -> None:
     known[1000:1003] = False
     spoilt = noise.copy()
     spoilt[1000:1003] = 1e3
-    white = closed.autoregression([spoilt], [known], 1)
+    white = whitening.autoregression([spoilt], [known], 1)
     wanted = 0.8 * np.eye(CHANNELS)
     # A first-order form of it: position takes the attitude before its own step.
     wanted[0:3, 3:6] = 0.05 * np.eye(3)
     np.testing.assert_allclose(white.coefficients.T[:3, :6], wanted[:3, :6], atol=0.04)
-    left = closed.whitened(white, spoilt[None], known)[0].reshape(-1, CHANNELS)
+    left = whitening.whitened(white, spoilt[None], known)[0].reshape(-1, CHANNELS)
     assert len(left) == len(noise) - 1 - 4
     np.testing.assert_allclose(left.T @ left / len(left), np.eye(CHANNELS), atol=1e-9)
     assert np.abs((left[1:] * left[:-1]).mean(0)).max() < 0.06
 
 
 def test_honest_covariance_is_never_less_than_the_fits(library: Space, loop: Loop) -> None:
-    fit = closed.fit_loop(loop, ("linear-drag",), np.zeros(len(library.columns)), 2)
-    covariance = closed.honest_covariance(library, fit)
+    fit = refine.fit_loop(loop, ("linear-drag",), np.zeros(len(library.columns)), 2)
+    covariance = intervals.honest_covariance(library, fit)
     assert (np.diag(covariance) >= np.diag(fit.covariance)).all()
     np.linalg.cholesky(covariance)
 
@@ -193,10 +194,10 @@ def test_jackknife_widens_only_what_differs_between_flights() -> None:
     shifts = np.zeros((8, 4))
     shifts[:, 1] = 0.6 * rng.standard_normal(8)
     grams = drifting(rng, shifts)
-    factors = closed.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4))
+    factors = intervals.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4))
     assert factors[[0, 2, 3]].max() < 1.6
     assert factors[1] > 4.0
-    alone = closed.jackknife_by_flight(grams[:1], np.zeros(4), np.ones(4))
+    alone = intervals.jackknife_by_flight(grams[:1], np.zeros(4), np.ones(4))
     np.testing.assert_array_equal(alone, np.ones(4))
 
 
@@ -205,11 +206,11 @@ def test_jackknife_within_strata_leaves_out_what_differs_between_them() -> None:
     shifts = np.zeros((8, 4))
     shifts[:, 1] = np.repeat(0.6 * rng.standard_normal(4), 2)
     grams, pairs = drifting(rng, shifts), [[0, 1], [2, 3], [4, 5], [6, 7]]
-    assert closed.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4))[1] > 4.0
-    assert closed.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4), pairs).max() < 1.6
+    assert intervals.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4))[1] > 4.0
+    assert intervals.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4), pairs).max() < 1.6
 
 
 def test_what_all_parameters_spread_by_widens_even_those_that_happen_not_to() -> None:
     rng = np.random.default_rng(5)
     grams = drifting(rng, 0.6 * rng.standard_normal((8, 4)))
-    assert closed.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4)).min() > 3.0
+    assert intervals.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4)).min() > 3.0

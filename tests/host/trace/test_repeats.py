@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from host.trace.refine import CHANNELS, Loop
+from host.trace.loop import CHANNELS, Loop
 from host.trace.repeats import repeat
 from host.trace.twins import REPEAT_SHARE, REPEAT_Z, Leftover, Repeat
 

@@ -16,7 +16,8 @@ from host.trace.data import segments_of
 from host.trace.diagnose import refit
 from host.trace.form import Form
 from host.trace.parameters import space
-from host.trace.run import check_logs, explained_beyond, run, spoken_against, with_each_other
+from host.trace.run import check_logs, run
+from host.trace.verdict import explained_beyond, spoken_against, with_each_other
 from host.vehicle import Vehicle, load_vehicle
 
 DATA = Path(__file__).parents[2] / "data"
