@@ -31,7 +31,7 @@ def verdict_of(
     *,
     doubted: bool,
 ) -> Verdict:
-    """The verdict on what was kept: outside where `rest` speaks, else as sure as aliases and doubts leave it."""
+    """The verdict: outside where `rest` speaks, else as sure as aliases and doubts leave what was kept."""
     if rest.reasons:
         return "outside-library"
     if doubted:
