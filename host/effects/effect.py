@@ -53,7 +53,8 @@ class Parameter:
 
     `neutral` changes nothing. `typical` is the usual distance from neutral where the effect is present,
     `tolerance` one sigma of what is not worth naming (a vehicle file may override it), `lower` and `upper`
-    bound the value.
+    bound the value. One that only says how, and changes nothing by itself, as a line's length does without a
+    payload, is no `strength`.
     """
 
     key: str
@@ -64,6 +65,7 @@ class Parameter:
     lower: float
     upper: float
     description: str
+    strength: bool = True
 
     def __post_init__(self) -> None:
         if not _KEY.fullmatch(self.key):

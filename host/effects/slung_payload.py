@@ -6,6 +6,7 @@ from firmware_model.law.constants import GRAVITY
 from firmware_model.law.rotations import mat_t_vec
 from host.effects.effect import Closing, Effect, Parameter
 
+_AIR = 0.023  # 1/m, drag of a cube of 6 cm and 100 g
 _TAUT = 20.0  # 1/s, at which the line's length comes back to what it is (Baumgarte)
 _FLOOR = 20.0  # 1/s, at which the floor gives way
 _FLOOR_M = 0.01  # depth from which on it does
@@ -49,7 +50,11 @@ def _rates(ops, theta, ctx):
         -_FRICTION * push * velocity[1] / sliding,
         GRAVITY - push,
     )
-    rates = [f - pull * s - slowed * v for f, s, v in zip(floor, line, turning, strict=True)]
+    air = _AIR * ops.sqrt(_dot(velocity, velocity) + 1e-6)
+    rates = [
+        f - pull * s - slowed * v - air * own
+        for f, s, v, own in zip(floor, line, turning, velocity, strict=True)
+    ]
     return (*velocity, *rates)
 
 
@@ -65,8 +70,8 @@ def _feedforward(theta):
 EFFECT = Effect(
     name="slung-payload",
     title="Slung payload",
-    equation="s'' = g - lambda d - 2 damping sqrt(g/l) d', a_ned = ratio lambda d above a floor; d the line: "
-    "lambda = max(0, T/m z_body . d + |d'|^2 + 40 d . d' + 200 (|d|^2 - l^2)) / (l^2 (1 + ratio))",
+    equation="s'' = g - lambda d - 2 damping sqrt(g/l) d' - 0.023 |s'| s', a_ned = ratio lambda d above a "
+    "floor; d the line: lambda = max(0, T/m z_body . d + |d'|^2 + 40 d . d' + 200 (|d|^2 - l^2)) / (l^2 (1 + ratio))",
     source="the pendulum on a vehicle that moves; the line's pull keeps |d| <= l (Lagrange multiplier, "
     "stabilised as by Baumgarte 1972)",
     parameters=(
@@ -89,6 +94,7 @@ EFFECT = Effect(
             lower=0.15,
             upper=2.0,
             description="length of the line",
+            strength=False,
         ),
         Parameter(
             key="damping",
@@ -99,6 +105,7 @@ EFFECT = Effect(
             lower=0.0,
             upper=0.5,
             description="damping of the swing, over the critical one",
+            strength=False,
         ),
     ),
     aliases=("mass", "thrust-gain"),

@@ -74,7 +74,8 @@ _EITHER_SIGN = frozenset({"mocap-latency"})
 class Column:
     """One scaled parameter: whose it is, how it scales, and one sigma of what is not worth naming.
 
-    `discrepancy`: one sigma, in scales, of what the library's form of things may be off by here.
+    `discrepancy`: one sigma, in scales, of what the library's form of things may be off by here. `strength`:
+    whether the effect is there where this one alone is off neutral.
     """
 
     owner: str
@@ -86,6 +87,7 @@ class Column:
     lower: float
     upper: float
     discrepancy: float = 0.0
+    strength: bool = True
 
     def __post_init__(self) -> None:
         if not self.scale > 0 or not self.tolerance > 0:
@@ -221,6 +223,7 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
             lower=-p.upper if name in free and name in _EITHER_SIGN else p.lower,
             upper=p.upper,
             discrepancy=DISCREPANCY.get(f"{name}.{p.key}", DISCREPANCY.get(name, 0.05)),
+            strength=p.strength,
         )
         for name in acting
         for i, p in enumerate(effects[name].parameters)

@@ -191,9 +191,8 @@ def _borne(fitter: Fitter[F], fit: F) -> bool:
     space = fitter.space
     if any(space.bounded(fit.z)[i] for name in fit.effects for i in space.groups[name]):
         return False
-    size = {
-        name: max(abs(fit.z[i]) / fitter.prior.spike[i] for i in space.groups[name]) for name in fit.effects
-    }
+    strengths = {name: [i for i in space.groups[name] if space.columns[i].strength] for name in fit.effects}
+    size = {name: max(abs(fit.z[i]) / fitter.prior.spike[i] for i in own) for name, own in strengths.items()}
     found = {name for name in fit.effects if size[name] > BEARS}
     needs = (space.effect(name).requires_any for name in fit.effects)
     return all(share > 1.0 for share in size.values()) and all(

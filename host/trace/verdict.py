@@ -14,7 +14,7 @@ from host.trace.twins import Leftover
 ALIAS_PROBABILITY = 0.05
 """What the data gives an effect more than is not excluded."""
 
-SOMETHING = 0.5
+SOMETHING = 0.05
 """Probability of no effect at all up to which it is undecided whether one is missing, if none is kept."""
 
 RESTLESS = 0.5

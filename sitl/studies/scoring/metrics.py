@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from sitl.studies.scoring.world import NAMING
 from sitl.studies.worlds import THIN
 
 SURE_SIGMA = 15.0
@@ -65,7 +64,7 @@ def summary(scores: Scores) -> dict[str, Any]:
     widths = [row["sd"] / row["bound_sd"] for row in rows if row["sd"]]
     judged = [s for s in inside if s["after_m"] is not None and s["floor_m"]]
     over = [s["after_m"] / s["floor_m"] for s in judged]
-    sizes = [size for s in inside if s["verdict"] in NAMING for size in s["alias_sizes"]]
+    sizes = [size for s in inside for size in s["alias_sizes"]]
     times = [s["trace_s"] for s in scores if s["class"] != "thin" and s["trace_s"] is not None]
     steady = [e["error"] for e in errors if e["family"] != "torque"]
     turning = [e["error"] for e in errors if e["family"] == "torque"]

@@ -18,9 +18,6 @@ from sitl.studies.scoring.names import RATIO, collapsed, family, ordered
 from sitl.studies.thin import CASES
 from sitl.studies.worlds import SAME_RATIO
 
-NAMING = ("traced", "undecided")
-"""Verdicts that name effects."""
-
 INSIDE = ("single", "pair", "none")
 """Classes of worlds in which the host has a form of everything, and enough data to hold numbers against."""
 
@@ -93,8 +90,8 @@ def judge(
     """What the verdict says of a world that holds `kinds`, as plain data.
 
     `separations` in sigma, of each true effect from each other candidate, are None where the world holds
-    nothing of the library. An undecided verdict on an identifiable world misses. Where it names nothing, what
-    it holds possible is its alias set.
+    nothing of the library. An undecided verdict on an identifiable world misses. What a verdict that names
+    nothing holds possible is its alias set.
     """
     answer = verdict["answer"]
     said = answer.get("verdict", "failed")
@@ -105,8 +102,7 @@ def judge(
     first = ordered(named)
     names = collapsed(first, kinds)
     truth = collapsed(kinds, kinds)
-    unsure = said == "undecided" and not named
-    possible = {p["name"] for p in answer.get("possible", ())} if unsure else set[str]()
+    possible = set[str]() if named else {p["name"] for p in answer.get("possible", ())}
     aliases = {a["name"] for e in named for a in e["aliases"]} | possible
     identifiable = None if separations is None else is_identifiable(separations)
     right = set(first[:1]) <= set(kinds) or collapsed(first[:1], kinds) <= truth
