@@ -71,7 +71,8 @@ EFFECT = Effect(
     name="slung-payload",
     title="Slung payload",
     equation="s'' = g - lambda d - 2 damping sqrt(g/l) d' - 0.023 |s'| s', a_ned = ratio lambda d above a "
-    "floor; d the line: lambda = max(0, T/m z_body . d + |d'|^2 + 40 d . d' + 200 (|d|^2 - l^2)) / (l^2 (1 + ratio))",
+    "floor; d the line: lambda = max(0, T/m z_body . d + |d'|^2 + 40 d . d' + 200 (|d|^2 - l^2)) "
+    "/ (l^2 (1 + ratio))",
     source="the pendulum on a vehicle that moves; the line's pull keeps |d| <= l (Lagrange multiplier, "
     "stabilised as by Baumgarte 1972)",
     parameters=(

@@ -54,6 +54,7 @@ def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int
         share=common / count,
         z=common / float(np.sqrt(variance)),
         position_m=float(np.sqrt(max(position / len(pairs), 0.0))),
+        size=count,
     )
 
 

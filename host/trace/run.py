@@ -25,7 +25,7 @@ from host.trace.intervals import by_segments, honest_covariance
 from host.trace.loop import closed_loop, order_of, too_little
 from host.trace.manoeuvres import Manoeuvre
 from host.trace.parameters import MASS, Space, space, tolerance_of
-from host.trace.refine import LoopFitter, fit_loop, prior_of
+from host.trace.refine import ClosedFit, LoopFitter, fit_loop, prior_of
 from host.trace.repeats import in_turbulence, repeat
 from host.trace.result import Named, Trace, Value
 from host.trace.score import (
@@ -38,11 +38,11 @@ from host.trace.score import (
     strata_of,
     twins_of,
 )
-from host.trace.search import Found, likeliest, search
+from host.trace.search import WITHIN_NATS, Found, likeliest, search, smallest
 from host.trace.segments import Segments, nominal_thrust
 from host.trace.separate import NextFlight, propose
 from host.trace.signals import signals, unknowns
-from host.trace.twins import leftover
+from host.trace.twins import Repeat, leftover
 from host.trace.unexplained import unexplained
 from host.trace.verdict import (
     SOMETHING,
@@ -66,6 +66,9 @@ thrust.
 SAG_SEEN = 0.01
 """Share of the full voltage by which a battery must have left it: less is the voltmeter's noise."""
 
+
+FAULT = 0.1
+"""Share of what repeats, in nats, that another effect must explain where no set explains it all."""
 
 Report = Callable[[str], None]
 Manoeuvres = Callable[[], Sequence[Manoeuvre]]
@@ -220,6 +223,7 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         found = search(fitter, fit_loop(loop, (), nothing.z, order), report)
         report("comparing twin flights")
         twins, unread = twins_of(flights), _reading(form.space, nothing)
+        found = _without_faults(found, fitter, repeat(loop, found.best.z, order, twins))
         kept = in_turbulence(loop, found.best, order, twins)
         covariance = honest_covariance(form.space, kept, strata_of(twins, len(flights)))
         judged = kept if _is_judged(found) else fitter.fit(likeliest(found.weights), kept)
@@ -237,6 +241,19 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         stands_out=stands_out(form.space, gram, prior.precision(best.effects)),
         repeats=repeats,
     )
+
+
+def _without_faults(found: Found[ClosedFit], fitter: LoopFitter, left: Repeat | None) -> Found[ClosedFit]:
+    """The search's outcome with the smallest set that explains all but a tenth of what is `left` and repeats.
+
+    No form is exact: what an effect much stronger than noise leaves of itself repeats, and others take some
+    of it up.
+    """
+    within = max(WITHIN_NATS, FAULT * left.nats) if left is not None else WITHIN_NATS
+    names = smallest(found, within)
+    if len(names) >= len(found.best.effects):
+        return found
+    return replace(found, best=fitter.fit(names, found.best))
 
 
 def _observable(effects: Mapping[str, Effect], flights: Sequence[Flight]) -> dict[str, Effect]:

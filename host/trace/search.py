@@ -85,6 +85,14 @@ class Found(Generic[F]):
         return none_of(self.weights)
 
 
+def smallest(found: Found[F], within: float) -> Names:
+    """The smallest of the sets that may be kept whose evidence is `within` so many nats of the greatest."""
+    may = {names: value for names, value in found.sets.items() if names in found.weights}
+    top = max(may.values())
+    close = [names for names, value in may.items() if value >= top - within]
+    return min(close, key=lambda names: (len(names), -may[names], names))
+
+
 def likeliest(weights: Mapping[Names, float]) -> Names:
     """The set of greatest weight."""
     return max(weights, key=lambda names: (weights[names], names))

@@ -59,12 +59,19 @@ class Repeat:
     """What repeats of whole flights less their prediction.
 
     share: its power over that of turbulence and noise, both whitened; negative where it reverses. z: its
-    score, of unit variance where nothing repeats. position_m: rms of the position that repeats.
+    score, of unit variance where nothing repeats. position_m: rms of the position that repeats. size: how many
+    whitened numbers of either twin were compared.
     """
 
     share: float
     z: float
     position_m: float
+    size: int = 0
+
+    @property
+    def nats(self) -> float:
+        """Log evidence that something repeats: what a model without fault would gain."""
+        return 0.5 * self.size * self.share if self.z > REPEAT_Z else 0.0
 
     @property
     def amplitude(self) -> float:
