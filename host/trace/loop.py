@@ -250,15 +250,17 @@ class Loop:
             out.append(_in_body(recording, r))
         return out
 
-    def slopes(self, z: np.ndarray, effects: Sequence[str], base: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def slopes(
+        self, z: np.ndarray, effects: Sequence[str], base: Sequence[np.ndarray], *, afresh: bool = False
+    ) -> list[np.ndarray]:
         """Per flight the negative slopes (P, bins, 12) at z (P,) of the residual, which is `base` (bins, 12).
 
-        The first call computes all slopes; later ones those of `effects` and of effects with states of their
-        own, for what else stays within its tolerance hardly changes them: a payload's line does nothing where
-        there is no payload.
+        The first call computes all slopes, and any one `afresh`; others those of `effects` and of effects with
+        states of their own, for what else stays within its tolerance hardly changes them: a payload's line
+        does nothing where there is no payload.
         """
         chosen = {i for name in effects for i in self.space.groups[name]} | self._products
-        rows = [i for i in self._rows if not self._slopes or i in chosen]
+        rows = [i for i in self._rows if afresh or not self._slopes or i in chosen]
         lanes = np.repeat(z[:, None], len(rows), axis=1)
         for lane, row in enumerate(rows):
             lanes[row, lane] += _Z_STEP

@@ -255,13 +255,13 @@ def weighted(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Scaled parameters (P,), covariance (P, P) and Grams (flights, 1 + P, 1 + P) of `effects` fitted from z.
 
-    The whitening stays as given, residuals count for 1/TEMPER. `centre` (P,) is what the prior holds
+    The whitening stays as given, slopes are of where the effects are, residuals count for 1/TEMPER. `centre` (P,) is what the prior holds
     likeliest, `count` how often each flight counts.
     """
     precision = prior_of(loop.space).precision(effects)
-    for _ in range(_PASSES):
+    for turn in range(_PASSES):
         base = [r[0] for r in loop.residuals(z[:, None])]
-        grams = count / TEMPER * _grams(white, loop, base, loop.slopes(z, effects, base))
+        grams = count / TEMPER * _grams(white, loop, base, loop.slopes(z, effects, base, afresh=turn < 2))
         away = z - centre
         limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
         step, covariance = evidence.bounded(grams.sum(0), away, precision, limits)

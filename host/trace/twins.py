@@ -59,8 +59,8 @@ class Repeat:
     """What repeats of whole flights less their prediction.
 
     share: its power over that of turbulence and noise, both whitened; negative where it reverses. z: its
-    score, of unit variance where nothing repeats. position_m: rms of the position that repeats. size: how many
-    whitened numbers of either twin were compared.
+    score, of unit variance where nothing repeats. position_m: rms of the position that repeats. size: how
+    many whitened numbers of either twin were compared.
     """
 
     share: float
