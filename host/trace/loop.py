@@ -255,9 +255,9 @@ class Loop:
     ) -> list[np.ndarray]:
         """Per flight the negative slopes (P, bins, 12) at z (P,) of the residual, which is `base` (bins, 12).
 
-        The first call computes all slopes, and any one `afresh`; others those of `effects` and of effects with
-        states of their own, for what else stays within its tolerance hardly changes them: a payload's line
-        does nothing where there is no payload.
+        The first call computes all slopes, and any one `afresh`; others those of `effects` and of effects
+        with states of their own, for what else stays within its tolerance hardly changes them: a payload's
+        line does nothing where there is no payload.
         """
         chosen = {i for name in effects for i in self.space.groups[name]} | self._products
         rows = [i for i in self._rows if afresh or not self._slopes or i in chosen]

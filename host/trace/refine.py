@@ -255,8 +255,8 @@ def weighted(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Scaled parameters (P,), covariance (P, P) and Grams (flights, 1 + P, 1 + P) of `effects` fitted from z.
 
-    The whitening stays as given, slopes are of where the effects are, residuals count for 1/TEMPER. `centre` (P,) is what the prior holds
-    likeliest, `count` how often each flight counts.
+    The whitening stays as given, slopes are those where the effects are, residuals count for 1/TEMPER.
+    `centre` (P,) is what the prior holds likeliest, `count` how often each flight counts.
     """
     precision = prior_of(loop.space).precision(effects)
     for turn in range(_PASSES):
