@@ -174,7 +174,10 @@ def trace(folder: Path, programme: Programme, copy: Callable[[Path, Path], objec
 
 
 def ask(folder: Path, logs: Sequence[str], held_out: Sequence[str]) -> dict[str, Any]:
-    """What `trimtab trace` says of the logs in `folder`: exit_code, answer, errors, trace_s."""
-    words = ["trace", *logs, *(["--hold-out", *held_out] if held_out else [])]
+    """What `trimtab trace` says of the logs in `folder`: exit_code, answer, errors, trace_s.
+
+    No network is asked for: it predicts what no verdict is about.
+    """
+    words = ["trace", *logs, "--no-network", *(["--hold-out", *held_out] if held_out else [])]
     done = run_apart(words, folder)
     return {"exit_code": done.code, "answer": done.data, "errors": done.errors, "trace_s": done.cpu_s}
