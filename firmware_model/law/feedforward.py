@@ -65,13 +65,13 @@ def specific_force_rate_ned(
     )
 
 
-def weight_count(layers: Sequence[int]) -> int:
+def weight_count(layers: Sequence[int], inputs: int = NETWORK_INPUTS) -> int:
     """How many weights a network with these hidden widths has. Raises ValueError beyond 3 layers of 32."""
     if not 1 <= len(layers) <= MAX_LAYERS or not all(1 <= width <= MAX_WIDTH for width in layers):
         raise ValueError(
             f"hidden layers {list(layers)}: 1 to {MAX_LAYERS} layers of 1 to {MAX_WIDTH} are possible"
         )
-    sizes = (NETWORK_INPUTS, *layers, NETWORK_OUTPUTS)
+    sizes = (inputs, *layers, NETWORK_OUTPUTS)
     return sum((a + 1) * b for a, b in pairwise(sizes))
 
 
@@ -81,9 +81,10 @@ def network(ops: Ops, weights: Vector, layers: Sequence[int], v: Vector, rpy: Ve
     `weights`: layer by layer, for every neuron its inputs' weights, then its bias; the output layer is
     linear. Raises ValueError where the number of weights is not that of `layers`.
     """
-    if len(weights) != weight_count(layers):
-        raise ValueError(f"{len(weights)} weights for {weight_count(layers)} of hidden layers {list(layers)}")
     values: list[Scalar] = [*v, *rpy]
+    count = weight_count(layers, len(values))
+    if len(weights) != count:
+        raise ValueError(f"{len(weights)} weights for {count} of hidden layers {list(layers)}")
     at = 0
     for width in layers:
         values, at = _layer(weights, at, width, values)

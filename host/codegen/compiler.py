@@ -70,20 +70,40 @@ def find_compiler() -> Compiler | None:
     return None
 
 
-def shared_library(source: str, compiler: Compiler) -> Path:
+def shared_library(source: str, compiler: Compiler, *, native: bool = False) -> Path:
     """Path of the shared library for this C source, compiled now unless the cache has it.
 
-    Raises CodegenError where the compiler fails.
+    `native`: for this machine's own instructions. Raises CodegenError where the compiler fails.
     """
-    path = library_path(source, compiler)
+    path = library_path(source, compiler, native=native)
     if not path.exists():
-        _compile(source, compiler, path)
+        _compile(source, compiler, path, flags(native=native))
     return path
 
 
-def library_path(source: str, compiler: Compiler) -> Path:
+def flags(*, native: bool) -> tuple[str, ...]:
+    """What the compiler is told; `native`: to use all that this machine has."""
+    if not native:
+        return FLAGS
+    x86 = platform.machine().lower() in ("x86_64", "amd64", "i686")
+    return (*FLAGS, "-O3", "-march=native" if x86 else "-mcpu=native")
+
+
+@cache
+def _processor() -> str:
+    """What tells this machine's instructions from another's."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return platform.processor()
+    told = [line for line in lines if line.lower().startswith(("flags", "features"))]
+    return told[0] if told else platform.processor()
+
+
+def library_path(source: str, compiler: Compiler, *, native: bool = False) -> Path:
     """Where the cache keeps, or would keep, the library for this source, compiler, flags and machine."""
-    parts = (source, compiler.identity, " ".join(FLAGS), sys.platform, platform.machine())
+    parts = (source, compiler.identity, " ".join(flags(native=native)), sys.platform, platform.machine())
+    parts += (_processor(),) if native else ()
     digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
     return cache_directory() / f"{digest}.so"
 
@@ -115,12 +135,12 @@ def _stamp(path: Path) -> str:
     return f"{real} {status.st_size} {status.st_mtime_ns}"
 
 
-def _compile(source: str, compiler: Compiler, path: Path) -> None:
+def _compile(source: str, compiler: Compiler, path: Path, flags: tuple[str, ...]) -> None:
     """Nothing; the library is at `path` afterwards, whole. Raises CodegenError."""
     with tempfile.TemporaryDirectory(prefix=".build-", dir=path.parent) as folder:
         text, library = Path(folder) / "function.c", Path(folder) / "function.so"
         text.write_text(source, encoding="utf-8")
-        command = [*compiler.command, *FLAGS, "-o", str(library), str(text), "-lm"]
+        command = [*compiler.command, *flags, "-o", str(library), str(text), "-lm"]
         try:
             done = subprocess.run(
                 command, capture_output=True, text=True, errors="replace", timeout=_SECONDS, check=False

@@ -15,12 +15,10 @@ import casadi
 import numpy as np
 
 from host.codegen import compile_function
+from host.learn.kernel import MEASURED, vector_jacobian
 from host.models.network import Layout
 from host.models.phi import DRIVE_ROWS, FLIGHT, Phi
 from host.models.segments import Segments
-
-MEASURED = 12
-"""States compared with the flight: p, v, Theta, body rate."""
 
 
 class Buffered:
@@ -48,27 +46,31 @@ class Buffered:
 
 @dataclass(frozen=True, kw_only=True)
 class Gradient:
-    """Loss and its gradients: of xi (m,), and of each segment's start (segments, size)."""
+    """Loss and its gradients: of xi (m,), theta (P,), and of each segment's start (segments, size)."""
 
     loss: float
     xi: np.ndarray
     x0: np.ndarray
+    theta: np.ndarray
+
+
+def check_step(phi: Phi, step_s: float) -> None:
+    """Nothing comes back. Raises ValueError where one RK4 step of step_s is not stable."""
+    if phi.substeps(step_s) > 1:
+        raise ValueError(f"a step of {step_s} s is too long for this model: RK4 needs {phi.substeps(step_s)}")
 
 
 class Rollouts:
     """Roll-outs of a batch of segments and their gradient. `weight` (12,): diagonal L of the loss.
 
     The loss of a segment is the mean over its steps of (x_r - x)' L (x_r - x) (paper eq. 3), the batch's
-    their sum. Segments after the batch's end may be filled up with weight 0.
+    their sum.
     """
 
     def __init__(
         self, phi: Phi, layout: Layout, theta: np.ndarray, *, batch: int, step_s: float, weight: np.ndarray
     ) -> None:
-        if phi.substeps(step_s) > 1:
-            raise ValueError(
-                f"a step of {step_s} s is too long for this model: RK4 needs {phi.substeps(step_s)}"
-            )
+        check_step(phi, step_s)
         self.phi, self.layout, self.batch, self.step_s = phi, layout, batch, step_s
         self.weight = np.asarray(weight, dtype=float)
         model = _Model(phi, layout, theta, batch=batch, step_s=step_s)
@@ -76,10 +78,14 @@ class Rollouts:
         self._adjoint = Buffered(model.adjoint())
 
     def roll_out(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
-        """States (N + 1, batch, size) from the starts x0 (batch, size): equation 7."""
+        """States (N + 1, segments, size) from the starts x0 (segments, size): equation 7."""
+        return self._rolled(segments, x0, xi)[:, : segments.count]
+
+    def _rolled(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
+        """The same of the whole batch, filled up with the first segment."""
         step = self._step
         states = np.empty((segments.steps + 1, self.batch, self.phi.size))
-        states[0] = x0
+        states[0] = self._filled(x0)
         self._load(step, segments, xi)
         for k in range(segments.steps):
             self._load_drive(step, segments, k)
@@ -88,33 +94,32 @@ class Rollouts:
             states[k + 1] = step.outputs["next"]
         return states
 
-    def loss(self, segments: Segments, states: np.ndarray, use: np.ndarray) -> float:
-        """Sum over segments of the mean weighted squared distance over their steps; `use` (batch,) 0 or 1."""
-        error = states[1:, :, :MEASURED] - self._measured(segments)[1:]
-        return float(np.einsum("ksi,i,s->", error**2, self.weight, use) / segments.steps)
-
-    def gradient(self, segments: Segments, x0: np.ndarray, xi: np.ndarray, use: np.ndarray) -> Gradient:
+    def gradient(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> Gradient:
         """Loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""
-        states = self.roll_out(segments, x0, xi)
-        measured = self._measured(segments)
+        states = self._rolled(segments, x0, xi)
+        measured = self._filled(segments.measured).transpose(1, 0, 2)
+        used = (np.arange(self.batch) < segments.count)[:, None]
         scale = 2.0 / segments.steps * self.weight
         adjoint = self._adjoint
         self._load(adjoint, segments, xi)
-        total = np.zeros(len(xi))
+        total, of_theta = np.zeros(len(xi)), np.zeros(len(self.phi.theta_names))
         costate = np.zeros((self.batch, self.phi.size))
         for k in range(segments.steps, 0, -1):
-            costate[:, :MEASURED] += scale * use[:, None] * (states[k, :, :MEASURED] - measured[k])
+            costate[:, :MEASURED] += scale * used * (states[k, :, :MEASURED] - measured[k])
             self._load_drive(adjoint, segments, k - 1)
             adjoint.inputs["x"][:] = states[k - 1]
             adjoint.inputs["costate"][:] = costate
             adjoint()
             costate[:] = adjoint.outputs["costate_before"]
             total += adjoint.outputs["gradient"][0]
-        return Gradient(loss=self.loss(segments, states, use), xi=total, x0=costate.copy())
-
-    def _measured(self, segments: Segments) -> np.ndarray:
-        """(N + 1, batch, 12)."""
-        return self._filled(segments.measured).transpose(1, 0, 2)
+            of_theta += adjoint.outputs["theta"][0, : len(of_theta)]
+        states = states[:, : segments.count]
+        return Gradient(
+            loss=loss_of(segments, states, self.weight),
+            xi=total,
+            x0=costate[: segments.count].copy(),
+            theta=of_theta,
+        )
 
     def _filled(self, rows: np.ndarray) -> np.ndarray:
         """The rows, the first repeated up to the batch."""
@@ -132,6 +137,12 @@ class Rollouts:
             rows = function.inputs[name]
             rows[: segments.count] = segments.drive[:, 2 * k + i]
             rows[segments.count :] = segments.drive[0, 2 * k + i]
+
+
+def loss_of(segments: Segments, states: np.ndarray, weight: np.ndarray) -> float:
+    """Sum over segments of the mean over steps of the weighted squared distance; states (N + 1, S, size)."""
+    error = states[1:, :, :MEASURED] - segments.measured[:, 1:].transpose(1, 0, 2)
+    return float(np.einsum("ksi,i->", error**2, weight) / segments.steps)
 
 
 class _Model:
@@ -166,19 +177,19 @@ class _Model:
         drives = (start, middle, middle, end)
         states, _ = self._stages()
         costate = casadi.MX.sym("costate", x.shape[0], x.shape[1])
-        total, gradient, later = costate, 0.0, None
+        total, gradient, of_theta, later = costate, 0.0, 0.0, None
         for stage, weight, reach in ((3, 1.0, 0.0), (2, 2.0, 1.0), (1, 2.0, 0.5), (0, 1.0, 0.5)):
             of_rate = (h * weight / 6.0) * costate
             if later is not None:  # the next stage started from this one's rate
                 of_rate = of_rate + h * reach * later
-            later, part = self._pull_back(states[stage], drives[stage], flight, xi, of_rate)
-            total, gradient = total + later, gradient + part
+            later, part, theta = self._pull_back(states[stage], drives[stage], flight, xi, of_rate)
+            total, gradient, of_theta = total + later, gradient + part, of_theta + theta
         return casadi.Function(
             "adjoint",
             [*self.inputs, costate],
-            [total, gradient],
+            [total, gradient, of_theta],
             [*self.names, "costate"],
-            ["costate_before", "gradient"],
+            ["costate_before", "gradient", "theta"],
         )
 
     def _stages(self) -> tuple[list[Any], list[Any]]:
@@ -198,8 +209,8 @@ class _Model:
     def _rate(self, x: Any, drive: Any, flight: Any, xi: Any) -> Any:
         return self._phi(x, drive, flight, self._theta, self.layout.matrices(xi, x[3:9, :]))
 
-    def _pull_back(self, x: Any, drive: Any, flight: Any, xi: Any, of_rate: Any) -> tuple[Any, Any]:
-        """of_rate' d(rate)/dx, through the network too, and of_rate' d(rate)/dxi."""
+    def _pull_back(self, x: Any, drive: Any, flight: Any, xi: Any, of_rate: Any) -> tuple[Any, Any, Any]:
+        """of_rate' d(rate)/dx, through the network too, of_rate' d(rate)/dxi and of_rate' d(rate)/dtheta."""
         seen = casadi.MX.sym("seen", *x[3:9, :].shape)
         weights = casadi.MX.sym("weights", self.layout.size)
         push = casadi.MX.sym("push", 3, seen.shape[1])
@@ -210,15 +221,7 @@ class _Model:
             [casadi.gradient(product, seen), casadi.gradient(product, weights)],
         )
         residual = self.layout.matrices(xi, x[3:9, :])
-        of_x, of_residual = self._products(x, drive, flight, self._theta, residual, of_rate)
+        of_x, of_residual, of_theta = self._products(x, drive, flight, self._theta, residual, of_rate)
         of_seen, of_xi = network(xi, x[3:9, :], of_residual)
-        return casadi.vertcat(of_x[:3, :], of_x[3:9, :] + of_seen, of_x[9:, :]), of_xi
-
-
-def vector_jacobian(phi: casadi.Function) -> casadi.Function:
-    """phi's inputs and a row l -> l' dphi/dx and l' dphi/d(acceleration), by CasADi's reverse mode."""
-    inputs = phi.sx_in()
-    row = casadi.SX.sym("row", phi.size1_out(0))
-    rate = phi(*inputs)
-    products = [casadi.densify(casadi.jtimes(rate, inputs[i], row, True)) for i in (0, 4)]
-    return casadi.Function("products", [*inputs, row], casadi.cse(products))
+        of_x = casadi.vertcat(of_x[:3, :], of_x[3:9, :] + of_seen, of_x[9:, :])
+        return of_x, of_xi, casadi.sum2(of_theta)

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from host.learn.adam import Adam
-from host.learn.adjoint import Rollouts
+from host.learn.adjoint import Rollouts, loss_of
+from host.learn.lanes import LaneRollouts, rollouts
 from host.learn.starts import free_starts
 from host.models.network import Layout, Network
 from host.models.phi import Phi
@@ -65,32 +66,31 @@ def train(
     layout = Layout(hidden=settings.hidden)
     weight = 1.0 / np.square(LOSS_SIGMA)
     batch = min(settings.batch, segments.count)
-    rollouts = Rollouts(phi, layout, theta, batch=batch, step_s=segments.step_s, weight=weight)
+    engine = rollouts(phi, layout, theta, batch=batch, step_s=segments.step_s, weight=weight)
     starts = free_starts(phi, theta, segments, weight)
     shift = np.zeros((segments.count, phi.size))
     batches = -(-segments.count // batch)
     adam = Adam(layout.initial(rng), rate=settings.rate, steps=settings.epochs * batches)
 
     best_xi, best_epoch = np.zeros(layout.size), 0
-    losses, checks = [], [_loss(rollouts, validation, best_xi)]
+    losses, checks = [], [_loss(engine, batch, validation, best_xi)]
     for epoch in range(1, settings.epochs + 1):
         order = rng.permutation(segments.count)
         total = 0.0
         for first in range(0, segments.count, batch):
             chosen = order[first : first + batch]
             part = segments.take(chosen)
-            use = (np.arange(batch) < len(chosen)).astype(float)
-            x0 = _filled(part.x0 + shift[chosen] * starts.sigma[chosen], batch)
-            states = rollouts.roll_out(part, x0, adam.x)[1:, : len(chosen), :12].transpose(1, 0, 2)
+            x0 = part.x0 + shift[chosen] * starts.sigma[chosen]
+            states = engine.roll_out(part, x0, adam.x)[1:, :, :12].transpose(1, 0, 2)
             shift[chosen] = starts.refine(chosen, shift[chosen], part.measured[:, 1:] - states)
             part = replace(part, x0=part.x0 + shift[chosen] * starts.sigma[chosen])
             if settings.any_heading:
                 part = part.turned(rng.uniform(-np.pi, np.pi, len(chosen)))
-            found = rollouts.gradient(part, _filled(part.x0, batch), adam.x, use)
+            found = engine.gradient(part, part.x0, adam.x)
             total += found.loss
             adam.step(found.xi / len(chosen) + 2.0 * settings.l2 * adam.x)
         losses.append(total / segments.count)
-        checks.append(_loss(rollouts, validation, adam.x))
+        checks.append(_loss(engine, batch, validation, adam.x))
         if checks[-1] < checks[best_epoch]:
             best_xi, best_epoch = adam.x.copy(), epoch
         if on_epoch is not None:
@@ -106,17 +106,10 @@ def train(
     )
 
 
-def _loss(rollouts: Rollouts, segments: Segments, xi: np.ndarray) -> float:
+def _loss(engine: Rollouts | LaneRollouts, batch: int, segments: Segments, xi: np.ndarray) -> float:
     """Mean loss of segments from their measured starts; infinite where a roll-out diverges."""
     total = 0.0
-    for first in range(0, segments.count, rollouts.batch):
-        part = segments.take(np.arange(first, min(first + rollouts.batch, segments.count)))
-        use = (np.arange(rollouts.batch) < part.count).astype(float)
-        states = rollouts.roll_out(part, _filled(part.x0, rollouts.batch), xi)
-        total += rollouts.loss(part, states, use)
+    for first in range(0, segments.count, batch):
+        part = segments.take(np.arange(first, min(first + batch, segments.count)))
+        total += loss_of(part, engine.roll_out(part, part.x0, xi), engine.weight)
     return total / segments.count if np.isfinite(total) else float("inf")
-
-
-def _filled(rows: np.ndarray, count: int) -> np.ndarray:
-    """The rows, the first repeated up to `count`."""
-    return np.concatenate([rows, np.repeat(rows[:1], count - len(rows), axis=0)])

@@ -13,7 +13,7 @@ from pydantic import Field
 from host import artefacts
 from host.errors import UsageError
 from host.models.model import Covariance, Model, Region, network_digest
-from host.models.network import Layout, Network
+from host.models.network import Frame, Layout, Network
 from host.vehicle.files import write_toml
 from host.vehicle.strict_toml import ConfigurationError, Strict, read_strict
 
@@ -35,6 +35,7 @@ class _CovarianceTable(Strict):
 
 class _NetworkTable(Strict):
     hidden: tuple[int, ...]
+    frame: Frame = "world"
     file: str
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
@@ -166,7 +167,7 @@ def _read_network(path: Path, table: _NetworkTable) -> Network:
         raise ModelFileError(
             f"{weights}: the weights of {path.name} cannot be read ({error}); learn it anew"
         ) from error
-    network = Network(layout=Layout(hidden=table.hidden), xi=xi)
+    network = Network(layout=Layout(hidden=table.hidden, frame=table.frame), xi=xi)
     if network_digest(network) != table.sha256:
         raise ModelFileError(f"{table.file}: not the weights {path.name} was written with")
     return network

@@ -129,6 +129,7 @@ class Model:
         if self.network is not None:
             content["network"] = {
                 "hidden": self.network.layout.hidden,
+                "frame": self.network.layout.frame,
                 "sha256": network_digest(self.network),
             }
         return content

@@ -1,8 +1,9 @@
-"""The learned residual: a small tanh network from [v_ned, Theta] to an acceleration (paper IV-A).
+"""The learned residual: a small tanh network from velocity and attitude to an acceleration (paper IV-A).
 
-The acceleration is in the world, NED. The weights are one flat vector xi in the law's order: layer by layer,
-for every neuron its inputs' weights, then its bias. The same network runs on scalars (the law's own form), as
-CasADi matrix products and on numpy lanes.
+The paper's sees [v_ned, Theta] and gives the acceleration in the world, NED. One in the body's frame sees the
+velocity in FRD and gives the acceleration there: it is the same for every heading. The weights are one flat
+vector xi in the law's order: layer by layer, for every neuron its inputs' weights, then its bias. The same
+network runs on scalars (the law's own form), as CasADi matrix products and on numpy lanes.
 """
 
 from __future__ import annotations
@@ -11,25 +12,31 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import casadi
 import numpy as np
 
 from firmware_model.law.feedforward import NETWORK_INPUTS, NETWORK_OUTPUTS, network, weight_count
 from firmware_model.law.ops import Ops
+from firmware_model.law.rotations import euler_to_matrix, mat_t_vec, mat_vec
+from host.codegen.ops import CASADI, NUMPY
+
+Frame = Literal["world", "body"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """The shape of a network: widths of the hidden layers between 6 inputs and 3 outputs.
+    """The shape of a network: widths of the hidden layers between 6 or 3 inputs and 3 outputs.
 
-    The inputs are v_ned, roll, pitch and yaw; whole turns of yaw do not count: the network sees -pi..pi.
+    In the world's frame the inputs are v_ned, roll, pitch and yaw; whole turns of yaw do not count: the
+    network sees -pi..pi. In the body's they are the velocity in FRD.
 
     Raises ValueError beyond three layers of 32: a network must fit the vehicle.
     """
 
     hidden: tuple[int, ...]
+    frame: Frame = "world"
 
     def __post_init__(self) -> None:
         weight_count(self.hidden)
@@ -37,12 +44,12 @@ class Layout:
     @property
     def sizes(self) -> tuple[int, ...]:
         """Width of every layer, inputs and outputs included."""
-        return (NETWORK_INPUTS, *self.hidden, NETWORK_OUTPUTS)
+        return (NETWORK_INPUTS if self.frame == "world" else 3, *self.hidden, NETWORK_OUTPUTS)
 
     @property
     def size(self) -> int:
         """Number of weights."""
-        return weight_count(self.hidden)
+        return weight_count(self.hidden, self.sizes[0])
 
     def initial(self, rng: np.random.Generator) -> np.ndarray:
         """A flat start vector: normal over the square root of the fan-in, the last layer a tenth of it.
@@ -58,33 +65,44 @@ class Layout:
             weights[:, :-1] = scale * rng.standard_normal((layer.rows, layer.columns - 1))
         return xi
 
-    def scalars(self, ops: Ops, xi: Sequence[Any], inputs: Sequence[Any]) -> Sequence[Any]:
-        """The 3 outputs for 6 scalar inputs, by the law's own form."""
-        yaw = ops.atan2(ops.sin(inputs[5]), ops.cos(inputs[5]))
-        return network(ops, xi, self.hidden, inputs[0:3], [*inputs[3:5], yaw])
+    def seen(self, ops: Ops, state: Sequence[Any]) -> list[Any]:
+        """What the network sees of v_ned and Theta, 6 scalars."""
+        if self.frame == "body":
+            return list(mat_t_vec(euler_to_matrix(ops, state[3:6]), state[0:3]))
+        return [*state[0:5], ops.atan2(ops.sin(state[5]), ops.cos(state[5]))]
 
-    def matrices(self, xi: Any, inputs: Any) -> Any:
-        """Outputs (3, n) for inputs (6, n) as CasADi matrix products; `xi` and `inputs` are MX or SX."""
-        yaw = inputs[5, :]
-        values = casadi.vertcat(inputs[:5, :], casadi.atan2(casadi.sin(yaw), casadi.cos(yaw)))
-        ones = casadi.DM.ones(1, inputs.shape[1])
+    def given(self, ops: Ops, state: Sequence[Any], outputs: Sequence[Any]) -> list[Any]:
+        """The acceleration, NED, that outputs mean where v_ned and Theta are `state`."""
+        if self.frame == "body":
+            return list(mat_vec(euler_to_matrix(ops, state[3:6]), outputs))
+        return list(outputs)
+
+    def scalars(self, ops: Ops, xi: Sequence[Any], state: Sequence[Any]) -> Sequence[Any]:
+        """The acceleration for v_ned and Theta, 6 scalars, by the law's own form."""
+        return self.given(ops, state, network(ops, xi, self.hidden, self.seen(ops, state), ()))
+
+    def matrices(self, xi: Any, state: Any) -> Any:
+        """Accelerations (3, n) for v_ned and Theta (6, n) as CasADi matrix products; both are MX or SX."""
+        rows = casadi.vertsplit(state)
+        values = casadi.vertcat(*self.seen(CASADI, rows))
+        ones = casadi.DM.ones(1, state.shape[1])
         for k, layer in enumerate(self._layers()):
             if k:
                 values = casadi.tanh(values)
             weights = casadi.reshape(xi[layer.where], layer.columns, layer.rows).T  # CasADi: columns first
             values = casadi.mtimes(weights, casadi.vertcat(values, ones))
-        return values
+        return casadi.vertcat(*self.given(CASADI, rows, casadi.vertsplit(values)))
 
-    def arrays(self, xi: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-        """Outputs (3, n) for inputs (6, n) on numpy."""
-        yaw = inputs[5:6]
-        values = np.concatenate([inputs[:5], np.arctan2(np.sin(yaw), np.cos(yaw))])
+    def arrays(self, xi: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """Accelerations (3, n) for v_ned and Theta (6, n) on numpy."""
+        rows = list(state)
+        values = np.stack(self.seen(NUMPY, rows))
         for k, layer in enumerate(self._layers()):
             if k:
                 values = np.tanh(values)
             weights = xi[layer.where].reshape(layer.rows, layer.columns)
             values = weights[:, :-1] @ values + weights[:, -1:]
-        return values
+        return np.stack(self.given(NUMPY, rows, list(values)))
 
     def _layers(self) -> Iterator[_Layer]:
         """Where every layer's weights are; each row ends with its bias."""

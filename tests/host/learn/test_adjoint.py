@@ -1,4 +1,4 @@
-"""The gradient of Algorithm 1 against finite differences and against CasADi's own reverse mode."""
+"""The gradient of Algorithm 1, of both engines, against finite differences and CasADi's own reverse mode."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import casadi
 import numpy as np
 import pytest
 
-from host.learn.adjoint import Rollouts
+from host.codegen import find_compiler
+from host.effects import load_effects
+from host.learn.adjoint import Rollouts, loss_of
+from host.learn.lanes import LaneRollouts
 from host.learn.train import LOSS_SIGMA
 from host.models.network import Layout
 from host.models.phi import FLIGHT, Phi
@@ -15,8 +18,12 @@ from host.models.segments import cut
 from host.vehicle import load_vehicle
 
 LAYOUT = Layout(hidden=(8, 8))
+LAYOUTS = [LAYOUT, Layout(hidden=(5, 7, 3), frame="body")]
+EFFECTS = {name: load_effects()[name] for name in ("linear-drag", "motor-lag")}
 PHI = Phi(vehicle=load_vehicle("research"), estimator=False)
+WITH_EFFECTS = Phi(vehicle=load_vehicle("research"), effects=tuple(EFFECTS.values()), estimator=False)
 THETA = np.zeros(0)
+DRAG = np.array([0.3, 0.25, 0.1, 0.004])
 WEIGHT = 1.0 / np.square(LOSS_SIGMA)
 STEPS, BATCH = 20, 4
 
@@ -26,36 +33,43 @@ def segments(make_states):
     return cut([make_states(1)], PHI, steps=STEPS).take([2, 5, 7])
 
 
-@pytest.fixture(scope="module")
-def rollouts():
-    return Rollouts(PHI, LAYOUT, THETA, batch=BATCH, step_s=0.02, weight=WEIGHT)
+def make(engine, phi=PHI, layout=LAYOUT, theta=THETA):
+    if engine == "vm":
+        return Rollouts(phi, layout, theta, batch=BATCH, step_s=0.02, weight=WEIGHT)
+    compiler = find_compiler()
+    assert compiler is not None
+    return LaneRollouts(phi, layout, theta, step_s=0.02, weight=WEIGHT, compiler=compiler)
+
+
+@pytest.fixture(scope="module", params=["vm", "c"])
+def rollouts(request, require):
+    if request.param == "c":
+        require("compiler")
+    return make(request.param)
+
+
+def weights(layout):
+    rng = np.random.default_rng(2)
+    return layout.initial(rng) + 0.05 * rng.standard_normal(layout.size)
 
 
 @pytest.fixture(scope="module")
 def xi():
-    rng = np.random.default_rng(2)
-    return LAYOUT.initial(rng) + 0.05 * rng.standard_normal(LAYOUT.size)
-
-
-USE = np.array([1.0, 1.0, 1.0, 0.0])
-
-
-def starts(segments):
-    return np.concatenate([segments.x0, segments.x0[:1]])
+    return weights(LAYOUT)
 
 
 def test_gradient_equals_finite_differences(rollouts, segments, xi):
-    found = rollouts.gradient(segments, starts(segments), xi, USE)
+    found = rollouts.gradient(segments, segments.x0, xi)
 
     def loss(shift, x0_shift):
-        states = rollouts.roll_out(segments, starts(segments) + x0_shift, xi + shift)
-        return rollouts.loss(segments, states, USE)
+        states = rollouts.roll_out(segments, segments.x0 + x0_shift, xi + shift)
+        return loss_of(segments, states, WEIGHT)
 
     rng = np.random.default_rng(3)
     x0_scale = np.repeat([1e-3, 1e-2, 1e-2, 1e-1, 0.1, 0.1], [3, 3, 3, 3, 4, 3])
     for _ in range(6):
         along = rng.standard_normal(LAYOUT.size)
-        start_along = rng.standard_normal((BATCH, PHI.size)) * x0_scale
+        start_along = rng.standard_normal((segments.count, PHI.size)) * x0_scale
 
         def slope(h, along=along, start_along=start_along):
             forward, back = loss(h * along, h * start_along), loss(-h * along, -h * start_along)
@@ -65,6 +79,35 @@ def test_gradient_equals_finite_differences(rollouts, segments, xi):
         numeric = (4.0 * slope(1e-4) - slope(2e-4)) / 3.0
         exact = found.xi @ along + (found.x0 * start_along).sum()
         assert exact == pytest.approx(numeric, rel=1e-7)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=["world", "body"])
+def test_both_engines_have_the_same_gradient(make_states, layout, require):
+    """To 1e-12, in weights, starts and effects, for more segments than lanes and for fewer."""
+    require("compiler")
+    vm, c = (make(engine, WITH_EFFECTS, layout, DRAG) for engine in ("vm", "c"))
+    vm.batch = BATCH
+    segments = cut([make_states(1)], WITH_EFFECTS, steps=STEPS).take([2, 5, 7, 1])
+    xi = weights(layout)
+    one, other = (engine.gradient(segments, segments.x0, xi) for engine in (vm, c))
+    assert one.loss == pytest.approx(other.loss, rel=1e-12)
+    for a, b in ((one.xi, other.xi), (one.x0, other.x0), (one.theta, other.theta)):
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-12 * np.abs(a).max())
+    many = segments.take([0, 1, 2, 3] * 3)
+    tripled = c.gradient(many, many.x0, xi)
+    np.testing.assert_allclose(tripled.xi, 3.0 * other.xi, rtol=0.0, atol=1e-12 * np.abs(tripled.xi).max())
+    np.testing.assert_allclose(tripled.x0[4:8], other.x0, rtol=0.0, atol=1e-12 * np.abs(other.x0).max())
+
+
+def test_gradient_by_effects_equals_finite_differences(make_states):
+    segments = cut([make_states(1)], WITH_EFFECTS, steps=STEPS).take([2, 5])
+    xi, along, h = weights(LAYOUT), np.array([0.1, -0.2, 0.3, 0.002]), 1e-4
+    found = make("vm", WITH_EFFECTS, LAYOUT, DRAG).gradient(segments, segments.x0, xi).theta @ along
+    ends = []
+    for shift in (h, -h):
+        states = make("vm", WITH_EFFECTS, LAYOUT, DRAG + shift * along).roll_out(segments, segments.x0, xi)
+        ends.append(loss_of(segments, states, WEIGHT))
+    assert found == pytest.approx((ends[0] - ends[1]) / (2.0 * h), rel=1e-6)
 
 
 def whole_step(count):
@@ -98,22 +141,25 @@ def test_gradient_equals_casadi_reverse_mode(rollouts, segments, xi):
         "reverse", [weights, x0], [total, casadi.gradient(total, weights), casadi.gradient(total, x0)]
     )
     loss, by_xi, by_x0 = (np.array(value) for value in reverse(xi, segments.x0.T))
-    found = rollouts.gradient(segments, starts(segments), xi, USE)
+    found = rollouts.gradient(segments, segments.x0, xi)
     assert found.loss == pytest.approx(loss.item(), rel=1e-12)
     scale = np.abs(by_xi).max()
     np.testing.assert_allclose(found.xi, by_xi.ravel(), rtol=1e-10, atol=1e-10 * scale)
-    np.testing.assert_allclose(found.x0[:3], by_x0.T, rtol=1e-10, atol=1e-10 * np.abs(by_x0).max())
+    np.testing.assert_allclose(found.x0, by_x0.T, rtol=1e-10, atol=1e-10 * np.abs(by_x0).max())
 
 
-def test_gradient_unused_segments_do_not_count(rollouts, segments, xi):
-    alone = rollouts.gradient(segments.take([0]), starts(segments), xi, np.array([1.0, 0, 0, 0]))
-    both = rollouts.gradient(segments, starts(segments), xi, np.array([1.0, 0, 0, 0]))
-    np.testing.assert_allclose(alone.xi, both.xi, rtol=1e-12, atol=1e-14)
+def test_gradient_of_segments_is_the_sum_of_each_ones(rollouts, segments, xi):
+    whole = rollouts.gradient(segments, segments.x0, xi)
+    parts = [segments.take([k]) for k in range(3)]
+    each = [rollouts.gradient(part, part.x0, xi) for part in parts]
+    total = sum(one.xi for one in each)
+    np.testing.assert_allclose(whole.xi, total, rtol=0.0, atol=1e-12 * np.abs(total).max())
+    assert whole.loss == pytest.approx(sum(one.loss for one in each), rel=1e-12)
 
 
 def test_roll_out_equals_that_over_lanes(rollouts, segments):
     """CasADi's step and numpy's lanes are one model."""
-    states = rollouts.roll_out(segments, starts(segments), np.zeros(LAYOUT.size))
+    states = rollouts.roll_out(segments, segments.x0, np.zeros(LAYOUT.size))
     lanes = roll_out(
         PHI,
         x0=segments.x0.T,
@@ -122,12 +168,12 @@ def test_roll_out_equals_that_over_lanes(rollouts, segments):
         theta=THETA,
         step_s=0.02,
     )
-    np.testing.assert_allclose(states[:, :3, :12].transpose(0, 2, 1), lanes, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(states[:, :, :12].transpose(0, 2, 1), lanes, rtol=1e-10, atol=1e-12)
 
 
-def test_rollouts_too_long_a_step_or_too_many_segments_are_refused(rollouts, segments, xi):
+def test_rollouts_too_long_a_step_or_too_many_segments_are_refused(segments, xi):
     with pytest.raises(ValueError, match="too long for this model"):
         Rollouts(PHI, LAYOUT, THETA, batch=2, step_s=0.2, weight=WEIGHT)
     many = segments.take([0, 1, 2, 0, 1])
     with pytest.raises(ValueError, match="5 segments for a batch of 4"):
-        rollouts.roll_out(many, starts(segments), xi)
+        make("vm").roll_out(many, many.x0, xi)

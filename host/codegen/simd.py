@@ -1,0 +1,137 @@
+"""CasADi SX functions as C over SIMD lanes: every number is a vector of independent ones.
+
+The arithmetic of a lane is IEEE's, in the graph's order, whatever the width of the machine's registers, so
+machines of one kind of libm agree bit for bit. Transcendental functions call libm lane by lane; tanh and exp,
+of which networks need many, are written out here and are right to some 1e-16.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from host.codegen.compiler import Compiler, shared_library
+
+LANES = 8
+"""Doubles a vector: one register of AVX-512, two of AVX2, four of SSE2 or NEON."""
+
+_ALIGNED = 64
+
+PRELUDE = f"#define LANES {LANES}\n" + (Path(__file__).parent / "simd.h").read_text(encoding="utf-8")
+
+_UNARY = {
+    ca.OP_NEG: "-{0}",
+    ca.OP_EXP: "vexp({0})",
+    ca.OP_LOG: "vlog({0})",
+    ca.OP_SQRT: "vsqrt({0})",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "{0} + {0}",
+    ca.OP_INV: "1.0 / {0}",
+    ca.OP_SIN: "vsin({0})",
+    ca.OP_COS: "vcos({0})",
+    ca.OP_TAN: "vtan({0})",
+    ca.OP_ASIN: "vasin({0})",
+    ca.OP_ACOS: "vacos({0})",
+    ca.OP_ATAN: "vatan({0})",
+    ca.OP_SINH: "vsinh({0})",
+    ca.OP_COSH: "vcosh({0})",
+    ca.OP_TANH: "vtanh({0})",
+    ca.OP_FLOOR: "vfloor({0})",
+    ca.OP_CEIL: "vceil({0})",
+    ca.OP_FABS: "vabs({0})",
+    ca.OP_SIGN: "vsign({0})",
+    ca.OP_NOT: "truth({0} == 0.0)",
+    ca.OP_ASSIGN: "{0}",
+}
+_BINARY = {
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_POW: "vpow({0}, {1})",
+    ca.OP_CONSTPOW: "vpow({0}, {1})",
+    ca.OP_FMIN: "vmin({0}, {1})",
+    ca.OP_FMAX: "vmax({0}, {1})",
+    ca.OP_ATAN2: "vatan2({0}, {1})",
+    ca.OP_FMOD: "vfmod({0}, {1})",
+    ca.OP_COPYSIGN: "vcopysign({0}, {1})",
+    ca.OP_LT: "truth({0} < {1})",
+    ca.OP_LE: "truth({0} <= {1})",
+    ca.OP_EQ: "truth({0} == {1})",
+    ca.OP_NE: "truth({0} != {1})",
+    ca.OP_AND: "truth(({0} != 0.0) & ({1} != 0.0))",
+    ca.OP_OR: "truth(({0} != 0.0) | ({1} != 0.0))",
+    ca.OP_IF_ELSE_ZERO: "choose({0} != 0.0, {1}, splat(0.0))",
+}
+
+
+def lane_source(function: ca.Function, name: str) -> str:
+    """C of `name`(const V *input..., V *output...), one pointer a dense column of the SX function.
+
+    It belongs behind PRELUDE. Raises ValueError for an operation without a counterpart.
+    """
+    pointers = [f"const V *i{k}" for k in range(function.n_in())]
+    pointers += [f"V *o{k}" for k in range(function.n_out())]
+    lines = [f"INLINE void {name}({', '.join(pointers)}) {{"]
+    held: dict[int, str] = {}  # work slot -> the variable that holds its value now
+    for k in range(function.n_instructions()):
+        code = function.instruction_id(k)
+        if code == ca.OP_OUTPUT:
+            block, row = function.instruction_output(k)
+            lines.append(f"    o{block}[{row}] = {held[function.instruction_input(k)[0]]};")
+            continue
+        if code == ca.OP_CONST:
+            value = f"splat({_number(function.instruction_constant(k))})"
+        elif code == ca.OP_INPUT:
+            block, row = function.instruction_input(k)
+            value = f"i{block}[{row}]"
+        else:
+            arguments = [held[slot] for slot in function.instruction_input(k)]
+            form = _UNARY.get(code) or _BINARY.get(code)
+            if form is None:
+                raise ValueError(f"{function.name()}: operation {code} has no counterpart over lanes")
+            value = form.format(*arguments)
+        lines.append(f"    const V v{k} = {value};")
+        held[function.instruction_output(k)[0]] = f"v{k}"
+    return "\n".join([*lines, "}"]) + "\n"
+
+
+def _number(value: float) -> str:
+    return (
+        repr(value) if np.isfinite(value) else f"({value})".replace("inf", "INFINITY").replace("nan", "NAN")
+    )
+
+
+def simd_library(source: str, compiler: Compiler) -> str:
+    """Path of the library for PRELUDE and `source`, for this machine's own instructions.
+
+    Raises CodegenError where the compiler fails.
+    """
+    return str(shared_library(PRELUDE + source, compiler, native=True))
+
+
+def lanes_of(rows: np.ndarray, fill: int) -> np.ndarray:
+    """(groups, ..., LANES), aligned, of rows (n, ...): lanes innermost, row `fill` in what is left over."""
+    groups = -(-len(rows) // LANES)
+    index = np.minimum(np.arange(groups * LANES), len(rows) - 1)
+    index[len(rows) :] = fill
+    shape = (groups, *rows.shape[1:], LANES)
+    out = aligned(shape)
+    out[:] = np.moveaxis(rows[index].reshape(groups, LANES, *rows.shape[1:]), 1, -1)
+    return out
+
+
+def rows_of(lanes: np.ndarray, count: int) -> np.ndarray:
+    """The first `count` rows (count, ...) of what `lanes_of` made."""
+    rows = np.moveaxis(lanes, -1, 1)
+    return rows.reshape(-1, *rows.shape[2:])[:count]
+
+
+def aligned(shape: tuple[int, ...]) -> np.ndarray:
+    """Doubles of this shape, zero, where vectors may be read and written."""
+    count = int(np.prod(shape))
+    raw = np.zeros(count + _ALIGNED // 8)
+    start = -raw.ctypes.data % _ALIGNED // 8
+    return raw[start : start + count].reshape(shape)

@@ -1,0 +1,145 @@
+/* Paper Algorithm 1 over lanes. Behind simd.h, the functions phi, products, seen, seen_back, given and given_back,
+   the sizes SIZE, ROWS, THETA, SEEN, UNITS, GIVEN, MEASURED and the layers' calls FORWARD, BACKWARD, GRADIENTS. */
+
+typedef struct { V x[SIZE]; V u[SEEN + UNITS + GIVEN]; V back[UNITS + GIVEN]; } Stage;
+
+INLINE void layer(const double *w, const V *u, V *out, int inputs, int outputs) {
+    int j = 0;
+    for (; j + 4 <= outputs; j += 4) {
+        const double *a = w + (long)j * (inputs + 1), *b = a + inputs + 1, *c = b + inputs + 1, *d = c + inputs + 1;
+        V s0 = splat(a[inputs]), s1 = splat(b[inputs]), s2 = splat(c[inputs]), s3 = splat(d[inputs]);
+        for (int i = 0; i < inputs; ++i) {
+            V t = u[i];
+            s0 += a[i] * t; s1 += b[i] * t; s2 += c[i] * t; s3 += d[i] * t;
+        }
+        out[j] = s0; out[j + 1] = s1; out[j + 2] = s2; out[j + 3] = s3;
+    }
+    for (; j < outputs; ++j) {
+        const double *a = w + (long)j * (inputs + 1);
+        V s = splat(a[inputs]);
+        for (int i = 0; i < inputs; ++i) s += a[i] * u[i];
+        out[j] = s;
+    }
+}
+
+/* out = weights' transposed times back. */
+INLINE void layer_back(const double *w, const V *back, V *out, int inputs, int outputs) {
+    for (int i = 0; i < inputs; ++i) out[i] = splat(0.0);
+    int j = 0;
+    for (; j + 4 <= outputs; j += 4) {
+        const double *a = w + (long)j * (inputs + 1), *b = a + inputs + 1, *c = b + inputs + 1, *d = c + inputs + 1;
+        V t0 = back[j], t1 = back[j + 1], t2 = back[j + 2], t3 = back[j + 3];
+        for (int i = 0; i < inputs; ++i) out[i] += (a[i] * t0 + b[i] * t1) + (c[i] * t2 + d[i] * t3);
+    }
+    for (; j < outputs; ++j) {
+        const double *a = w + (long)j * (inputs + 1);
+        V t = back[j];
+        for (int i = 0; i < inputs; ++i) out[i] += a[i] * t;
+    }
+}
+
+INLINE double across(V a) {
+    double s = 0.0;
+    for (int i = 0; i < LANES; ++i) s += a[i];
+    return s;
+}
+
+/* gradient[j][i] += sum over stages and lanes of back[j] u[i]; the last column is the bias's. */
+static void products_of(double *gradient, const Stage *stages, long count, int u0, int b0, int inputs, int outputs) {
+    for (int j = 0; j < outputs; j += 4) {
+        int nj = outputs - j < 4 ? outputs - j : 4;
+        for (int i = 0; i < inputs; i += 4) {
+            int ni = inputs - i < 4 ? inputs - i : 4;
+            V s[4][4];
+            memset(s, 0, sizeof s);
+            if (nj == 4 && ni == 4) {
+                for (long k = 0; k < count; ++k) {
+                    const V *u = stages[k].u + u0 + i, *b = stages[k].back + b0 + j;
+                    for (int q = 0; q < 4; ++q) for (int p = 0; p < 4; ++p) s[q][p] += b[q] * u[p];
+                }
+            } else {
+                for (long k = 0; k < count; ++k) {
+                    const V *u = stages[k].u + u0 + i, *b = stages[k].back + b0 + j;
+                    for (int q = 0; q < nj; ++q) for (int p = 0; p < ni; ++p) s[q][p] += b[q] * u[p];
+                }
+            }
+            for (int q = 0; q < nj; ++q) for (int p = 0; p < ni; ++p)
+                gradient[(long)(j + q) * (inputs + 1) + i + p] += across(s[q][p]);
+        }
+        for (int q = 0; q < nj; ++q) {
+            V s = splat(0.0);
+            for (long k = 0; k < count; ++k) s += stages[k].back[b0 + j + q];
+            gradient[(long)(j + q) * (inputs + 1) + inputs] += across(s);
+        }
+    }
+}
+
+INLINE void rate_of(const double *xi, Stage *s, const V *drive, const V *flight, const V *theta, V *rate) {
+    V d[GIVEN];
+    seen(s->x + 3, s->u);
+    FORWARD
+    given(s->x + 3, s->u + SEEN + UNITS, d);
+    phi(s->x, drive, flight, theta, d, rate);
+}
+
+/* Adds back' d(rate)/dx to out and back' d(rate)/dtheta to theta_back; what came back to the layers is kept. */
+INLINE void pull_back(const double *xi, Stage *s, const V *drive, const V *flight, const V *theta, const V *back,
+                      V *out, V *theta_back) {
+    V d[GIVEN], of_x[SIZE], of_d[GIVEN], of_theta[THETA + 1], of_state[6], to[64];
+    given(s->x + 3, s->u + SEEN + UNITS, d);
+    products(s->x, drive, flight, theta, d, back, of_x, of_d, of_theta);
+    given_back(s->x + 3, s->u + SEEN + UNITS, of_d, of_state, s->back + UNITS);
+    for (int i = 0; i < SIZE; ++i) out[i] += of_x[i];
+    for (int i = 0; i < 6; ++i) out[3 + i] += of_state[i];
+    for (int i = 0; i < THETA; ++i) theta_back[i] += of_theta[i];
+    BACKWARD
+    seen_back(s->x + 3, to, of_state);
+    for (int i = 0; i < 6; ++i) out[3 + i] += of_state[i];
+}
+
+/* States (steps + 1, SIZE); drive (2 steps + 1, ROWS) at starts, middles and ends. */
+void roll_out(const double *xi, const V *x0, const V *drive, const V *flight, const V *theta, long steps, double h,
+              Stage *stages, V *states) {
+    static const double reach[4] = {0.0, 0.5, 0.5, 1.0};
+    memcpy(states, x0, sizeof(V) * SIZE);
+    for (long k = 0; k < steps; ++k) {
+        const V *x = states + k * SIZE;
+        V *next = states + (k + 1) * SIZE, rate[SIZE], total[SIZE];
+        for (int q = 0; q < 4; ++q) {
+            Stage *s = stages + 4 * k + q;
+            if (q == 0) memcpy(s->x, x, sizeof(V) * SIZE);
+            else for (int i = 0; i < SIZE; ++i) s->x[i] = x[i] + h * reach[q] * rate[i];
+            rate_of(xi, s, drive + (2 * k + (q + 1) / 2) * ROWS, flight, theta, rate);
+            for (int i = 0; i < SIZE; ++i) total[i] = q == 0 ? rate[i] : total[i] + (q == 3 ? 1.0 : 2.0) * rate[i];
+        }
+        for (int i = 0; i < SIZE; ++i) next[i] = x[i] + h / 6.0 * total[i];
+    }
+}
+
+/* After roll_out. pull (steps + 1, MEASURED) is the loss's slope by the states; costate: by the start. */
+void adjoint(const double *xi, const V *drive, const V *flight, const V *theta, long steps, double h, Stage *stages,
+             const V *pull, V *costate, double *gradient, V *theta_back) {
+    static const double share[4] = {1.0, 2.0, 2.0, 1.0}, reach[4] = {0.5, 0.5, 1.0, 0.0};
+    memset(costate, 0, sizeof(V) * SIZE);
+    memset(theta_back, 0, sizeof(V) * THETA);
+    for (long k = steps; k-- > 0;) {
+        V before[SIZE], later[SIZE], back[SIZE];
+        for (int i = 0; i < MEASURED; ++i) costate[i] += pull[(k + 1) * MEASURED + i];
+        memcpy(before, costate, sizeof before);
+        for (int q = 3; q >= 0; --q) {
+            for (int i = 0; i < SIZE; ++i) {
+                back[i] = h * share[q] / 6.0 * costate[i];
+                if (q < 3) back[i] += h * reach[q] * later[i];
+            }
+            memset(later, 0, sizeof later);
+            pull_back(xi, stages + 4 * k + q, drive + (2 * k + (q + 1) / 2) * ROWS, flight, theta, back, later,
+                      theta_back);
+            for (int i = 0; i < SIZE; ++i) before[i] += later[i];
+        }
+        memcpy(costate, before, sizeof before);
+    }
+    for (int i = 0; i < MEASURED; ++i) costate[i] += pull[i];
+    GRADIENTS
+}
+
+long stage_bytes(void) { return sizeof(Stage); }

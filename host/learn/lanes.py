@@ -1,0 +1,119 @@
+"""Algorithm 1 over SIMD lanes: roll-outs and gradients of a batch of segments by the compiled kernel."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+
+import numpy as np
+
+from host.codegen.compiler import CodegenError, Compiler, engine_choice, find_compiler
+from host.codegen.simd import LANES, aligned, lanes_of, rows_of
+from host.learn.adjoint import Gradient, Rollouts, check_step
+from host.learn.kernel import MEASURED, kernel, pointer
+from host.models.network import Layout
+from host.models.phi import Phi
+from host.models.segments import Segments
+
+_log = logging.getLogger(__name__)
+
+
+def rollouts(
+    phi: Phi, layout: Layout, theta: np.ndarray, *, batch: int, step_s: float, weight: np.ndarray
+) -> Rollouts | LaneRollouts:
+    """Algorithm 1 for batches of up to `batch` segments: in C where a compiler works, else by CasADi.
+
+    Raises CodegenError where TRIMTAB_ENGINE asks for C and it cannot be had.
+    """
+    choice, compiler = engine_choice(), find_compiler()
+    if choice != "vm" and compiler is not None:
+        try:
+            return LaneRollouts(phi, layout, theta, step_s=step_s, weight=weight, compiler=compiler)
+        except (CodegenError, OSError) as error:
+            if choice == "c":
+                raise
+            _log.warning("%s; going on without it, slower", error)
+    elif choice == "c":
+        raise CodegenError("no C compiler: install cc, gcc, clang or the Python package ziglang")
+    return Rollouts(phi, layout, theta, batch=batch, step_s=step_s, weight=weight)
+
+
+class LaneRollouts:
+    """`Rollouts` in C: the same numbers but for rounding. Raises CodegenError where it cannot be compiled."""
+
+    def __init__(
+        self,
+        phi: Phi,
+        layout: Layout,
+        theta: np.ndarray,
+        *,
+        step_s: float,
+        weight: np.ndarray,
+        compiler: Compiler,
+    ) -> None:
+        check_step(phi, step_s)
+        self.phi, self.layout, self.step_s = phi, layout, step_s
+        self.weight = np.asarray(weight, dtype=float)
+        self._kernel = kernel(phi, layout, compiler)
+        self._theta = aligned((max(1, len(theta)), LANES))
+        self._theta[: len(theta)] = np.asarray(theta)[:, None]
+        self._stages = aligned((0,))
+
+    def roll_out(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
+        """States (N + 1, segments, size) from the starts x0 (segments, size): equation 7."""
+        states, _ = self._rolled(segments, x0, np.ascontiguousarray(xi, dtype=float))
+        return np.moveaxis(rows_of(states, segments.count), 0, 1)
+
+    def gradient(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> Gradient:
+        """Loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""
+        xi = np.ascontiguousarray(xi, dtype=float)
+        states, (drive, flight) = self._rolled(segments, x0, xi)
+        measured = lanes_of(segments.measured, 0)
+        pull = states[:, :, :MEASURED] - measured
+        weight = (self.weight / segments.steps)[:, None]
+        unused = len(states) * LANES - segments.count
+        if unused:
+            pull[-1, :, :, LANES - unused :] = 0.0
+        pull[:, 0] = 0.0
+        loss = float((weight * pull**2).sum())
+        pull *= 2.0 * weight
+        pull = _aligned(pull)
+        of_xi, of_theta = np.zeros(len(xi)), np.zeros(len(self._theta))
+        costate, theta_back = aligned((len(states), self.phi.size, LANES)), aligned(self._theta.shape)
+        for group in range(len(states)):
+            self._kernel.adjoint(
+                pointer(xi), pointer(drive[group]), pointer(flight[group]), pointer(self._theta),
+                ctypes.c_long(segments.steps), ctypes.c_double(self.step_s), pointer(self._stages[group]),
+                pointer(pull[group]), pointer(costate[group]), pointer(of_xi), pointer(theta_back),
+            )  # fmt: skip
+            of_theta += theta_back.sum(1)
+        return Gradient(
+            loss=loss,
+            xi=of_xi,
+            x0=rows_of(costate, segments.count),
+            theta=of_theta[: len(self.phi.theta_names)],
+        )
+
+    def _rolled(
+        self, segments: Segments, x0: np.ndarray, xi: np.ndarray
+    ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """States (groups, N + 1, size, LANES), and drive and constants over lanes; the stages are kept."""
+        start, drive, flight = (lanes_of(rows, 0) for rows in (x0, segments.drive, segments.constants))
+        groups, steps = len(start), segments.steps
+        states = aligned((groups, steps + 1, self.phi.size, LANES))
+        need = (groups, 4 * steps * self._kernel.stage_bytes // 8)
+        if self._stages.shape != need:
+            self._stages = aligned(need)
+        for group in range(groups):
+            self._kernel.roll_out(
+                pointer(xi), pointer(start[group]), pointer(drive[group]), pointer(flight[group]),
+                pointer(self._theta), ctypes.c_long(steps), ctypes.c_double(self.step_s),
+                pointer(self._stages[group]), pointer(states[group]),
+            )  # fmt: skip
+        return states, (drive, flight)
+
+
+def _aligned(array: np.ndarray) -> np.ndarray:
+    out = aligned(array.shape)
+    out[:] = array
+    return out
