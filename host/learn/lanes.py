@@ -57,12 +57,33 @@ class LaneRollouts:
         self._kernel = kernel(phi, layout, compiler)
         self._theta = aligned((max(1, len(theta)), LANES))
         self._theta[: len(theta)] = np.asarray(theta)[:, None]
-        self._stages = aligned((0,))
+        self._stages, self._still = aligned((0,)), aligned((0,))
 
     def roll_out(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
         """States (N + 1, segments, size) from the starts x0 (segments, size): equation 7."""
         states, _ = self._rolled(segments, x0, np.ascontiguousarray(xi, dtype=float))
         return np.moveaxis(rows_of(states, segments.count), 0, 1)
+
+    def sweep(
+        self, segments: Segments, k: int, x0: np.ndarray, theta: np.ndarray, push: np.ndarray
+    ) -> np.ndarray:
+        """States (n, N + 1, size) of segment `k` from starts x0 (n, size), each with its own theta (n, P) and
+        acceleration push (n, 2 N + 1, 3), NED, at the steps' starts, middles and ends; the network gives 0.
+        """
+        steps, groups = segments.steps, -(-len(x0) // LANES)
+        start, push = lanes_of(x0, 0), lanes_of(push, 0)
+        own = aligned((groups, max(1, theta.shape[1]), LANES))
+        own[:, : theta.shape[1]] = lanes_of(theta, 0) if theta.shape[1] else 0.0
+        drive, flight = (lanes_of(rows[k : k + 1], 0)[0] for rows in (segments.drive, segments.constants))
+        states, xi = aligned((groups, steps + 1, self.phi.size, LANES)), np.zeros(self.layout.size)
+        stages = aligned((self._kernel.stage_bytes // 2,))
+        for group in range(groups):
+            self._kernel.roll_out(
+                pointer(xi), pointer(start[group]), pointer(drive), pointer(flight), pointer(own[group]),
+                pointer(push[group]), ctypes.c_long(steps), ctypes.c_double(self.step_s), ctypes.c_int(0),
+                pointer(stages), pointer(states[group]),
+            )  # fmt: skip
+        return rows_of(states, len(x0))
 
     def gradient(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> Gradient:
         """Loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""
@@ -83,8 +104,9 @@ class LaneRollouts:
         for group in range(len(states)):
             self._kernel.adjoint(
                 pointer(xi), pointer(drive[group]), pointer(flight[group]), pointer(self._theta),
-                ctypes.c_long(segments.steps), ctypes.c_double(self.step_s), pointer(self._stages[group]),
-                pointer(pull[group]), pointer(costate[group]), pointer(of_xi), pointer(theta_back),
+                pointer(self._still), ctypes.c_long(segments.steps), ctypes.c_double(self.step_s),
+                pointer(self._stages[group]), pointer(pull[group]), pointer(costate[group]), pointer(of_xi),
+                pointer(theta_back),
             )  # fmt: skip
             of_theta += theta_back.sum(1)
         return Gradient(
@@ -103,12 +125,13 @@ class LaneRollouts:
         states = aligned((groups, steps + 1, self.phi.size, LANES))
         need = (groups, 4 * steps * self._kernel.stage_bytes // 8)
         if self._stages.shape != need:
-            self._stages = aligned(need)
+            self._stages, self._still = aligned(need), aligned((2 * steps + 1, 3, LANES))
         for group in range(groups):
             self._kernel.roll_out(
                 pointer(xi), pointer(start[group]), pointer(drive[group]), pointer(flight[group]),
-                pointer(self._theta), ctypes.c_long(steps), ctypes.c_double(self.step_s),
-                pointer(self._stages[group]), pointer(states[group]),
+                pointer(self._theta), pointer(self._still), ctypes.c_long(steps),
+                ctypes.c_double(self.step_s), ctypes.c_int(1), pointer(self._stages[group]),
+                pointer(states[group]),
             )  # fmt: skip
         return states, (drive, flight)
 

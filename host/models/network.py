@@ -77,6 +77,12 @@ class Layout:
             return list(mat_vec(euler_to_matrix(ops, state[3:6]), outputs))
         return list(outputs)
 
+    def taken(self, ops: Ops, state: Sequence[Any], acceleration: Sequence[Any]) -> list[Any]:
+        """The outputs that mean an acceleration, NED: the inverse of `given`, and its transpose."""
+        if self.frame == "body":
+            return list(mat_t_vec(euler_to_matrix(ops, state[3:6]), acceleration))
+        return list(acceleration)
+
     def scalars(self, ops: Ops, xi: Sequence[Any], state: Sequence[Any]) -> Sequence[Any]:
         """The acceleration for v_ned and Theta, 6 scalars, by the law's own form."""
         return self.given(ops, state, network(ops, xi, self.hidden, self.seen(ops, state), ()))
@@ -103,6 +109,26 @@ class Layout:
             weights = xi[layer.where].reshape(layer.rows, layer.columns)
             values = weights[:, :-1] @ values + weights[:, -1:]
         return np.stack(self.given(NUMPY, rows, list(values)))
+
+    def pulled_back(self, xi: np.ndarray, state: np.ndarray, pull: np.ndarray) -> np.ndarray:
+        """pull' d(acceleration)/dxi (size,): of `arrays`, pull (3, n)."""
+        values, saw = np.stack(self.seen(NUMPY, list(state))), []
+        layers = list(self._layers())
+        for k, layer in enumerate(layers):
+            if k:
+                values = np.tanh(values)
+            saw.append(values)
+            weights = xi[layer.where].reshape(layer.rows, layer.columns)
+            values = weights[:, :-1] @ values + weights[:, -1:]
+        back, gradient = np.stack(self.taken(NUMPY, list(state), list(pull))), np.empty(self.size)
+        for k, layer in reversed(list(enumerate(layers))):
+            own = gradient[layer.where].reshape(layer.rows, layer.columns)
+            np.matmul(back, saw[k].T, out=own[:, :-1])
+            own[:, -1] = back.sum(1)
+            if k:
+                weights = xi[layer.where].reshape(layer.rows, layer.columns)
+                back = (weights[:, :-1].T @ back) * (1.0 - saw[k] * saw[k])
+        return gradient
 
     def _layers(self) -> Iterator[_Layer]:
         """Where every layer's weights are; each row ends with its bias."""
