@@ -18,6 +18,7 @@ from host.codegen import compile_function
 from host.learn.kernel import MEASURED, vector_jacobian
 from host.models.network import Layout
 from host.models.phi import DRIVE_ROWS, FLIGHT, Phi
+from host.models.rollout import roll_out
 from host.models.segments import Segments
 
 
@@ -120,6 +121,24 @@ class Rollouts:
             x0=costate[: segments.count].copy(),
             theta=of_theta,
         )
+
+    def sweep(
+        self, segments: Segments, k: int, x0: np.ndarray, theta: np.ndarray, push: np.ndarray
+    ) -> np.ndarray:
+        """States (n, N + 1, size) of segment `k` from starts x0 (n, size), each with its own theta (n, P) and
+        acceleration push (n, 2 N + 1, 3), NED, at the steps' starts, middles and ends; the network gives 0.
+        """
+        states = roll_out(
+            self.phi,
+            x0=x0.T,
+            drive=segments.drive[k],
+            flight=segments.constants[k],
+            theta=theta.T,
+            step_s=self.step_s,
+            push=push.transpose(1, 2, 0),
+            rows=self.phi.size,
+        )
+        return states.transpose(2, 0, 1)
 
     def _filled(self, rows: np.ndarray) -> np.ndarray:
         """The rows, the first repeated up to the batch."""

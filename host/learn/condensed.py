@@ -9,11 +9,11 @@ parameters is one solve.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from host.learn.adjoint import Rollouts
 from host.learn.lanes import LaneRollouts
 from host.models.phi import Phi
 from host.models.segments import Segments
@@ -52,7 +52,7 @@ DELAY_S = 0.01
 
 
 def condense(
-    engine: LaneRollouts,
+    engine: Rollouts | LaneRollouts,
     segments: Segments,
     *,
     weight: np.ndarray,
@@ -60,13 +60,14 @@ def condense(
     acceleration: np.ndarray,
     theta: np.ndarray,
     scale: np.ndarray,
-    delay: float = 0.0,
+    delay_s: float = 0.0,
 ) -> Condensed:
-    """The segments' loss about residual acceleration (S, N + 1, 3), NED, theta (P,) and a delay of poses.
+    """The segments' loss about residual acceleration (S, N + 1, 3), NED, theta (P,) and a delay of poses, s.
 
     weight (12,): diagonal L of the loss; start_sigma (S, size): scale of what starts may move; scale (P,):
     typical sizes.
     """
+    delay = delay_s / DELAY_S
     count, nodes, parameters = segments.count, segments.steps + 1, len(theta)
     size = 3 * nodes + parameters + 1
     hessian, slope = np.empty((count, size, size)), np.empty((count, size))
@@ -95,7 +96,7 @@ def condense(
 
 
 def _sensitivities(
-    engine: LaneRollouts,
+    engine: Rollouts | LaneRollouts,
     segments: Segments,
     k: int,
     start: np.ndarray,
@@ -144,14 +145,3 @@ def _rates(measured: np.ndarray, step_s: float) -> np.ndarray:
 def effect_scales(phi: Phi) -> np.ndarray:
     """(P,): typical sizes of phi's effects' parameters."""
     return np.array([p.typical for effect in phi.effects for p in effect.parameters])
-
-
-def stacked(parts: Sequence[Condensed]) -> Condensed:
-    """Several as one."""
-    return Condensed(
-        hessian=np.concatenate([p.hessian for p in parts]),
-        slope=np.concatenate([p.slope for p in parts]),
-        constant=np.concatenate([p.constant for p in parts]),
-        at=np.concatenate([p.at for p in parts]),
-        nodes=parts[0].nodes,
-    )

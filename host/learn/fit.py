@@ -1,8 +1,9 @@
-"""Learning on the condensed loss: L-BFGS over a network's weights, effects' parameters and the poses' delay."""
+"""Learning on the condensed loss: L-BFGS over a network's weights, effects' parameters and poses' delay."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,10 +105,8 @@ def fit(
             raise Enough
 
     options = {"maxiter": iterations, "maxfun": 4 * iterations, "maxcor": _MEMORY, "ftol": 0.0, "gtol": 1e-12}
-    try:
+    with suppress(Enough):
         minimize(problem, start, jac=True, method="L-BFGS-B", callback=after, options=options)
-    except Enough:
-        pass
     xi, eta, delay = problem.split(np.asarray(best[0]))
     return Fitted(
         xi=xi.copy(),

@@ -49,13 +49,7 @@ class Starts:
 
 def free_starts(phi: Phi, theta: np.ndarray, segments: Segments, weight: np.ndarray) -> Starts:
     """The starts' freedom about the measured ones. `weight` (12,): diagonal L of the loss."""
-    size = phi.size
-    sigma = np.ones((segments.count, size))
-    sigma[:, 0:12] = segments.sigma
-    sigma[:, 12:16] = _THRUST_SIGMA
-    sigma[:, INTEGRAL] = _INTEGRAL_SIGMA
-    if phi.observes:
-        sigma[:, phi.observer] = _OBSERVER_SIGMA
+    size, sigma = phi.size, start_sigma(phi, segments)
     gain = np.empty((segments.count, size, 12 * segments.steps))
     keep = np.empty((segments.count, size, size))
     root = np.sqrt(np.tile(weight, segments.steps))
@@ -70,6 +64,17 @@ def free_starts(phi: Phi, theta: np.ndarray, segments: Segments, weight: np.ndar
             gain[segment] = np.linalg.solve(normal, G.T * root)
             keep[segment] = np.linalg.solve(normal, G.T @ G)
     return Starts(sigma=sigma, gain=gain, keep=keep)
+
+
+def start_sigma(phi: Phi, segments: Segments) -> np.ndarray:
+    """(segments, size): how well each entry of the starts is known."""
+    sigma = np.ones((segments.count, phi.size))
+    sigma[:, 0:12] = segments.sigma
+    sigma[:, 12:16] = _THRUST_SIGMA
+    sigma[:, INTEGRAL] = _INTEGRAL_SIGMA
+    if phi.observes:
+        sigma[:, phi.observer] = _OBSERVER_SIGMA
+    return sigma
 
 
 def _sensitivity(phi: Phi, theta: np.ndarray, segments: Segments, sigma: np.ndarray) -> np.ndarray:

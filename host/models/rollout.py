@@ -46,6 +46,7 @@ def roll_out(
     every: int = 1,
     lane_flight: np.ndarray | None = None,
     network: Network | None = None,
+    push: np.ndarray | None = None,
     rows: int = 12,
     compiled: bool = False,
 ) -> np.ndarray:
@@ -59,6 +60,7 @@ def roll_out(
         step_s: integration step; `phi.substeps` says how fine it must be.
         lane_flight: (lanes,) index of each lane's flight; default: as many flights as lanes, or one.
         network: residual d(x) added to the acceleration.
+        push: (2 steps + 1, 3, lanes) acceleration, NED, added at `half_steps`.
         compiled: run phi in C where a compiler works: it is then several times faster, after a quarter of a
             second for a phi that was never compiled here.
 
@@ -80,7 +82,7 @@ def roll_out(
     flight_of = own if lane_flight is None else np.asarray(lane_flight)
     gather = flights != 1 and not np.array_equal(flight_of, np.arange(lanes))
 
-    if compiled and network is None and phi.integrator is not None:
+    if compiled and network is None and push is None and phi.integrator is not None:
         each = flight if flight.shape[1] == 1 else flight[:, flight_of]
         constants = [np.broadcast_to(values, (len(values), lanes)).T for values in (each, theta)]
         samples = phi.integrator(
@@ -97,16 +99,20 @@ def roll_out(
     total, scaled = np.empty_like(x), np.empty_like(x)
     samples = np.empty((steps // every + 1, rows, lanes))
     samples[0] = x[:rows]
+    pushed: np.ndarray | float = 0.0
 
     def load(k: int) -> None:
+        nonlocal pushed
+        pushed = 0.0 if push is None else push[k]
         if gather:
             drive_in[:] = np.take(drive[k], flight_of, axis=1)
         else:
             drive_in[:] = drive[k]
 
     def stage() -> None:
+        residual[:] = pushed
         if network is not None:
-            residual[:] = network.layout.arrays(network.xi, x_in[3:9])
+            residual[:] += network.layout.arrays(network.xi, x_in[3:9])
         bound()
 
     half, sixth = 0.5 * step_s, step_s / 6.0
