@@ -1,0 +1,206 @@
+"""The condensed loss against true roll-outs, and what is learned on it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from host.codegen import find_compiler
+from host.effects import load_effects
+from host.learn.adjoint import Rollouts, loss_of
+from host.learn.condensed import DELAY_S, between, condense, effect_scales
+from host.learn.fit import Basis, Examples, accelerations, fit
+from host.learn.lanes import LaneRollouts, rollouts
+from host.learn.quick import CondensedSettings, train_condensed
+from host.learn.starts import start_sigma
+from host.learn.train import LOSS_SIGMA
+from host.models.network import Layout
+from host.models.phi import Phi
+from host.models.segments import Segments, cut
+from host.vehicle import load_vehicle
+
+VEHICLE = load_vehicle("research")
+DRAG = load_effects()["linear-drag"]
+PHI = Phi(vehicle=VEHICLE, effects=(DRAG,), estimator=False)
+BARE = Phi(vehicle=VEHICLE, estimator=False)
+SMALL = Layout(hidden=(1,))
+WEIGHT = 1.0 / np.square(LOSS_SIGMA)
+STEPS = 20
+
+
+@pytest.fixture(scope="module")
+def segments(make_states) -> Segments:
+    return cut([make_states(seed) for seed in (1, 2)], PHI, steps=STEPS)
+
+
+def condensed_about(segments: Segments, acceleration: np.ndarray, theta: np.ndarray, *, held: float = 1.0):
+    engine = rollouts(PHI, SMALL, theta, batch=1, step_s=0.02, weight=WEIGHT)
+    return condense(
+        engine,
+        segments,
+        weight=WEIGHT,
+        start_sigma=held * start_sigma(PHI, segments),
+        acceleration=acceleration,
+        theta=theta,
+        scale=effect_scales(PHI),
+    )
+
+
+def rolled(segments: Segments, push: np.ndarray, theta: np.ndarray) -> float:
+    """The loss of true roll-outs from the measured starts with accelerations (S, N + 1, 3) at the nodes."""
+    engine = Rollouts(PHI, SMALL, theta, batch=1, step_s=0.02, weight=WEIGHT)
+    total = 0.0
+    for k in range(segments.count):
+        own = [segments.x0[k : k + 1], theta[None], between(push[k : k + 1])]
+        states = engine.sweep(segments, k, *own)
+        total += loss_of(segments.take([k]), states.transpose(1, 0, 2), WEIGHT)
+    return total
+
+
+def test_condensed_loss_is_that_of_roll_outs_where_the_start_is_held(segments):
+    few = segments.take([0, 3])
+    rng = np.random.default_rng(0)
+    at, theta = 0.2 * rng.standard_normal((2, STEPS + 1, 3)), np.array([0.1, 0.2, 0.05])
+    condensed = condensed_about(few, at, theta, held=1e-6)
+    u = condensed.at.copy()
+    assert condensed.loss(u)[0] == pytest.approx(rolled(few, at, theta), rel=1e-9)
+    # Near it, and better than the slope alone says.
+    push, more = 0.02 * rng.standard_normal(at.shape), np.array([0.02, -0.01, 0.03])
+    u[:, : push[0].size] += push.reshape(2, -1)
+    u[:, push[0].size : -1] += more / effect_scales(PHI)
+    true = rolled(few, at + push, theta + more)
+    assert condensed.loss(u)[0] == pytest.approx(true, rel=2e-3)
+    assert abs(true / condensed.loss(condensed.at)[0] - 1.0) > 0.02
+
+
+def test_condensed_loss_of_free_starts_is_less_and_its_slope_is_its_difference(segments):
+    few = segments.take([0, 3])
+    still, theta = np.zeros((2, STEPS + 1, 3)), np.zeros(3)
+    held, free = (condensed_about(few, still, theta, held=held) for held in (1e-6, 1.0))
+    assert free.loss(free.at)[0] < held.loss(held.at)[0]
+    rng = np.random.default_rng(1)
+    u, along = free.at + 0.1 * rng.standard_normal(free.at.shape), rng.standard_normal(free.at.shape)
+    numeric = (free.loss(u + 1e-4 * along)[0] - free.loss(u - 1e-4 * along)[0]) / 2e-4
+    assert (free.loss(u)[1] * along).sum() == pytest.approx(numeric, rel=1e-8)
+
+
+def test_both_engines_condense_alike(segments, require):
+    require("compiler")
+    compiler = find_compiler()
+    assert compiler is not None
+    few, theta = segments.take([1]), np.array([0.1, 0.2, 0.05])
+    engines = (
+        Rollouts(PHI, SMALL, theta, batch=1, step_s=0.02, weight=WEIGHT),
+        LaneRollouts(PHI, SMALL, theta, step_s=0.02, weight=WEIGHT, compiler=compiler),
+    )
+    found = [
+        condense(
+            engine,
+            few,
+            weight=WEIGHT,
+            start_sigma=start_sigma(PHI, few),
+            acceleration=np.zeros((1, STEPS + 1, 3)),
+            theta=theta,
+            scale=effect_scales(PHI),
+        )
+        for engine in engines
+    ]
+    for name in ("hessian", "slope", "constant", "at"):
+        one, other = (getattr(each, name) for each in found)
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-8 * np.abs(one).max())
+
+
+@pytest.mark.parametrize("frame", ["world", "body"])
+def test_slope_of_what_is_learned_is_its_difference(segments, frame):
+    few = segments.take([0, 3, 5])
+    layout = Layout(hidden=(4, 3), frame=frame)
+    basis = Basis(layout=layout, parameters=3, delay=True)
+    rng = np.random.default_rng(2)
+    headings = rng.uniform(-3.0, 3.0, (2, 3))
+    states = few.measured[:, :, 3:9]
+    examples = Examples(
+        condensed=condensed_about(few, np.zeros((3, STEPS + 1, 3)), np.zeros(3)), states=states
+    )
+    from host.learn.fit import _Problem
+
+    problem = _Problem(basis, examples, l2=1e-3, headings=headings)
+    v = np.concatenate([layout.initial(rng), [0.3, 0.2, 0.1, 0.05]])
+    along = rng.standard_normal(len(v))
+    numeric = (problem(v + 1e-6 * along)[0] - problem(v - 1e-6 * along)[0]) / 2e-6
+    assert problem(v)[1] @ along == pytest.approx(numeric, rel=1e-6)
+
+
+def learned(make_states, settings, phi=PHI, *, noise=1.0, turn=lambda s: s):
+    flights = [make_states(seed, noise=noise) for seed in range(1, 7)]
+    segments = turn(cut(flights, phi, steps=25))
+    rng = np.random.default_rng(0)
+    order = rng.permutation(segments.count)
+    return train_condensed(
+        phi,
+        phi.theta_neutral,
+        segments.take(order[6:]),
+        segments.take(order[:6]),
+        settings,
+        rng,
+        weight=WEIGHT,
+    )
+
+
+def test_effects_alone_are_found_in_noise(make_states):
+    trained = learned(make_states, CondensedSettings(layout=None))
+    np.testing.assert_allclose(trained.theta, [0.45, 0.35, 0.25], rtol=0.12)
+    assert trained.network is None
+    assert trained.after < 0.2 * trained.before
+
+
+@pytest.mark.parametrize("frame", ["world", "body"])
+def test_a_network_alone_learns_the_drag(make_states, frame):
+    trained = learned(make_states, CondensedSettings(layout=Layout(hidden=(16, 16), frame=frame)), BARE)
+    assert trained.after < 0.3 * trained.before
+    assert trained.network is not None
+    push = trained.network.acceleration_ned(np.array([[2.0], [0.0], [0.0]]), np.zeros((3, 1)))
+    np.testing.assert_allclose(push[:, 0], [-0.9, 0.0, 0.0], atol=0.25)
+
+
+def test_poses_that_are_late_are_found_so(make_states):
+    """Measured states moved back by 8 ms: what the cameras saw then is older than its stamp."""
+
+    def late(segments: Segments) -> Segments:
+        rates = np.gradient(segments.measured, segments.step_s, axis=1)
+        rates[:, :, 9:] = 0.0
+        measured = segments.measured - 0.008 * rates
+        x0 = segments.x0.copy()
+        x0[:, :12] = measured[:, 0]
+        return replace(segments, measured=measured, x0=x0)
+
+    settings = CondensedSettings(layout=None, delay=True)
+    trained = learned(make_states, settings, noise=0.0, turn=late)
+    assert trained.delay_s == pytest.approx(0.008, abs=0.0015)
+    assert DELAY_S == 0.01
+    np.testing.assert_allclose(trained.theta, [0.45, 0.35, 0.25], rtol=0.1)
+
+
+def test_fit_ends_early_where_validation_does_not_improve(segments):
+    few, other = segments.take([0, 3]), segments.take([5])
+    basis = Basis(layout=Layout(hidden=(4,)), parameters=0, delay=False)
+    phi_examples = []
+    for part in (few, other):
+        engine = rollouts(BARE, SMALL, np.zeros(0), batch=1, step_s=0.02, weight=WEIGHT)
+        condensed = condense(
+            engine,
+            part,
+            weight=WEIGHT,
+            start_sigma=start_sigma(BARE, part),
+            acceleration=np.zeros((part.count, STEPS + 1, 3)),
+            theta=np.zeros(0),
+            scale=np.zeros(0),
+        )
+        phi_examples.append(Examples(condensed=condensed, states=part.measured[:, :, 3:9]))
+    start = np.zeros(basis.size)
+    start[:] = Layout(hidden=(4,)).initial(np.random.default_rng(0))
+    found = fit(basis, *phi_examples, start, iterations=400, patience=5, l2=0.0)
+    assert found.best <= found.iterations <= found.best + 5
+    assert found.validation_loss[found.best] == found.validation_loss.min()
+    assert accelerations(basis, found.xi, few.measured[:, :, 3:9]).shape == (2, STEPS + 1, 3)
