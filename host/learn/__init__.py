@@ -1,6 +1,7 @@
 """Learning the residual of a flight's closed loop from its trajectories (paper section IV-B)."""
 
 from host.learn.learn import Judged, Learned, learn
+from host.learn.quick import CondensedSettings
 from host.learn.train import Settings
 
-__all__ = ["Judged", "Learned", "Settings", "learn"]
+__all__ = ["CondensedSettings", "Judged", "Learned", "Settings", "learn"]

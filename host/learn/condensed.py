@@ -9,6 +9,7 @@ parameters is one solve.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,10 +28,11 @@ _SHARE = 0.02
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Condensed:
-    """Per segment: loss = c + 2 g' u + u' H u with u = [d at the nodes (N + 1, 3); theta; delay] less `at`.
+    """Per segment: loss = c + 2 g' u + u' H u with u = [d at the nodes (N + 1, 3); eta; delay] less `at`.
 
     hessian (S, m, m), slope (S, m), constant (S,), at (S, m), m = 3 (N + 1) + P + 1. A segment's loss is the
-    mean over its steps, weighted; theta in typical sizes from neutral, the delay in units of DELAY_S.
+    mean over its steps, weighted. eta (P,) are the free parameters of effects in typical sizes from neutral,
+    the delay is in units of DELAY_S.
     """
 
     hessian: np.ndarray
@@ -59,16 +61,17 @@ def condense(
     start_sigma: np.ndarray,
     acceleration: np.ndarray,
     theta: np.ndarray,
-    scale: np.ndarray,
+    free: Sequence[int],
     delay_s: float = 0.0,
 ) -> Condensed:
     """The segments' loss about residual acceleration (S, N + 1, 3), NED, theta (P,) and a delay of poses, s.
 
-    weight (12,): diagonal L of the loss; start_sigma (S, size): scale of what starts may move; scale (P,):
-    typical sizes.
+    weight (12,): diagonal L of the loss; start_sigma (S, size): scale of what starts may move; free: which
+    entries of theta are learned.
     """
+    scale = effect_scales(engine.phi)
     delay = delay_s / DELAY_S
-    count, nodes, parameters = segments.count, segments.steps + 1, len(theta)
+    count, nodes, parameters = segments.count, segments.steps + 1, len(free)
     size = 3 * nodes + parameters + 1
     hessian, slope = np.empty((count, size, size)), np.empty((count, size))
     constant, at = np.empty(count), np.empty((count, size))
@@ -78,7 +81,7 @@ def condense(
         x0 = segments.x0[k].copy()
         x0[:12] += delay * ahead[0]
         base, moved, shifted = _sensitivities(
-            engine, segments, k, x0, acceleration[k], theta, scale, start_sigma[k]
+            engine, segments, k, x0, acceleration[k], theta, free, start_sigma[k]
         )
         late = shifted[:, :12] @ (ahead[0] / start_sigma[k, :12]) - ahead[1:].reshape(-1)
         measured = segments.measured[k, 1:].reshape(-1) + delay * ahead[1:].reshape(-1)
@@ -86,12 +89,12 @@ def condense(
         u, s = root[:, None] * np.column_stack([moved, late]), root[:, None] * shifted
         normal = s.T @ s * segments.steps + np.eye(s.shape[1])
         # The start's sigmas are of one measurement, the loss is a mean over steps.
-        free = np.linalg.solve(normal, s.T * segments.steps)
-        left_free, u_free = left - s @ (free @ left), u - s @ (free @ u)
-        hessian[k], slope[k] = u.T @ u_free, -u.T @ left_free
-        constant[k] = left @ left_free
+        best = np.linalg.solve(normal, s.T * segments.steps)
+        left_over, u_over = left - s @ (best @ left), u - s @ (best @ u)
+        hessian[k], slope[k] = u.T @ u_over, -u.T @ left_over
+        constant[k] = left @ left_over
         at[k] = [*acceleration[k].reshape(-1), *np.zeros(parameters), delay]
-    at[:, 3 * nodes : 3 * nodes + parameters] = (theta - engine.phi.theta_neutral) / scale
+    at[:, 3 * nodes : 3 * nodes + parameters] = ((theta - engine.phi.theta_neutral) / scale)[list(free)]
     return Condensed(hessian=hessian, slope=slope, constant=constant, at=at, nodes=nodes)
 
 
@@ -102,29 +105,30 @@ def _sensitivities(
     start: np.ndarray,
     acceleration: np.ndarray,
     theta: np.ndarray,
-    scale: np.ndarray,
+    free: Sequence[int],
     sigma: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The prediction (12 N,) and what it moves by: by node accelerations and scaled theta (12 N, 3 (N + 1)
-    + P) and by sigmas of the start (12 N, size). Central differences.
+    """The prediction (12 N,) and what it moves by: by node accelerations and free parameters (12 N,
+    3 (N + 1) + P) and by sigmas of the start (12 N, size). Central differences.
     """
     nodes, size = len(acceleration), engine.phi.size
-    moves = 3 * nodes + len(theta) + size
+    own_free, scale = np.array(free, dtype=int), effect_scales(engine.phi)
+    moves = 3 * nodes + len(free) + size
     lanes = 2 * moves + 1
     push = np.repeat(acceleration[None], lanes, axis=0)
     own, x0 = np.repeat(theta[None], lanes, axis=0), np.repeat(start[None], lanes, axis=0)
     for sign, first in ((1.0, 0), (-1.0, moves)):
         rows = first + np.arange(3 * nodes)
         push.reshape(lanes, -1)[rows, np.arange(3 * nodes)] += sign * _PUSH
-        rows = first + 3 * nodes + np.arange(len(theta))
-        own[rows, np.arange(len(theta))] += sign * _SHARE * scale
-        rows = first + 3 * nodes + len(theta) + np.arange(size)
+        rows = first + 3 * nodes + np.arange(len(free))
+        own[rows, own_free] += sign * _SHARE * scale[own_free]
+        rows = first + 3 * nodes + len(free) + np.arange(size)
         x0[rows, np.arange(size)] += sign * _SHARE * sigma
     states = engine.sweep(segments, k, x0, own, between(push))
     predicted = states[:, 1:, :12].reshape(lanes, -1)
-    step = np.repeat([_PUSH, _SHARE, _SHARE], [3 * nodes, len(theta), size])
+    step = np.repeat([_PUSH, _SHARE, _SHARE], [3 * nodes, len(free), size])
     moved = ((predicted[:moves] - predicted[moves : 2 * moves]) / (2.0 * step[:, None])).T
-    return predicted[-1], moved[:, : 3 * nodes + len(theta)], moved[:, 3 * nodes + len(theta) :]
+    return predicted[-1], moved[:, : 3 * nodes + len(free)], moved[:, 3 * nodes + len(free) :]
 
 
 def between(nodes: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""From flights to a model with a learned residual: split by reference, train, judge on what was not used."""
+"""From flights to a model with a learned residual: split by reference, learn, judge on what was not used."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from firmware_model.law.ops import FLOAT
 from host.effects import Effect
 from host.learn.evaluate import Errors, whole_flights
-from host.learn.train import Settings, Trained, train
+from host.learn.quick import CondensedSettings, CondensedTrained, train_condensed
+from host.learn.train import LOSS_SIGMA, Settings, Trained, train
 from host.log import Flight
 from host.models.dynamics import Part, mocap_latency_s
 from host.models.model import Model, Region
@@ -55,12 +56,12 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """A model with the network that trained best, and how good it is; `test` None: nothing was held out."""
+    """A model with what was learned best, and how good it is; `test` None: nothing was held out."""
 
     model: Model
     train: Judged
     test: Judged | None
-    trained: Trained
+    trained: Trained | CondensedTrained
     segments: int
 
     @property
@@ -75,7 +76,8 @@ def learn(
     hold_out: Sequence[Flight] = (),
     base: Model | None = None,
     effects: Mapping[str, Effect] | None = None,
-    settings: Settings | None = None,
+    settings: Settings | CondensedSettings | None = None,
+    forms: Sequence[str] = (),
     seed: int = 0,
     provenance: Mapping[str, Any] | None = None,
     on_epoch: Callable[[int, float], None] | None = None,
@@ -84,9 +86,10 @@ def learn(
 
     Held out for the test are `hold_out`, else the flights of every fourth reference where there are three or
     more; a reference is never on both sides. `base` is a model whose effects (found in `effects`) stay as
-    they are: the network learns what they leave. Raises TooLittleData, also for flights of two vehicles.
+    they are: what is learned is what they leave. `forms` are effects of the library that are learned beside
+    the network, on the condensed loss alone. Raises TooLittleData, also for flights of two vehicles.
     """
-    settings = settings or Settings()
+    settings = settings or CondensedSettings()
     _check_one_vehicle([*flights, *hold_out])
     rng = np.random.default_rng(seed)
     parts = _parts(base, effects or {})
@@ -105,20 +108,39 @@ def learn(
         used, test = split_by_reference(states, rng)
     vehicle = flights[0].vehicle
     kept = tuple(effect for effect, _ in parts)
-    common: dict[str, Any] = {"vehicle": vehicle, "effects": kept, "parameters": states[0].parameters}
-    phi = Phi(estimator=False, **common)
+    grown = (*kept, *((effects or {})[name] for name in forms))
+    common: dict[str, Any] = {"vehicle": vehicle, "parameters": states[0].parameters}
+    phi = Phi(estimator=False, effects=grown, **common)
     theta = phi.theta(parts)
     fitted, checked = _segments(used, phi, rng)
-    trained = train(phi, theta, fitted, checked, settings, rng, on_epoch)
+    weight = 1.0 / np.square(LOSS_SIGMA)
+    if isinstance(settings, CondensedSettings):
+        free = range(sum(len(effect.parameters) for effect in kept), len(theta))
+        trained = train_condensed(
+            phi, theta, fitted, checked, settings, rng, weight=weight, free=free, on_iteration=on_epoch
+        )
+        learned_theta = trained.theta
+    else:
+        trained, learned_theta = train(phi, theta, fitted, checked, settings, rng, on_epoch), theta
+    learned_parts = {effect.name: values for effect, values in phi.parts(learned_theta)}
 
-    whole = Phi(**common)
+    before, after = Phi(effects=kept, **common), Phi(effects=grown, **common)
     model = Model(
         vehicle_id=vehicle.id,
         vehicle_name=vehicle.name,
-        effects={} if base is None else base.effects,
+        effects={
+            **({} if base is None else base.effects),
+            **{
+                name: dict(zip((effects or {})[name].keys, map(float, learned_parts[name]), strict=True))
+                for name in forms
+            },
+        },
         adjustments={} if base is None else base.adjustments,
         covariance=None if base is None else base.covariance,
-        sources={} if base is None else base.sources,
+        sources={
+            **({} if base is None else base.sources),
+            **{name: (effects or {})[name].source_id for name in forms},
+        },
         network=trained.network,
         region=region(used),
         data=tuple(sorted({s.flight_id for s in used} | set(() if base is None else base.data))),
@@ -132,13 +154,13 @@ def learn(
         return whole_flights(bare, bare.theta_neutral, flight_states([logs[s.flight_id] for s in chosen]))
 
     def judged(chosen: Sequence[States]) -> Judged:
-        before = whole_flights(whole, theta, chosen)
+        bare = whole_flights(before, before.theta(parts), chosen)
         return Judged(
             flights=tuple(s.flight_id for s in chosen),
             references=tuple(dict.fromkeys(s.reference_id for s in chosen)),
-            nominal=before if base is None else nominal(chosen),
-            base=before,
-            learned=whole_flights(whole, theta, chosen, trained.network),
+            nominal=bare if base is None else nominal(chosen),
+            base=bare,
+            learned=whole_flights(after, learned_theta, chosen, trained.network),
         )
 
     return Learned(

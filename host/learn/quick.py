@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -57,6 +57,11 @@ class CondensedTrained:
     before: float
     after: float
 
+    @property
+    def epochs(self) -> int:
+        """Iterations of all passes."""
+        return sum(each.iterations for each in self.fitted)
+
 
 def train_condensed(
     phi: Phi,
@@ -67,25 +72,34 @@ def train_condensed(
     rng: np.random.Generator,
     *,
     weight: np.ndarray,
+    free: Sequence[int] | None = None,
     on_iteration: Callable[[int, float], None] | None = None,
 ) -> CondensedTrained:
     """The residual of phi learned from `segments`: its effects' parameters, begun at theta (P,), a network.
 
-    weight (12,): diagonal L of the loss.
+    weight (12,): diagonal L of the loss. free: which of theta are learned; default all. `on_iteration` hears
+    how many iterations of all passes were made, and the validation loss.
     """
-    scale = effect_scales(phi)
-    basis = Basis(layout=settings.layout, parameters=len(theta), delay=settings.delay)
+    chosen = np.arange(len(theta)) if free is None else np.array(free, dtype=int)
+    scale = effect_scales(phi)[chosen]
+    basis = Basis(layout=settings.layout, parameters=len(chosen), delay=settings.delay)
     engine = rollouts(phi, _SMALLEST, theta, batch=1, step_s=segments.step_s, weight=weight)
     start = np.zeros(basis.size)
     if settings.layout is not None:
         start[: basis.weights] = settings.layout.initial(rng)
-    start[basis.weights : basis.weights + len(theta)] = (theta - phi.theta_neutral) / scale
+    begun = (theta - phi.theta_neutral)[chosen] / scale
+    start[basis.weights : basis.weights + len(chosen)] = begun
     turned = settings.layout is not None and settings.layout.frame == "world" and settings.any_heading
     headings = rng.uniform(-np.pi, np.pi, (_COPIES, segments.count)) if turned else None
     found: list[Fitted] = []
-    network, learned, delay_s = np.zeros(basis.weights), theta, 0.0
-    for _ in range(settings.passes):
-        examples = [
+    network, learned, delay_s = np.zeros(basis.weights), theta.copy(), 0.0
+    for turn in range(settings.passes):
+
+        def heard(iteration: int, loss: float, turn: int = turn) -> None:
+            if on_iteration is not None:
+                on_iteration(turn * settings.iterations + iteration, loss)
+
+        fitted_on, checked_on = (
             Examples(
                 condensed=condense(
                     engine,
@@ -94,27 +108,28 @@ def train_condensed(
                     start_sigma=start_sigma(phi, part),
                     acceleration=accelerations(basis, network, part.measured[:, :, 3:9]),
                     theta=learned,
-                    scale=scale,
+                    free=chosen.tolist(),
                     delay_s=delay_s,
                 ),
                 states=part.measured[:, :, 3:9],
             )
             for part in (segments, validation)
-        ]
+        )
         found.append(
             fit(
                 basis,
-                *examples,
+                fitted_on,
+                checked_on,
                 start,
                 iterations=settings.iterations,
                 patience=settings.patience,
                 l2=settings.l2,
                 headings=headings,
-                on_iteration=on_iteration,
+                on_iteration=heard,
             )
         )
         network, delay_s = found[-1].xi, found[-1].delay_s
-        learned = phi.theta_neutral + scale * found[-1].eta
+        learned[chosen] = phi.theta_neutral[chosen] + scale * found[-1].eta
         start = np.concatenate([network, found[-1].eta, [delay_s / DELAY_S] * settings.delay])
     whole = None if settings.layout is None else Network(layout=settings.layout, xi=network)
     return CondensedTrained(

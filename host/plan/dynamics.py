@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from firmware_model.law.constants import GRAVITY
 from host.codegen import CASADI
 from host.effects import Effect
+from host.errors import UsageError
 from host.models.dynamics import RATE, THETA, THRUST, Part, V, residual_acceleration_ned, rigid_body
 from host.models.model import Model, Region
 from host.models.network import Network
@@ -52,7 +53,15 @@ class ResidualModel:
 
     @classmethod
     def of(cls, model: Model, effects: Mapping[str, Effect]) -> ResidualModel:
-        """Effects and adjustments of a model file, and its network. Raises ValueError for unknown effects."""
+        """Effects and adjustments of a model file, and its network.
+
+        Raises ValueError for unknown effects, UsageError for a network that the stage kernels do not know.
+        """
+        if model.network is not None and model.network.layout.frame != "world":
+            raise UsageError(
+                f"model {model.id}: its network is in the {model.network.layout.frame}'s frame, plans take "
+                "one in the world's; learn it again with --frame world"
+            )
         return cls(
             parts=tuple(model.parts(effects)),
             adjusted=frozenset(model.adjustments),

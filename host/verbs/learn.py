@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from host.learn import Judged
 
 DEFAULT_OUTPUT = "learned.model.toml"
+DEFAULT_EFFECTS = ("linear-drag",)
 
 
 def command(
@@ -21,7 +23,11 @@ def command(
     output: Annotated[Path, Parameter(name=["-o", "--output"])] = Path(DEFAULT_OUTPUT),
     model: Annotated[Path | None, Parameter(name="--model")] = None,
     hidden: Annotated[list[int] | None, Parameter(name="--hidden", consume_multiple=True)] = None,
-    epochs: int = 120,
+    network: Annotated[bool, Parameter(negative="--no-network")] = True,
+    frame: Literal["world", "body"] = "world",
+    effects: Annotated[list[str] | None, Parameter(name="--effects", consume_multiple=True)] = None,
+    method: Literal["condensed", "paper"] = "condensed",
+    epochs: int | None = None,
     any_heading: Annotated[bool, Parameter(negative="--no-any-heading")] = True,
     seed: int = 0,
     workspace: WorkspaceFolder = None,
@@ -39,11 +45,22 @@ def command(
     output
         Model to write.
     model
-        Model whose effects stay; the network learns what they leave.
+        Model whose effects stay; what they leave is learned.
     hidden
         Widths of the hidden layers, at most three of 32.
+    network
+        Learn a network; without, the effects alone.
+    frame
+        What the network sees and gives: velocity and attitude in the world, as in the paper, or the velocity
+        in the body's axes, which is the same for every heading.
+    effects
+        Effects of the library that are learned beside the network; "none" for none. Default: linear-drag,
+        none on a model.
+    method
+        The trajectory loss condensed about roll-outs, or the paper's mini-batches, network only.
     epochs
-        Passes over the segments, at most.
+        At most so many passes over the segments (paper, 120) or iterations of each of two passes (condensed,
+        300).
     any_heading
         Take every flight as good in any heading; not so where the world has a direction, as with wind.
     seed
@@ -54,9 +71,10 @@ def command(
     from host import artefacts
     from host.effects import load_effects
     from host.errors import UsageError
-    from host.learn import Settings, learn
+    from host.learn import CondensedSettings, Settings, learn
     from host.log import read_flight
     from host.models.file import SUFFIX, read_model, write_model
+    from host.models.network import Layout
     from host.output import emit, say, warn
     from host.progress import Progress
     from host.workspace import open_workspace
@@ -70,32 +88,51 @@ def command(
     if not 1 <= len(widths) <= HIDDEN_MAX or not all(1 <= width <= WIDTH_MAX for width in widths):
         told = " ".join(map(str, widths))
         raise UsageError(f"--hidden {told}: give 1 to {HIDDEN_MAX} widths of 1 to {WIDTH_MAX} each")
-    if epochs < 1:
+    if epochs is not None and epochs < 1:
         raise UsageError(f"--epochs {epochs}: give 1 or more")
+    if method == "paper" and (effects or frame == "body" or not network):
+        raise UsageError("--method paper learns a network in the world's frame: leave the others out")
     if seed < 0:
         raise UsageError(f"--seed {seed}: give 0 or more")
     if not output.name.endswith(SUFFIX):
         raise UsageError(f"{output}: a model's name ends in {SUFFIX}")
     artefacts.check_output(output, force)
-    settings = Settings(hidden=widths, epochs=epochs, any_heading=any_heading)
+    settings: Settings | CondensedSettings
+    if method == "paper":
+        settings = Settings(hidden=widths, epochs=epochs or 120, any_heading=any_heading)
+        rounds = settings.epochs
+    else:
+        layout = Layout(hidden=widths, frame=frame) if network else None
+        settings = CondensedSettings(layout=layout, iterations=epochs or 300, any_heading=any_heading)
+        rounds = settings.iterations * settings.passes
     began = monotonic()
-    effects = load_effects(open_workspace(workspace).root)
+    library = load_effects(open_workspace(workspace).root)
     flights = [read_flight(path) for path in logs]
     held_out = [read_flight(path) for path in hold_out or ()]
     base = None if model is None else read_model(model, vehicle_id=flights[0].vehicle.id)
     parents = {f"log {i}": flight.id for i, flight in enumerate(flights)}
     if base is not None:
         parents["model"] = base.id
-    with Progress("learning", total=epochs) as bar:
+    chosen = DEFAULT_EFFECTS if effects is None and base is None and method != "paper" else effects or []
+    forms = tuple(name for name in chosen if name != "none")
+    for name in forms:
+        if name not in library:
+            raise UsageError(f"--effects {name}: no such effect; there are {', '.join(library)}")
+        if base is not None and name in base.effects:
+            raise UsageError(f"--effects {name}: {model} has it already; leave one of them out")
+    if not (forms or network):
+        raise UsageError("--no-network and no --effects: there is nothing to learn")
+    with Progress("learning", total=rounds) as bar:
         learned = learn(
             flights,
             hold_out=held_out,
             base=base,
-            effects=effects,
+            effects=library,
             settings=settings,
+            forms=forms,
             seed=seed,
             provenance=artefacts.provenance(seed=seed, parents=parents),
-            on_epoch=lambda epoch, loss: bar.update(epoch, detail=f"validation loss {loss:.3g}"),
+            on_epoch=lambda turn, loss: bar.update(turn, detail=f"validation loss {loss:.3g}"),
         )
     write_model(learned.model, output, force=force)
     result: dict[str, Any] = {
@@ -104,16 +141,23 @@ def command(
         "train": learned.train.to_json(),
         "test": None if learned.test is None else learned.test.to_json(),
         "improved": learned.improved,
+        "effects": {name: dict(learned.model.effects[name]) for name in forms},
         "epochs": learned.trained.epochs,
         "seconds": round(monotonic() - began, 3),
     }
     say(
-        f"{output}  id {learned.model.id}  {learned.trained.epochs} epochs over {learned.segments} segments",
+        f"{output}  id {learned.model.id}  {learned.trained.epochs} rounds over {learned.segments} segments",
+        *(_numbers(name, learned.model.effects[name]) for name in forms),
         *(_line(name, judged) for name, judged in (("used", learned.train), ("held out", learned.test))),
     )
     if not learned.improved:
-        warn(f"{output}: predicts no better than without its network; learn from more flights or --epochs")
+        warn(f"{output}: predicts no better than without what was learned; give more flights or --epochs")
     emit(result, json)
+
+
+def _numbers(name: str, values: Mapping[str, float]) -> str:
+    """An effect's parameters, in words."""
+    return f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in values.items())
 
 
 def _line(name: str, judged: Judged | None) -> str:

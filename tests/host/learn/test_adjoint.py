@@ -86,7 +86,6 @@ def test_both_engines_have_the_same_gradient(make_states, layout, require):
     """To 1e-12, in weights, starts and effects, for more segments than lanes and for fewer."""
     require("compiler")
     vm, c = (make(engine, WITH_EFFECTS, layout, DRAG) for engine in ("vm", "c"))
-    vm.batch = BATCH
     segments = cut([make_states(1)], WITH_EFFECTS, steps=STEPS).take([2, 5, 7, 1])
     xi = weights(layout)
     one, other = (engine.gradient(segments, segments.x0, xi) for engine in (vm, c))

@@ -44,7 +44,7 @@ def condensed_about(segments: Segments, acceleration: np.ndarray, theta: np.ndar
         start_sigma=held * start_sigma(PHI, segments),
         acceleration=acceleration,
         theta=theta,
-        scale=effect_scales(PHI),
+        free=range(3),
     )
 
 
@@ -103,7 +103,7 @@ def test_both_engines_condense_alike(segments, require):
             start_sigma=start_sigma(PHI, few),
             acceleration=np.zeros((1, STEPS + 1, 3)),
             theta=theta,
-            scale=effect_scales(PHI),
+            free=range(3),
         )
         for engine in engines
     ]
@@ -155,6 +155,23 @@ def test_effects_alone_are_found_in_noise(make_states):
     assert trained.after < 0.2 * trained.before
 
 
+def test_what_is_not_free_stays(make_states):
+    segments = cut([make_states(seed) for seed in (1, 2, 3)], PHI, steps=25)
+    theta = np.array([0.45, 0.0, 0.25])
+    trained = train_condensed(
+        PHI,
+        theta,
+        segments,
+        segments.take([0, 4, 8]),
+        CondensedSettings(layout=None),
+        np.random.default_rng(0),
+        weight=WEIGHT,
+        free=[1],
+    )
+    assert trained.theta[[0, 2]].tolist() == [0.45, 0.25]
+    assert trained.theta[1] == pytest.approx(0.35, rel=0.12)
+
+
 @pytest.mark.parametrize("frame", ["world", "body"])
 def test_a_network_alone_learns_the_drag(make_states, frame):
     trained = learned(make_states, CondensedSettings(layout=Layout(hidden=(16, 16), frame=frame)), BARE)
@@ -195,12 +212,12 @@ def test_fit_ends_early_where_validation_does_not_improve(segments):
             start_sigma=start_sigma(BARE, part),
             acceleration=np.zeros((part.count, STEPS + 1, 3)),
             theta=np.zeros(0),
-            scale=np.zeros(0),
+            free=(),
         )
         phi_examples.append(Examples(condensed=condensed, states=part.measured[:, :, 3:9]))
     start = np.zeros(basis.size)
     start[:] = Layout(hidden=(4,)).initial(np.random.default_rng(0))
-    found = fit(basis, *phi_examples, start, iterations=400, patience=5, l2=0.0)
+    found = fit(basis, phi_examples[0], phi_examples[1], start, iterations=400, patience=5, l2=0.0)
     assert found.best <= found.iterations <= found.best + 5
     assert found.validation_loss[found.best] == found.validation_loss.min()
     assert accelerations(basis, found.xi, few.measured[:, :, 3:9]).shape == (2, STEPS + 1, 3)

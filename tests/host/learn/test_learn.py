@@ -79,6 +79,57 @@ def test_learn_verb_writes_nothing_where_it_cannot_learn(logs, tmp_path, capsys)
     assert not list(tmp_path.iterdir())
 
 
+def test_learn_verb_effects_beside_the_network_are_in_the_model(logs, tmp_path, capsys):
+    output = tmp_path / "out.model.toml"
+    assert main(["learn", *map(str, logs), "-o", str(output), "--hidden", "8", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert answer["test"]["position_rmse_m"] < 0.4 * answer["test"]["nominal"]["position_rmse_m"]
+    model = read_model(output, vehicle_id=load_vehicle("research").id)
+    assert model.effects == answer["effects"]
+    assert set(model.sources) == {"linear-drag"}
+    words = ["learn", *map(str, logs), "-o", str(output), "--force", "--no-network", "--json"]
+    assert main(words) == 0
+    alone = json.loads(capsys.readouterr().out.splitlines()[-1])["effects"]["linear-drag"]
+    np.testing.assert_allclose([alone["dx"], alone["dy"]], [0.8, 0.7], rtol=0.1)
+    assert read_model(output, vehicle_id=load_vehicle("research").id).network is None
+
+
+def test_learn_verb_networks_in_the_bodys_frame_are_kept_as_such(logs, tmp_path, capsys):
+    output = tmp_path / "out.model.toml"
+    words = [
+        "learn",
+        *map(str, logs),
+        "-o",
+        str(output),
+        "--hidden",
+        "8",
+        "--frame",
+        "body",
+        "--effects",
+        "none",
+    ]
+    assert main([*words, "--json"]) == 0
+    test = json.loads(capsys.readouterr().out.splitlines()[-1])["test"]
+    assert test["position_rmse_m"] < 0.4 * test["nominal"]["position_rmse_m"]
+    network = read_model(output, vehicle_id=load_vehicle("research").id).network
+    assert network is not None
+    assert network.layout == Layout(hidden=(8,), frame="body")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--effects", "lnear-drag"], "--effects lnear-drag: no such effect; there are"),
+        (["--no-network", "--effects", "none"], "there is nothing to learn"),
+        (["--method", "paper", "--frame", "body"], "learns a network in the world's frame"),
+    ],
+)
+def test_learn_verb_refuses_what_does_not_go_together(logs, tmp_path, capsys, words, told):
+    assert main(["learn", str(logs[0]), "-o", str(tmp_path / "x.model.toml"), *words]) == 2
+    assert told in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_learn_same_seed_gives_the_same_model(logs):
     flights = [read_flight(path) for path in logs[:2]]
     settings = Settings(hidden=(8,), epochs=1)
@@ -189,7 +240,8 @@ def test_learn_verb_warns_of_a_model_that_is_no_better(tmp_path, capsys, seed, i
     # One epoch of a single neuron: from the first of these seeds it finds nothing.
     output = tmp_path / "out.model.toml"
     words = ["--hold-out", str(MADE / "b1.mcap"), "-o", str(output), "--epochs", "1", "--hidden", "1"]
+    words += ["--method", "paper"]
     assert main(["learn", str(MADE / "a1.mcap"), "--no-any-heading", "--seed", seed, *words, "--json"]) == 0
     told = capsys.readouterr()
     assert json.loads(told.out.splitlines()[-1])["improved"] is improved
-    assert ("predicts no better than without its network; learn from more" in told.err) is not improved
+    assert ("predicts no better than without what was learned; give more" in told.err) is not improved

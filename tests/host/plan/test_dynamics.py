@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from host.effects import load_effects
+from host.errors import UsageError
 from host.models.model import Model, Values
 from host.models.network import Layout, Network
 from host.plan.dynamics import Dynamics, ResidualModel, Weights
@@ -129,3 +130,11 @@ def test_weights_that_are_not_positive_raise() -> None:
     with pytest.raises(ValueError, match="thrust_rate"):
         Weights(thrust_rate=0.0)
     assert Weights().scaled(2.0).control == 2.0 * Weights().control
+
+
+def test_network_in_the_bodys_frame_is_refused() -> None:
+    layout = Layout(hidden=(3,), frame="body")
+    network = Network(layout=layout, xi=np.zeros(layout.size))
+    model = Model(vehicle_id=VEHICLE.id, vehicle_name="research", network=network)
+    with pytest.raises(UsageError, match="learn it again with --frame world"):
+        ResidualModel.of(model, EFFECTS)
