@@ -38,7 +38,7 @@ from host.trace.score import (
     strata_of,
     twins_of,
 )
-from host.trace.search import WITHIN_NATS, Found, likeliest, search, smallest
+from host.trace.search import WITHIN_NATS, Found, likeliest, search, sizes, smallest
 from host.trace.segments import Segments, nominal_thrust
 from host.trace.separate import NextFlight, propose
 from host.trace.signals import signals, unknowns
@@ -225,6 +225,10 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         twins, unread = twins_of(flights), _reading(form.space, nothing)
         found = _without_faults(found, fitter, repeat(loop, found.best.z, order, twins))
         kept = in_turbulence(loop, found.best, order, twins)
+        there = tuple(name for name, size in sizes(fitter, kept).items() if size > 1.0)
+        if there != kept.effects:  # sizes are told better than the search does
+            found = replace(found, best=fitter.fit(there, found.best))
+            kept = in_turbulence(loop, found.best, order, twins)
         covariance = honest_covariance(form.space, kept, strata_of(twins, len(flights)))
         judged = kept if _is_judged(found) else fitter.fit(likeliest(found.weights), kept)
         repeats = repeat(loop, judged.z, order, twins), repeat(loop, unread, order, twins)

@@ -199,13 +199,19 @@ def _borne(fitter: Fitter[F], fit: F) -> bool:
     space = fitter.space
     if any(space.bounded(fit.z)[i] for name in fit.effects for i in space.groups[name]):
         return False
-    strengths = {name: [i for i in space.groups[name] if space.columns[i].strength] for name in fit.effects}
-    size = {name: max(abs(fit.z[i]) / fitter.prior.spike[i] for i in own) for name, own in strengths.items()}
+    size = sizes(fitter, fit)
     found = {name for name in fit.effects if size[name] > BEARS}
     needs = (space.effect(name).requires_any for name in fit.effects)
     return all(share > 1.0 for share in size.values()) and all(
         not any_of or found & set(any_of) for any_of in needs
     )
+
+
+def sizes(fitter: Fitter[F], fit: F) -> dict[str, float]:
+    """How many tolerances each effect of the set is from not being there, by its greatest strength."""
+    space = fitter.space
+    strengths = {name: [i for i in space.groups[name] if space.columns[i].strength] for name in fit.effects}
+    return {name: max(abs(fit.z[i]) / fitter.prior.spike[i] for i in own) for name, own in strengths.items()}
 
 
 def _smallest(fits: Mapping[Names, F]) -> F:
