@@ -15,7 +15,7 @@ _FRICTION, _SLIP_M_S = 0.5, 0.2
 
 
 def _start(ops, theta, ctx):
-    return (*ctx.p_ned, 0.0, 0.0, 0.0)
+    return (*ctx.p_ned, *ctx.v_ned)  # hangs below, and moves along
 
 
 def _line(ops, theta, ctx):
