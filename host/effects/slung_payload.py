@@ -7,7 +7,7 @@ from firmware_model.law.rotations import mat_t_vec
 from host.effects.effect import Closing, Effect, Parameter
 
 _AIR = 0.023  # 1/m, drag of a cube of 6 cm and 100 g
-_TAUT = 20.0  # 1/s, at which the line's length comes back to what it is (Baumgarte)
+_TAUT = 20.0  # 1/s, at which the line's length comes back to what it is
 _FLOOR = 20.0  # 1/s, at which the floor gives way
 _FLOOR_M = 0.01  # depth from which on it does
 _HARDEST = 5.0  # times gravity, that it pushes back
@@ -19,18 +19,20 @@ def _start(ops, theta, ctx):
 
 
 def _line(ops, theta, ctx):
-    """The line from vehicle to payload in NED (3,), how fast it turns (3,), and lambda, 1/s^2: the line's
-    tension over the payload's mass and the line's length, none where it is slack.
+    """The line's direction from vehicle to payload, NED (3,), by how much the payload is too near (m), how
+    fast it goes away along the line (m/s) and across it (3,), and the tension over the payload's mass, none
+    where the line is slack.
     """
     ratio, length, _ = theta
     x, y, z = (s - p for s, p in zip(ctx.memory[:3], ctx.p_ned, strict=True))
-    line = (x, y, z + length)
-    turning = [s - v for s, v in zip(ctx.memory[3:], ctx.v_ned, strict=True)]
+    away = ops.sqrt(x * x + y * y + (z + length) * (z + length))
+    line = (x / away, y / away, (z + length) / away)
+    relative = [s - v for s, v in zip(ctx.memory[3:], ctx.v_ned, strict=True)]
+    leaving = _dot(line, relative)
+    turning = [r - leaving * n for r, n in zip(relative, line, strict=True)]
     lift = ctx.collective_n / ctx.mass_kg * _dot((ctx.R[2], ctx.R[5], ctx.R[8]), line)
-    longer = 0.5 * (_dot(line, line) - length * length)
-    kept = 2.0 * _TAUT * _dot(line, turning) + _TAUT * _TAUT * longer
-    pull = (lift + _dot(turning, turning) + kept) / (length * length * (1.0 + ratio))
-    return line, turning, ops.maximum(pull, 0.0)
+    tension = ops.maximum(lift + _dot(turning, turning) / length, 0.0) / (1.0 + ratio)
+    return line, length - away, leaving, turning, tension
 
 
 def _dot(a, b):
@@ -39,7 +41,7 @@ def _dot(a, b):
 
 def _rates(ops, theta, ctx):
     _, length, damping = theta
-    line, turning, pull = _line(ops, theta, ctx)
+    line, near, leaving, turning, tension = _line(ops, theta, ctx)
     slowed = 2.0 * damping * ops.sqrt(GRAVITY / length)
     velocity, deep = ctx.memory[3:], ctx.memory[2] + length
     push = ops.clip(deep / _FLOOR_M, 0.0, 1.0) * (_FLOOR * _FLOOR * deep + 2.0 * _FLOOR * velocity[2])
@@ -51,16 +53,18 @@ def _rates(ops, theta, ctx):
         GRAVITY - push,
     )
     air = _AIR * ops.sqrt(_dot(velocity, velocity) + 1e-6)
+    along = tension + _TAUT * leaving
+    moves = [v + _TAUT * near * n for v, n in zip(velocity, line, strict=True)]
     rates = [
-        f - pull * s - slowed * v - air * own
-        for f, s, v, own in zip(floor, line, turning, velocity, strict=True)
+        f - along * n - slowed * t - air * v
+        for f, n, t, v in zip(floor, line, turning, velocity, strict=True)
     ]
-    return (*velocity, *rates)
+    return (*moves, *rates)
 
 
 def _force(ops, theta, ctx):
-    line, _, pull = _line(ops, theta, ctx)
-    return mat_t_vec(ctx.R, [theta[0] * pull * along for along in line])
+    line, _, _, _, tension = _line(ops, theta, ctx)
+    return mat_t_vec(ctx.R, [theta[0] * tension * n for n in line])
 
 
 def _feedforward(theta):
@@ -70,11 +74,10 @@ def _feedforward(theta):
 EFFECT = Effect(
     name="slung-payload",
     title="Slung payload",
-    equation="s'' = g - lambda d - 2 damping sqrt(g/l) d' - 0.023 |s'| s', a_ned = ratio lambda d above a "
-    "floor; d the line: lambda = max(0, T/m z_body . d + |d'|^2 + 40 d . d' + 200 (|d|^2 - l^2)) "
-    "/ (l^2 (1 + ratio))",
-    source="the pendulum on a vehicle that moves; the line's pull keeps |d| <= l (Lagrange multiplier, "
-    "stabilised as by Baumgarte 1972)",
+    equation="s'' = g - lambda n - 2 damping sqrt(g/l) w - 0.023 |s'| s', a_ned = ratio lambda n above a "
+    "floor; n the line's direction, w the payload's velocity across it: "
+    "lambda = max(0, T/m z_body . n + |w|^2 / l) / (1 + ratio)",
+    source="the pendulum on a vehicle that moves, the line's pull keeps its length (Lagrange multiplier)",
     parameters=(
         Parameter(
             key="ratio",
