@@ -181,6 +181,7 @@ KINDS: dict[str, Kind] = {
                 _number("ratio", 0.08, 0.003, 0.0, 0.5),
                 # Short enough to clear the floor where references come down to half a metre.
                 _number("length_m", 0.3, 0.05, 0.15, 2.0, neutral=0.6, drawn=(0.3, 0.45)),
+                _number("damping", 0.05, 0.02, 0.0, 0.5, neutral=0.05, drawn=(0.02, 0.06)),
             ),
             spread="above",
             deviates=False,

@@ -98,7 +98,13 @@ def plant_parameters(vehicle: Vehicle, world: World) -> dict[str, list[float]]:
             *(value("wall-suction", key) for key in ("pull_m_s2", "distance_m")),
             *_north_east(value("wall-suction", "towards")),
         ],
-        "payload": [value("slung-payload", "ratio") * vehicle.mass_kg, value("slung-payload", "length_m")],
+        "payload": [
+            value("slung-payload", "ratio") * vehicle.mass_kg,
+            value("slung-payload", "length_m"),
+            2.0
+            * value("slung-payload", "damping")
+            * math.sqrt(GRAVITY_M_S2 / value("slung-payload", "length_m")),
+        ],
         "slide": [
             *(value("shifting-battery", key) for key in ("share", "stiffness")),
             math.cos(slope),
@@ -144,6 +150,11 @@ def _hover_inflow(vehicle: Vehicle) -> float:
     nearest = min(float(np.linalg.norm(a - hubs[0])) for a in hubs[1:])
     area = math.pi * (_DISC_SHARE * 0.5 * nearest) ** 2
     return math.sqrt(0.25 * vehicle.mass_kg * GRAVITY_M_S2 / (2.0 * _AIR_DENSITY_KG_M3 * area))
+
+
+def _swing(length_m: float) -> float:
+    """A pendulum's own frequency, rad/s."""
+    return math.sqrt(GRAVITY_M_S2 / length_m)
 
 
 def _canted(value: Callable[[str, str], float], i: int) -> list[float]:

@@ -104,7 +104,7 @@ PARAMETERS = (
     Block("dead_zone", 2),  # centre and half-width, as commands
     Block("fan", 6),  # push m/s^2, width m, place NE, direction NE
     Block("wall", 4),  # pull m/s^2 at a metre, distance from the origin m, direction NE
-    Block("payload", 2),  # mass kg, length of the line m
+    Block("payload", 3),  # mass kg, length of the line m, what its attachment takes from the swing 1/s
     Block(
         "slide", 5
     ),  # share of the mass, stiffness 1/s^2, direction of the tray: x, z in FRD, way to its end m

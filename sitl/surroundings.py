@@ -21,7 +21,6 @@ _JET_M_S = 5.0  # air speed in the middle of a fan's jet
 _JET_LENGTH_M = 1.5  # over which it is felt, either way
 _WALL_NEAREST_M = 0.6  # suction grows no more from here on
 _LINE_DAMPING = 0.3  # of the line along itself, share of critical
-_LINE_BENDING = 0.3  # 1/s: what the line's attachment takes from the swing
 _PAYLOAD_DRAG = 0.02  # 1/m, over its mass
 _PAYLOAD_SINK_M = 0.003  # into the floor, lying
 _PAYLOAD_FLOOR_DAMPING = 60.0  # 1/s
@@ -102,7 +101,7 @@ def payload(
     it comes to it. `hook` and `hook_v` are where the line is tied and how fast that moves, `p` and `v` the
     mass's own; `air` is the horizontal velocity of the air. All in NED.
     """
-    mass, length = P["payload"]
+    mass, length, taken = P["payload"]
     line = [a - b for a, b in zip(p, hook, strict=True)]
     moving = [a - b for a, b in zip(v, hook_v, strict=True)]
     reach = ops.sqrt(dot(line, line) + 1e-12)
@@ -110,7 +109,7 @@ def payload(
     damping = 2 * _LINE_DAMPING * stiffness**0.5
     tension = stiffness * (reach - length) + damping * dot(line, moving) / reach
     tension = ops.where(reach > length, ops.maximum(tension, 0.0), 0.0)
-    bending = _LINE_BENDING / GRAVITY_M_S2 * tension
+    bending = taken / GRAVITY_M_S2 * tension
     pull = [tension / reach * c + bending * u for c, u in zip(line, moving, strict=True)]
 
     flow = [v[0] - air[0], v[1] - air[1], v[2]]

@@ -42,7 +42,7 @@ from host.trace.search import WITHIN_NATS, Found, likeliest, search, sizes, smal
 from host.trace.segments import Segments, nominal_thrust
 from host.trace.separate import NextFlight, propose
 from host.trace.signals import signals, unknowns
-from host.trace.twins import Repeat, leftover
+from host.trace.twins import leftover
 from host.trace.unexplained import unexplained
 from host.trace.verdict import (
     SOMETHING,
@@ -68,7 +68,7 @@ SAG_SEEN = 0.01
 
 
 FAULT = 0.1
-"""Share of what repeats, in nats, that another effect must explain where no set explains it all."""
+"""Share of what repeats, in nats, that an effect must explain beside one that swings by itself."""
 
 Report = Callable[[str], None]
 Manoeuvres = Callable[[], Sequence[Manoeuvre]]
@@ -223,7 +223,7 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         found = search(fitter, fit_loop(loop, (), nothing.z, order), report)
         report("comparing twin flights")
         twins, unread = twins_of(flights), _reading(form.space, nothing)
-        found = _without_faults(found, fitter, repeat(loop, found.best.z, order, twins))
+        found = _without_faults(found, fitter, twins)
         kept = in_turbulence(loop, found.best, order, twins)
         there = tuple(name for name, size in sizes(fitter, kept).items() if size > 1.0)
         if there != kept.effects:  # sizes are told better than the search does
@@ -247,14 +247,17 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
     )
 
 
-def _without_faults(found: Found[ClosedFit], fitter: LoopFitter, left: Repeat | None) -> Found[ClosedFit]:
-    """The search's outcome with the smallest set that explains all but a tenth of what is `left` and repeats.
+def _without_faults(
+    found: Found[ClosedFit], fitter: LoopFitter, twins: Sequence[tuple[int, int]]
+) -> Found[ClosedFit]:
+    """The search's outcome without effects that take up what the form of a swinging one leaves.
 
-    No form is exact: what an effect much stronger than noise leaves of itself repeats, and others take some
-    of it up.
+    What a payload on its line leaves of itself is strong and repeats; other effects explain a little of it.
     """
-    within = max(WITHIN_NATS, FAULT * left.nats) if left is not None else WITHIN_NATS
-    names = smallest(found, within)
+    if not any(fitter.space.effect(name).memory for name in found.best.effects):
+        return found
+    left = repeat(fitter.loop, found.best.z, fitter.order, twins)
+    names = smallest(found, WITHIN_NATS if left is None else max(WITHIN_NATS, FAULT * left.nats))
     if len(names) >= len(found.best.effects):
         return found
     return replace(found, best=fitter.fit(names, found.best))

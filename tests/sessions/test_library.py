@@ -104,7 +104,7 @@ CASES = {
     "quadratic-drag": _one("quadratic-drag", c=0.039),
     # What a damaged blade loses falls as it turns faster, so a part of it looks like a constant torque.
     "rotor-loss": _one("rotor-loss", share=0.3, loss_1=0.0, loss_2=0.13, loss_3=0.0, loss_4=0.0),
-    "slung-payload": _one("slung-payload", flown=HIGH, ratio=0.104, length_m=0.45),
+    "slung-payload": _one("slung-payload", flown=HIGH, ratio=0.104, length_m=0.45, damping=0.04),
     "thrust-gain": Case(world={"thrust-gain": {"gain": 0.896}}, vehicle=UNWEIGHED),
     "thrust-inflow": _one("thrust-inflow", k=0.65),
     # Of the plant's bias 30 % grow with thrust, as an offset of the centre of mass would.

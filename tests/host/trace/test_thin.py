@@ -125,7 +125,7 @@ def hovered(folder: Path, world: str, seed: int) -> Flight:
                 "[effects.thrust-gain]\ngain = 0.93\n",
                 WINDY,
                 "[effects.frame-tilt]\ntilt_x = 0.015\ntilt_y = -0.008\n",
-                "[effects.slung-payload]\nratio = 0.08\nlength_m = 0.6\n",
+                "[effects.slung-payload]\nratio = 0.08\nlength_m = 0.6\ndamping = 0.05\n",
             )
         ),
     ],
