@@ -383,7 +383,8 @@ def test_mass_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
 def test_slung_payload_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
     """Force of the line under a vehicle carried along a small figure eight, against a stiff pendulum's."""
     ratio, length, h = 0.08, 0.7, TICK_S
-    P = plant_parameters(vehicle, world(vehicle, {"slung-payload": {"ratio": ratio, "length_m": length, "damping": 0.04}}))
+    payload_there = {"ratio": ratio, "length_m": length, "damping": 0.04}
+    P = plant_parameters(vehicle, world(vehicle, {"slung-payload": payload_there}))
     t = h * np.arange(9000)
     swing = np.clip(t / 3.0, 0.0, 1.0) ** 3
     x, y, z = 0.7 * np.sin(1.1 * t), 0.35 * np.sin(2.2 * t), -0.1 * np.cos(1.1 * t) - 2.0
