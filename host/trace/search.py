@@ -144,10 +144,15 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Fo
 
 
 def _judged(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, float]]:
-    """The set that is kept of the fitted ones, and the weights."""
+    """The set that is kept of the fitted ones, and the weights.
+
+    What was within its tolerance or at its bounds in all fits that had it is in no other set either.
+    """
     borne = {names: fit for names, fit in fits.items() if _borne(fitter, fit)}
     kept = _smallest(borne)
-    return kept, _weights(fitter, kept, borne, frozenset(fits) - frozenset(borne))
+    gone = {name for names in fits for name in names} - {name for names in borne for name in names}
+    weights = _weights(fitter, kept, borne, frozenset(fits) - frozenset(borne))
+    return kept, {names: weight for names, weight in weights.items() if not gone & set(names)}
 
 
 def screen(space: Space, score: Callable[[Names], float], depth: int) -> dict[Names, float]:
