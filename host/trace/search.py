@@ -132,6 +132,10 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Fo
         fits[promised] = fitter.fit(promised, kept)
         report(f"{', '.join(promised)} fitted")
         kept, weights = _judged(fitter, fits)
+    # What was within its tolerance or at its bounds in all fits that had it is in no other set either.
+    kept_in = {name for names, fit in fits.items() if _borne(fitter, fit) for name in names}
+    gone = {name for names in fits for name in names} - kept_in
+    weights = {names: weight for names, weight in weights.items() if not gone & set(names)}
     total = sum(weights.values())
     return Found(
         best=kept,
@@ -144,15 +148,10 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Fo
 
 
 def _judged(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, float]]:
-    """The set that is kept of the fitted ones, and the weights.
-
-    What was within its tolerance or at its bounds in all fits that had it is in no other set either.
-    """
+    """The set that is kept of the fitted ones, and the weights."""
     borne = {names: fit for names, fit in fits.items() if _borne(fitter, fit)}
     kept = _smallest(borne)
-    gone = {name for names in fits for name in names} - {name for names in borne for name in names}
-    weights = _weights(fitter, kept, borne, frozenset(fits) - frozenset(borne))
-    return kept, {names: weight for names, weight in weights.items() if not gone & set(names)}
+    return kept, _weights(fitter, kept, borne, frozenset(fits) - frozenset(borne))
 
 
 def screen(space: Space, score: Callable[[Names], float], depth: int) -> dict[Names, float]:
