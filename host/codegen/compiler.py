@@ -70,6 +70,18 @@ def find_compiler() -> Compiler | None:
     return None
 
 
+def wanted_compiler(engine: str | None = None) -> Compiler | None:
+    """The compiler to use where `engine`, or the environment, leaves the choice or asks for C; else None.
+
+    Raises CodegenError where C is asked for and there is no compiler.
+    """
+    choice = engine_choice(engine)
+    compiler = None if choice == "vm" else find_compiler()
+    if choice == "c" and compiler is None:
+        raise CodegenError("no C compiler: install cc, gcc, clang or the Python package ziglang")
+    return compiler
+
+
 def shared_library(source: str, compiler: Compiler, *, native: bool = False) -> Path:
     """Path of the shared library for this C source, compiled now unless the cache has it.
 

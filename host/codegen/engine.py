@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 import casadi as ca
 
-from host.codegen.compiler import CodegenError, engine_choice, find_compiler, library_path, shared_library
+from host.codegen.compiler import CodegenError, engine_choice, library_path, shared_library, wanted_compiler
 from host.codegen.ops import CASADI
 
 _log = logging.getLogger(__name__)
@@ -111,13 +111,8 @@ def compile_function(function: ca.Function, *, engine: str | None = None) -> tup
 
     Raises CodegenError where "c" is asked for and there is no compiler, or it fails.
     """
-    choice = engine_choice(engine)
-    if choice == "vm":
-        return function, "vm"
-    compiler = find_compiler()
+    compiler = wanted_compiler(engine)
     if compiler is None:
-        if choice == "c":
-            raise CodegenError("no C compiler: install cc, gcc, clang or the Python package ziglang")
         return function, "vm"
     name, source = function.name(), c_source(function)
     try:
@@ -129,7 +124,7 @@ def compile_function(function: ca.Function, *, engine: str | None = None) -> tup
             path = shared_library(source, compiler)
             return ca.external(name, str(path)), "c"
     except (CodegenError, RuntimeError, OSError) as error:
-        if choice == "c":
+        if engine_choice(engine) == "c":
             if isinstance(error, CodegenError):
                 raise
             place = library_path(source, compiler)

@@ -112,11 +112,11 @@ def simd_library(source: str, compiler: Compiler) -> str:
     return str(shared_library(PRELUDE + source, compiler, native=True))
 
 
-def lanes_of(rows: np.ndarray, fill: int) -> np.ndarray:
-    """(groups, ..., LANES), aligned, of rows (n, ...): lanes innermost, row `fill` in what is left over."""
+def lanes_of(rows: np.ndarray) -> np.ndarray:
+    """(groups, ..., LANES), aligned, of rows (n, ...): lanes innermost, the first row in what is left."""
     groups = -(-len(rows) // LANES)
-    index = np.minimum(np.arange(groups * LANES), len(rows) - 1)
-    index[len(rows) :] = fill
+    index = np.zeros(groups * LANES, dtype=int)
+    index[: len(rows)] = np.arange(len(rows))
     shape = (groups, *rows.shape[1:], LANES)
     out = aligned(shape)
     out[:] = np.moveaxis(rows[index].reshape(groups, LANES, *rows.shape[1:]), 1, -1)

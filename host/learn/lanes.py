@@ -7,7 +7,7 @@ import logging
 
 import numpy as np
 
-from host.codegen.compiler import CodegenError, Compiler, engine_choice, find_compiler
+from host.codegen.compiler import CodegenError, Compiler, engine_choice, wanted_compiler
 from host.codegen.simd import LANES, aligned, lanes_of, rows_of
 from host.learn.adjoint import Gradient, Rollouts, check_step
 from host.learn.kernel import MEASURED, kernel, pointer
@@ -25,16 +25,14 @@ def rollouts(
 
     Raises CodegenError where TRIMTAB_ENGINE asks for C and it cannot be had.
     """
-    choice, compiler = engine_choice(), find_compiler()
-    if choice != "vm" and compiler is not None:
+    compiler = wanted_compiler()
+    if compiler is not None:
         try:
             return LaneRollouts(phi, layout, theta, step_s=step_s, weight=weight, compiler=compiler)
         except (CodegenError, OSError) as error:
-            if choice == "c":
+            if engine_choice() == "c":
                 raise
             _log.warning("%s; going on without it, slower", error)
-    elif choice == "c":
-        raise CodegenError("no C compiler: install cc, gcc, clang or the Python package ziglang")
     return Rollouts(phi, layout, theta, batch=batch, step_s=step_s, weight=weight)
 
 
@@ -71,10 +69,10 @@ class LaneRollouts:
         acceleration push (n, 2 N + 1, 3), NED, at the steps' starts, middles and ends; the network gives 0.
         """
         steps, groups = segments.steps, -(-len(x0) // LANES)
-        start, push = lanes_of(x0, 0), lanes_of(push, 0)
+        start, push = lanes_of(x0), lanes_of(push)
         own = aligned((groups, max(1, theta.shape[1]), LANES))
-        own[:, : theta.shape[1]] = lanes_of(theta, 0) if theta.shape[1] else 0.0
-        drive, flight = (lanes_of(rows[k : k + 1], 0)[0] for rows in (segments.drive, segments.constants))
+        own[:, : theta.shape[1]] = lanes_of(theta) if theta.shape[1] else 0.0
+        drive, flight = (lanes_of(rows[k : k + 1])[0] for rows in (segments.drive, segments.constants))
         states, xi = aligned((groups, steps + 1, self.phi.size, LANES)), np.zeros(self.layout.size)
         stages = aligned((self._kernel.stage_bytes // 2,))
         for group in range(groups):
@@ -89,7 +87,7 @@ class LaneRollouts:
         """Loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""
         xi = np.ascontiguousarray(xi, dtype=float)
         states, (drive, flight) = self._rolled(segments, x0, xi)
-        measured = lanes_of(segments.measured, 0)
+        measured = lanes_of(segments.measured)
         pull = states[:, :, :MEASURED] - measured
         weight = (self.weight / segments.steps)[:, None]
         unused = len(states) * LANES - segments.count
@@ -120,7 +118,7 @@ class LaneRollouts:
         self, segments: Segments, x0: np.ndarray, xi: np.ndarray
     ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """States (groups, N + 1, size, LANES), and drive and constants over lanes; the stages are kept."""
-        start, drive, flight = (lanes_of(rows, 0) for rows in (x0, segments.drive, segments.constants))
+        start, drive, flight = (lanes_of(rows) for rows in (x0, segments.drive, segments.constants))
         groups, steps = len(start), segments.steps
         states = aligned((groups, steps + 1, self.phi.size, LANES))
         need = (groups, 4 * steps * self._kernel.stage_bytes // 8)

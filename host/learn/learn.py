@@ -92,7 +92,8 @@ def learn(
     settings = settings or CondensedSettings()
     _check_one_vehicle([*flights, *hold_out])
     rng = np.random.default_rng(seed)
-    parts = _parts(base, effects or {})
+    library = effects or {}
+    parts = _parts(base, library)
     latency_s = float(mocap_latency_s(FLOAT, parts))
     states = flight_states(flights, latency_s=latency_s)
     if hold_out:
@@ -108,7 +109,7 @@ def learn(
         used, test = split_by_reference(states, rng)
     vehicle = flights[0].vehicle
     kept = tuple(effect for effect, _ in parts)
-    grown = (*kept, *((effects or {})[name] for name in forms))
+    grown = (*kept, *(library[name] for name in forms))
     common: dict[str, Any] = {"vehicle": vehicle, "parameters": states[0].parameters}
     phi = Phi(estimator=False, effects=grown, **common)
     theta = phi.theta(parts)
@@ -131,7 +132,7 @@ def learn(
         effects={
             **({} if base is None else base.effects),
             **{
-                name: dict(zip((effects or {})[name].keys, map(float, learned_parts[name]), strict=True))
+                name: dict(zip(library[name].keys, map(float, learned_parts[name]), strict=True))
                 for name in forms
             },
         },
@@ -139,7 +140,7 @@ def learn(
         covariance=None if base is None else base.covariance,
         sources={
             **({} if base is None else base.sources),
-            **{name: (effects or {})[name].source_id for name in forms},
+            **{name: library[name].source_id for name in forms},
         },
         network=trained.network,
         region=region(used),

@@ -148,7 +148,7 @@ def test_damaged_library_in_the_cache_is_made_anew(cache, require):
 
 
 def test_without_a_compiler_auto_is_the_virtual_machine_and_c_an_error(monkeypatch):
-    monkeypatch.setattr(module, "find_compiler", lambda: None)
+    monkeypatch.setattr("host.codegen.compiler.find_compiler", lambda: None)
     monkeypatch.delenv("TRIMTAB_ENGINE", raising=False)
     assert compile_blocks(_example, IN, OUT, "example").kind == "vm"
     with pytest.raises(CodegenError, match="install cc, gcc, clang or the Python package ziglang"):
@@ -157,7 +157,7 @@ def test_without_a_compiler_auto_is_the_virtual_machine_and_c_an_error(monkeypat
 
 def test_with_a_compiler_that_fails_auto_warns_and_is_the_virtual_machine(cache, monkeypatch, caplog):
     broken = Compiler(command=("no-such-compiler",), identity="broken")
-    monkeypatch.setattr(module, "find_compiler", lambda: broken)
+    monkeypatch.setattr("host.codegen.compiler.find_compiler", lambda: broken)
     engine = compile_blocks(_example, IN, OUT, "example", engine="auto")
     engine.inputs["x"][0] = 2.0
     engine()
