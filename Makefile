@@ -5,12 +5,13 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 READY := $(VENV)/trimtab.stamp
 READY_ALL := $(VENV)/trimtab-all.stamp
+READY_BENCH := $(VENV)/trimtab-bench.stamp
 WORKERS ?= auto
 TESTS ?=
 PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
 export TRIMTAB_PYTHON
 
-.PHONY: venv demo test test-all lint style types generate docs
+.PHONY: venv demo test test-all lint style types bench generate docs
 
 venv: $(READY)
 
@@ -19,6 +20,9 @@ $(READY): requirements.lock pyproject.toml .ci/venv
 
 $(READY_ALL): requirements-all.lock $(READY)
 	@.ci/venv requirements-all.lock $@
+
+$(READY_BENCH): requirements-bench.lock $(READY)
+	@.ci/venv requirements-bench.lock $@
 
 demo: $(READY)
 	$(VENV)/bin/trimtab demo
@@ -36,6 +40,9 @@ style: $(READY_ALL)
 
 types: $(READY_ALL)
 	$(PYTHON) -m pyright
+
+bench: $(READY_BENCH)
+	$(VENV)/bin/trimtab bench
 
 generate: $(READY_ALL)
 	$(PYTHON) -m protocol.generate

@@ -8,6 +8,7 @@ and of the network in it are CasADi's reverse mode. phi and its products are com
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,10 @@ from host.models.network import Layout
 from host.models.phi import DRIVE_ROWS, FLIGHT, Phi
 from host.models.rollout import roll_out
 from host.models.segments import Segments
+
+Pushed = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""(x0 (S, size), theta (S, P), push (S, 2 N + 1, 3)) -> states (S, N + 1, size): segments rolled out, push an
+acceleration, NED, at the steps' starts, middles and ends."""
 
 
 class Buffered:
@@ -65,16 +70,24 @@ class Rollouts:
     """Roll-outs of a batch of segments and their gradient. `weight` (12,): diagonal L of the loss.
 
     The loss of a segment is the mean over its steps of (x_r - x)' L (x_r - x) (paper eq. 3), the batch's
-    their sum.
+    their sum. `engine` of phi as `host.codegen` takes it.
     """
 
     def __init__(
-        self, phi: Phi, layout: Layout, theta: np.ndarray, *, batch: int, step_s: float, weight: np.ndarray
+        self,
+        phi: Phi,
+        layout: Layout,
+        theta: np.ndarray,
+        *,
+        batch: int,
+        step_s: float,
+        weight: np.ndarray,
+        engine: str | None = None,
     ) -> None:
         check_step(phi, step_s)
         self.phi, self.layout, self.batch, self.step_s = phi, layout, batch, step_s
         self.weight = np.asarray(weight, dtype=float)
-        model = _Model(phi, layout, theta, batch=batch, step_s=step_s)
+        model = _Model(phi, layout, theta, batch=batch, step_s=step_s, engine=engine)
         self._step = Buffered(model.step())
         self._adjoint = Buffered(model.adjoint())
 
@@ -122,23 +135,24 @@ class Rollouts:
             theta=of_theta,
         )
 
-    def sweep(
-        self, segments: Segments, k: int, x0: np.ndarray, theta: np.ndarray, push: np.ndarray
-    ) -> np.ndarray:
-        """States (n, N + 1, size) of segment `k` from starts x0 (n, size), each with its own theta (n, P) and
-        acceleration push (n, 2 N + 1, 3), NED, at the steps' starts, middles and ends; the network gives 0.
-        """
-        states = roll_out(
-            self.phi,
-            x0=x0.T,
-            drive=segments.drive[k],
-            flight=segments.constants[k],
-            theta=theta.T,
-            step_s=self.step_s,
-            push=push.transpose(1, 2, 0),
-            rows=self.phi.size,
-        )
-        return states.transpose(2, 0, 1)
+    def pushed(self, segments: Segments) -> Pushed:
+        """Roll-outs of these segments, each under its own theta and acceleration; the network gives 0."""
+
+        def roll(x0: np.ndarray, theta: np.ndarray, push: np.ndarray) -> np.ndarray:
+            states = roll_out(
+                self.phi,
+                x0=x0.T,
+                drive=segments.drive.transpose(1, 2, 0),
+                flight=segments.constants.T,
+                theta=theta.T,
+                step_s=self.step_s,
+                push=push.transpose(1, 2, 0),
+                rows=self.phi.size,
+                lane_flight=np.arange(segments.count),
+            )
+            return states.transpose(2, 0, 1)
+
+        return roll
 
     def _filled(self, rows: np.ndarray) -> np.ndarray:
         """The rows, the first repeated up to the batch."""
@@ -167,10 +181,12 @@ def loss_of(segments: Segments, states: np.ndarray, weight: np.ndarray) -> float
 class _Model:
     """phi with its network for `batch` segments as MX functions; effects at the values `theta`."""
 
-    def __init__(self, phi: Phi, layout: Layout, theta: np.ndarray, *, batch: int, step_s: float) -> None:
+    def __init__(
+        self, phi: Phi, layout: Layout, theta: np.ndarray, *, batch: int, step_s: float, engine: str | None
+    ) -> None:
         self.layout, self.step_s = layout, step_s
-        self._phi = compile_function(phi.function)[0].map(batch)
-        self._products = compile_function(vector_jacobian(phi.function))[0].map(batch)
+        self._phi = compile_function(phi.function, engine=engine)[0].map(batch)
+        self._products = compile_function(vector_jacobian(phi.function), engine=engine)[0].map(batch)
         self._theta = casadi.repmat(casadi.DM(theta), 1, batch)
         drives = [
             casadi.MX.sym(name, DRIVE_ROWS[phi.drive], batch)

@@ -23,7 +23,10 @@ _PUSH = 0.05
 """m/s^2, of central differences by the acceleration."""
 
 _SHARE = 0.02
-"""Typical sizes, of those by an effect's parameter; sigmas, of those by the start."""
+"""Typical sizes, of those by an effect's parameter; sigmas, of those by a state."""
+
+_BLOCK = 32
+"""Segments at a time: a hundred megabytes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,59 +79,121 @@ def condense(
     hessian, slope = np.empty((count, size, size)), np.empty((count, size))
     constant, at = np.empty(count), np.empty((count, size))
     root = np.tile(np.sqrt(weight / segments.steps), segments.steps)
-    for k in range(count):
-        ahead = DELAY_S * _rates(segments.measured[k], segments.step_s)  # where late poses have gone on to
-        x0 = segments.x0[k].copy()
-        x0[:12] += delay * ahead[0]
-        base, moved, shifted = _sensitivities(
-            engine, segments, k, x0, acceleration[k], theta, free, start_sigma[k]
-        )
-        late = shifted[:, :12] @ (ahead[0] / start_sigma[k, :12]) - ahead[1:].reshape(-1)
-        measured = segments.measured[k, 1:].reshape(-1) + delay * ahead[1:].reshape(-1)
-        left = root * (measured - base)
-        u, s = root[:, None] * np.column_stack([moved, late]), root[:, None] * shifted
-        normal = s.T @ s * segments.steps + np.eye(s.shape[1])
+    for first in range(0, count, _BLOCK):
+        block = np.arange(first, min(first + _BLOCK, count))
+        part, sigma = segments.take(block), start_sigma[block]
+        ahead = DELAY_S * _rates(part.measured, part.step_s)  # where late poses have gone on to
+        x0 = part.x0.copy()
+        x0[:, :12] += delay * ahead[:, 0]
+        base, moved, shifted = _sensitivities(engine, part, x0, acceleration[block], theta, free, sigma)
+        late = (shifted[:, :, :12] @ (ahead[:, 0] / sigma[:, :12])[:, :, None])[:, :, 0]
+        late -= ahead[:, 1:].reshape(len(block), -1)
+        measured = (part.measured[:, 1:] + delay * ahead[:, 1:]).reshape(len(block), -1)
+        left = (root * (measured - base))[:, :, None]
+        u = root[:, None] * np.concatenate([moved, late[:, :, None]], axis=2)
+        s = root[:, None] * shifted
+        transposed = s.swapaxes(1, 2) * segments.steps
         # The start's sigmas are of one measurement, the loss is a mean over steps.
-        best = np.linalg.solve(normal, s.T * segments.steps)
+        best = np.linalg.solve(transposed @ s + np.eye(s.shape[2]), transposed)
         left_over, u_over = left - s @ (best @ left), u - s @ (best @ u)
-        hessian[k], slope[k] = u.T @ u_over, -u.T @ left_over
-        constant[k] = left @ left_over
-        at[k] = [*acceleration[k].reshape(-1), *np.zeros(parameters), delay]
-    at[:, 3 * nodes : 3 * nodes + parameters] = ((theta - engine.phi.theta_neutral) / scale)[list(free)]
+        hessian[block] = u.swapaxes(1, 2) @ u_over
+        slope[block] = -(u.swapaxes(1, 2) @ left_over)[:, :, 0]
+        constant[block] = (left * left_over).sum((1, 2))
+        at[block, : 3 * nodes] = acceleration[block].reshape(len(block), -1)
+    at[:, 3 * nodes : -1] = ((theta - engine.phi.theta_neutral) / scale)[list(free)]
+    at[:, -1] = delay
     return Condensed(hessian=hessian, slope=slope, constant=constant, at=at, nodes=nodes)
 
 
 def _sensitivities(
     engine: Rollouts | LaneRollouts,
     segments: Segments,
-    k: int,
     start: np.ndarray,
     acceleration: np.ndarray,
     theta: np.ndarray,
     free: Sequence[int],
     sigma: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The prediction (12 N,) and what it moves by: by node accelerations and free parameters (12 N,
-    3 (N + 1) + P) and by sigmas of the start (12 N, size). Central differences.
+    """The predictions (S, 12 N) and what they move by: by node accelerations and free parameters (S, 12 N,
+    3 (N + 1) + P) and by sigmas of the start (S, 12 N, size).
+
+    Every step is linearised on its own by central differences about the roll-out, and the steps are chained.
     """
-    nodes, size = len(acceleration), engine.phi.size
-    own_free, scale = np.array(free, dtype=int), effect_scales(engine.phi)
-    moves = 3 * nodes + len(free) + size
-    lanes = 2 * moves + 1
-    push = np.repeat(acceleration[None], lanes, axis=0)
-    own, x0 = np.repeat(theta[None], lanes, axis=0), np.repeat(start[None], lanes, axis=0)
-    for sign, first in ((1.0, 0), (-1.0, moves)):
-        rows = first + np.arange(3 * nodes)
-        push.reshape(lanes, -1)[rows, np.arange(3 * nodes)] += sign * _PUSH
-        rows = first + 3 * nodes + np.arange(len(free))
-        own[rows, own_free] += sign * _SHARE * scale[own_free]
-        rows = first + 3 * nodes + len(free) + np.arange(size)
-        x0[rows, np.arange(size)] += sign * _SHARE * sigma
-    states = engine.sweep(segments, k, x0, own, between(push))
-    predicted = states[:, 1:, :12].reshape(lanes, -1)
-    step = np.repeat([_PUSH, _SHARE, _SHARE], [3 * nodes, len(free), size])
-    moved = ((predicted[:moves] - predicted[moves : 2 * moves]) / (2.0 * step[:, None])).T
-    return predicted[-1], moved[:, : 3 * nodes + len(free)], moved[:, 3 * nodes + len(free) :]
+    count, nodes = acceleration.shape[:2]
+    steps, size = nodes - 1, engine.phi.size
+    thetas = np.repeat(theta[None], count, axis=0)
+    states = engine.pushed(segments)(start, thetas, between(acceleration))
+    by_state, by_first, by_second, by_theta = _step_slopes(
+        engine, segments, states, acceleration, theta, free, sigma
+    )
+    moved = np.empty((count, steps, 12, 3 * nodes + len(free)))
+    shifted = np.empty((count, steps, 12, size))
+    by_u, by_start = np.zeros((count, size, 3 * nodes + len(free))), sigma[:, None, :] * np.eye(size)
+    for k in range(steps):
+        reached = 3 * (k + 1)
+        by_u[:, :, :reached] = by_state[:, k] @ by_u[:, :, :reached]
+        by_u[:, :, 3 * nodes :] = by_state[:, k] @ by_u[:, :, 3 * nodes :] + by_theta[:, k]
+        by_u[:, :, 3 * k : reached] += by_first[:, k]
+        by_u[:, :, reached : reached + 3] += by_second[:, k]
+        by_start = by_state[:, k] @ by_start
+        moved[:, k], shifted[:, k] = by_u[:, :12], by_start[:, :12]
+    base = states[:, 1:, :12].reshape(count, -1)
+    return base, moved.reshape(count, 12 * steps, -1), shifted.reshape(count, 12 * steps, -1)
+
+
+def _step_slopes(
+    engine: Rollouts | LaneRollouts,
+    segments: Segments,
+    states: np.ndarray,
+    acceleration: np.ndarray,
+    theta: np.ndarray,
+    free: Sequence[int],
+    sigma: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """What one step's end moves by (S, N, size, columns): by its start, by the acceleration at its start and
+    at its end, by the free parameters in typical sizes.
+    """
+    count, steps, size = states.shape[0], states.shape[1] - 1, states.shape[2]
+    rows = np.arange(count * steps)
+    segment, step = rows // steps, rows % steps
+    single = Segments(
+        step_s=segments.step_s,
+        x0=states[:, :-1].reshape(-1, size),
+        measured=np.zeros((len(rows), 2, 12)),
+        sigma=segments.sigma[segment],
+        drive=segments.drive[segment[:, None], 2 * step[:, None] + np.arange(3)],
+        constants=segments.constants[segment],
+        flight=segments.flight[segment],
+        vectors=segments.vectors,
+    )
+    roll = engine.pushed(single)
+    start, thetas = single.x0.copy(), np.repeat(theta[None], len(rows), axis=0)
+    ends = np.stack([acceleration[:, :-1], acceleration[:, 1:]], axis=2).reshape(-1, 2, 3)
+
+    def slope(array: np.ndarray, column: int, reach: np.ndarray | float) -> np.ndarray:
+        """(S N, size): by a column of one of the three arrays, a view of what the roll-out takes."""
+        kept = array[:, column].copy()
+        found = []
+        for sign in (1.0, -1.0):
+            array[:, column] = kept + sign * reach
+            found.append(roll(start, thetas, between(ends))[:, 1])
+        array[:, column] = kept
+        return (found[0] - found[1]) / (2.0 * np.reshape(reach, (-1, 1)))
+
+    def stacked(columns: list[np.ndarray]) -> np.ndarray:
+        """(S, N, size, columns)."""
+        if not columns:
+            return np.zeros((count, steps, size, 0))
+        return np.stack(columns, axis=-1).reshape(count, steps, size, -1)
+
+    flat, spread, scale = ends.reshape(-1, 6), _SHARE * sigma[segment], effect_scales(engine.phi)
+    by_push = stacked([slope(flat, i, _PUSH) for i in range(6)])
+    return (
+        stacked([slope(start, i, spread[:, i]) for i in range(size)]),
+        by_push[..., :3],
+        by_push[..., 3:],
+        stacked([scale[i] * slope(thetas, i, _SHARE * scale[i]) for i in free]),
+    )
 
 
 def between(nodes: np.ndarray) -> np.ndarray:
@@ -140,9 +205,9 @@ def between(nodes: np.ndarray) -> np.ndarray:
 
 
 def _rates(measured: np.ndarray, step_s: float) -> np.ndarray:
-    """(N + 1, 12): how fast what the cameras see changes, zero for the gyro's body rate."""
-    rates = np.gradient(measured, step_s, axis=0)
-    rates[:, 9:] = 0.0
+    """(..., N + 1, 12): how fast what the cameras see changes, zero for the gyro's body rate."""
+    rates = np.gradient(measured, step_s, axis=-2)
+    rates[..., 9:] = 0.0
     return rates
 
 

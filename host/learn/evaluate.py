@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from firmware_model.law.ops import FLOAT
+from host.effects import Effect
+from host.log import Flight
+from host.models.dynamics import Part, mocap_latency_s
+from host.models.model import Model
 from host.models.network import Network
 from host.models.phi import Phi
 from host.models.rollout import half_steps, reference_drive, roll_out
-from host.models.states import States
+from host.models.states import States, flight_states
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,12 +35,13 @@ def whole_flights(
 ) -> Errors:
     """Errors of whole flights predicted from their references alone, from the state when tracking begins.
 
-    All samples of all flights count alike.
+    All samples of all flights that poses are near count alike.
     """
     squares: list[np.ndarray] = []
     for states in flights:
         predicted = predict(phi, theta, states, network)
-        squares.append((predicted - states.x)[:, :6] ** 2)
+        square = (predicted - states.x)[:, :6] ** 2
+        squares.append(square if states.seen is None else square[states.seen])
     every = np.concatenate(squares)
     return Errors(
         position_rmse_m=float(np.sqrt(every[:, 0:3].sum(axis=1).mean())),
@@ -61,3 +67,25 @@ def predict(phi: Phi, theta: np.ndarray, states: States, network: Network | None
         network=network,
         compiled=True,
     )[:, :, 0]
+
+
+def model_errors(flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect]) -> Errors:
+    """Errors of whole flights of one vehicle and one setting as a model predicts them; None: the vehicle file
+    alone. Raises TooLittleData.
+    """
+    parts = model_parts(model, effects)
+    states = flight_states(flights, latency_s=float(mocap_latency_s(FLOAT, parts)))
+    phi = Phi(
+        vehicle=flights[0].vehicle,
+        effects=tuple(effect for effect, _ in parts),
+        parameters=states[0].parameters,
+    )
+    return whole_flights(phi, phi.theta(parts), states, None if model is None else model.network)
+
+
+def model_parts(model: Model | None, effects: Mapping[str, Effect]) -> list[Part]:
+    """The model's effects and those of its adjustments that are effects; none for no model."""
+    if model is None:
+        return []
+    known = {name: values for name, values in model.adjustments.items() if name in effects}
+    return replace(model, adjustments=known, covariance=None).parts(effects)

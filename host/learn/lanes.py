@@ -9,7 +9,7 @@ import numpy as np
 
 from host.codegen.compiler import CodegenError, Compiler, engine_choice, wanted_compiler
 from host.codegen.simd import LANES, aligned, lanes_of, rows_of
-from host.learn.adjoint import Gradient, Rollouts, check_step
+from host.learn.adjoint import Gradient, Pushed, Rollouts, check_step
 from host.learn.kernel import MEASURED, kernel, pointer
 from host.models.network import Layout
 from host.models.phi import Phi
@@ -62,26 +62,26 @@ class LaneRollouts:
         states, _ = self._rolled(segments, x0, np.ascontiguousarray(xi, dtype=float))
         return np.moveaxis(rows_of(states, segments.count), 0, 1)
 
-    def sweep(
-        self, segments: Segments, k: int, x0: np.ndarray, theta: np.ndarray, push: np.ndarray
-    ) -> np.ndarray:
-        """States (n, N + 1, size) of segment `k` from starts x0 (n, size), each with its own theta (n, P) and
-        acceleration push (n, 2 N + 1, 3), NED, at the steps' starts, middles and ends; the network gives 0.
-        """
-        steps, groups = segments.steps, -(-len(x0) // LANES)
-        start, push = lanes_of(x0), lanes_of(push)
-        own = aligned((groups, max(1, theta.shape[1]), LANES))
-        own[:, : theta.shape[1]] = lanes_of(theta) if theta.shape[1] else 0.0
-        drive, flight = (lanes_of(rows[k : k + 1])[0] for rows in (segments.drive, segments.constants))
+    def pushed(self, segments: Segments) -> Pushed:
+        """Roll-outs of these segments, each under its own theta and acceleration; the network gives 0."""
+        drive, flight = (lanes_of(rows) for rows in (segments.drive, segments.constants))
+        groups, steps = len(drive), segments.steps
         states, xi = aligned((groups, steps + 1, self.phi.size, LANES)), np.zeros(self.layout.size)
         stages = aligned((self._kernel.stage_bytes // 2,))
-        for group in range(groups):
-            self._kernel.roll_out(
-                pointer(xi), pointer(start[group]), pointer(drive), pointer(flight), pointer(own[group]),
-                pointer(push[group]), ctypes.c_long(steps), ctypes.c_double(self.step_s), ctypes.c_int(0),
-                pointer(stages), pointer(states[group]),
-            )  # fmt: skip
-        return rows_of(states, len(x0))
+
+        def roll(x0: np.ndarray, theta: np.ndarray, push: np.ndarray) -> np.ndarray:
+            start, pushes = lanes_of(x0), lanes_of(push)
+            own = aligned((groups, max(1, theta.shape[1]), LANES))
+            own[:, : theta.shape[1]] = lanes_of(theta) if theta.shape[1] else 0.0
+            for group in range(groups):
+                self._kernel.roll_out(
+                    pointer(xi), pointer(start[group]), pointer(drive[group]), pointer(flight[group]),
+                    pointer(own[group]), pointer(pushes[group]), ctypes.c_long(steps),
+                    ctypes.c_double(self.step_s), ctypes.c_int(0), pointer(stages), pointer(states[group]),
+                )  # fmt: skip
+            return rows_of(states, len(x0))
+
+        return roll
 
     def gradient(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> Gradient:
         """Loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""

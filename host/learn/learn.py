@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from firmware_model.law.ops import FLOAT
 from host.effects import Effect
-from host.learn.evaluate import Errors, whole_flights
+from host.learn.evaluate import Errors, model_errors, model_parts, whole_flights
 from host.learn.quick import CondensedSettings, CondensedTrained, train_condensed
 from host.learn.train import LOSS_SIGMA, Settings, Trained, train
 from host.log import Flight
-from host.models.dynamics import Part, mocap_latency_s
-from host.models.model import Model, Region
+from host.log.errors import TooLittleData
+from host.models.dynamics import mocap_latency_s
+from host.models.model import Model
 from host.models.phi import Phi
+from host.models.region import Region
 from host.models.segments import Segments, cut
-from host.models.states import States, TooLittleData, flight_states
+from host.models.states import States, flight_states
 
 SEGMENT_STEPS = 50
 """Of 20 ms: a second."""
@@ -29,7 +31,7 @@ class Judged:
     """Whole-flight errors on one set of flights.
 
     nominal: of the vehicle file alone. base: with the effects of the model learned upon, the same where there
-    was none. learned: with the network too.
+    was none. learned: with the network too. outside: share of samples beyond the region learned in.
     """
 
     flights: tuple[str, ...]
@@ -37,6 +39,7 @@ class Judged:
     nominal: Errors
     base: Errors
     learned: Errors
+    outside: float
 
     @property
     def ratio(self) -> float:
@@ -49,6 +52,7 @@ class Judged:
             **self.learned.to_json(),
             "nominal": self.nominal.to_json(),
             "base": self.base.to_json(),
+            "outside_region": self.outside,
             "flights": list(self.flights),
             "references": list(self.references),
         }
@@ -56,13 +60,17 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """A model with what was learned best, and how good it is; `test` None: nothing was held out."""
+    """A model with what was learned best, and how good it is; `test` None: nothing was held out.
+
+    notes: what was cut or left out of the logs.
+    """
 
     model: Model
     train: Judged
     test: Judged | None
     trained: Trained | CondensedTrained
     segments: int
+    notes: tuple[str, ...] = ()
 
     @property
     def improved(self) -> bool:
@@ -73,7 +81,7 @@ class Learned:
 def learn(
     flights: Sequence[Flight],
     *,
-    hold_out: Sequence[Flight] = (),
+    hold_out: Sequence[Flight] | None = None,
     base: Model | None = None,
     effects: Mapping[str, Effect] | None = None,
     settings: Settings | CondensedSettings | None = None,
@@ -84,20 +92,23 @@ def learn(
 ) -> Learned:
     """A model learned from `flights` of one vehicle.
 
-    Held out for the test are `hold_out`, else the flights of every fourth reference where there are three or
-    more; a reference is never on both sides. `base` is a model whose effects (found in `effects`) stay as
+    Held out for the test are `hold_out`; None: the flights of every fourth reference where there are three or
+    more. A reference is never on both sides. `base` is a model whose effects (found in `effects`) stay as
     they are: what is learned is what they leave. `forms` are effects of the library that are learned beside
     the network, on the condensed loss alone. Raises TooLittleData, also for flights of two vehicles.
     """
     settings = settings or CondensedSettings()
-    _check_one_vehicle([*flights, *hold_out])
+    kept_aside = hold_out or ()
+    _check_one_vehicle([*flights, *kept_aside])
     rng = np.random.default_rng(seed)
     library = effects or {}
-    parts = _parts(base, library)
+    parts = model_parts(base, library)
     latency_s = float(mocap_latency_s(FLOAT, parts))
     states = flight_states(flights, latency_s=latency_s)
-    if hold_out:
-        test = flight_states(hold_out, latency_s=latency_s)
+    if hold_out is None:
+        used, test = split_by_reference(states, rng)
+    else:
+        test = flight_states(kept_aside, latency_s=latency_s)
         shared = {s.reference_id for s in test} & {s.reference_id for s in states}
         if shared:
             names = ", ".join(sorted(shared))
@@ -105,8 +116,6 @@ def learn(
                 f"held-out flights share the reference {names} with the others; hold out others"
             )
         used = states
-    else:
-        used, test = split_by_reference(states, rng)
     vehicle = flights[0].vehicle
     kept = tuple(effect for effect, _ in parts)
     grown = (*kept, *(library[name] for name in forms))
@@ -122,9 +131,11 @@ def learn(
         )
         learned_theta = trained.theta
     else:
-        trained, learned_theta = train(phi, theta, fitted, checked, settings, rng, on_epoch), theta
+        trained = train(phi, theta, fitted, checked, settings, rng, weight=weight, on_epoch=on_epoch)
+        learned_theta = theta
     learned_parts = {effect.name: values for effect, values in phi.parts(learned_theta)}
 
+    learned_in = region(used)
     before, after = Phi(effects=kept, **common), Phi(effects=grown, **common)
     model = Model(
         vehicle_id=vehicle.id,
@@ -143,25 +154,22 @@ def learn(
             **{name: library[name].source_id for name in forms},
         },
         network=trained.network,
-        region=region(used),
+        region=learned_in,
         data=tuple(sorted({s.flight_id for s in used} | set(() if base is None else base.data))),
         provenance=provenance or {},
     )
 
-    def nominal(chosen: Sequence[States]) -> Errors:
-        """Of the vehicle file alone, which takes poses to be as old as stamped."""
-        bare = Phi(vehicle=vehicle, parameters=states[0].parameters)
-        logs = {flight.id: flight for flight in [*flights, *hold_out]}
-        return whole_flights(bare, bare.theta_neutral, flight_states([logs[s.flight_id] for s in chosen]))
+    logs = {flight.id: flight for flight in [*flights, *kept_aside]}
 
     def judged(chosen: Sequence[States]) -> Judged:
         bare = whole_flights(before, before.theta(parts), chosen)
         return Judged(
             flights=tuple(s.flight_id for s in chosen),
             references=tuple(dict.fromkeys(s.reference_id for s in chosen)),
-            nominal=bare if base is None else nominal(chosen),
+            nominal=bare if base is None else model_errors([logs[s.flight_id] for s in chosen], None, {}),
             base=bare,
             learned=whole_flights(after, learned_theta, chosen, trained.network),
+            outside=float(learned_in.outside(*_states_and_thrust(chosen)).mean()),
         )
 
     return Learned(
@@ -170,15 +178,8 @@ def learn(
         test=judged(test) if test else None,
         trained=trained,
         segments=fitted.count,
+        notes=tuple(note for s in [*used, *test] for note in s.notes),
     )
-
-
-def _parts(base: Model | None, effects: Mapping[str, Effect]) -> list[Part]:
-    """The base's effects and those of its adjustments that are effects."""
-    if base is None:
-        return []
-    known = {name: values for name, values in base.adjustments.items() if name in effects}
-    return replace(base, adjustments=known, covariance=None).parts(effects)
 
 
 def split_by_reference(
@@ -198,15 +199,12 @@ def split_by_reference(
 
 def region(states: Sequence[States]) -> Region:
     """The speeds, tilts and collective thrusts that the flights went through."""
-    x = np.concatenate([s.x for s in states])
-    thrust = np.concatenate([s.thrust for s in states]).sum(axis=1)
-    tilt = np.arccos(np.clip(np.cos(x[:, 6]) * np.cos(x[:, 7]), -1.0, 1.0))
-    return Region(
-        speed_max_m_s=float(np.linalg.norm(x[:, 3:6], axis=1).max()),
-        tilt_max_deg=float(np.rad2deg(tilt.max())),
-        thrust_min_n=float(thrust.min()),
-        thrust_max_n=float(thrust.max()),
-    )
+    return Region.of(*_states_and_thrust(states))
+
+
+def _states_and_thrust(states: Sequence[States]) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 12) and collective thrusts (n,), N, of all samples."""
+    return np.concatenate([s.x for s in states]), np.concatenate([s.thrust for s in states]).sum(axis=1)
 
 
 def _segments(used: Sequence[States], phi: Phi, rng: np.random.Generator) -> tuple[Segments, Segments]:

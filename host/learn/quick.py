@@ -19,6 +19,9 @@ from host.models.segments import Segments
 _COPIES = 4
 """Headings that every segment counts in, where a network sees the world's frame."""
 
+_HELD = 1e-6
+"""Of its sigma is what a start moves that is taken as measured."""
+
 _SMALLEST = Layout(hidden=(1,))
 """Of roll-outs without a network."""
 
@@ -28,7 +31,8 @@ class CondensedSettings:
     """How to learn. layout None: effects alone. l2 is on the weights, for a loss of unit mean diagonal.
 
     A pass condenses about what the last one learned; `patience` iterations without a better validation loss
-    end it. delay: estimate how much later the poses are than stamped.
+    end it. free_start: segments start where they fit best, not as measured. delay: estimate how much
+    later the poses are than stamped.
     """
 
     layout: Layout | None = field(default_factory=lambda: Layout(hidden=(32, 32)))
@@ -37,6 +41,7 @@ class CondensedSettings:
     passes: int = 2
     l2: float = 1e-5
     any_heading: bool = True
+    free_start: bool = True
     delay: bool = False
 
     def __post_init__(self) -> None:
@@ -105,7 +110,7 @@ def train_condensed(
                     engine,
                     part,
                     weight=weight,
-                    start_sigma=start_sigma(phi, part),
+                    start_sigma=start_sigma(phi, part) * (1.0 if settings.free_start else _HELD),
                     acceleration=accelerations(basis, network, part.measured[:, :, 3:9]),
                     theta=learned,
                     free=chosen.tolist(),

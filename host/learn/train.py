@@ -32,6 +32,8 @@ class Settings:
     """Epochs without a better validation loss before training ends."""
     any_heading: bool = True
     """Turn every segment about the vertical by a drawn angle at each use: flights see few headings."""
+    free_start: bool = True
+    """Move every segment's start to where it fits best; without, it is as measured, like the paper's."""
 
     def __post_init__(self) -> None:
         if min(self.epochs, self.batch, self.patience) < 1 or not (self.rate > 0.0 and self.l2 >= 0.0):
@@ -56,18 +58,21 @@ def train(
     validation: Segments,
     settings: Settings,
     rng: np.random.Generator,
+    *,
+    weight: np.ndarray,
     on_epoch: Callable[[int, float], None] | None = None,
 ) -> Trained:
     """The residual d(x, xi) for phi with its effects at `theta`, learned from `segments`.
+
+    weight (12,): diagonal L of the loss.
 
     Each mini-batch first moves its segments' starts to where they fit best, then takes the gradient there
     (starts at their optimum add nothing to it). Stops early on `validation`, from its measured starts.
     """
     layout = Layout(hidden=settings.hidden)
-    weight = 1.0 / np.square(LOSS_SIGMA)
     batch = min(settings.batch, segments.count)
     engine = rollouts(phi, layout, theta, batch=batch, step_s=segments.step_s, weight=weight)
-    starts = free_starts(phi, theta, segments, weight)
+    starts = free_starts(phi, theta, segments, weight) if settings.free_start else None
     shift = np.zeros((segments.count, phi.size))
     batches = -(-segments.count // batch)
     adam = Adam(layout.initial(rng), rate=settings.rate, steps=settings.epochs * batches)
@@ -80,10 +85,11 @@ def train(
         for first in range(0, segments.count, batch):
             chosen = order[first : first + batch]
             part = segments.take(chosen)
-            x0 = part.x0 + shift[chosen] * starts.sigma[chosen]
-            states = engine.roll_out(part, x0, adam.x)[1:, :, :12].transpose(1, 0, 2)
-            shift[chosen] = starts.refine(chosen, shift[chosen], part.measured[:, 1:] - states)
-            part = replace(part, x0=part.x0 + shift[chosen] * starts.sigma[chosen])
+            if starts is not None:
+                x0 = part.x0 + shift[chosen] * starts.sigma[chosen]
+                states = engine.roll_out(part, x0, adam.x)[1:, :, :12].transpose(1, 0, 2)
+                shift[chosen] = starts.refine(chosen, shift[chosen], part.measured[:, 1:] - states)
+                part = replace(part, x0=part.x0 + shift[chosen] * starts.sigma[chosen])
             if settings.any_heading:
                 part = part.turned(rng.uniform(-np.pi, np.pi, len(chosen)))
             found = engine.gradient(part, part.x0, adam.x)

@@ -12,8 +12,9 @@ from pydantic import Field
 
 from host import artefacts
 from host.errors import UsageError
-from host.models.model import Covariance, Model, Region, network_digest
+from host.models.model import Covariance, Model, network_digest
 from host.models.network import Frame, Layout, Network
+from host.models.region import Region
 from host.vehicle.files import write_toml
 from host.vehicle.strict_toml import ConfigurationError, Strict, read_strict
 

@@ -14,6 +14,7 @@ from host.artefacts import content_id
 from host.effects import Effect
 from host.models.dynamics import Part
 from host.models.network import Network
+from host.models.region import Region
 
 Values = Mapping[str, Mapping[str, float]]
 """Effect name -> parameter key -> value."""
@@ -52,24 +53,6 @@ class Covariance:
             return None
         i = self.names.index(name)
         return math.sqrt(self.matrix[i][i])
-
-
-@dataclass(frozen=True, kw_only=True)
-class Region:
-    """The region the data covers; beyond it the model extrapolates."""
-
-    speed_max_m_s: float
-    tilt_max_deg: float
-    thrust_min_n: float
-    """Least and greatest collective thrust."""
-    thrust_max_n: float
-
-    def __post_init__(self) -> None:
-        numbers = (self.speed_max_m_s, self.tilt_max_deg, self.thrust_min_n, self.thrust_max_n)
-        if not all(math.isfinite(number) and number >= 0.0 for number in numbers):
-            raise ValueError(f"a region's numbers must be finite and >= 0, got {numbers}")
-        if self.thrust_min_n > self.thrust_max_n:
-            raise ValueError(f"thrust range {self.thrust_min_n}..{self.thrust_max_n} N is empty")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

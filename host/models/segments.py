@@ -11,9 +11,6 @@ from host.models.phi import Phi
 from host.models.rollout import half_steps, reference_drive
 from host.models.states import States
 
-_TILT_MAX = np.deg2rad(80.0)
-"""Beyond it Euler angles near their singularity, and a segment is left out."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segments:
@@ -81,8 +78,8 @@ class Segments:
 def cut(flights: Sequence[States], phi: Phi, *, steps: int) -> Segments:
     """Segments of `steps` steps, end to end over every flight's tracking phase; phi's drive is `reference`.
 
-    All flights have one step. Left out: what is beyond 80 degrees of roll or pitch, and a rest shorter than a
-    segment. Raises ValueError where nothing is left.
+    All flights have one step. Left out: segments without poses somewhere, and a rest shorter than a segment.
+    Raises ValueError where nothing is left.
     """
     if len({states.step_s for states in flights}) > 1:
         raise ValueError("flights on grids of different steps")
@@ -96,7 +93,7 @@ def cut(flights: Sequence[States], phi: Phi, *, steps: int) -> Segments:
         )
         for k in range(0, total - steps + 1, steps):
             measured = states.x[k : k + steps + 1]
-            if np.abs(measured[:, 6:8]).max() > _TILT_MAX:
+            if states.seen is not None and not states.seen[k : k + steps + 1].all():
                 continue
             stages = drive[2 * k : 2 * (k + steps) + 1]
             start = states.initial(phi, k)

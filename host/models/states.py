@@ -1,48 +1,30 @@
-"""A flight on a regular grid: smoothed states, rotor thrusts and controller memory over its tracking phase.
-
-Position and velocity come from the camera alone, attitude from gyro and camera together, body rate from the
-gyro. Nothing here knows an effect; a camera that is late makes states that are late.
-"""
+"""A flight as phi sees it: smoothed states, rotor thrusts and controller memory over its tracking phase."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from firmware_model.law import step as law_step
 from firmware_model.law.allocation import command_to_thrust
-from host.log import Control, Estimate, Flight, Observer
+from host.log import Control, Flight, Observer
+from host.log.prepare import STEP_S, Prepared, prepare
 from host.models.bias import accelerometer_bias, standing_errors
 from host.models.phi import INTEGRAL, Phi, flight_constants
 from host.models.reference import block
-from host.models.smoothing import Series, Smoothed, smooth
 from host.vehicle import Vehicle, to_parameters
 from protocol.blobs import FeedForward, Reference
 from protocol.parameters import DEFAULTS
 
-STEP_S = 0.02
 PLAUSIBLE_VOLTAGE = (0.5, 1.3)
 """Of the full voltage: what lies outside is no measurement."""
-_JERK_DENSITY = 20.0
-"""(m/s^3)^2/Hz: follows flights of some 20 m/s^3; 1 mm at 100 Hz becomes 0.3 mm and 7 mm/s."""
-_DRIFT_DENSITY = 0.1
-"""rad^2/s^5, of the turn between gyro and camera: gyro bias and little else."""
 _RATE_SIGMA = 0.01
 """rad/s: a gyro of 0.02 averaged over 10 ms and more, and what averaging over a step costs."""
 _LEAST_SIGMA = (2e-4, 3e-3, 1e-3)
 """m, m/s, rad: no smoother is better than its model of the motion."""
-
-
-class TooLittleData(ValueError):
-    """A log lacks what its flight is rebuilt from, or the logs are too little to judge; the message says
-    what.
-    """
-
-    exit_code = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +33,8 @@ class States:
 
     x (n, 12): p, v (NED), Theta, body rate (FRD); sigma (12,) of each. thrust (n, 4): lagged nominal rotor
     thrusts, N. integral (n, 3): the law's. voltage_ratio (n,). constants (16,): `flight_constants`.
-    observer (n, 3): the disturbance observed on board, m/s^2, NED; None where none was logged.
+    observer (n, 3): the disturbance observed on board, m/s^2, NED; None where none was logged. seen (n,):
+    whether poses are near; None: everywhere. notes: what was cut or left out of the log.
     """
 
     flight_id: str
@@ -69,6 +52,8 @@ class States:
     voltage_ratio: np.ndarray
     constants: np.ndarray
     observer: np.ndarray | None = None
+    seen: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
 
     def initial(self, phi: Phi, k: int = 0) -> np.ndarray:
         """phi's state (size,) at sample k; the estimator's errors are what the accelerometer's bias makes."""
@@ -98,92 +83,27 @@ def flight_states(
 ) -> list[States]:
     """The states of the flights' tracking phases; poses are taken to be `latency_s` older than stamped.
 
-    Together they cost less than one by one. Raises TooLittleData where a log has no poses, no telemetry of
-    the control law, no reference or no tracking phase.
+    Together they cost less than one by one. Raises TooLittleData as `host.log.prepare` does.
     """
-    measured = [_measured(flight, step_s, latency_s) for flight in flights]
-    if not measured:
-        return []
-    smoothed = smooth([each for m in measured for each in (m.path, m.turned)])
-    pairs = zip(smoothed[0::2], smoothed[1::2], strict=True)
-    return [_states(m, path, turned, step_s) for m, (path, turned) in zip(measured, pairs, strict=True)]
+    return [_states(prepared) for prepared in prepare(flights, step_s=step_s, latency_s=latency_s)]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Measured:
-    """What of a flight is smoothed: `path`, positions; `turned`, the camera's turn from `gyro` and `base`.
-
-    start_s of the tracking phase, which the grid begins at; interval_s between poses. base: the first of
-    those turns; gyro: the gyro's attitudes on the grid.
-    """
-
-    flight: Flight
-    start_s: float
-    interval_s: float
-    path: Series
-    turned: Series
-    base: Any
-    gyro: Any
-
-
-def _measured(flight: Flight, step_s: float, latency_s: float) -> _Measured:
-    """What of a flight is smoothed. Raises TooLittleData."""
-    needed = {
-        "poses": flight.mocap,
-        "control telemetry": flight.control,
-        "on-board estimates": flight.estimate,
-        "reference": flight.reference,
-        "tracking phase": flight.tracking,
-    }
-    missing = [name for name, value in needed.items() if value is None]
-    if missing:
-        raise TooLittleData(
-            f"{flight.path.name}: no {', no '.join(missing)}; use a flight tracked to its end"
-        )
-    mocap, control, tracking = flight.mocap, flight.control, flight.tracking
-    assert mocap is not None
-    assert control is not None
-    assert tracking is not None
-    start_s, end_s = (t * 1e-6 for t in tracking)
-    steps = int((end_s - start_s) / step_s + 1e-6)
-    at = start_s + step_s * np.arange(steps + 1)
-    taken_s = mocap.t_us * 1e-6 - latency_s
-    inside = (taken_s > start_s - 1.0) & (taken_s < end_s + 1.0)
-    if steps < 25 or inside.sum() < 50:
-        raise TooLittleData(f"{flight.path.name}: less than half a second of tracking with poses")
-    pose_s, p = taken_s[inside], mocap.p[inside]
-    path = Series(t_s=pose_s, samples=p, sigma=_noise(p), at_s=at, jerk_density=_JERK_DENSITY)
-    turned, base, gyro = _attitude(pose_s, mocap.q[inside], control, at)
-    return _Measured(
-        flight=flight,
-        start_s=start_s,
-        interval_s=float(np.median(np.diff(pose_s))),
-        path=path,
-        turned=turned,
-        base=base,
-        gyro=gyro,
-    )
-
-
-def _states(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: float) -> States:
-    """The states of a flight from what was measured and that smoothed."""
-    flight, start_s, at = measured.flight, measured.start_s, measured.path.at_s
+def _states(prepared: Prepared) -> States:
+    """The states of a flight that was smoothed."""
+    flight, start_s, at, x = prepared.flight, prepared.start_s, prepared.at_s, prepared.x
     control, estimate = flight.control, flight.estimate
     reference, tracking = flight.reference, flight.tracking
     assert control is not None
     assert estimate is not None
     assert reference is not None
     assert tracking is not None
-    theta = (Rotation.from_rotvec(turned.p) * measured.base * measured.gyro).as_euler("ZYX")[:, ::-1].copy()
-    theta[:, 2] = np.unwrap(theta[:, 2])
-    sigma_theta = float(np.median(turned.sigma_p))
-    rate = _gyro(control, estimate, at, step_s)
     least_p, least_v, least_theta = _LEAST_SIGMA
+    spread = np.sqrt(np.maximum(np.einsum("nii->ni", prepared.path_covariance), 0.0))
     sigma = np.repeat(
         [
-            max(float(np.median(path.sigma_p)), least_p),
-            max(float(np.median(path.sigma_v)), least_v),
-            max(sigma_theta, least_theta),
+            max(float(np.median(spread[:, 0])), least_p),
+            max(float(np.median(spread[:, 1])), least_v),
+            max(float(np.median(prepared.theta_sigma)), least_theta),
             _RATE_SIGMA,
         ],
         3,
@@ -194,21 +114,21 @@ def _states(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: float
     tracked = (estimate.t_us >= tracking[0]) & (estimate.t_us <= tracking[1])
     # The telemetry's age grows from a pose's use to the next one's; at its use it is half an interval less.
     age_s = (
-        float(np.mean(estimate.mocap_age_s[tracked])) - 0.5 * measured.interval_s if tracked.any() else 0.0
+        float(np.mean(estimate.mocap_age_s[tracked])) - 0.5 * prepared.interval_s if tracked.any() else 0.0
     )
     gains = law_step.estimator_gains(law_step.parameter_vector(_parameters(flight)))
     estimated = np.column_stack([np.interp(at, estimate.t_us * 1e-6, estimate.p[:, i]) for i in range(3)])
-    R = Rotation.from_euler("ZYX", theta[:, ::-1]).as_matrix()
+    R = Rotation.from_euler("ZYX", x[:, 8:5:-1]).as_matrix()
     imu_bias, per_gravity = accelerometer_bias(
-        estimated - path.p,
+        estimated - x[:, 0:3],
         R,
-        path.v,
-        np.gradient(path.v, step_s, axis=0),
-        rate,
+        x[:, 3:6],
+        np.gradient(x[:, 3:6], prepared.step_s, axis=0),
+        x[:, 9:12],
         gains=gains,
         age_s=max(age_s, 0.0),
-        interval_s=measured.interval_s,
-        step_s=step_s,
+        interval_s=prepared.interval_s,
+        step_s=prepared.step_s,
     )
     return States(
         flight_id=flight.id,
@@ -217,9 +137,9 @@ def _states(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: float
         reference=reference,
         feedforward=flight.feedforward,
         parameters=flight.firmware_parameters,
-        step_s=step_s,
+        step_s=prepared.step_s,
         t_s=at - start_s,
-        x=np.column_stack([path.p, path.v, theta, rate]),
+        x=x,
         sigma=sigma,
         thrust=_thrusts(flight.vehicle, control, at),
         integral=integral,
@@ -227,11 +147,13 @@ def _states(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: float
         constants=flight_constants(
             block(flight.feedforward),
             mocap_age_s=max(age_s, 0.0),
-            mocap_interval_s=measured.interval_s,
+            mocap_interval_s=prepared.interval_s,
             accelerometer_bias=imu_bias,
             bias_per_gravity=per_gravity,
         ),
         observer=_observed(flight.observer, at),
+        seen=prepared.seen,
+        notes=prepared.notes,
     )
 
 
@@ -246,70 +168,6 @@ def _observed(observer: Observer | None, at: np.ndarray) -> np.ndarray | None:
 def _parameters(flight: Flight) -> Mapping[str, float]:
     table = flight.firmware_parameters
     return to_parameters(flight.vehicle) if table is None else {**DEFAULTS, **table}
-
-
-def _noise(samples: np.ndarray) -> float:
-    """Sigma of white noise, from third differences: motion hardly enters them."""
-    third = np.diff(samples, 3, axis=0)
-    return max(float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)), 1e-5)
-
-
-def _attitude(pose_s: np.ndarray, q: np.ndarray, control: Control, at: np.ndarray) -> tuple[Series, Any, Any]:
-    """What attitude comes from: the turn from gyro to camera, which the gyro's drift makes, beyond the first;
-    that first turn; and the gyro's attitudes at times `at`.
-    """
-    length = 1e-6 * (control.t1_us - control.t0_us)
-    gap = np.diff(control.t1_us * 1e-6, prepend=control.t0_us[0] * 1e-6)
-    covered = np.where(np.abs(gap - length) < 1e-4, length, gap)  # an invalid interval: the next one's mean
-    turns = Rotation.from_rotvec(control.gyro_mean * covered[:, None])
-    knots_s = _knots_s(control)
-    gyro = _cumulated(turns)
-    camera = Rotation.from_quat(q[:, [1, 2, 3, 0]])
-    drift = camera * _between(knots_s, gyro, turns, pose_s).inv()
-    base = drift[0]
-    offset = (drift * base.inv()).as_rotvec()
-    series = Series(t_s=pose_s, samples=offset, sigma=_noise(offset), at_s=at, jerk_density=_DRIFT_DENSITY)
-    return series, base, _between(knots_s, gyro, turns, at)
-
-
-def _cumulated(turns: Any) -> Any:
-    """Products of the first 0, 1, .. n of n turns; in twice the reach at every pass."""
-    products = Rotation.concatenate([Rotation.identity(), turns])
-    reach = 1
-    while reach < len(products):
-        products = Rotation.concatenate([products[:reach], products[:-reach] * products[reach:]])
-        reach *= 2
-    return products
-
-
-def _knots_s(control: Control) -> np.ndarray:
-    """(n + 1,) s: begin of what the first gyro mean stands for, then the end of each."""
-    sensed_us = control.sensed_us
-    return np.concatenate([sensed_us[:1, 0], sensed_us[:, 1]]) * 1e-6
-
-
-def _between(knots_s: np.ndarray, gyro: Any, turns: Any, at: np.ndarray) -> Any:
-    """The gyro's attitude at times `at`, at a constant rate between knots."""
-    k = np.clip(np.searchsorted(knots_s, at, side="right") - 1, 0, len(knots_s) - 2)
-    share = np.clip((at - knots_s[k]) / np.maximum(knots_s[k + 1] - knots_s[k], 1e-9), 0.0, 1.0)
-    return gyro[k] * Rotation.from_rotvec(turns[k].as_rotvec() * share[:, None])
-
-
-def _gyro(control: Control, estimate: Estimate, at: np.ndarray, step_s: float) -> np.ndarray:
-    """Body rate (n, 3): the gyro's mean over the step around each time, less the bias estimated on board."""
-    edges = _knots_s(control)
-    turned = np.concatenate(
-        [np.zeros((1, 3)), np.cumsum(control.gyro_mean * np.diff(edges)[:, None], axis=0)]
-    )
-    half = 0.5 * step_s
-    rate = np.column_stack(
-        [
-            (np.interp(at + half, edges, turned[:, i]) - np.interp(at - half, edges, turned[:, i])) / step_s
-            for i in range(3)
-        ]
-    )
-    bias = np.column_stack([np.interp(at, estimate.t_us * 1e-6, estimate.gyro_bias[:, i]) for i in range(3)])
-    return rate - bias
 
 
 def _thrusts(vehicle: Vehicle, control: Control, at: np.ndarray) -> np.ndarray:

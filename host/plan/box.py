@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from firmware_model.law.checks import Limits as CheckedLimits
-from host.models.model import Region
+from host.models.region import Region
 from host.plan.dynamics import Dynamics
 from host.vehicle import Limits
 

@@ -21,8 +21,9 @@ from host.codegen import CASADI
 from host.effects import Effect
 from host.errors import UsageError
 from host.models.dynamics import RATE, THETA, THRUST, Part, V, residual_acceleration_ned, rigid_body
-from host.models.model import Model, Region
+from host.models.model import Model
 from host.models.network import Network
+from host.models.region import Region
 from host.plan.stage import Layers, StageModel
 from host.route.shapes import Box, Cylinder, Sphere
 from host.vehicle import Limits, Vehicle

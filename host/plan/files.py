@@ -54,6 +54,7 @@ def figures(plan: Plan) -> dict[str, Any]:
         "waypoint_times_s": list(plan.waypoint_times_s),
         "margins": dict(plan.margins),
         "residual_rms_m_s2": plan.residual_rms_m_s2,
+        "outside_region": plan.outside_region,
         "path_length_m": plan.path_length_m,
         "mean_speed_m_s": plan.mean_speed_m_s,
         "deviation_m": plan.deviation_m,

@@ -88,6 +88,7 @@ class Job:
             waypoint_times_s=tuple(map(float, waypoint_times_s)),
             margins=judged.margins,
             residual_rms_m_s2=figures.residual_rms_m_s2,
+            outside_region=figures.outside_region,
             path_length_m=figures.path_length_m,
             mean_speed_m_s=figures.mean_speed_m_s,
             deviation_m=effort.deviation_m,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from firmware_model.law.checks import Verdict, check_reference, from_parameters
 from host.codegen import NUMPY
-from host.models.dynamics import THETA, P, V, residual_acceleration_ned
+from host.models.dynamics import THETA, THRUST, P, V, residual_acceleration_ned
 from host.plan.box import KEEP_OUT, checked
 from host.plan.dynamics import ResidualModel, Shape
 from host.plan.table import Table, evaluate, flat_states, from_reference, to_reference
@@ -36,11 +36,14 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """Along the whole reference. residual_rms_m_s2: None without a model."""
+    """Along the whole reference. residual_rms_m_s2: None without a model. outside_region: share of it beyond
+    the region that the model's data covers, None where that is not known.
+    """
 
     path_length_m: float
     mean_speed_m_s: float
     residual_rms_m_s2: float | None
+    outside_region: float | None
 
 
 def judge(
@@ -78,7 +81,15 @@ def measure(vehicle: Vehicle, model: ResidualModel, table: Table, yaws: Sequence
             d += model.network.acceleration_ned(x[V], x[THETA])
         rms = float(np.sqrt((d**2).sum(axis=0).mean()))
     duration_s = float(table.times_us[-1]) * 1e-6
-    return Figures(path_length_m=length, mean_speed_m_s=length / duration_s, residual_rms_m_s2=rms)
+    beyond: float | None = None
+    if model.region is not None:
+        beyond = float(model.region.outside(x.T, x[THRUST].sum(axis=0)).mean())
+    return Figures(
+        path_length_m=length,
+        mean_speed_m_s=length / duration_s,
+        residual_rms_m_s2=rms,
+        outside_region=beyond,
+    )
 
 
 def _residual(vehicle: Vehicle, model: ResidualModel, x: Array) -> Sequence[Array]:

@@ -67,9 +67,10 @@ class Plan:
     """A checked reference and what is known about it.
 
     margins: least distance to each limit over the whole reference. residual_rms_m_s2: predicted along it,
-    None without a model. deviation_m: largest distance from the solver's path, None for min-snap. stretch: of
-    the route's time. intervals: of the shooting problem; rounds: solves. solve_s: processor time, the only
-    number that varies from run to run.
+    None without a model. outside_region: share of it beyond the region that the model's data covers, None
+    where that is not known. deviation_m: largest distance from the solver's path, None for min-snap.
+    stretch: of the route's time. intervals: of the shooting problem; rounds: solves. solve_s: processor time,
+    the only number that varies from run to run.
     """
 
     reference: Reference
@@ -80,6 +81,7 @@ class Plan:
     waypoint_times_s: tuple[float, ...]
     margins: Mapping[str, float]
     residual_rms_m_s2: float | None
+    outside_region: float | None
     path_length_m: float
     mean_speed_m_s: float
     deviation_m: float | None

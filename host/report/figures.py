@@ -21,7 +21,7 @@ from host.trace.describe import UNITS, Dependence, Description
 from host.trace.score import Errors
 
 BEFORE, AFTER, FLOOR, NEUTRAL = "#b5482f", "#1f6f8b", "#8a8a8a", "#444444"
-_STYLE: Any = {
+STYLE: Any = {
     "svg.hashsalt": "trimtab",
     "svg.fonttype": "path",
     "font.size": 9,
@@ -53,10 +53,10 @@ class Figure:
         return "data:image/svg+xml;base64," + base64.b64encode(self.svg.encode()).decode()
 
 
-def _finish(canvas: Canvas, caption: str, alt: str, *, png: bool = False) -> Figure:
+def finish(canvas: Canvas, caption: str, alt: str, *, png: bool = False) -> Figure:
     width, height = (round(96 * inches) for inches in canvas.get_size_inches())
     stream, pixels = io.StringIO(), io.BytesIO()
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         canvas.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
         if png:
             canvas.savefig(pixels, format="png", dpi=120, metadata={"Software": None})
@@ -74,7 +74,7 @@ def paths(panels: Sequence[tuple[str, np.ndarray, np.ndarray]], caption: str, *,
     """Paths from above, coloured by error on one scale: panels of (title, position (n, 3) NED, error (n,)
     m).
     """
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         canvas, axes = plt.subplots(1, len(panels), figsize=(4.2 * len(panels), 3.8), squeeze=False)
         top = max(float(np.quantile(error, 0.99)) for _, _, error in panels) * 1e3
         lines = None
@@ -91,14 +91,14 @@ def paths(panels: Sequence[tuple[str, np.ndarray, np.ndarray]], caption: str, *,
         assert lines is not None
         canvas.colorbar(lines, ax=axes[0].tolist(), label=f"error, {unit}", shrink=0.85)
     alt = "; ".join(f"{title}: median {1e3 * float(np.median(e)):.0f} {unit}" for title, _, e in panels)
-    return _finish(canvas, caption, f"Paths from above coloured by error. {alt}.")
+    return finish(canvas, caption, f"Paths from above coloured by error. {alt}.")
 
 
 def residuals(before: Sequence[Errors], after: Sequence[Errors], floor_m: float | None) -> Figure:
     """Prediction error over time on each held-out flight, before and after, one scale, with the noise
     floor.
     """
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         canvas, axes = plt.subplots(
             len(before), 1, figsize=(8.4, 1.0 + 1.7 * len(before)), squeeze=False, sharey=True
         )
@@ -114,7 +114,7 @@ def residuals(before: Sequence[Errors], after: Sequence[Errors], floor_m: float 
             ax.set_ylim(bottom=0.0)
         axes[-1, 0].set_xlabel("time, s")
         axes[0, 0].legend(ncols=3, frameon=False)
-    return _finish(
+    return finish(
         canvas,
         "Position error of the prediction on flights that were not used.",
         f"Prediction error over time, before and after, on {len(before)} held-out flights.",
@@ -124,7 +124,7 @@ def residuals(before: Sequence[Errors], after: Sequence[Errors], floor_m: float 
 def ranking(evidence: Mapping[str, float], kept: Sequence[str]) -> Figure:
     """What each candidate is worth: log evidence lost by leaving it out, or gained by adding it, in nats."""
     names = sorted(evidence, key=lambda name: evidence[name])
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         canvas, ax = plt.subplots(figsize=(8.4, 0.8 + 0.28 * len(names)))
         values = np.array([evidence[name] for name in names])
         shown = np.sign(values) * np.log10(1.0 + np.abs(values))
@@ -136,7 +136,7 @@ def ranking(evidence: Mapping[str, float], kept: Sequence[str]) -> Figure:
         ax.axvline(0.0, color=NEUTRAL, linewidth=0.8)
         ax.set_xlabel("log evidence for the effect, nats (named effects in blue)")
     best = ", ".join(f"{n} {evidence[n]:.0f}" for n in reversed(names[-3:]))
-    return _finish(
+    return finish(
         canvas,
         "Ranking of the candidates: what the evidence loses without an effect that was named, "
         "or would gain with one that was not.",
@@ -152,7 +152,7 @@ def counts(table: Mapping[str, Mapping[str, int]], caption: str, *, rows: str, c
     found = {column for row in table.values() for column in row}
     names = [name for name in table if name in found] + sorted(found - set(table))
     values = np.array([[row.get(name, 0) for name in names] for row in table.values()])
-    with matplotlib.rc_context({**_STYLE, "axes.grid": False}):
+    with matplotlib.rc_context({**STYLE, "axes.grid": False}):
         canvas, ax = plt.subplots(figsize=(3.2 + 0.42 * len(names), 2.4 + 0.3 * len(table)))
         ax.imshow(values / values.sum(1, keepdims=True), cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
         for (i, k), count in np.ndenumerate(values):
@@ -164,7 +164,7 @@ def counts(table: Mapping[str, Mapping[str, int]], caption: str, *, rows: str, c
         ax.set(xlabel=columns, ylabel=rows)
     right = sum(table[name].get(name, 0) for name in table)
     alt = f"{values.sum()} counts in {len(table)} rows and {len(names)} columns, {right} where names agree."
-    return _finish(canvas, caption, alt, png=True)
+    return finish(canvas, caption, alt, png=True)
 
 
 def deviations(
@@ -175,7 +175,7 @@ def deviations(
     families: errors (n,). coverage: share, low and high. Also as PNG.
     """
     names = list(families)
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         canvas, (left, right) = plt.subplots(1, 2, figsize=(8.4, 0.9 + 0.55 * len(names)), sharey=True)
         for i, name in enumerate(names):
             errors = np.clip(np.asarray(families[name], dtype=float), -6.0, 6.0)
@@ -192,7 +192,7 @@ def deviations(
         right.axvspan(90.0, 98.0, color=FLOOR, alpha=0.15, linewidth=0)
         right.set(xlim=(0.0, 101.0), xlabel="within two, % (95 % interval; aim shaded)")
     told = ", ".join(f"{name} {100 * share:.0f} %" for name, (share, _, _) in coverage.items())
-    return _finish(canvas, caption, f"Errors in standard deviations by family; within two: {told}.", png=True)
+    return finish(canvas, caption, f"Errors in standard deviations by family; within two: {told}.", png=True)
 
 
 def dependence(told: Description) -> Figure:
@@ -201,7 +201,7 @@ def dependence(told: Description) -> Figure:
     A force that depends on position as arrows from above and from the side, else the leading slopes.
     """
     channels = [one for one in (told.force, told.torque) if one is not None]
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         canvas, axes = plt.subplots(
             len(channels), 3, figsize=(9.6, 3.2 * len(channels)), squeeze=False, width_ratios=(1.1, 1.0, 1.0)
         )
@@ -212,7 +212,7 @@ def dependence(told: Description) -> Figure:
                 _field(row[2], told, "north", "height", (0, 2))
             else:
                 _curves(row[1:], one)
-    return _finish(
+    return finish(
         canvas,
         "What the disturbance outside the library depends on: held-out skill of each group of quantities "
         "(bars hold it with 95 %), and the disturbance as the best group shows it.",

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from importlib.resources import files
 from typing import Any
-
-from jinja2 import Environment, StrictUndefined, select_autoescape
 
 from host.report import figures
 from host.report.figures import Figure
+from host.report.html import render, script_data
 
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
@@ -37,15 +35,9 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
     """The HTML of a study's report; offline, one file."""
-    environment = Environment(
-        autoescape=select_autoescape(default_for_string=True, default=True),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    template = files("host.report").joinpath("study.html.j2").read_text(encoding="utf-8")
     answer = outcome["answer"]
-    return environment.from_string(template).render(
+    return render(
+        "study.html.j2",
         title=f"Blind study of {answer['worlds']} worlds, seed {answer['seed']}",
         table=outcome["table"],
         thin=outcome["thin"],
@@ -54,5 +46,5 @@ def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Ma
         figures=list(drawn.values()),
         wrong=outcome["wrong"],
         provenance=json.dumps(dict(provenance), indent=1, default=str),
-        data=json.dumps(answer, allow_nan=False).replace("</", "<\\/"),
+        data=script_data(answer),
     )

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined, select_autoescape
 
 from host.log import Flight
 from host.report import figures
+from host.report.html import render, script_data
 from host.trace.result import Trace
 from host.trace.score import Errors
 
@@ -33,13 +32,6 @@ def page(
     """The HTML of the report; `extra` adds sections: a list of {title, text, figures, table} under
     "sections".
     """
-    environment = Environment(
-        autoescape=select_autoescape(default_for_string=True, default=True),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    template = files("host.report").joinpath("page.html.j2").read_text(encoding="utf-8")
     pictures = []
     if result.before:
         worst = int(np.argmax([np.linalg.norm(e.position, axis=1).mean() for e in result.before]))
@@ -53,7 +45,8 @@ def page(
         pictures.append(figures.paths(panels, caption))
         pictures.append(figures.residuals(result.before, result.after, result.noise_floor["position_rmse_m"]))
     pictures.append(figures.ranking(result.evidence, [e.name for e in result.effects]))
-    return environment.from_string(template).render(
+    return render(
+        "page.html.j2",
         title=VERDICTS[result.verdict],
         sentence=sentence(result),
         result=result,
@@ -64,7 +57,7 @@ def page(
         held_out=held_out,
         sections=(extra or {}).get("sections", ()),
         provenance=json.dumps(dict(result.model.provenance), indent=1, default=str),
-        data=json.dumps({**answer, **(extra or {}).get("data", {})}, allow_nan=False).replace("</", "<\\/"),
+        data=script_data({**answer, **(extra or {}).get("data", {})}),
         effects=result.space.effects,
     )
 

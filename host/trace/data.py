@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from host.log import Flight
-from host.models.states import TooLittleData
+from host.log.errors import TooLittleData
 from host.trace.audit import Audit, audit
 from host.trace.segments import BIN_S, PATH_S, Segments
 from host.trace.signals import Signals, averaged, noise, pose_interval_s, signals, unknowns

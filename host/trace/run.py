@@ -13,7 +13,8 @@ import numpy as np
 from host.effects import Effect
 from host.errors import UsageError
 from host.log import Flight
-from host.models.model import Covariance, Model, Region
+from host.models.model import Covariance, Model
+from host.models.region import Region
 from host.models.states import battery_of
 from host.trace import evidence
 from host.trace.audit import without_twins

@@ -17,11 +17,12 @@ import numpy as np
 from host.codegen.ops import NUMPY
 from host.effects import Effect
 from host.log import Flight
+from host.log.errors import TooLittleData
 from host.models.dynamics import mocap_latency_s as latency_of
 from host.models.model import Model
 from host.models.phi import Phi
 from host.models.rollout import half_steps, reference_drive, roll_out
-from host.models.states import TooLittleData, flight_states
+from host.models.states import flight_states
 from host.trace import evidence, segments
 from host.trace.data import DT_S, SEGMENT_S, segments_of
 from host.trace.diagnose import starting_process

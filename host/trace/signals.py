@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from firmware_model.law.allocation import allocation_matrix, invert4
 from firmware_model.law.constants import GRAVITY
 from host.log import Flight
-from host.models.states import TooLittleData, battery_of
+from host.log.errors import TooLittleData
+from host.models.states import battery_of
 from host.vehicle import Vehicle
 
 SIGMA_FLOOR = (1e-3, 3e-3, 5e-3, 0.02)

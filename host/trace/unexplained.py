@@ -10,8 +10,8 @@ from host.effects import Effect
 from host.learn import Settings, learn
 from host.learn.evaluate import Errors
 from host.log import Flight
+from host.log.errors import TooLittleData
 from host.models.model import Model
-from host.models.states import TooLittleData
 from host.trace.describe import Description
 
 SETTINGS = {"hidden": (16,), "epochs": 40, "patience": 20}

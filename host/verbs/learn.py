@@ -125,7 +125,7 @@ def command(
     with Progress("learning", total=rounds) as bar:
         learned = learn(
             flights,
-            hold_out=held_out,
+            hold_out=held_out or None,
             base=base,
             effects=library,
             settings=settings,
@@ -143,6 +143,7 @@ def command(
         "improved": learned.improved,
         "effects": {name: dict(learned.model.effects[name]) for name in forms},
         "epochs": learned.trained.epochs,
+        "notes": list(learned.notes),
         "seconds": round(monotonic() - began, 3),
     }
     say(
@@ -150,6 +151,8 @@ def command(
         *(_numbers(name, learned.model.effects[name]) for name in forms),
         *(_line(name, judged) for name, judged in (("used", learned.train), ("held out", learned.test))),
     )
+    for note in learned.notes:
+        warn(note)
     if not learned.improved:
         warn(f"{output}: predicts no better than without what was learned; give more flights or --epochs")
     emit(result, json)
@@ -166,4 +169,6 @@ def _line(name: str, judged: Judged | None) -> str:
         return f"{name}: nothing; give flights of three references or more, or --hold-out"
     before, after = judged.base.position_rmse_m, judged.learned.position_rmse_m
     count = len(judged.flights)
-    return f"{name}: {count} flights predicted {1e3 * before:.1f} mm off before, {1e3 * after:.1f} mm after"
+    beyond = f"; {100.0 * judged.outside:.0f} % beyond the region learned in" if judged.outside else ""
+    told = f"{1e3 * before:.1f} mm off before, {1e3 * after:.1f} mm after"
+    return f"{name}: {count} flights predicted {told}{beyond}"

@@ -121,6 +121,9 @@ def _lines(plan: Plan, target: Path) -> list[str]:
         )
     if plan.residual_rms_m_s2 is not None:
         lines.append(f"  predicted residual {plan.residual_rms_m_s2:.3f} m/s^2 RMS")
+    if plan.outside_region:
+        share = 100.0 * plan.outside_region
+        lines.append(f"  {share:.0f} % of it is beyond the region that the model's data covers")
     margins = ", ".join(f"{name} {value:.3g}" for name, value in plan.margins.items())
     lines.append(f"  margins: {margins}")
     return lines

@@ -1,8 +1,11 @@
-"""`trimtab study`: a study over many sealed worlds."""
+"""`trimtab study`: a study of many worlds or of the paper's own set-ups."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from host.verbs.options import DEFAULT_VEHICLE, Json, Output, VehicleName, WorkspaceFolder
 
@@ -13,32 +16,35 @@ def command(
     name: str,
     *,
     seed: int = 1,
-    worlds: int = 30,
+    worlds: int | None = None,
     vehicle: VehicleName = DEFAULT_VEHICLE,
     jobs: int | None = None,
-    baselines: bool = False,
+    quick: Annotated[bool, Parameter(negative="")] = False,
+    baselines: Annotated[bool, Parameter(negative="")] = False,
     real: Path | None = None,
     output: Output = None,
     workspace: WorkspaceFolder = None,
     json: Json = False,
 ) -> None:
-    """Run a study over many sealed worlds; one that was cut short goes on where it was.
+    """Run a study; one that was cut short goes on where it was.
 
     Parameters
     ----------
     name
-        Study to run: blind.
+        Study to run: blind (tracing in sealed worlds) or paper-learning (the paper's learning section).
     seed
-        The worlds are drawn from it.
+        Worlds, flights and first weights are drawn from it.
     worlds
-        How many; 538 is the study of full size.
+        How many; blind: 30, in full size 538; paper-learning: 5.
     jobs
         Processes at a time; one for each core by default.
+    quick
+        paper-learning: a small one, to see that everything works.
     baselines
-        Judge other methods on the same logs too.
+        blind: judge other methods on the same logs too.
     real
-        TOML file with groups of flights that somebody flew: traced beside the worlds, with the error on those
-        held out.
+        blind: TOML file with groups of flights that somebody flew: traced beside the worlds, with the error
+        on those held out.
     output
         Folder for state and report, study-NAME-SEED in the workspace by default. What is there is gone on
         with.
@@ -49,8 +55,8 @@ def command(
     from host.errors import UsageError
     from host.output import emit, json_text, say
     from host.progress import Progress
-    from host.report.study import page, pictures
-    from host.studies import find_study
+    from host.report.studies import REPORTS
+    from host.studies import find_study, options_of
     from host.workspace import open_workspace
 
     study = find_study(name)
@@ -58,6 +64,12 @@ def command(
         raise UsageError(f"--seed {seed} is negative, give 0 or more")
     if jobs is not None and jobs < 1:
         raise UsageError(f"--jobs {jobs}: give 1 or more")
+    options = options_of(
+        study,
+        {"worlds": worlds, "quick": quick, "with_baselines": baselines, "real": real},
+        {"worlds": "--worlds", "quick": "--quick", "with_baselines": "--baselines", "real": "--real"},
+        name,
+    )
     space = open_workspace(workspace)
     space.vehicle(vehicle)
     craft = str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
@@ -67,18 +79,17 @@ def command(
         outcome = study(
             folder=folder,
             seed=seed,
-            worlds=worlds,
             vehicle=craft,
             jobs=jobs or len(os.sched_getaffinity(0)),
-            with_baselines=baselines,
-            real=real,
             report=lambda done, total, detail: progress.update(done, total=total, detail=detail),
+            **options,
         )
-    drawn = pictures(outcome)
+    reporter = REPORTS[outcome["answer"]["study"]]
+    drawn = reporter.pictures(outcome)
     provenance = artefacts.provenance(seed=seed)
     for stem, picture in drawn.items():
         artefacts.write_atomic(folder / f"{stem}.png", picture.png, force=True)
-    artefacts.write_atomic(folder / REPORT_NAME, page(outcome, drawn, provenance), force=True)
+    artefacts.write_atomic(folder / REPORT_NAME, reporter.page(outcome, drawn, provenance), force=True)
     report = {**outcome["answer"], "report": str(folder / REPORT_NAME)}
     artefacts.write_atomic(folder / JSON_NAME, json_text({**report, "scores": outcome["scores"]}), force=True)
     say(*outcome["lines"], f"the report is {folder / REPORT_NAME}")

@@ -15,8 +15,13 @@ from typing import Any
 import pytest
 
 from host import cli
+from host.bench import learning as bench
+from host.bench.session import realtime_factor
 from host.demo.compare import Comparison
 from host.link.upload import UploadResult
+from host.paper.learning import noise
+from host.paper.learning.summary import summary as paper_summary
+from host.vehicle import load_vehicle
 from protocol.blobs import Reference
 from sitl.studies.real import Group, real_row
 from sitl.studies.scoring.metrics import baseline_rows, summary
@@ -184,3 +189,48 @@ def test_study_prints_what_the_page_says() -> None:
     refused = {"answer": {}, "errors": "", "exit_code": 2, "trace_s": 1.0}
     beside = {"baselines": baseline_rows(scores), "real": [real_row(group, refused)]}
     check("study", {**told, **summary(scores), **beside})
+
+
+def test_study_paper_learning_prints_what_the_page_says() -> None:
+    errors = {name: {"pointwise_norm": 0.1, "rolled_norm": 0.2} for name in ("train", "test", "ood")}
+    for each in errors.values():
+        each |= {"pointwise_component": 0.1, "rolled_component": 0.1}
+    flown = {"position_rmse_m": 0.1, "velocity_rmse_m_s": 0.1}
+    methods = {name: flown for name in ("nominal", "paper", "hybrid", "body")}
+    moves = {f"{q}_{w}": 1.0 for q in ("speed_m_s", "acceleration_m_s2", "jerk_m_s3") for w in ("mean", "sd")}
+    law = {"acceleration_rmse": 0.1, "position_rmse_m": 0.1, "nominal_position_rmse_m": 0.1}
+    pieces: dict[str, Any] = {
+        "nominal": errors,
+        "curve-0": {"weight": "identity", "held": False, "seconds": 1.0, "errors": errors},
+        "regressor-0": {"regressor": "r", "iterations": 9, "seconds": 1.0, "errors": errors},
+        "noise-0": [
+            {"regressor": "r", "scale": 1.0, "method": method, "test": 0.1, "ood": 0.1}
+            for method in (
+                noise.TRAJECTORY, noise.TRAJECTORY_RAW, noise.SUPERVISED, noise.SUPERVISED_RAW
+            )
+        ],
+        "transfer": {
+            "steps": [{"step_s": 0.02, "position_rmse_m": 0.1}],
+            "laws": [{"law": "a", "network": "n", "test": law, "ood": law}],
+        },
+        "world-00": {
+            "errors": {name: methods for name in ("train", "test", "ood")},
+            "flights": {"train": 13, "test": 3, "ood": 2},
+            "failed": [{"flight": "ood-0", "why": "tilted"}],
+            "statistics": {"known": moves, "ood": moves},
+        },
+    }  # fmt: skip
+    told = {"study": "paper-learning", "seed": 1, "worlds": 1, "quick": False, "folder": "f"}
+    outcome = paper_summary(told, {name: {"result": piece} for name, piece in pieces.items()})
+    check("study paper-learning", {**outcome["answer"], "report": "f/report.html"})
+
+
+def test_bench_prints_what_the_page_says() -> None:
+    vehicle = load_vehicle("research")
+    counts = {"train": 6, "test": 2, "validation": 2, "ood": 2}
+    found = bench.measure(vehicle, 1, epochs=1, iterations=3, repeats=1, counts=counts)
+    assert found["gradient_vm_ms"] > 0.0
+    assert found["test_rmse"] < 0.6  # less than what the nominal model lacks
+    if found["peers"] is None:
+        found["peers"] = [{"name": "JAX", "gradient_ms": 1, "build_s": 1, "differs": 0, "over_ours": 1}]
+    check("bench", {"learning": found, "session": {"realtime_factor": realtime_factor(vehicle)}})

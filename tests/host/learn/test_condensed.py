@@ -51,12 +51,9 @@ def condensed_about(segments: Segments, acceleration: np.ndarray, theta: np.ndar
 def rolled(segments: Segments, push: np.ndarray, theta: np.ndarray) -> float:
     """The loss of true roll-outs from the measured starts with accelerations (S, N + 1, 3) at the nodes."""
     engine = Rollouts(PHI, SMALL, theta, batch=1, step_s=0.02, weight=WEIGHT)
-    total = 0.0
-    for k in range(segments.count):
-        own = [segments.x0[k : k + 1], theta[None], between(push[k : k + 1])]
-        states = engine.sweep(segments, k, *own)
-        total += loss_of(segments.take([k]), states.transpose(1, 0, 2), WEIGHT)
-    return total
+    thetas = np.repeat(theta[None], segments.count, axis=0)
+    states = engine.pushed(segments)(segments.x0, thetas, between(push))
+    return loss_of(segments, states.transpose(1, 0, 2), WEIGHT)
 
 
 def test_condensed_loss_is_that_of_roll_outs_where_the_start_is_held(segments):

@@ -17,10 +17,10 @@ from host.learn.train import Trained
 from host.link.flight import FlightOrder
 from host.link.fly import fly_lockstep
 from host.log import read_flight
+from host.log.errors import TooLittleData
 from host.models.file import read_model
 from host.models.model import Model
 from host.models.network import Layout, Network
-from host.models.states import TooLittleData
 from host.vehicle import load_vehicle
 from sitl.vehicle import SimulatedVehicle
 
@@ -209,7 +209,7 @@ def judged(base_m: float, learned_m: float) -> Judged:
     nominal, base, learned = (
         Errors(position_rmse_m=value, velocity_rmse_m_s=0.1) for value in (1.0, base_m, learned_m)
     )
-    return Judged(flights=("a",), references=("b",), nominal=nominal, base=base, learned=learned)
+    return Judged(flights=("a",), references=("b",), nominal=nominal, base=base, learned=learned, outside=0.0)
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,10 @@ from host.link.flight import FlightOrder
 from host.link.fly import fly_lockstep
 from host.link.summary import FlightResult
 from host.log import Flight, read_flight
+from host.log.errors import TooLittleData
 from host.models.phi import Phi
 from host.models.reference import flat_outputs
-from host.models.states import TooLittleData, flight_states
+from host.models.states import flight_states
 from sitl.vehicle import SimulatedVehicle
 
 DRAGGED = """description = "Linear drag, nothing else"

@@ -10,8 +10,9 @@ import pytest
 from host.effects import load_effects
 from host.errors import UsageError
 from host.models.file import ModelFileError, read_model, write_model
-from host.models.model import Covariance, Model, Region
+from host.models.model import Covariance, Model
 from host.models.network import Layout, Network
+from host.models.region import Region
 from host.vehicle.strict_toml import ConfigurationError
 
 LAYOUT = Layout(hidden=(4, 4))

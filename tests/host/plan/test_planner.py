@@ -12,8 +12,9 @@ import pytest
 from firmware_model.law.checks import check_reference, from_parameters
 from host.effects import load_effects
 from host.errors import UsageError
-from host.models.model import Model, Region
+from host.models.model import Model
 from host.models.network import Layout, Network
+from host.models.region import Region
 from host.plan import Plan, PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
 from host.plan.judge import measure
 from host.plan.table import evaluate, from_reference

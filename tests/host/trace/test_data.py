@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from host.log import Battery, Mocap, RecordedInputs, read_flight, write_imported
-from host.models.states import TooLittleData
+from host.log.errors import TooLittleData
 from host.trace.data import segments_of
 from host.trace.signals import averaged, signals, unknowns
 from host.vehicle import load_vehicle

@@ -11,7 +11,7 @@ import pytest
 from host.effects import load_effects
 from host.errors import UsageError
 from host.log import Battery, Mocap, read_flight, write_imported
-from host.models.states import TooLittleData
+from host.log.errors import TooLittleData
 from host.trace.data import segments_of
 from host.trace.diagnose import refit
 from host.trace.form import Form

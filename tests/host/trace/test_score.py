@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from host.effects import load_effects
 from host.log import Flight, Mocap, read_flight, write_imported
-from host.models.states import TooLittleData
+from host.log.errors import TooLittleData
 from host.trace.data import DT_S
 from host.trace.form import Form
 from host.trace.parameters import space

@@ -17,7 +17,7 @@ from host.link.flight import FlightOrder
 from host.link.fly import fly_lockstep
 from host.link.vehicle import vehicle_class
 from host.log import Flight, RecordedImu, RecordedInputs, read_flight
-from host.models.states import TooLittleData
+from host.log.errors import TooLittleData
 from host.trace.result import Trace
 from host.trace.run import run
 from host.vehicle import load_vehicle

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from firmware_model.law.estimator import EstimatorGains
 from firmware_model.law.ops import FLOAT
+from host.log.smoothing import Series, Smoothed, smooth
 from host.models import estimator
 from host.models.bias import accelerometer_bias, standing_errors
-from host.models.smoothing import Series, Smoothed, smooth
 
 
 def curve(t):

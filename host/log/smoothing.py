@@ -16,12 +16,22 @@ _FIRST = np.array([[1.0], [0.0], [0.0]])
 
 @dataclass(frozen=True, kw_only=True)
 class Smoothed:
-    """p, v (n, axes) at the times asked for, and their sigma (n,)."""
+    """p, v, a (n, axes) at the times asked for; their covariance (n, 3, 3), the same for each axis."""
 
     p: np.ndarray
     v: np.ndarray
-    sigma_p: np.ndarray
-    sigma_v: np.ndarray
+    a: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def sigma_p(self) -> np.ndarray:
+        """(n,) standard deviation of p."""
+        return np.sqrt(np.maximum(self.covariance[:, 0, 0], 0.0))
+
+    @property
+    def sigma_v(self) -> np.ndarray:
+        """(n,) standard deviation of v."""
+        return np.sqrt(np.maximum(self.covariance[:, 1, 1], 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,9 +96,8 @@ def smooth(series: Sequence[Series]) -> list[Smoothed]:
     out = []
     for b, (s, order) in enumerate(zip(series, merged, strict=True)):
         where = np.argsort(order)[len(s.t_s) :]  # back into the order of at_s
-        spread = np.sqrt(np.maximum(np.einsum("nii->ni", Ps[where, b]), 0.0))
         found = xs[where, b]
-        out.append(Smoothed(p=found[:, 0], v=found[:, 1], sigma_p=spread[:, 0], sigma_v=spread[:, 1]))
+        out.append(Smoothed(p=found[:, 0], v=found[:, 1], a=found[:, 2], covariance=Ps[where, b]))
     return out
 
 

@@ -1,0 +1,1 @@
+"""What this machine does in how long: learning beside named peers, and whole simulated sessions."""

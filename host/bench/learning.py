@@ -1,0 +1,90 @@
+"""Learning on the data of the paper's section V-A: a mini-batch's gradient, Adam, the condensed loss."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from host.bench import peers
+from host.bench.timing import best_ms
+from host.codegen.compiler import wanted_compiler
+from host.learn.adjoint import Rollouts
+from host.learn.lanes import LaneRollouts
+from host.paper.learning.curves import phi_without_drag
+from host.paper.learning.flights import STEP_S, make_flights
+from host.paper.learning.measure import acceleration_error
+from host.paper.learning.methods import (
+    PAPER_BATCH,
+    PAPER_EPOCHS,
+    PAPER_MLP,
+    SHORT,
+    SIGMA,
+    condensed,
+    exact_segments,
+    paper,
+)
+from host.vehicle import Vehicle
+
+STEPS = ("flights", "gradient", "gradient, virtual machine", "peers", "Adam", "condensed")
+_REPEATS = 30
+
+
+def measure(
+    vehicle: Vehicle,
+    seed: int,
+    hear: Callable[[str], None] = lambda step: None,
+    *,
+    epochs: int = PAPER_EPOCHS,
+    iterations: int = SHORT,
+    repeats: int = _REPEATS,
+    counts: dict[str, int] | None = None,
+) -> dict[str, Any]:
+    """Times on one core, and the errors that the condensed loss ends at.
+
+    gradient_ms: of 10 segments of 49 steps, a network of 2 x 32, in C; None without a compiler.
+    gradient_vm_ms: the same in CasADi's virtual machine. peers: the same in JAX, with its ratio to the best
+    of ours; None where JAX is not installed. hear: told each of STEPS as it begins. counts: flights by set.
+    """
+    hear(STEPS[0])
+    sets = make_flights(vehicle, seed, counts=counts)
+    phi = phi_without_drag(sets)
+    train, validation = (exact_segments(phi, sets[name]) for name in ("train", "validation"))
+    weight = 1.0 / np.square(SIGMA)
+    xi = PAPER_MLP.initial(np.random.default_rng(seed))
+    batch = train.take(np.arange(PAPER_BATCH))
+    theta = phi.theta_neutral
+    compiler = wanted_compiler()
+    hear(STEPS[1])
+    lanes_ms = None
+    if compiler is not None:
+        lanes = LaneRollouts(phi, PAPER_MLP, theta, step_s=STEP_S, weight=weight, compiler=compiler)
+        lanes_ms = best_ms(lambda: lanes.gradient(batch, batch.x0, xi), repeats=repeats)
+    hear(STEPS[2])
+    machine = Rollouts(
+        phi, PAPER_MLP, theta, batch=PAPER_BATCH, step_s=STEP_S, weight=weight, engine="vm"
+    )
+    machine_ms = best_ms(lambda: machine.gradient(batch, batch.x0, xi), repeats=repeats)
+    hear(STEPS[3])
+    ours = machine.gradient(batch, batch.x0, xi)
+    best = machine_ms if lanes_ms is None else lanes_ms
+    beside = peers.measure(phi, PAPER_MLP, batch, xi, weight, ours, repeats=repeats)
+    for row in beside or ():
+        row["over_ours"] = row["gradient_ms"] / best
+    hear(STEPS[4])
+    adam = paper(phi, train, validation, seed, layout=PAPER_MLP, weight=weight, epochs=epochs)
+    hear(STEPS[5])
+    quick = condensed(
+        phi, train, validation, seed, layout=PAPER_MLP, weight=weight, iterations=iterations, passes=1
+    )
+    return {
+        "gradient_ms": lanes_ms,
+        "gradient_vm_ms": machine_ms,
+        "adam_100_s": adam.seconds,
+        "adam_test_rmse": acceleration_error(adam.candidate, sets["test"]).pointwise,
+        "condensed_s": quick.seconds,
+        "test_rmse": acceleration_error(quick.candidate, sets["test"]).pointwise,
+        "ood_rmse": acceleration_error(quick.candidate, sets["ood"]).pointwise,
+        "peers": beside,
+    }

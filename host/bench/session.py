@@ -1,0 +1,33 @@
+"""A whole simulated session, radio and firmware included, against the clock."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import closing
+from pathlib import Path
+
+from host.link.flight import FlightOrder
+from host.link.fly import fly_lockstep
+from host.link.vehicle import vehicle_class
+from host.plan import plan
+from host.route import load_route
+from host.vehicle import Vehicle
+
+ROUTE = "pretzel"
+_FLIGHTS = 3
+
+
+def realtime_factor(vehicle: Vehicle) -> float:
+    """Simulated seconds over seconds, the best of three flights of a shipped route in lock-step."""
+    reference = plan(load_route(ROUTE), vehicle, kind="min-snap").reference
+    north, east = reference.nodes_ned()[0].state[:2]
+    found = []
+    with tempfile.TemporaryDirectory(prefix="trimtab-bench-") as folder:
+        for flight in range(_FLIGHTS):
+            simulated = vehicle_class().create(vehicle, flight=flight, start_ned=(north, east, 0.0))
+            order = FlightOrder(
+                vehicle=vehicle, reference=reference, log_path=Path(folder) / f"flight-{flight}.mcap"
+            )
+            with closing(simulated):
+                found.append(fly_lockstep(order, simulated).realtime_factor)
+    return max(found)

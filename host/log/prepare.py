@@ -1,0 +1,244 @@
+"""A flight's tracking phase on a regular grid: states smoothed over the whole of it, with their covariance.
+
+Position, velocity and acceleration come from the camera alone, attitude from gyro and camera together, body
+rate from the gyro. Nothing here knows an effect; a camera that is late makes states that are late.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from host.log.errors import TooLittleData
+from host.log.smoothing import Series, Smoothed, smooth
+from host.log.tracks import Control, Estimate, Flight
+
+STEP_S = 0.02
+_JERK_DENSITY = 20.0
+"""(m/s^3)^2/Hz: follows flights of some 20 m/s^3; 1 mm at 100 Hz becomes 0.3 mm and 7 mm/s."""
+_DRIFT_DENSITY = 0.1
+"""rad^2/s^5, of the turn between gyro and camera: gyro bias and little else."""
+_TILT_MAX = np.deg2rad(80.0)
+"""Of roll and pitch: beyond it Euler angles near their singularity."""
+_GAP_S = 0.25
+"""Without a pose: what lies inside is the smoother's guess."""
+_LEAST_STEPS, _LEAST_POSES = 25, 50
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prepared:
+    """A flight on a grid of step_s from start_s, its tracking phase's begin, s on the log's clock.
+
+    x (n, 12): p, v (NED), Theta, body rate (FRD). a (n, 3): acceleration, NED. path_covariance (n, 3, 3): of
+    p, v and a, the same for each axis. theta_sigma (n,), rad. seen (n,): whether poses are near. interval_s
+    between poses. notes: what was cut or left out, a sentence each.
+    """
+
+    flight: Flight
+    start_s: float
+    step_s: float
+    interval_s: float
+    x: np.ndarray
+    a: np.ndarray
+    path_covariance: np.ndarray
+    theta_sigma: np.ndarray
+    seen: np.ndarray
+    notes: tuple[str, ...]
+
+    @property
+    def at_s(self) -> np.ndarray:
+        """(n,) times of the samples on the log's clock."""
+        return self.start_s + self.step_s * np.arange(len(self.x))
+
+
+def prepare(
+    flights: Sequence[Flight], *, step_s: float = STEP_S, latency_s: float = 0.0
+) -> list[Prepared]:
+    """The flights' tracking phases smoothed; poses are taken to be `latency_s` older than stamped.
+
+    Together they cost less than one by one. A flight that leaves the range of Euler angles is cut there.
+    Raises TooLittleData where a log has no poses, no telemetry of the control law, no reference or no
+    tracking phase, or where too little is left of it.
+    """
+    measured = [_measured(flight, step_s, latency_s) for flight in flights]
+    if not measured:
+        return []
+    smoothed = smooth([each for m in measured for each in (m.path, m.turned)])
+    pairs = zip(smoothed[0::2], smoothed[1::2], strict=True)
+    return [_prepared(m, path, turned, step_s) for m, (path, turned) in zip(measured, pairs, strict=True)]
+
+
+def _prepared(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: float) -> Prepared:
+    """A flight from what was measured and that smoothed."""
+    flight, at = measured.flight, measured.path.at_s
+    control, estimate = flight.control, flight.estimate
+    assert control is not None
+    assert estimate is not None
+    theta = (Rotation.from_rotvec(turned.p) * measured.base * measured.gyro).as_euler("ZYX")[:, ::-1].copy()
+    theta[:, 2] = np.unwrap(theta[:, 2])
+    rate = _gyro(control, estimate, at, step_s)
+    notes = []
+    leaning = np.abs(theta[:, :2]).max(1)
+    beyond = np.flatnonzero(leaning > _TILT_MAX)
+    end = int(beyond[0]) if len(beyond) else len(at)
+    if len(beyond):
+        where = f"{np.rad2deg(leaning[end]):.0f} deg of roll or pitch at {at[end] - at[0]:.2f} s"
+        if end <= _LEAST_STEPS:
+            raise TooLittleData(
+                f"{flight.path.name}: leaves the range of Euler angles ({where}) with less than half a "
+                "second of tracking before; use a flight that stays below 80 deg"
+            )
+        notes.append(f"{flight.path.name}: leaves the range of Euler angles, {where}; cut there")
+    seen = _near(at[:end], measured.pose_s)
+    if not seen.all():
+        first = at[:end][~seen][0] - at[0]
+        notes.append(
+            f"{flight.path.name}: no pose for more than {_GAP_S:g} s, first at {first:.2f} s; "
+            f"{(~seen).sum()} of {end} samples do not count"
+        )
+    return Prepared(
+        flight=flight,
+        start_s=measured.start_s,
+        step_s=step_s,
+        interval_s=measured.interval_s,
+        x=np.column_stack([path.p, path.v, theta, rate])[:end],
+        a=path.a[:end],
+        path_covariance=path.covariance[:end],
+        theta_sigma=turned.sigma_p[:end],
+        seen=seen,
+        notes=tuple(notes),
+    )
+
+
+def _near(at: np.ndarray, pose_s: np.ndarray) -> np.ndarray:
+    """(n,) whether the poses around each time are no further apart than the gap."""
+    after = np.searchsorted(pose_s, at)
+    before = pose_s[np.clip(after - 1, 0, len(pose_s) - 1)]
+    behind = pose_s[np.clip(after, 0, len(pose_s) - 1)]
+    return np.maximum(behind, at) - np.minimum(before, at) <= _GAP_S
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Measured:
+    """What of a flight is smoothed: `path`, positions; `turned`, the camera's turn from `gyro` and `base`.
+
+    start_s of the tracking phase, which the grid begins at; pose_s (m,): times of the poses, interval_s
+    between them. base: the first of those turns; gyro: the gyro's attitudes on the grid.
+    """
+
+    flight: Flight
+    start_s: float
+    interval_s: float
+    pose_s: np.ndarray
+    path: Series
+    turned: Series
+    base: Any
+    gyro: Any
+
+
+def _measured(flight: Flight, step_s: float, latency_s: float) -> _Measured:
+    """What of a flight is smoothed. Raises TooLittleData."""
+    needed = {
+        "poses": flight.mocap,
+        "control telemetry": flight.control,
+        "on-board estimates": flight.estimate,
+        "reference": flight.reference,
+        "tracking phase": flight.tracking,
+    }
+    missing = [name for name, value in needed.items() if value is None]
+    if missing:
+        raise TooLittleData(
+            f"{flight.path.name}: no {', no '.join(missing)}; use a flight tracked to its end"
+        )
+    mocap, control, tracking = flight.mocap, flight.control, flight.tracking
+    assert mocap is not None
+    assert control is not None
+    assert tracking is not None
+    start_s, end_s = (t * 1e-6 for t in tracking)
+    steps = int((end_s - start_s) / step_s + 1e-6)
+    at = start_s + step_s * np.arange(steps + 1)
+    taken_s = mocap.t_us * 1e-6 - latency_s
+    inside = (taken_s > start_s - 1.0) & (taken_s < end_s + 1.0)
+    if steps < _LEAST_STEPS or inside.sum() < _LEAST_POSES:
+        raise TooLittleData(f"{flight.path.name}: less than half a second of tracking with poses")
+    pose_s, p = taken_s[inside], mocap.p[inside]
+    path = Series(t_s=pose_s, samples=p, sigma=_noise(p), at_s=at, jerk_density=_JERK_DENSITY)
+    turned, base, gyro = _attitude(pose_s, mocap.q[inside], control, at)
+    return _Measured(
+        flight=flight,
+        start_s=start_s,
+        interval_s=float(np.median(np.diff(pose_s))),
+        pose_s=pose_s,
+        path=path,
+        turned=turned,
+        base=base,
+        gyro=gyro,
+    )
+
+
+def _noise(samples: np.ndarray) -> float:
+    """Sigma of white noise, from third differences: motion hardly enters them."""
+    third = np.diff(samples, 3, axis=0)
+    return max(float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)), 1e-5)
+
+
+def _attitude(pose_s: np.ndarray, q: np.ndarray, control: Control, at: np.ndarray) -> tuple[Series, Any, Any]:
+    """What attitude comes from: the turn from gyro to camera, which the gyro's drift makes, beyond the first;
+    that first turn; and the gyro's attitudes at times `at`.
+    """
+    length = 1e-6 * (control.t1_us - control.t0_us)
+    gap = np.diff(control.t1_us * 1e-6, prepend=control.t0_us[0] * 1e-6)
+    covered = np.where(np.abs(gap - length) < 1e-4, length, gap)  # an invalid interval: the next one's mean
+    turns = Rotation.from_rotvec(control.gyro_mean * covered[:, None])
+    knots_s = _knots_s(control)
+    gyro = _cumulated(turns)
+    camera = Rotation.from_quat(q[:, [1, 2, 3, 0]])
+    drift = camera * _between(knots_s, gyro, turns, pose_s).inv()
+    base = drift[0]
+    offset = (drift * base.inv()).as_rotvec()
+    series = Series(t_s=pose_s, samples=offset, sigma=_noise(offset), at_s=at, jerk_density=_DRIFT_DENSITY)
+    return series, base, _between(knots_s, gyro, turns, at)
+
+
+def _cumulated(turns: Any) -> Any:
+    """Products of the first 0, 1, .. n of n turns; in twice the reach at every pass."""
+    products = Rotation.concatenate([Rotation.identity(), turns])
+    reach = 1
+    while reach < len(products):
+        products = Rotation.concatenate([products[:reach], products[:-reach] * products[reach:]])
+        reach *= 2
+    return products
+
+
+def _knots_s(control: Control) -> np.ndarray:
+    """(n + 1,) s: begin of what the first gyro mean stands for, then the end of each."""
+    sensed_us = control.sensed_us
+    return np.concatenate([sensed_us[:1, 0], sensed_us[:, 1]]) * 1e-6
+
+
+def _between(knots_s: np.ndarray, gyro: Any, turns: Any, at: np.ndarray) -> Any:
+    """The gyro's attitude at times `at`, at a constant rate between knots."""
+    k = np.clip(np.searchsorted(knots_s, at, side="right") - 1, 0, len(knots_s) - 2)
+    share = np.clip((at - knots_s[k]) / np.maximum(knots_s[k + 1] - knots_s[k], 1e-9), 0.0, 1.0)
+    return gyro[k] * Rotation.from_rotvec(turns[k].as_rotvec() * share[:, None])
+
+
+def _gyro(control: Control, estimate: Estimate, at: np.ndarray, step_s: float) -> np.ndarray:
+    """Body rate (n, 3): the gyro's mean over the step around each time, less the bias estimated on board."""
+    edges = _knots_s(control)
+    turned = np.concatenate(
+        [np.zeros((1, 3)), np.cumsum(control.gyro_mean * np.diff(edges)[:, None], axis=0)]
+    )
+    half = 0.5 * step_s
+    rate = np.column_stack(
+        [
+            (np.interp(at + half, edges, turned[:, i]) - np.interp(at - half, edges, turned[:, i])) / step_s
+            for i in range(3)
+        ]
+    )
+    bias = np.column_stack([np.interp(at, estimate.t_us * 1e-6, estimate.gyro_bias[:, i]) for i in range(3)])
+    return rate - bias

@@ -1,0 +1,241 @@
+"""`trimtab study paper-learning`: the paper's learning section, number beside number.
+
+The study is a list of pieces that do not depend on each other; each leaves a file, so a run that was cut
+short goes on where it was.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from host.artefacts import write_atomic
+from host.errors import UsageError
+from host.output import json_text
+from host.paper.learning import curves, flown, noise, transfer
+from host.paper.learning.flights import Flights, make_flights
+from host.paper.learning.measure import acceleration_error
+from host.paper.learning.methods import (
+    BODY,
+    CLOSED,
+    LONG,
+    REGRESSORS,
+    SHORT,
+    SIGMA,
+    WORLD,
+    condensed,
+    exact_segments,
+    phi_of,
+)
+from host.paper.learning.summary import summary
+from host.vehicle import load_vehicle
+
+NAME, ORDER, PIECES = "paper-learning", "study.json", "pieces"
+WORLDS = 5
+
+Report = Callable[[float, float, str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scope:
+    """How much of everything: trials of a curve, epochs, seeds, iterations, scales of noise."""
+
+    trials: int
+    epochs: int
+    seeds: int
+    iterations: tuple[int, ...]
+    scales: tuple[float, ...]
+    noisy: tuple[str, ...]
+
+
+FULL = Scope(
+    trials=5,
+    epochs=100,
+    seeds=3,
+    iterations=(SHORT, LONG),
+    scales=(0.0, 1.0, 2.0, 5.0),
+    noisy=(CLOSED.name, BODY.name, WORLD.name),
+)
+QUICK = Scope(
+    trials=2, epochs=20, seeds=1, iterations=(60,), scales=(1.0, 5.0), noisy=(CLOSED.name, BODY.name)
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Piece:
+    """One part of the study, by the name of the file it leaves; weight is its share of the work."""
+
+    name: str
+    kind: str
+    arguments: Mapping[str, Any]
+    weight: float = 1.0
+
+
+def run(
+    *,
+    folder: Path,
+    seed: int,
+    vehicle: str,
+    jobs: int,
+    worlds: int = WORLDS,
+    quick: bool = False,
+    report: Report = lambda done, total, detail: None,
+) -> dict[str, Any]:
+    """The study's outcome: `answer` (the machine's object), `lines` (for people), `scores` (all pieces).
+
+    quick: a small one, to see that everything works. Raises UsageError where the folder holds another study.
+    """
+    if worlds < 1:
+        raise UsageError(f"--worlds {worlds}: give 1 or more")
+    folder = folder.absolute()
+    (folder / PIECES).mkdir(parents=True, exist_ok=True)
+    craft = load_vehicle(vehicle)
+    order = {"study": NAME, "seed": seed, "vehicle": craft.id, "quick": quick}
+    _same_order(folder, order)
+    pieces = plan(seed, 1 if quick else worlds, QUICK if quick else FULL)
+    total = sum(piece.weight for piece in pieces)
+    waiting = [piece for piece in pieces if not _file(folder, piece).is_file()]
+    done = total - sum(piece.weight for piece in waiting)
+    report(done, total, "")
+    if waiting:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+            running = {
+                pool.submit(work, piece, str(folder), vehicle, seed): piece
+                for piece in sorted(waiting, key=lambda piece: -piece.weight)
+            }
+            try:
+                for future in as_completed(running):
+                    future.result()
+                    done += running[future].weight
+                    report(done, total, running[future].name)
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+    found = {piece.name: json.loads(_file(folder, piece).read_text("utf-8")) for piece in pieces}
+    answer = {"study": NAME, "seed": seed, "worlds": worlds, "quick": quick, "folder": str(folder)}
+    return {**summary(answer, found), "scores": found}
+
+
+def plan(seed: int, worlds: int, scope: Scope) -> list[Piece]:
+    """The pieces of a study."""
+    pieces = [Piece(name="nominal", kind="nominal", arguments={}, weight=0.3)]
+    for weight, held in ((curves.IDENTITY, False), (curves.IDENTITY, True), (curves.FIRST_SIX, False)):
+        for k in range(scope.trials):
+            arguments = {"weight": weight, "held": held, "seed": seed + k, "epochs": scope.epochs}
+            name = f"curve-{weight.replace(' ', '-')}-{'held' if held else 'moving'}-{k}"
+            pieces.append(Piece(name=name, kind="curve", arguments=arguments))
+    for regressor in REGRESSORS:
+        for k in range(scope.seeds if regressor.layout is not None else 1):
+            for iterations in scope.iterations:
+                arguments = {"regressor": regressor.name, "seed": seed + k, "iterations": iterations}
+                name = f"regressor-{_slug(regressor.name)}-{iterations}-{k}"
+                weight = iterations / 150.0 if regressor.layout is not None else 0.8
+                pieces.append(Piece(name=name, kind="regressor", arguments=arguments, weight=weight))
+    for regressor_name in scope.noisy:
+        for scale in scope.scales:
+            for k in range(scope.seeds):
+                arguments = {"regressor": regressor_name, "scale": scale, "seed": seed + k}
+                arguments["iterations"] = min(scope.iterations)
+                name = f"noise-{_slug(regressor_name)}-{scale:g}-{k}"
+                pieces.append(Piece(name=name, kind="noise", arguments=arguments, weight=4.0))
+    arguments = {"seed": seed, "iterations": min(scope.iterations)}
+    pieces.append(Piece(name="transfer", kind="transfer", arguments=arguments, weight=5.0))
+    for world in range(worlds):
+        name = f"world-{world:02d}"
+        pieces.append(Piece(name=name, kind="world", arguments={"world": world, "seed": seed}, weight=15.0))
+    return pieces
+
+
+def work(piece: Piece, folder: str, vehicle: str, seed: int) -> None:
+    """Nothing comes back; the piece's file is in the study's folder."""
+    craft = load_vehicle(vehicle)
+    if piece.kind == "world":
+        place = Path(folder) / "worlds" / f"{piece.arguments['world']:02d}"
+        result: Any = flown.fly_and_learn(place, craft, **piece.arguments)
+    else:
+        result = _KINDS[piece.kind](make_flights(craft, seed), **piece.arguments)
+    write_atomic(_file(Path(folder), piece), json_text({"result": result}), force=True)
+
+
+def _nominal(sets: dict[str, Flights]) -> dict[str, Any]:
+    return {name: error.to_json() for name, error in curves.nominal_errors(sets).items()}
+
+
+def _regressor(sets: dict[str, Flights], regressor: str, seed: int, iterations: int) -> dict[str, Any]:
+    """One regressor on exact data: seconds of learning, errors by set."""
+    chosen = next(each for each in REGRESSORS if each.name == regressor)
+    phi = phi_of(sets["train"], chosen)
+    found = condensed(
+        phi,
+        exact_segments(phi, sets["train"]),
+        exact_segments(phi, sets["validation"]),
+        seed,
+        layout=chosen.layout,
+        weight=1.0 / np.square(SIGMA),
+        iterations=iterations,
+    )
+    errors = {name: acceleration_error(found.candidate, sets[name]).to_json() for name in curves.SETS}
+    return {
+        "regressor": regressor,
+        "seed": seed,
+        "iterations": iterations,
+        "seconds": found.seconds,
+        "errors": errors,
+    }
+
+
+def _noise(sets: dict[str, Flights], regressor: str, **arguments: Any) -> list[dict[str, Any]]:
+    chosen = next(each for each in REGRESSORS if each.name == regressor)
+    return noise.compare(sets, chosen, **arguments)
+
+
+def _transfer(sets: dict[str, Flights], seed: int, iterations: int) -> dict[str, Any]:
+    """Of the paper's network learned from exact data."""
+    phi = phi_of(sets["train"], WORLD)
+    train, validation = (exact_segments(phi, sets[name]) for name in ("train", "validation"))
+    weight = 1.0 / np.square(SIGMA)
+    found = condensed(phi, train, validation, seed, layout=WORLD.layout, weight=weight, iterations=iterations)
+    return {
+        "steps": transfer.steps(found.candidate, sets["test"]),
+        "laws": transfer.laws(sets, sets["train"].phi.vehicle, seed, iterations),
+    }
+
+
+_KINDS: Mapping[str, Callable[..., Any]] = {
+    "nominal": _nominal,
+    "curve": curves.trial,
+    "regressor": _regressor,
+    "noise": _noise,
+    "transfer": _transfer,
+}
+
+
+def _same_order(folder: Path, order: Mapping[str, Any]) -> None:
+    """Nothing comes back; the folder's study is this one. Raises UsageError where it is another."""
+    path = folder / ORDER
+    if not path.is_file():
+        write_atomic(path, json_text(order), force=True)
+        return
+    before = json.loads(path.read_text("utf-8"))
+    different = [key for key in order if before.get(key) != order[key]]
+    if different:
+        raise UsageError(
+            f"{folder}: holds a study with another {', '.join(different)}; choose another folder with -o"
+        )
+
+
+def _file(folder: Path, piece: Piece) -> Path:
+    return folder / PIECES / f"{piece.name}.json"
+
+
+def _slug(name: str) -> str:
+    return "".join(c if c.isalnum() else "-" for c in name.lower()).replace("--", "-").strip("-")

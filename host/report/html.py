@@ -1,0 +1,27 @@
+"""Pages from the templates of this folder: escaped, one file, offline."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, FunctionLoader, StrictUndefined, select_autoescape
+
+
+def render(template: str, **values: Any) -> str:
+    """The HTML that a template makes of the values. Raises jinja2's error where one is missing."""
+    environment = Environment(
+        loader=FunctionLoader(lambda name: files("host.report").joinpath(name).read_text(encoding="utf-8")),
+        autoescape=select_autoescape(default_for_string=True, default=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(**values)
+
+
+def script_data(answer: Mapping[str, Any]) -> str:
+    """JSON that may stand in a script element."""
+    return json.dumps(answer, allow_nan=False).replace("</", "<\\/")

@@ -1,0 +1,28 @@
+"""Which page goes with which study, by the study's name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from host.report import paper_learning, study
+from host.report.figures import Figure
+
+
+class Reporter(Protocol):
+    """A module that draws a study's outcome."""
+
+    @staticmethod
+    def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
+        """Pictures by file stem."""
+        ...
+
+    @staticmethod
+    def page(
+        outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]
+    ) -> str:
+        """The HTML."""
+        ...
+
+
+REPORTS: Mapping[str, Reporter] = {"blind": study, "paper-learning": paper_learning}
