@@ -14,8 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from firmware_model.law.ops import FLOAT
 from host.learn.adjoint import Rollouts
 from host.learn.lanes import LaneRollouts
+from host.models.dynamics import mocap_latency_s
 from host.models.phi import Phi
 from host.models.segments import Segments
 
@@ -66,14 +68,18 @@ def condense(
     theta: np.ndarray,
     free: Sequence[int],
     delay_s: float = 0.0,
+    taken_s: float = 0.0,
 ) -> Condensed:
     """The segments' loss about residual acceleration (S, N + 1, 3), NED, theta (P,) and a delay of poses, s.
 
     weight (12,): diagonal L of the loss; start_sigma (S, size): scale of what starts may move; free: which
-    entries of theta are learned.
+    entries of theta are learned; taken_s: the latency that the measured states were taken to have. Effects
+    that make poses late make the measured states so, beside what they do on board.
     """
     scale = effect_scales(engine.phi)
-    delay = delay_s / DELAY_S
+    delay = (delay_s + latency_s(engine.phi, theta) - taken_s) / DELAY_S
+    unit = np.diag(scale)
+    later = [latency_s(engine.phi, theta + unit[i]) - latency_s(engine.phi, theta) for i in free]
     count, nodes, parameters = segments.count, segments.steps + 1, len(free)
     size = 3 * nodes + parameters + 1
     hessian, slope = np.empty((count, size, size)), np.empty((count, size))
@@ -88,6 +94,8 @@ def condense(
         base, moved, shifted = _sensitivities(engine, part, x0, acceleration[block], theta, free, sigma)
         late = (shifted[:, :, :12] @ (ahead[:, 0] / sigma[:, :12])[:, :, None])[:, :, 0]
         late -= ahead[:, 1:].reshape(len(block), -1)
+        for i, by_typical_s in enumerate(later):
+            moved[:, :, 3 * nodes + i] += by_typical_s / DELAY_S * late
         measured = (part.measured[:, 1:] + delay * ahead[:, 1:]).reshape(len(block), -1)
         left = (root * (measured - base))[:, :, None]
         u = root[:, None] * np.concatenate([moved, late[:, :, None]], axis=2)
@@ -101,7 +109,7 @@ def condense(
         constant[block] = (left * left_over).sum((1, 2))
         at[block, : 3 * nodes] = acceleration[block].reshape(len(block), -1)
     at[:, 3 * nodes : -1] = ((theta - engine.phi.theta_neutral) / scale)[list(free)]
-    at[:, -1] = delay
+    at[:, -1] = delay_s / DELAY_S
     return Condensed(hessian=hessian, slope=slope, constant=constant, at=at, nodes=nodes)
 
 
@@ -209,6 +217,11 @@ def _rates(measured: np.ndarray, step_s: float) -> np.ndarray:
     rates = np.gradient(measured, step_s, axis=-2)
     rates[..., 9:] = 0.0
     return rates
+
+
+def latency_s(phi: Phi, theta: np.ndarray) -> float:
+    """Undeclared age of a pose at its time stamp, of phi's effects at theta."""
+    return float(mocap_latency_s(FLOAT, phi.parts(theta)))
 
 
 def effect_scales(phi: Phi) -> np.ndarray:

@@ -62,7 +62,8 @@ class Judged:
 class Learned:
     """A model with what was learned best, and how good it is; `test` None: nothing was held out.
 
-    notes: what was cut or left out of the logs.
+    log_latency_s: how much older poses are than stamped in the log, where that was learned. notes: what was
+    cut or left out of the logs.
     """
 
     model: Model
@@ -70,6 +71,7 @@ class Learned:
     test: Judged | None
     trained: Trained | CondensedTrained
     segments: int
+    log_latency_s: float = 0.0
     notes: tuple[str, ...] = ()
 
     @property
@@ -116,11 +118,13 @@ def learn(
                 f"held-out flights share the reference {names} with the others; hold out others"
             )
         used = states
+    logs = {flight.id: flight for flight in [*flights, *kept_aside]}
     vehicle = flights[0].vehicle
     kept = tuple(effect for effect, _ in parts)
     grown = (*kept, *(library[name] for name in forms))
     common: dict[str, Any] = {"vehicle": vehicle, "parameters": states[0].parameters}
-    phi = Phi(estimator=False, effects=grown, **common)
+    late = any(effect.mocap_latency_s is not None for effect in grown)
+    phi = Phi(estimator=late, effects=grown, **common)
     theta = phi.theta(parts)
     fitted, checked = _segments(used, phi, rng)
     weight = 1.0 / np.square(LOSS_SIGMA)
@@ -159,16 +163,20 @@ def learn(
         provenance=provenance or {},
     )
 
-    logs = {flight.id: flight for flight in [*flights, *kept_aside]}
+    log_latency_s = trained.delay_s if isinstance(trained, CondensedTrained) else 0.0
+    learned_late_s = float(mocap_latency_s(FLOAT, phi.parts(learned_theta))) + log_latency_s
 
     def judged(chosen: Sequence[States]) -> Judged:
         bare = whole_flights(before, before.theta(parts), chosen)
+        true = chosen
+        if learned_late_s != latency_s:
+            true = flight_states([logs[s.flight_id] for s in chosen], latency_s=learned_late_s)
         return Judged(
             flights=tuple(s.flight_id for s in chosen),
             references=tuple(dict.fromkeys(s.reference_id for s in chosen)),
             nominal=bare if base is None else model_errors([logs[s.flight_id] for s in chosen], None, {}),
             base=bare,
-            learned=whole_flights(after, learned_theta, chosen, trained.network),
+            learned=whole_flights(after, learned_theta, true, trained.network),
             outside=float(learned_in.outside(*_states_and_thrust(chosen)).mean()),
         )
 
@@ -178,7 +186,8 @@ def learn(
         test=judged(test) if test else None,
         trained=trained,
         segments=fitted.count,
-        notes=tuple(note for s in [*used, *test] for note in s.notes),
+        log_latency_s=log_latency_s,
+        notes=(*_few(fitted, settings), *(note for s in [*used, *test] for note in s.notes)),
     )
 
 
@@ -220,6 +229,16 @@ def _segments(used: Sequence[States], phi: Phi, rng: np.random.Generator) -> tup
     order = rng.permutation(segments.count)
     checks = max(2, segments.count // 5)
     return segments.take(order[checks:]), segments.take(order[:checks])
+
+
+def _few(segments: Segments, settings: Settings | CondensedSettings) -> list[str]:
+    """A note where a batch holds all there is."""
+    if isinstance(settings, CondensedSettings) or segments.count >= settings.batch:
+        return []
+    return [
+        f"{segments.count} segments of a second are fewer than a batch of {settings.batch}: every batch "
+        "holds all of them; more flights would help"
+    ]
 
 
 def _check_one_vehicle(flights: Sequence[Flight]) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from host.learn.adjoint import loss_of
-from host.learn.condensed import DELAY_S, condense, effect_scales
+from host.learn.condensed import DELAY_S, condense, effect_scales, latency_s
 from host.learn.fit import Basis, Examples, Fitted, accelerations, fit
 from host.learn.lanes import rollouts
 from host.learn.starts import start_sigma
@@ -82,6 +82,8 @@ def train_condensed(
 ) -> CondensedTrained:
     """The residual of phi learned from `segments`: its effects' parameters, begun at theta (P,), a network.
 
+    The measured states were taken to be as late as theta has it.
+
     weight (12,): diagonal L of the loss. free: which of theta are learned; default all. `on_iteration` hears
     how many iterations of all passes were made, and the validation loss.
     """
@@ -115,6 +117,7 @@ def train_condensed(
                     theta=learned,
                     free=chosen.tolist(),
                     delay_s=delay_s,
+                    taken_s=latency_s(phi, theta),
                 ),
                 states=part.measured[:, :, 3:9],
             )

@@ -27,6 +27,7 @@ def command(
     frame: Literal["world", "body"] = "world",
     effects: Annotated[list[str] | None, Parameter(name="--effects", consume_multiple=True)] = None,
     method: Literal["condensed", "paper"] = "condensed",
+    log_latency: Annotated[bool, Parameter(negative="")] = False,
     epochs: int | None = None,
     any_heading: Annotated[bool, Parameter(negative="--no-any-heading")] = True,
     seed: int = 0,
@@ -58,6 +59,9 @@ def command(
         none on a model.
     method
         The trajectory loss condensed about roll-outs, or the paper's mini-batches, network only.
+    log_latency
+        Learn too how much older the poses of the log are than stamped, where the vehicle got them in time;
+        where it did not, learn the effect mocap-latency.
     epochs
         At most so many passes over the segments (paper, 120) or iterations of each of two passes (condensed,
         300).
@@ -90,7 +94,7 @@ def command(
         raise UsageError(f"--hidden {told}: give 1 to {HIDDEN_MAX} widths of 1 to {WIDTH_MAX} each")
     if epochs is not None and epochs < 1:
         raise UsageError(f"--epochs {epochs}: give 1 or more")
-    if method == "paper" and (effects or frame == "body" or not network):
+    if method == "paper" and (effects or frame == "body" or not network or log_latency):
         raise UsageError("--method paper learns a network in the world's frame: leave the others out")
     if seed < 0:
         raise UsageError(f"--seed {seed}: give 0 or more")
@@ -103,7 +107,9 @@ def command(
         rounds = settings.epochs
     else:
         layout = Layout(hidden=widths, frame=frame) if network else None
-        settings = CondensedSettings(layout=layout, iterations=epochs or 300, any_heading=any_heading)
+        settings = CondensedSettings(
+            layout=layout, iterations=epochs or 300, any_heading=any_heading, delay=log_latency
+        )
         rounds = settings.iterations * settings.passes
     began = monotonic()
     library = load_effects(open_workspace(workspace).root)
@@ -143,12 +149,14 @@ def command(
         "improved": learned.improved,
         "effects": {name: dict(learned.model.effects[name]) for name in forms},
         "epochs": learned.trained.epochs,
+        "log_latency_s": learned.log_latency_s if log_latency else None,
         "notes": list(learned.notes),
         "seconds": round(monotonic() - began, 3),
     }
     say(
         f"{output}  id {learned.model.id}  {learned.trained.epochs} rounds over {learned.segments} segments",
         *(_numbers(name, learned.model.effects[name]) for name in forms),
+        *([f"poses are {1e3 * learned.log_latency_s:.1f} ms older than stamped"] if log_latency else []),
         *(_line(name, judged) for name, judged in (("used", learned.train), ("held out", learned.test))),
     )
     for note in learned.notes:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from host.cli import main
-from host.learn import Judged, Learned, Settings, learn
+from host.effects import load_effects
+from host.learn import CondensedSettings, Judged, Learned, Settings, learn
 from host.learn.evaluate import Errors
 from host.learn.train import Trained
 from host.link.flight import FlightOrder
@@ -46,6 +47,33 @@ def logs(tmp_path_factory, make_states) -> list[Path]:
             fly_lockstep(FlightOrder(vehicle=vehicle, reference=reference, log_path=path), simulated)
         paths.append(path)
     return paths
+
+
+def test_learn_finds_late_poses_beside_drag(make_states, tmp_path):
+    """Poses that are late on board and in the log: an effect, learned with the loop that they are late in."""
+    world = tmp_path / "world.toml"
+    late = "[effects.mocap-latency]\nlatency_s = 0.02\n"
+    world.write_text('description = "late"\ntolerances = false\n' + WORLD + late)
+    vehicle = load_vehicle("research")
+    flights = []
+    for seed in (1, 2, 3):
+        reference = make_states(seed, duration_s=6.0).reference
+        start = reference.nodes_ned()[0].state
+        simulated = SimulatedVehicle.create(
+            vehicle, world=str(world), flight=seed, start_ned=(start[0], start[1], 0.0)
+        )
+        path = tmp_path / f"flight{seed}.mcap"
+        with closing(simulated):
+            fly_lockstep(FlightOrder(vehicle=vehicle, reference=reference, log_path=path), simulated)
+        flights.append(read_flight(path))
+    settings = CondensedSettings(layout=None)
+    learned = learn(
+        flights, effects=load_effects(), settings=settings, forms=("linear-drag", "mocap-latency")
+    )
+    assert learned.model.effects["mocap-latency"]["latency_s"] == pytest.approx(0.02, abs=0.003)
+    assert learned.model.effects["linear-drag"]["dx"] == pytest.approx(0.8, rel=0.1)
+    assert learned.test is not None
+    assert learned.test.ratio < 0.2
 
 
 def test_learn_verb_drag_lowers_the_error_on_a_reference_held_out(logs, tmp_path, capsys):
