@@ -142,12 +142,14 @@ def _decoded(entries: Mapping[str, Sequence[Entry]], topic: str, kind: Any) -> l
 def _finite(kind: type[Any], **arrays: Any) -> Any:
     """A `kind` of the rows that hold finite numbers only, None where there are none.
 
-    A vehicle that lost its mind may report anything; the log keeps it, the arrays do not.
+    A vehicle that lost its mind may report anything; the log keeps it, the arrays do not, but say how many.
     """
     keep = np.ones(len(next(iter(arrays.values()))), dtype=bool)
     for values in arrays.values():
         keep &= np.isfinite(values).reshape(len(values), -1).all(axis=1)
-    return kind(**{name: values[keep] for name, values in arrays.items()}) if keep.any() else None
+    if not keep.any():
+        return None
+    return kind(left_out=int((~keep).sum()), **{name: values[keep] for name, values in arrays.items()})
 
 
 def _times(values: Sequence[int]) -> Times:

@@ -81,7 +81,11 @@ def _prepared(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: flo
     theta = (Rotation.from_rotvec(turned.p) * measured.base * measured.gyro).as_euler("ZYX")[:, ::-1].copy()
     theta[:, 2] = np.unwrap(theta[:, 2])
     rate = _gyro(control, estimate, at, step_s)
-    notes = []
+    notes = [
+        f"{flight.path.name}: {track.left_out} rows of {topic} hold what is no number; left out"
+        for topic, track in (("poses", flight.mocap), ("control", control), ("estimates", estimate))
+        if track is not None and track.left_out
+    ]
     leaning = np.abs(theta[:, :2]).max(1)
     beyond = np.flatnonzero(leaning > _TILT_MAX)
     end = int(beyond[0]) if len(beyond) else len(at)

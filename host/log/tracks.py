@@ -33,7 +33,12 @@ def failsafe_name(number: int) -> str | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Track:
-    """Arrays of one topic, all with the same first dimension; times never run back."""
+    """Arrays of one topic, all with the same first dimension; times never run back.
+
+    left_out: rows of the log that held something that is no finite number.
+    """
+
+    left_out: int = 0
 
     def __post_init__(self) -> None:
         lengths = set()
@@ -45,12 +50,16 @@ class _Track:
                     raise ValueError(f"{type(self).__name__}.{spec.name} holds values that are not finite")
         if len(lengths) != 1:
             raise ValueError(f"{type(self).__name__}: arrays of lengths {sorted(lengths)}")
-        times = getattr(self, fields(self)[0].name)
-        if (np.diff(times) < 0).any():
+        if (np.diff(self._times) < 0).any():
             raise ValueError(f"{type(self).__name__}: times that run back")
 
     def __len__(self) -> int:
-        return len(getattr(self, fields(self)[0].name))
+        return len(self._times)
+
+    @property
+    def _times(self) -> Times:
+        """The first of the arrays."""
+        return next(v for v in vars(self).values() if isinstance(v, np.ndarray))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -168,7 +168,13 @@ def _read_network(path: Path, table: _NetworkTable) -> Network:
         raise ModelFileError(
             f"{weights}: the weights of {path.name} cannot be read ({error}); learn it anew"
         ) from error
-    network = Network(layout=Layout(hidden=table.hidden, frame=table.frame), xi=xi)
+    layout = Layout(hidden=table.hidden, frame=table.frame)
+    try:
+        network = Network(layout=layout, xi=xi)
+    except ValueError as error:
+        raise ModelFileError(
+            f"{weights}: xi: {error}; put the weights of {path.name} back beside it or learn it anew"
+        ) from None
     if network_digest(network) != table.sha256:
         raise ModelFileError(f"{table.file}: not the weights {path.name} was written with")
     return network

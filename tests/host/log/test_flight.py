@@ -152,6 +152,7 @@ def test_read_flight_row_that_is_not_finite_is_left_out(tmp_path: Path, provenan
     mocap = read_flight(path).mocap
     assert mocap is not None
     np.testing.assert_array_equal(mocap.p[:, 0], [0.0, 2.0])
+    assert mocap.left_out == 1
 
 
 def test_display_pose_heading_north_points_along_y(provenance: Provenance) -> None:

@@ -73,6 +73,12 @@ def test_prepare_gap_does_not_count_and_is_noted(flight):
     assert found.path_covariance[inside, 0, 0].max() > 20.0 * whole.path_covariance[inside, 0, 0].max()
 
 
+def test_prepare_rows_that_are_no_number_are_noted(flight):
+    assert flight.mocap is not None
+    (found,) = prepare([replace(flight, mocap=replace(flight.mocap, left_out=3))])
+    assert found.notes == ("flight.mcap: 3 rows of poses hold what is no number; left out",)
+
+
 def test_prepare_cuts_a_flight_where_it_leaves_the_range_of_euler_angles(flight, monkeypatch):
     (whole,) = prepare([flight])
     leaning = np.abs(whole.x[:, 6:8]).max(1)

@@ -136,6 +136,10 @@ def test_model_file_other_weights_are_noticed(tmp_path):
     np.savez(tmp_path / "m.model.npz", xi=np.zeros(LAYOUT.size))
     with pytest.raises(ModelFileError, match=r"not the weights m\.model\.toml was written with"):
         read_model(path)
+    for xi in (np.zeros(7), np.full(LAYOUT.size, np.nan)):
+        np.savez(tmp_path / "m.model.npz", xi=xi)
+        with pytest.raises(ModelFileError, match=r"m\.model\.npz: xi: .* put the weights of .* back"):
+            read_model(path)
     (tmp_path / "m.model.npz").unlink()
     with pytest.raises(ModelFileError, match=r"m\.model\.npz: missing, put the weights .* back beside it"):
         read_model(path)
