@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from host.learn.adjoint import loss_of
-from host.learn.condensed import DELAY_S, condense, effect_scales, latency_s
+from host.learn.condensed import DELAY_S, condense, latency_s
 from host.learn.fit import Basis, Examples, Fitted, accelerations, fit
 from host.learn.lanes import rollouts
+from host.learn.linear import effect_scales
 from host.learn.starts import start_sigma
 from host.models.network import Layout, Network
 from host.models.phi import Phi

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from host.models.phi import FLIGHT, INTEGRAL, Phi
-from host.models.rollout import roll_out
+from host.learn.adjoint import Rollouts
+from host.learn.lanes import LaneRollouts
+from host.learn.linear import linearised
+from host.models.phi import INTEGRAL, Phi
 from host.models.segments import Segments
 
 _THRUST_SIGMA = 0.05
@@ -21,7 +23,8 @@ _INTEGRAL_SIGMA = 0.05
 """rad/s^2: logged, and tied to the log; free it would absorb torques."""
 _OBSERVER_SIGMA = (0.02, 0.02, 0.02, 2.0 * _THRUST_SIGMA)
 """m/s^2 and N: logged, and what was commanded behind the nominal lag."""
-_LANES = 2000
+_BLOCK = 32
+"""Segments at a time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,22 +50,24 @@ class Starts:
         return pulled + np.einsum("bij,bj->bi", self.keep[indices], shift)
 
 
-def free_starts(phi: Phi, theta: np.ndarray, segments: Segments, weight: np.ndarray) -> Starts:
+def free_starts(
+    engine: Rollouts | LaneRollouts, theta: np.ndarray, segments: Segments, weight: np.ndarray
+) -> Starts:
     """The starts' freedom about the measured ones. `weight` (12,): diagonal L of the loss."""
-    size, sigma = phi.size, start_sigma(phi, segments)
+    size, sigma = engine.phi.size, start_sigma(engine.phi, segments)
     gain = np.empty((segments.count, size, 12 * segments.steps))
     keep = np.empty((segments.count, size, size))
     root = np.sqrt(np.tile(weight, segments.steps))
-    block = max(1, _LANES // (2 * size))
-    for first in range(0, segments.count, block):
-        chosen = np.arange(first, min(first + block, segments.count))
-        # (steps * 12, b, size): central differences, one sigma either way
-        slope = _sensitivity(phi, theta, segments.take(chosen), sigma[chosen])
-        for i, segment in enumerate(chosen):
-            G = root[:, None] * slope[:, i]
-            normal = G.T @ G + np.eye(size)
-            gain[segment] = np.linalg.solve(normal, G.T * root)
-            keep[segment] = np.linalg.solve(normal, G.T @ G)
+    for first in range(0, segments.count, _BLOCK):
+        block = np.arange(first, min(first + _BLOCK, segments.count))
+        part = segments.take(block)
+        still = np.zeros((part.count, part.steps + 1, 3))
+        _, _, shifted = linearised(engine, part, part.x0, still, theta, (), sigma[block])
+        G = root[:, None] * shifted
+        turned = G.swapaxes(1, 2)
+        normal = turned @ G + np.eye(size)
+        gain[block] = np.linalg.solve(normal, turned * root)
+        keep[block] = np.linalg.solve(normal, turned @ G)
     return Starts(sigma=sigma, gain=gain, keep=keep)
 
 
@@ -75,25 +80,3 @@ def start_sigma(phi: Phi, segments: Segments) -> np.ndarray:
     if phi.observes:
         sigma[:, phi.observer] = _OBSERVER_SIGMA
     return sigma
-
-
-def _sensitivity(phi: Phi, theta: np.ndarray, segments: Segments, sigma: np.ndarray) -> np.ndarray:
-    """(12 steps, segments, size): change of the stacked states for one sigma of each entry of the start."""
-    count, size = segments.count, phi.size
-    lanes = count * size * 2
-    x0 = np.repeat(segments.x0[:, None, None, :], size, axis=1).repeat(2, axis=2)
-    for i in range(size):
-        x0[:, i, 0, i] += sigma[:, i]
-        x0[:, i, 1, i] -= sigma[:, i]
-    states = roll_out(
-        phi,
-        x0=x0.reshape(lanes, size).T,
-        drive=segments.drive.transpose(1, 2, 0),
-        flight=segments.constants.reshape(count, len(FLIGHT)).T,
-        theta=theta,
-        step_s=segments.step_s,
-        lane_flight=np.repeat(np.arange(count), 2 * size),
-        compiled=True,
-    )[1:]
-    states = states.reshape(segments.steps * 12, count, size, 2)
-    return 0.5 * (states[..., 0] - states[..., 1])

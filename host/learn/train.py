@@ -72,7 +72,7 @@ def train(
     layout = Layout(hidden=settings.hidden)
     batch = min(settings.batch, segments.count)
     engine = rollouts(phi, layout, theta, batch=batch, step_s=segments.step_s, weight=weight)
-    starts = free_starts(phi, theta, segments, weight) if settings.free_start else None
+    starts = free_starts(engine, theta, segments, weight) if settings.free_start else None
     shift = np.zeros((segments.count, phi.size))
     batches = -(-segments.count // batch)
     adam = Adam(layout.initial(rng), rate=settings.rate, steps=settings.epochs * batches)

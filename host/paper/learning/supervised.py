@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from host.learn.condensed import Condensed, effect_scales
+from host.learn.condensed import Condensed
 from host.learn.fit import Basis, Examples, fit
+from host.learn.linear import effect_scales
 from host.learn.quick import CondensedSettings
 from host.models.network import Network
 from host.models.phi import Phi

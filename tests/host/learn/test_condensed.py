@@ -10,9 +10,10 @@ import pytest
 from host.codegen import find_compiler
 from host.effects import load_effects
 from host.learn.adjoint import Rollouts, loss_of
-from host.learn.condensed import DELAY_S, between, condense, effect_scales
+from host.learn.condensed import DELAY_S, condense
 from host.learn.fit import Basis, Examples, accelerations, fit
 from host.learn.lanes import LaneRollouts, rollouts
+from host.learn.linear import between, effect_scales
 from host.learn.quick import CondensedSettings, train_condensed
 from host.learn.starts import start_sigma
 from host.learn.train import LOSS_SIGMA

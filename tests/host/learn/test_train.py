@@ -9,9 +9,11 @@ import pytest
 
 from host.learn.adam import Adam
 from host.learn.evaluate import whole_flights
+from host.learn.lanes import rollouts
 from host.learn.learn import region, split_by_reference
 from host.learn.starts import free_starts
 from host.learn.train import LOSS_SIGMA, Settings, train
+from host.models.network import Layout
 from host.models.phi import Phi
 from host.models.rollout import roll_out
 from host.models.segments import cut
@@ -33,7 +35,7 @@ def test_train_drag_is_learned_and_carries_over_to_another_reference(make_states
     segments = cut(flights, PHI, steps=25)
     rng = np.random.default_rng(0)
     settings = Settings(hidden=(16,), epochs=12, batch=12)
-    trained = train(PHI, NONE, segments, cut(other, PHI, steps=25), settings, rng)
+    trained = train(PHI, NONE, segments, cut(other, PHI, steps=25), settings, rng, weight=WEIGHT)
     assert trained.validation_loss[trained.best_epoch] < 0.2 * trained.validation_loss[0]
     nominal = whole_flights(WHOLE, NONE, other)
     learned = whole_flights(WHOLE, NONE, other, trained.network)
@@ -45,7 +47,9 @@ def test_train_same_seed_gives_the_same_network(make_states):
     segments = cut([make_states(1)], PHI, steps=25)
     settings = Settings(hidden=(4,), epochs=2, batch=8)
     networks = [
-        train(PHI, NONE, segments, segments.take([0, 1]), settings, np.random.default_rng(7)).network
+        train(
+            PHI, NONE, segments, segments.take([0, 1]), settings, np.random.default_rng(7), weight=WEIGHT
+        ).network
         for _ in range(2)
     ]
     np.testing.assert_array_equal(networks[0].xi, networks[1].xi)
@@ -55,7 +59,7 @@ def test_train_nothing_to_learn_stops_early_near_nothing(make_states):
     flights = [make_states(seed, drag=False) for seed in (1, 2)]
     segments = cut(flights, PHI, steps=25)
     settings = Settings(hidden=(4,), epochs=40, patience=2, rate=1e-3)
-    trained = train(PHI, NONE, segments, segments, settings, np.random.default_rng(0))
+    trained = train(PHI, NONE, segments, segments, settings, np.random.default_rng(0), weight=WEIGHT)
     assert trained.best_epoch <= trained.epochs <= 40
     push = trained.network.acceleration_ned(*np.split(flights[0].x[::10, 3:9].T, 2))
     assert np.abs(push).max() < 0.15
@@ -64,7 +68,8 @@ def test_train_nothing_to_learn_stops_early_near_nothing(make_states):
 def test_free_starts_moved_starts_come_back(make_states):
     """Starts off by two sigmas, states exact: one step brings most of it back."""
     segments = cut([make_states(4, noise=0.0, drag=False)], PHI, steps=25)
-    starts = free_starts(PHI, NONE, segments, WEIGHT * 100.0)
+    engine = rollouts(PHI, Layout(hidden=(1,)), NONE, batch=1, step_s=0.02, weight=WEIGHT)
+    starts = free_starts(engine, NONE, segments, WEIGHT * 100.0)
     rng = np.random.default_rng(1)
     moved = np.zeros((segments.count, PHI.size))
     moved[:, 3:9] = 2.0 * rng.standard_normal((segments.count, 6))
