@@ -122,20 +122,21 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Fo
         if best.effects == current.effects:
             break
         current = best
-    kept, weights = _judged(fitter, fits)
+    kept, scores = _judged(fitter, fits)
     # What the kept fit's linearisation gives far more than that fit is fitted too, until nothing is left.
     for _ in range(MAX_EFFECTS):
-        promised = likeliest(weights)
-        close = weights[kept.effects] > np.exp(-WITHIN_NATS) * weights[promised]
-        if close or promised in fits:
+        promised = likeliest(scores)
+        if promised in fits or scores[kept.effects] > scores[promised] - WITHIN_NATS:
             break
         fits[promised] = fitter.fit(promised, kept)
         report(f"{', '.join(promised)} fitted")
-        kept, weights = _judged(fitter, fits)
+        kept, scores = _judged(fitter, fits)
     # What was within its tolerance or at its bounds in all fits that had it is in no other set either.
     kept_in = {name for names, fit in fits.items() if _borne(fitter, fit) for name in names}
     gone = {name for names in fits for name in names} - kept_in
-    weights = {names: weight for names, weight in weights.items() if not gone & set(names)}
+    scores = {names: score for names, score in scores.items() if not gone & set(names)}
+    top = max(scores.values())
+    weights = {names: float(np.exp(score - top)) for names, score in scores.items()}
     total = sum(weights.values())
     return Found(
         best=kept,
@@ -148,10 +149,10 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Fo
 
 
 def _judged(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, float]]:
-    """The set that is kept of the fitted ones, and the weights."""
+    """The set that is kept of the fitted ones, and the scores."""
     borne = {names: fit for names, fit in fits.items() if _borne(fitter, fit)}
     kept = _smallest(borne)
-    return kept, _weights(fitter, kept, borne, frozenset(fits) - frozenset(borne))
+    return kept, _scores(fitter, kept, borne, frozenset(fits) - frozenset(borne))
 
 
 def screen(space: Space, score: Callable[[Names], float], depth: int) -> dict[Names, float]:
@@ -225,15 +226,13 @@ def _smallest(fits: Mapping[Names, F]) -> F:
     return min(close, key=lambda fit: (len(fit.effects), -fit.log_evidence, fit.effects))
 
 
-def _weights(
+def _scores(
     fitter: Fitter[F], kept: F, fits: Mapping[Names, F], left_out: frozenset[Names]
 ) -> dict[Names, float]:
-    """Posterior weights, greatest 1, of the fitted sets and of the kept fit's linearised neighbours."""
+    """Log evidence of the fitted sets and, as linearised, of the kept fit's neighbours."""
     depth = min(MAX_EFFECTS, len(kept.effects) + 1)
-    scores = screen(fitter.space, fitter.scorers(kept)[-1], depth)
-    shift = kept.log_evidence - scores[kept.effects]
-    scores = {names: score + shift for names, score in scores.items()}
+    score = fitter.scorers(kept)[-1]
+    shift = kept.log_evidence - score(kept.effects)
+    scores = {names: value + shift for names, value in screen(fitter.space, score, depth).items()}
     scores.update({names: fit.log_evidence for names, fit in fits.items()})
-    scores = {names: score for names, score in scores.items() if names not in left_out}
-    top = max(scores.values())
-    return {names: float(np.exp(value - top)) for names, value in scores.items()}
+    return {names: value for names, value in scores.items() if names not in left_out}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from host.effects import load_effects
+from host.trace import search as module
 from host.trace.evidence import Prior
 from host.trace.parameters import Space, space
 from host.trace.search import Names, search
@@ -35,6 +36,7 @@ class KnownFitter:
     evidence: dict[Names, float]
     believed: dict[Names, float]
     hidden: tuple[Names, ...] = ()
+    size: float = 1.0
 
     @property
     def prior(self) -> Prior:
@@ -43,7 +45,7 @@ class KnownFitter:
     def fit(self, effects: Names, start: Known) -> Known:
         z = np.zeros(len(self.space.columns))
         for name in effects:
-            z[list(self.space.groups[name])] = 1.0
+            z[list(self.space.groups[name])] = self.size
         return Known(effects, self.evidence[effects], z)
 
     def scorers(self, fit: Known) -> list[Callable[[Names], float]]:
@@ -84,3 +86,36 @@ def test_what_the_linearisation_promises_in_vain_is_not_kept(library: Space) -> 
     found = search(fitter, nothing(library))
     assert found.best.effects == ()
     assert found.inclusion["thrust-gain"] < 0.1
+
+
+def test_sets_that_only_their_bounds_hold_leave_none_however_much_they_promise(monkeypatch) -> None:
+    """Thousands of nats for what cannot be kept: what is left of the weights is not nothing over nothing."""
+    monkeypatch.setattr(module, "MAX_EFFECTS", 1)
+    effects = load_effects()
+    third, every = ("motor-lag",), ("motor-lag", *DRAG, *GAIN)
+    library = space(load_vehicle("research"), {name: effects[name] for name in every})
+    singles: dict[Names, float] = {DRAG: 5000.0, GAIN: 4500.0, third: 4000.0}
+    fitter = KnownFitter(
+        library,
+        evidence={(): 0.0, **singles, every: 6000.0},
+        believed={(): 0.0, **singles},
+        hidden=(every,),
+        size=1e6,
+    )
+    found = search(fitter, nothing(library))
+    assert found.best.effects == ()
+    assert found.none == 1.0
+    assert set(found.inclusion.values()) == {0.0}
+
+
+def test_a_kept_set_that_no_beam_visits_has_a_weight(library: Space, monkeypatch) -> None:
+    monkeypatch.setattr(module, "BEAM", 0)
+    fitter = KnownFitter(
+        library,
+        evidence={(): 0.0, DRAG: 2.0, GAIN: 3.0, BOTH: 20.0},
+        believed={(): 0.0, DRAG: 2.0, GAIN: 3.0, BOTH: 20.0},
+        hidden=(BOTH,),
+    )
+    found = search(fitter, nothing(library))
+    assert found.best.effects == BOTH
+    assert found.inclusion["thrust-gain"] > 0.99
