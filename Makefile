@@ -5,7 +5,6 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 READY := $(VENV)/trimtab.stamp
 READY_ALL := $(VENV)/trimtab-all.stamp
-READY_BENCH := $(VENV)/trimtab-bench.stamp
 WORKERS ?= auto
 TESTS ?=
 PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
@@ -20,9 +19,6 @@ $(READY): requirements.lock pyproject.toml .ci/venv
 
 $(READY_ALL): requirements-all.lock $(READY)
 	@.ci/venv requirements-all.lock $@
-
-$(READY_BENCH): requirements-bench.lock $(READY)
-	@.ci/venv requirements-bench.lock $@
 
 demo: $(READY)
 	$(VENV)/bin/trimtab demo
@@ -41,7 +37,7 @@ style: $(READY_ALL)
 types: $(READY_ALL)
 	$(PYTHON) -m pyright
 
-bench: $(READY_BENCH)
+bench: $(READY)
 	$(VENV)/bin/trimtab bench
 
 generate: $(READY_ALL)

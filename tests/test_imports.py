@@ -32,12 +32,10 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 EDGES: dict[str, tuple[str, ...]] = {
     "casadi": ("host.codegen", "host.models", "host.plan", "host.learn", "host.trace"),
     "cyclopts": ("host.cli", "host.verbs"),
-    "diffrax": ("host.bench.peers",),
     "fastcrc": ("protocol",),
     "foxglove_schemas_protobuf": ("host.log",),
     "google": ("protocol", "host.log"),
     "grpc_tools": ("protocol.generate",),
-    "jax": ("host.bench.peers",),
     "jinja2": ("host.report",),
     "matplotlib": ("host.report", "host.verbs"),
     "mcap": ("host.log",),

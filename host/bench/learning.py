@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from host.bench import peers
 from host.bench.timing import best_ms
 from host.codegen.compiler import wanted_compiler
 from host.learn.adjoint import Rollouts
@@ -27,7 +26,7 @@ from host.paper.learning.methods import (
 )
 from host.vehicle import Vehicle
 
-STEPS = ("flights", "gradient", "gradient, virtual machine", "peers", "Adam", "condensed")
+STEPS = ("flights", "gradient", "gradient, virtual machine", "Adam", "condensed")
 _REPEATS = 30
 
 
@@ -44,8 +43,8 @@ def measure(
     """Times on one core, and the errors that the condensed loss ends at.
 
     gradient_ms: of 10 segments of 49 steps, a network of 2 x 32, in C; None without a compiler.
-    gradient_vm_ms: the same in CasADi's virtual machine. peers: the same in JAX, with its ratio to the best
-    of ours; None where JAX is not installed. hear: told each of STEPS as it begins. counts: flights by set.
+    gradient_vm_ms: the same in CasADi's virtual machine. hear: told each of STEPS as it begins. counts: flights
+    by set.
     """
     hear(STEPS[0])
     sets = make_flights(vehicle, seed, counts=counts)
@@ -67,14 +66,8 @@ def measure(
     )
     machine_ms = best_ms(lambda: machine.gradient(batch, batch.x0, xi), repeats=repeats)
     hear(STEPS[3])
-    ours = machine.gradient(batch, batch.x0, xi)
-    best = machine_ms if lanes_ms is None else lanes_ms
-    beside = peers.measure(phi, PAPER_MLP, batch, xi, weight, ours, repeats=repeats)
-    for row in beside or ():
-        row["over_ours"] = row["gradient_ms"] / best
-    hear(STEPS[4])
     adam = paper(phi, train, validation, seed, layout=PAPER_MLP, weight=weight, epochs=epochs)
-    hear(STEPS[5])
+    hear(STEPS[4])
     quick = condensed(
         phi, train, validation, seed, layout=PAPER_MLP, weight=weight, iterations=iterations, passes=1
     )
@@ -86,5 +79,4 @@ def measure(
         "condensed_s": quick.seconds,
         "test_rmse": acceleration_error(quick.candidate, sets["test"]).pointwise,
         "ood_rmse": acceleration_error(quick.candidate, sets["ood"]).pointwise,
-        "peers": beside,
     }
