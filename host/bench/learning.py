@@ -43,8 +43,8 @@ def measure(
     """Times on one core, and the errors that the condensed loss ends at.
 
     gradient_ms: of 10 segments of 49 steps, a network of 2 x 32, in C; None without a compiler.
-    gradient_vm_ms: the same in CasADi's virtual machine. hear: told each of STEPS as it begins. counts: flights
-    by set.
+    gradient_vm_ms: the same in CasADi's virtual machine. hear: told each of STEPS as it begins. counts:
+    flights by set.
     """
     hear(STEPS[0])
     sets = make_flights(vehicle, seed, counts=counts)
