@@ -7,8 +7,9 @@ body FRD.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,11 @@ class _Track:
 
     def __len__(self) -> int:
         return len(self._times)
+
+    def rows(self, keep: NDArray[Any]) -> Self:
+        """The same with these rows alone: indices, or a mask (n,)."""
+        arrays = {name: v[keep] for name, v in vars(self).items() if isinstance(v, np.ndarray)}
+        return replace(self, **arrays)
 
     @property
     def _times(self) -> Times:

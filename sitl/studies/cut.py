@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -94,8 +93,7 @@ def motor_commands(vehicle: Vehicle, control: Control) -> np.ndarray:
 
 def _since_arming(track: _Rows, t_us: np.ndarray) -> _Rows:
     """The rows of a track that begin, t_us (n,), after arming: an import counts from its first sample."""
-    arrays = {name: value for name, value in vars(track).items() if isinstance(value, np.ndarray)}
-    return replace(track, **{name: value[t_us >= 0] for name, value in arrays.items()})
+    return track.rows(t_us >= 0)
 
 
 def _write(flight: Flight, target: Path, inputs: RecordedInputs, imu: RecordedImu) -> None:

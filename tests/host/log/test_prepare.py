@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,9 +39,7 @@ def without_poses(flight: Flight, start_s: float, end_s: float) -> Flight:
     assert tracking is not None
     t_s = 1e-6 * (mocap.t_us - tracking[0])
     keep = (t_s < start_s) | (t_s > end_s)
-    kept = {spec.name: getattr(mocap, spec.name) for spec in fields(mocap)}
-    kept = {name: v[keep] if isinstance(v, np.ndarray) else v for name, v in kept.items()}
-    return replace(flight, mocap=type(mocap)(**kept))
+    return replace(flight, mocap=mocap.rows(keep))
 
 
 def test_prepare_follows_the_reference_with_a_covariance_and_nothing_to_note(flight):

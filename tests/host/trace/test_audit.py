@@ -48,7 +48,7 @@ def poses(flight: Flight, keep: Any = None, **arrays: np.ndarray) -> Flight:
     assert flight.mocap is not None
     new = replace(flight.mocap, **arrays)
     if keep is not None:
-        new = replace(new, **{name: values[keep] for name, values in vars(new).items()})
+        new = new.rows(keep)
     return replace(flight, mocap=new)
 
 
@@ -56,7 +56,7 @@ def commands(flight: Flight, keep: Any = None, **arrays: np.ndarray) -> Flight:
     assert flight.control is not None
     new = replace(flight.control, **arrays)
     if keep is not None:
-        new = replace(new, **{name: values[keep] for name, values in vars(new).items()})
+        new = new.rows(keep)
     return replace(flight, control=new)
 
 
