@@ -242,7 +242,7 @@ def _field(ax: Any, told: Description, across: str, up: str, take: tuple[int, in
         *place.T, *push.T, color=AFTER, angles="xy", scale_units="xy", scale=4.0 * longest / span, width=0.008
     )
     size = float(f"{0.5 * longest:.1g}")
-    ax.quiverkey(arrows, 0.8, 1.04, size, f"{size:g} m/s$^2$", labelpos="E", coordinates="axes")
+    ax.quiverkey(arrows, 0.66, 1.04, size, f"{size:g} m/s$^2$", labelpos="E", coordinates="axes")
     ends = np.concatenate([place, place + push * span / (4.0 * longest)])
     ax.update_datalim(ends)
     if told.form is not None and told.form.name in ("point", "place"):
