@@ -11,7 +11,6 @@ from host.bench.timing import best_ms
 from host.codegen.compiler import wanted_compiler
 from host.learn.adjoint import Rollouts
 from host.learn.lanes import LaneRollouts
-from host.paper.learning.curves import phi_without_drag
 from host.paper.learning.flights import STEP_S, make_flights
 from host.paper.learning.measure import acceleration_error
 from host.paper.learning.methods import (
@@ -19,10 +18,12 @@ from host.paper.learning.methods import (
     PAPER_EPOCHS,
     PAPER_MLP,
     SHORT,
-    SIGMA,
+    WEIGHT,
+    WORLD,
     condensed,
     exact_segments,
     paper,
+    phi_of,
 )
 from host.vehicle import Vehicle
 
@@ -48,9 +49,8 @@ def measure(
     """
     hear(STEPS[0])
     sets = make_flights(vehicle, seed, counts=counts)
-    phi = phi_without_drag(sets)
+    phi = phi_of(sets["train"], WORLD)
     train, validation = (exact_segments(phi, sets[name]) for name in ("train", "validation"))
-    weight = 1.0 / np.square(SIGMA)
     xi = PAPER_MLP.initial(np.random.default_rng(seed))
     batch = train.take(np.arange(PAPER_BATCH))
     theta = phi.theta_neutral
@@ -58,18 +58,18 @@ def measure(
     hear(STEPS[1])
     lanes_ms = None
     if compiler is not None:
-        lanes = LaneRollouts(phi, PAPER_MLP, theta, step_s=STEP_S, weight=weight, compiler=compiler)
+        lanes = LaneRollouts(phi, PAPER_MLP, theta, step_s=STEP_S, weight=WEIGHT, compiler=compiler)
         lanes_ms = best_ms(lambda: lanes.gradient(batch, batch.x0, xi), repeats=repeats)
     hear(STEPS[2])
     machine = Rollouts(
-        phi, PAPER_MLP, theta, batch=PAPER_BATCH, step_s=STEP_S, weight=weight, engine="vm"
+        phi, PAPER_MLP, theta, batch=PAPER_BATCH, step_s=STEP_S, weight=WEIGHT, engine="vm"
     )
     machine_ms = best_ms(lambda: machine.gradient(batch, batch.x0, xi), repeats=repeats)
     hear(STEPS[3])
-    adam = paper(phi, train, validation, seed, layout=PAPER_MLP, weight=weight, epochs=epochs)
+    adam = paper(phi, train, validation, seed, layout=PAPER_MLP, weight=WEIGHT, epochs=epochs)
     hear(STEPS[4])
     quick = condensed(
-        phi, train, validation, seed, layout=PAPER_MLP, weight=weight, iterations=iterations, passes=1
+        phi, train, validation, seed, layout=PAPER_MLP, weight=WEIGHT, iterations=iterations, passes=1
     )
     return {
         "gradient_ms": lanes_ms,

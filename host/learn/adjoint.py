@@ -148,7 +148,6 @@ class Rollouts:
                 step_s=self.step_s,
                 push=push.transpose(1, 2, 0),
                 rows=self.phi.size,
-                lane_flight=np.arange(segments.count),
             )
             return states.transpose(2, 0, 1)
 

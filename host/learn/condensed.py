@@ -72,9 +72,9 @@ def condense(
     that make poses late make the measured states so, beside what they do on board.
     """
     scale = effect_scales(engine.phi)
-    delay = (delay_s + latency_s(engine.phi, theta) - taken_s) / DELAY_S
-    unit = np.diag(scale)
-    later = [latency_s(engine.phi, theta + unit[i]) - latency_s(engine.phi, theta) for i in free]
+    now_s, unit = latency_s(engine.phi, theta), np.diag(scale)
+    delay = (delay_s + now_s - taken_s) / DELAY_S
+    later = [latency_s(engine.phi, theta + unit[i]) - now_s for i in free]
     count, nodes, parameters = segments.count, segments.steps + 1, len(free)
     size = 3 * nodes + parameters + 1
     hessian, slope = np.empty((count, size, size)), np.empty((count, size))

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from host.models.phi import Phi
 from host.paper.learning.flights import Flights
 from host.paper.learning.measure import AccelerationError, Candidate, acceleration_error
-from host.paper.learning.methods import PAPER_EPOCHS, PAPER_MLP, exact_segments, paper
+from host.paper.learning.methods import PAPER_EPOCHS, PAPER_MLP, WORLD, exact_segments, paper, phi_of
 
 SETS = ("train", "test", "ood")
 PAPER_RMSE = {"train": (0.684, 0.260), "test": (0.603, 0.173)}
@@ -22,8 +21,7 @@ WEIGHTS = {IDENTITY: np.ones(12), FIRST_SIX: np.repeat([1.0, 0.0], 6)}
 
 def nominal_errors(sets: dict[str, Flights]) -> dict[str, AccelerationError]:
     """Of the model without drag."""
-    vehicle = sets["train"].phi.vehicle
-    bare = Phi(vehicle=vehicle, estimator=False, parameters=sets["train"].phi.parameters)
+    bare = phi_of(sets["train"], WORLD)
     candidate = Candidate(phi=bare, theta=bare.theta_neutral)
     return {name: acceleration_error(candidate, sets[name]) for name in SETS}
 
@@ -32,7 +30,7 @@ def trial(
     sets: dict[str, Flights], seed: int, *, weight: str, held: bool, epochs: int = PAPER_EPOCHS
 ) -> dict[str, Any]:
     """One training: loss by epoch, seconds, errors by set. held: the reference does not move in a step."""
-    phi = phi_without_drag(sets)
+    phi = phi_of(sets["train"], WORLD)
     found = paper(
         phi,
         exact_segments(phi, sets["train"], held=held),
@@ -52,9 +50,3 @@ def trial(
         "validation_loss": found.trained.validation_loss.tolist(),
         "errors": {name: acceleration_error(found.candidate, sets[name]).to_json() for name in SETS},
     }
-
-
-def phi_without_drag(sets: dict[str, Flights]) -> Phi:
-    """The nominal model of the flights' vehicle and law."""
-    known = sets["train"].phi
-    return Phi(vehicle=known.vehicle, estimator=False, parameters=known.parameters)

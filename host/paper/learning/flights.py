@@ -25,8 +25,8 @@ from protocol.blobs import Reference, YawNode
 DRAG = (0.45, 0.35, 0.25)
 """1/s along the body's axes: with it the paper's nominal error of 0.6 to 0.7 m/s^2 comes out."""
 
-NODES, STEP_S, SEGMENT_NODES = 200, 0.02, 50
-"""Of a flight; between nodes; of a segment (paper V-A)."""
+STEP_S, SEGMENT_NODES = 0.02, 50
+"""Between nodes; of a segment (paper V-A)."""
 
 _FINE_S = 1e-3
 _BOX_M = np.array([2.6, 2.6, 1.0])
@@ -95,15 +95,11 @@ def make_flights(
     vehicle: Vehicle,
     seed: int,
     *,
-    parameters: dict[str, float] | None = None,
     counts: dict[str, int] | None = None,
 ) -> dict[str, Flights]:
-    """Flights of `vehicle` with drag by set: train, test, validation, ood (25 % faster).
-
-    parameters: the firmware's, default the vehicle file's; the references are the same for all of them.
-    """
+    """Flights of `vehicle` with drag by set: train, test, validation, ood (25 % faster)."""
     effect = load_effects()["linear-drag"]
-    phi = Phi(vehicle=vehicle, effects=(effect,), estimator=False, parameters=parameters)
+    phi = Phi(vehicle=vehicle, effects=(effect,), estimator=False)
     rng = np.random.default_rng([seed, 0])
     sets = {}
     for name, count in (counts or _COUNTS).items():

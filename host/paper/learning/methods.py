@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -17,8 +15,8 @@ from host.models.segments import Segments
 from host.paper.learning.flights import Flights
 from host.paper.learning.measure import Candidate
 
-SIGMA = np.repeat([1e-3, 0.02, 5e-3, 0.02], 3)
-"""m, m/s, rad, rad/s: weights of the loss on exact data are 1/sigma^2, those of a motion capture."""
+WEIGHT = 1.0 / np.square(np.repeat([1e-3, 0.02, 5e-3, 0.02], 3))
+"""Of the loss on exact data: 1/sigma^2 of a motion capture, m, m/s, rad, rad/s."""
 
 EXACT = np.full(12, 1e-6)
 """Sigma of exact data: starts stay where they are."""
@@ -63,13 +61,6 @@ class Timed:
     trained: Trained | None = None
 
 
-@contextmanager
-def _timed(seconds: list[float]) -> Iterator[None]:
-    began = perf_counter()
-    yield
-    seconds.append(perf_counter() - began)
-
-
 def phi_of(flights: Flights, regressor: Regressor) -> Phi:
     """The model that learns: that of the flights, with its drag to be found, or without."""
     known = flights.phi
@@ -84,6 +75,11 @@ def phi_of(flights: Flights, regressor: Regressor) -> Phi:
 def exact_segments(phi: Phi, flights: Flights, *, held: bool = False) -> Segments:
     """Segments of the flights' own states."""
     return flights.segments(phi, measured=flights.x[..., :12], sigma=EXACT, held=held)
+
+
+def patience_of(iterations: int) -> int:
+    """Iterations without a better validation loss that end one pass of so many."""
+    return max(40, iterations // 5)
 
 
 def paper(
@@ -107,12 +103,12 @@ def paper(
         any_heading=False,
         free_start=False,
     )
-    seconds: list[float] = []
     rng = np.random.default_rng(seed)
-    with _timed(seconds):
-        trained = train(phi, phi.theta_neutral, train_on, validation, settings, rng, weight=weight)
+    began = perf_counter()
+    trained = train(phi, phi.theta_neutral, train_on, validation, settings, rng, weight=weight)
+    seconds = perf_counter() - began
     candidate = Candidate(phi=phi, theta=phi.theta_neutral, network=trained.network)
-    return Timed(candidate=candidate, seconds=seconds[0], trained=trained)
+    return Timed(candidate=candidate, seconds=seconds, trained=trained)
 
 
 def condensed(
@@ -133,16 +129,37 @@ def condensed(
         layout=layout,
         passes=passes,
         iterations=iterations,
-        patience=max(40, iterations // 5),
+        patience=patience_of(iterations),
         l2=l2,
         any_heading=False,
         free_start=free_start,
     )
-    seconds: list[float] = []
     rng = np.random.default_rng(seed)
-    with _timed(seconds):
-        found = train_condensed(
-            phi, phi.theta_neutral, train_on, validation, settings, rng, weight=weight
-        )
+    began = perf_counter()
+    found = train_condensed(phi, phi.theta_neutral, train_on, validation, settings, rng, weight=weight)
+    seconds = perf_counter() - began
     candidate = Candidate(phi=phi, theta=found.theta, network=found.network)
-    return Timed(candidate=candidate, seconds=seconds[0])
+    return Timed(candidate=candidate, seconds=seconds)
+
+
+def learn_exact(
+    train_on: Flights,
+    validation: Flights,
+    regressor: Regressor,
+    seed: int,
+    *,
+    iterations: int,
+    l2: float = 1e-6,
+) -> Timed:
+    """A regressor learned by the condensed loss from the flights' own states."""
+    phi = phi_of(train_on, regressor)
+    return condensed(
+        phi,
+        exact_segments(phi, train_on),
+        exact_segments(phi, validation),
+        seed,
+        layout=regressor.layout,
+        weight=WEIGHT,
+        iterations=iterations,
+        l2=l2,
+    )

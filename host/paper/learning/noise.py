@@ -11,7 +11,7 @@ from host.learn.quick import CondensedSettings
 from host.log.smoothing import Series, Smoothed, smooth
 from host.paper.learning.flights import STEP_S, Flights
 from host.paper.learning.measure import acceleration_error
-from host.paper.learning.methods import Regressor, condensed, phi_of
+from host.paper.learning.methods import Regressor, condensed, patience_of, phi_of
 from host.paper.learning.supervised import label, train_supervised
 
 POSITION_M, ATTITUDE_RAD, RATE_RAD_S = 1e-3, float(np.deg2rad(0.3)), 0.02
@@ -102,7 +102,7 @@ def compare(
             free_start=method == TRAJECTORY,
         ).candidate
     settings = CondensedSettings(
-        layout=regressor.layout, iterations=iterations, patience=max(40, iterations // 5), l2=_L2
+        layout=regressor.layout, iterations=iterations, patience=patience_of(iterations), l2=_L2
     )
     for method, which in ((SUPERVISED, "smoothed"), (SUPERVISED_RAW, "raw")):
         labelled, checked = (

@@ -15,31 +15,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from host.artefacts import write_atomic
 from host.errors import UsageError
 from host.output import json_text
 from host.paper.learning import curves, flown, noise, transfer
 from host.paper.learning.flights import Flights, make_flights
 from host.paper.learning.measure import acceleration_error
-from host.paper.learning.methods import (
-    BODY,
-    CLOSED,
-    LONG,
-    REGRESSORS,
-    SHORT,
-    SIGMA,
-    WORLD,
-    condensed,
-    exact_segments,
-    phi_of,
-)
+from host.paper.learning.methods import BODY, CLOSED, LONG, REGRESSORS, SHORT, WORLD, learn_exact
 from host.paper.learning.summary import summary
 from host.vehicle import load_vehicle
 
 NAME, ORDER, PIECES = "paper-learning", "study.json", "pieces"
 WORLDS = 5
+
+_BY_NAME = {regressor.name: regressor for regressor in REGRESSORS}
 
 Report = Callable[[float, float, str], None]
 
@@ -172,17 +161,8 @@ def _nominal(sets: dict[str, Flights]) -> dict[str, Any]:
 
 def _regressor(sets: dict[str, Flights], regressor: str, seed: int, iterations: int) -> dict[str, Any]:
     """One regressor on exact data: seconds of learning, errors by set."""
-    chosen = next(each for each in REGRESSORS if each.name == regressor)
-    phi = phi_of(sets["train"], chosen)
-    found = condensed(
-        phi,
-        exact_segments(phi, sets["train"]),
-        exact_segments(phi, sets["validation"]),
-        seed,
-        layout=chosen.layout,
-        weight=1.0 / np.square(SIGMA),
-        iterations=iterations,
-    )
+    chosen = _BY_NAME[regressor]
+    found = learn_exact(sets["train"], sets["validation"], chosen, seed, iterations=iterations)
     errors = {name: acceleration_error(found.candidate, sets[name]).to_json() for name in curves.SETS}
     return {
         "regressor": regressor,
@@ -194,19 +174,15 @@ def _regressor(sets: dict[str, Flights], regressor: str, seed: int, iterations: 
 
 
 def _noise(sets: dict[str, Flights], regressor: str, **arguments: Any) -> list[dict[str, Any]]:
-    chosen = next(each for each in REGRESSORS if each.name == regressor)
-    return noise.compare(sets, chosen, **arguments)
+    return noise.compare(sets, _BY_NAME[regressor], **arguments)
 
 
 def _transfer(sets: dict[str, Flights], seed: int, iterations: int) -> dict[str, Any]:
     """Of the paper's network learned from exact data."""
-    phi = phi_of(sets["train"], WORLD)
-    train, validation = (exact_segments(phi, sets[name]) for name in ("train", "validation"))
-    weight = 1.0 / np.square(SIGMA)
-    found = condensed(phi, train, validation, seed, layout=WORLD.layout, weight=weight, iterations=iterations)
+    found = learn_exact(sets["train"], sets["validation"], WORLD, seed, iterations=iterations)
     return {
         "steps": transfer.steps(found.candidate, sets["test"]),
-        "laws": transfer.laws(sets, sets["train"].phi.vehicle, seed, iterations),
+        "laws": transfer.laws(found.candidate, sets, seed, iterations),
     }
 
 

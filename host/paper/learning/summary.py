@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -84,10 +84,8 @@ def text(rows: Sequence[Mapping[str, str]]) -> list[str]:
 
 def _curves(nominal: Mapping[str, Any], trials: Sequence[Mapping[str, Any]]) -> list[Row]:
     """Per setting of the loss: medians over trials."""
-    settings = list(dict.fromkeys((trial["weight"], trial["held"]) for trial in trials))
     rows = []
-    for weight, held in settings:
-        chosen = [t for t in trials if (t["weight"], t["held"]) == (weight, held)]
+    for (weight, held), chosen in _grouped(trials, "weight", "held"):
         rows.append(
             {
                 "weight": weight,
@@ -105,10 +103,8 @@ def _curves(nominal: Mapping[str, Any], trials: Sequence[Mapping[str, Any]]) -> 
 
 def _regressors(found: Sequence[Mapping[str, Any]]) -> list[Row]:
     """Per regressor and number of iterations: medians over seeds."""
-    keys = list(dict.fromkeys((each["regressor"], each["iterations"]) for each in found))
     rows = []
-    for regressor, iterations in keys:
-        chosen = [e for e in found if (e["regressor"], e["iterations"]) == (regressor, iterations)]
+    for (regressor, iterations), chosen in _grouped(found, "regressor", "iterations"):
         rows.append(
             {
                 "regressor": regressor,
@@ -123,10 +119,8 @@ def _regressors(found: Sequence[Mapping[str, Any]]) -> list[Row]:
 
 def _noise(found: Sequence[Mapping[str, Any]]) -> list[Row]:
     """Per regressor, scale and method: medians over seeds."""
-    keys = list(dict.fromkeys((each["regressor"], each["scale"], each["method"]) for each in found))
     rows = []
-    for regressor, scale, method in keys:
-        chosen = [e for e in found if (e["regressor"], e["scale"], e["method"]) == (regressor, scale, method)]
+    for (regressor, scale, method), chosen in _grouped(found, "regressor", "scale", "method"):
         row = {"regressor": regressor, "scale": scale, "method": method, "seeds": len(chosen)}
         rows.append({**row, **{name: _median([e[name] for e in chosen]) for name in ("test", "ood")}})
     return rows
@@ -209,8 +203,8 @@ def _regressor_table(rows: Sequence[Row]) -> list[Row]:
 
 def _noise_table(rows: Sequence[Row]) -> list[Row]:
     table = []
-    for regressor, scale in dict.fromkeys((row["regressor"], row["scale"]) for row in rows):
-        chosen = {r["method"]: r for r in rows if (r["regressor"], r["scale"]) == (regressor, scale)}
+    for (regressor, scale), own in _grouped(rows, "regressor", "scale"):
+        chosen = {row["method"]: row for row in own}
         cells = {
             method: f"{_number(chosen[method]['test'])} / {_number(chosen[method]['ood'])}"
             for method in (noise.TRAJECTORY, noise.SUPERVISED, noise.TRAJECTORY_RAW, noise.SUPERVISED_RAW)
@@ -288,6 +282,16 @@ def _flown_table(flown: Row) -> list[Row]:
                 }
             )
     return rows
+
+
+def _grouped(
+    rows: Sequence[Mapping[str, Any]], *keys: str
+) -> Iterable[tuple[tuple[Any, ...], list[Mapping[str, Any]]]]:
+    """The rows by what they hold under these keys, in the order of their first ones."""
+    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return groups.items()
 
 
 def _median(values: Sequence[float | None]) -> float | None:

@@ -11,17 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from host.models.network import Layout
 from host.models.phi import Phi
-from host.paper.learning.flights import DRAG, Flights, fly
+from host.paper.learning.flights import Flights, fly
 from host.paper.learning.measure import Candidate, acceleration_error, position_error_m
-from host.paper.learning.methods import SIGMA, WORLD, Timed, condensed, exact_segments, phi_of
+from host.paper.learning.methods import DEEP, learn_exact
 from host.vehicle import Vehicle, to_parameters
 
 STEPS_S = (0.005, 0.01, 0.02, 0.04)
 FEW = 4
 """Flights that the over-large network learns from."""
-LARGE = Layout(hidden=(32, 32, 32))
 
 _SOFTER = {"position_p": 0.6, "velocity_d": 0.7, "attitude_p": 0.8}
 """Gain set B, in shares of the vehicle file's."""
@@ -30,22 +28,26 @@ _OBSERVER = 5.0
 
 
 def steps(candidate: Candidate, flights: Flights) -> list[dict[str, Any]]:
-    """Acceleration error along roll-outs and position error of whole flights, by the roll-out's step."""
-    rows = []
-    for step_s in STEPS_S:
-        rows.append({"step_s": step_s, "position_rmse_m": position_error_m(candidate, flights, step_s)})
-    return rows
+    """Position error of whole flights, by the roll-out's step."""
+    return [
+        {"step_s": step_s, "position_rmse_m": position_error_m(candidate, flights, step_s)}
+        for step_s in STEPS_S
+    ]
 
 
-def laws(sets: dict[str, Flights], vehicle: Vehicle, seed: int, iterations: int) -> list[dict[str, Any]]:
+def laws(
+    candidate: Candidate, sets: dict[str, Flights], seed: int, iterations: int
+) -> list[dict[str, Any]]:
     """Errors of what was learned under the vehicle file's gains (A), by law and network.
 
-    A network of 2 x 32 learned from all training flights, and the largest the vehicle can hold learned from a
-    few, without regularisation or early stop.
+    `candidate`, a network of 2 x 32 learned from all training flights, and the largest the vehicle can hold
+    learned from a few, without regularisation or early stop.
     """
+    few, vehicle = sets["train"].take(FEW), sets["train"].phi.vehicle
+    large = learn_exact(few, few, DEEP, seed, iterations=iterations, l2=0.0)
     learned = {
-        "2 x 32, all flights": _learn(sets, seed, WORLD.layout, len(sets["train"].x), iterations, 1e-6),
-        f"3 x 32, {FEW} flights, not regularised": _learn(sets, seed, LARGE, FEW, iterations, 0.0),
+        "2 x 32, all flights": candidate,
+        f"3 x 32, {FEW} flights, not regularised": large.candidate,
     }
     rows = []
     for law, parameters in _laws(vehicle).items():
@@ -53,7 +55,7 @@ def laws(sets: dict[str, Flights], vehicle: Vehicle, seed: int, iterations: int)
         phi = Phi(vehicle=vehicle, estimator=False, parameters=parameters)
         nominal = Candidate(phi=phi, theta=phi.theta_neutral)
         for name, found in learned.items():
-            hybrid = replace(found.candidate, phi=phi, theta=phi.theta_neutral)
+            hybrid = replace(found, phi=phi, theta=phi.theta_neutral)
             row: dict[str, Any] = {"law": law, "network": name}
             for which, flown in flights.items():
                 error = position_error_m(hybrid, flown)
@@ -80,21 +82,4 @@ def _laws(vehicle: Vehicle) -> dict[str, dict[str, float]]:
 def _flown(known: Flights, vehicle: Vehicle, parameters: dict[str, float]) -> Flights:
     """The same references with the same drag under another law."""
     phi = Phi(vehicle=vehicle, effects=known.phi.effects, estimator=False, parameters=parameters)
-    return fly(phi, np.array(DRAG), known.references)
-
-
-def _learn(
-    sets: dict[str, Flights], seed: int, layout: Layout | None, count: int, iterations: int, l2: float
-) -> Timed:
-    phi = phi_of(sets["train"], WORLD)
-    validation = sets["train"].take(count) if l2 == 0.0 else sets["validation"]
-    return condensed(
-        phi,
-        exact_segments(phi, sets["train"].take(count)),
-        exact_segments(phi, validation),
-        seed,
-        layout=layout,
-        weight=1.0 / np.square(SIGMA),
-        iterations=iterations,
-        l2=l2,
-    )
+    return fly(phi, known.theta, known.references)
