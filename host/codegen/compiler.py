@@ -82,14 +82,18 @@ def wanted_compiler(engine: str | None = None) -> Compiler | None:
     return compiler
 
 
-def shared_library(source: str, compiler: Compiler, *, native: bool = False) -> Path:
+def shared_library(
+    source: str, compiler: Compiler, *, native: bool = False, include: Path | None = None
+) -> Path:
     """Path of the shared library for this C source, compiled now unless the cache has it.
 
-    `native`: for this machine's own instructions. Raises CodegenError where the compiler fails.
+    `native`: for this machine's own instructions. `include`: where its headers are; the source must tell one
+    version of them from another. Raises CodegenError where the compiler fails.
     """
     path = library_path(source, compiler, native=native)
     if not path.exists():
-        _compile(source, compiler, path, flags(native=native))
+        headers = () if include is None else (f"-I{include}",)
+        _compile(source, compiler, path, (*flags(native=native), *headers))
     return path
 
 

@@ -19,7 +19,12 @@ LANES = 8
 
 _ALIGNED = 64
 
-PRELUDE = f"#define LANES {LANES}\n" + (Path(__file__).parent / "simd.h").read_text(encoding="utf-8")
+_HERE = Path(__file__).parent
+
+PRELUDE = f"#define LANES {LANES}\n" + (_HERE / "simd.h").read_text(encoding="utf-8")
+
+LAYERS = (_HERE / "layers.h").read_text(encoding="utf-8")
+"""A network's layers, to stand behind PRELUDE."""
 
 _UNARY = {
     ca.OP_NEG: "-{0}",

@@ -16,6 +16,7 @@ import casadi
 import numpy as np
 
 from host.codegen import compile_function
+from host.codegen.buffered import Buffered
 from host.learn.kernel import MEASURED, vector_jacobian
 from host.models.network import Layout
 from host.models.phi import DRIVE_ROWS, FLIGHT, Phi
@@ -25,29 +26,6 @@ from host.models.segments import Segments
 Pushed = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """(x0 (S, size), theta (S, P), push (S, 2 N + 1, 3)) -> states (S, N + 1, size): segments rolled out, push an
 acceleration, NED, at the steps' starts, middles and ends."""
-
-
-class Buffered:
-    """A CasADi function on fixed arrays: write `inputs`, call, read `outputs`, all (columns, rows)."""
-
-    def __init__(self, function: casadi.Function) -> None:
-        self.function = function
-        # The function, its buffer and the arrays must outlive the trigger: it holds their addresses.
-        self._buffer, self._trigger = function.buffer()
-        self.inputs: dict[str, np.ndarray] = {}
-        self.outputs: dict[str, np.ndarray] = {}
-        for i in range(function.n_in()):
-            array = np.zeros((function.size2_in(i), function.size1_in(i)))
-            self._buffer.set_arg(i, array.reshape(-1).data)  # pyright: ignore[reportCallIssue]
-            self.inputs[function.name_in(i)] = array
-        for i in range(function.n_out()):
-            array = np.zeros((function.size2_out(i), function.size1_out(i)))
-            self._buffer.set_res(i, array.reshape(-1).data)  # pyright: ignore[reportCallIssue]
-            self.outputs[function.name_out(i)] = array
-
-    def __call__(self) -> None:
-        """Compute the outputs from the inputs."""
-        self._trigger()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,42 +1,7 @@
-/* Paper Algorithm 1 over lanes. Behind simd.h, the functions phi, products, seen, seen_back, given and given_back,
+/* Paper Algorithm 1 over lanes. Behind simd.h and layers.h, the functions phi, products, seen, seen_back, given and given_back,
    the sizes SIZE, ROWS, THETA, SEEN, UNITS, GIVEN, MEASURED and the layers' calls FORWARD, BACKWARD, GRADIENTS. */
 
 typedef struct { V x[SIZE]; V u[SEEN + UNITS + GIVEN]; V back[UNITS + GIVEN]; } Stage;
-
-INLINE void layer(const double *w, const V *u, V *out, int inputs, int outputs) {
-    int j = 0;
-    for (; j + 4 <= outputs; j += 4) {
-        const double *a = w + (long)j * (inputs + 1), *b = a + inputs + 1, *c = b + inputs + 1, *d = c + inputs + 1;
-        V s0 = splat(a[inputs]), s1 = splat(b[inputs]), s2 = splat(c[inputs]), s3 = splat(d[inputs]);
-        for (int i = 0; i < inputs; ++i) {
-            V t = u[i];
-            s0 += a[i] * t; s1 += b[i] * t; s2 += c[i] * t; s3 += d[i] * t;
-        }
-        out[j] = s0; out[j + 1] = s1; out[j + 2] = s2; out[j + 3] = s3;
-    }
-    for (; j < outputs; ++j) {
-        const double *a = w + (long)j * (inputs + 1);
-        V s = splat(a[inputs]);
-        for (int i = 0; i < inputs; ++i) s += a[i] * u[i];
-        out[j] = s;
-    }
-}
-
-/* out = weights' transposed times back. */
-INLINE void layer_back(const double *w, const V *back, V *out, int inputs, int outputs) {
-    for (int i = 0; i < inputs; ++i) out[i] = splat(0.0);
-    int j = 0;
-    for (; j + 4 <= outputs; j += 4) {
-        const double *a = w + (long)j * (inputs + 1), *b = a + inputs + 1, *c = b + inputs + 1, *d = c + inputs + 1;
-        V t0 = back[j], t1 = back[j + 1], t2 = back[j + 2], t3 = back[j + 3];
-        for (int i = 0; i < inputs; ++i) out[i] += (a[i] * t0 + b[i] * t1) + (c[i] * t2 + d[i] * t3);
-    }
-    for (; j < outputs; ++j) {
-        const double *a = w + (long)j * (inputs + 1);
-        V t = back[j];
-        for (int i = 0; i < inputs; ++i) out[i] += a[i] * t;
-    }
-}
 
 INLINE double across(V a) {
     double s = 0.0;

@@ -19,7 +19,7 @@ import numpy as np
 
 from host.codegen.compiler import Compiler
 from host.codegen.ops import CASADI
-from host.codegen.simd import lane_source, simd_library
+from host.codegen.simd import LAYERS, lane_source, simd_library
 from host.models.network import Layout
 from host.models.phi import DRIVE_ROWS, Phi
 
@@ -91,7 +91,7 @@ def source(phi: Phi, layout: Layout) -> str:
     calls = {"FORWARD": forward, "BACKWARD": backward, "GRADIENTS": gradients}
     defines += [f"#define {name} {' '.join(lines)}" for name, lines in calls.items()]
     emitted = [lane_source(function, name) for name, function in functions.items()]
-    return "\n".join([*emitted, *defines, _SOURCE.read_text(encoding="utf-8")])
+    return "\n".join([LAYERS, *emitted, *defines, _SOURCE.read_text(encoding="utf-8")])
 
 
 def vector_jacobian(phi: ca.Function) -> ca.Function:

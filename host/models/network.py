@@ -130,6 +130,11 @@ class Layout:
                 back = (weights[:, :-1].T @ back) * (1.0 - saw[k] * saw[k])
         return gradient
 
+    def layers(self, xi: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Weights (outputs, inputs) and biases (outputs,) of every layer; the last is linear."""
+        matrices = [xi[layer.where].reshape(layer.rows, layer.columns) for layer in self._layers()]
+        return [(rows[:, :-1], rows[:, -1]) for rows in matrices]
+
     def _layers(self) -> Iterator[_Layer]:
         """Where every layer's weights are; each row ends with its bias."""
         start = 0

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -17,25 +16,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_model.law.constants import GRAVITY
-from host.codegen import CASADI
+from host.codegen import CASADI, NUMPY
 from host.effects import Effect
-from host.errors import UsageError
 from host.models.dynamics import RATE, THETA, THRUST, Part, V, residual_acceleration_ned, rigid_body
 from host.models.model import Model
 from host.models.network import Network
 from host.models.region import Region
-from host.plan.stage import Layers, StageModel
-from host.route.shapes import Box, Cylinder, Sphere
+from host.plan.stage import StageModel
 from host.vehicle import Limits, Vehicle
 
 Array = NDArray[np.float64]
-Shape = Box | Cylinder | Sphere
 
-STATES, INPUTS, PARAMETERS = 16, 4, 2
-"""The parameters are the heading asked for and a factor on the weight of the thrust rates."""
-TILT_ROW, SPEED_ROW, JERK_ROW, FIRST_SHAPE_ROW = 0, 1, 2, 3
-"""Rows bounded at every node: cos tilt; squared speed and squared jerk as shares of their squared limits;
-distance from each keep-out shape in metres."""
+STATES, INPUTS = 16, 4
+YAW, SMOOTHING, CONTROL, THRUST_RATE, YAW_WEIGHT, TIME, SPEED_MAX, JERK_MAX = range(8)
+"""An interval's parameters: the heading asked for, a factor on the weight of the thrust rates, the weights,
+the limits. Behind them the residual at rest (3) and the effects' values: all that may change without a
+rebuild."""
+REST = slice(8, 11)
+EFFECTS = REST.stop
+TILT_ROW, SPEED_ROW, JERK_ROW = 0, 1, 2
+PATH_ROWS = 3
+"""Path rows: cos tilt; squared speed and squared jerk as shares of their squared limits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,15 +55,7 @@ class ResidualModel:
 
     @classmethod
     def of(cls, model: Model, effects: Mapping[str, Effect]) -> ResidualModel:
-        """Effects and adjustments of a model file, and its network.
-
-        Raises ValueError for unknown effects, UsageError for a network that the stage kernels do not know.
-        """
-        if model.network is not None and model.network.layout.frame != "world":
-            raise UsageError(
-                f"model {model.id}: its network is in the {model.network.layout.frame}'s frame, plans take "
-                "one in the world's; learn it again with --frame world"
-            )
+        """Effects and adjustments of a model file, and its network. Raises ValueError for unknown effects."""
         return cls(
             parts=tuple(model.parts(effects)),
             adjusted=frozenset(model.adjustments),
@@ -85,23 +78,27 @@ class Weights:
     control: of the squared rotor thrusts in units of hover thrust (the paper's lambda_r = 0.1 per N^2 on its
     0.752 kg vehicle is 0.34). thrust_rate: of their squared rates in 1/s: without it the plan ripples as fast
     as its nodes allow. yaw: of the squared deviation from the heading asked for, in radians; large, because
-    the flat reference has no other heading.
+    the flat reference has no other heading. time: per second, where the total time is free.
     """
 
     control: float = 0.04
     thrust_rate: float = 0.004
     yaw: float = 1e4
+    time: float = 0.0
 
     def scaled(self, factor: float) -> Weights:
         """All weights times the factor."""
         return Weights(
-            control=factor * self.control, thrust_rate=factor * self.thrust_rate, yaw=factor * self.yaw
+            control=factor * self.control,
+            thrust_rate=factor * self.thrust_rate,
+            yaw=factor * self.yaw,
+            time=factor * self.time,
         )
 
     def __post_init__(self) -> None:
-        for name in ("control", "thrust_rate", "yaw"):
+        for name in ("control", "thrust_rate", "yaw", "time"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
+            if not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and name == "time"))):
                 raise ValueError(f"weight {name} must be positive, not {value!r}")
 
 
@@ -125,16 +122,55 @@ class Dynamics:
     def _scalars(self, x: ca.SX) -> list[Any]:
         return self.newtons([x[i] for i in range(STATES)])
 
-    def derivative(self, x: ca.SX, u: ca.SX) -> ca.SX:
+    @property
+    def theta(self) -> Array:
+        """The effects' values, one after the other."""
+        return np.array([value for _, values in self.model.parts for value in values], dtype=float)
+
+    def _parts(self, p: Any) -> list[Part]:
+        """The effects, their values out of an interval's parameters."""
+        parts, start = [], EFFECTS
+        for effect, values in self.model.parts:
+            parts.append((effect, [p[start + i] for i in range(len(values))]))
+            start += len(values)
+        return parts
+
+    def derivative(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
         """(16,) continuous dynamics, paper eq. 1, without the network."""
-        parts = self.model.parts if self.augmented else ()
+        parts = self._parts(p) if self.augmented else ()
         return ca.vertcat(*rigid_body(CASADI, self.vehicle, parts, self._scalars(x)), u)
 
-    def residual(self, x: ca.SX) -> ca.SX:
-        """(3,) the residual acceleration d(x), NED, without the network."""
-        return ca.vertcat(
-            *residual_acceleration_ned(CASADI, self.vehicle, self.model.parts, self._scalars(x))
-        )
+    def residual(self, x: ca.SX, p: ca.SX) -> ca.SX:
+        """(3,) the residual acceleration d(x), NED, without the network, less what it is at rest."""
+        d = residual_acceleration_ned(CASADI, self.vehicle, self._parts(p), self._scalars(x))
+        return ca.vertcat(*d) - p[REST]
+
+    def parameters(
+        self,
+        yaw: Array,
+        *,
+        smoothing: float = 1.0,
+        weights: Weights | None = None,
+        limits: Limits | None = None,
+        rest: Array | None = None,
+    ) -> Array:
+        """(np, n): an interval's parameters, for n headings; what is not given is the default."""
+        weights, limits = weights or Weights(), limits or self.vehicle.limits
+        shared = [smoothing, weights.control, weights.thrust_rate, weights.yaw, weights.time]
+        shared += [limits.speed_max_m_s, limits.jerk_max_m_s3, *(np.zeros(3) if rest is None else rest)]
+        rows = np.concatenate([[0.0], shared, self.theta])
+        out = np.repeat(rows[:, None], len(yaw), axis=1)
+        out[YAW] = yaw
+        return out
+
+    def rest_residual(self, yaw: float) -> Array:
+        """(3,) the residual acceleration, NED, of the nominal vehicle at rest: what no plan can avoid."""
+        x = np.array([0.0] * 8 + [yaw] + [0.0] * 3 + [self.hover_n] * 4)
+        d = residual_acceleration_ned(NUMPY, self.vehicle, self.model.parts, list(x))
+        rest = np.array([float(row) for row in d])
+        if self.model.network is not None:
+            rest += self.model.network.acceleration_ned(x[V, None], x[THETA, None])[:, 0]
+        return rest
 
     def jerk_squared(self, x: ca.SX, u: ca.SX) -> ca.SX:
         """The nominal vehicle's squared jerk: thrust changes along z_frd, and z_frd turns."""
@@ -151,7 +187,7 @@ class Dynamics:
         """
         unknown = ca.SX.sym("unknown", 6)
         x = ca.vertcat(ca.SX(6, 1), unknown[:2], yaw, ca.SX(3, 1), unknown[2:])
-        xdot = self.derivative(x, ca.SX(INPUTS, 1))
+        xdot = self.derivative(x, ca.SX(INPUTS, 1), ca.SX(ca.DM(self.parameters(np.array([yaw])))))
         acceleration = xdot[V]
         if self.augmented and self.model.network is not None:
             inputs = [x[i] for i in range(V.start, THETA.stop)]
@@ -171,58 +207,35 @@ class Dynamics:
             value = value - np.linalg.lstsq(slope, error, rcond=None)[0].ravel()
         raise ValueError("the model has no state of rest near level flight: its values cannot be right")
 
-    def stage_model(
-        self,
-        *,
-        minimise_residual: bool,
-        weights: Weights,
-        limits: Limits,
-        keep_out: Sequence[Shape],
-        weigh_time: bool,
-    ) -> StageModel:
-        """The interval's model; path rows as TILT_ROW and so on."""
+    def stage_model(self, *, minimise_residual: bool, weigh_time: bool) -> StageModel:
+        """The interval's model; path rows as TILT_ROW and so on; weights, limits, values are parameters."""
 
         def effort(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
             thrust = x[THRUST]
-            turn = x[THETA.stop - 1] - p[0]
+            turn = x[THETA.stop - 1] - p[YAW]
             return (
-                weights.control * ca.dot(thrust, thrust)
-                + p[1] * weights.thrust_rate * ca.dot(u, u)
-                + weights.yaw * turn * turn
+                p[CONTROL] * ca.dot(thrust, thrust)
+                + p[SMOOTHING] * p[THRUST_RATE] * ca.dot(u, u)
+                + p[YAW_WEIGHT] * turn * turn
+                + p[TIME]
             )
 
         def path(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-            position = [x[i] for i in range(3)]
             return ca.vertcat(
                 ca.cos(x[6]) * ca.cos(x[7]),
-                ca.dot(x[V], x[V]) / limits.speed_max_m_s**2,
-                self.jerk_squared(x, u) / limits.jerk_max_m_s3**2,
-                *(shape.signed_distance(CASADI, position) for shape in keep_out),
+                ca.dot(x[V], x[V]) / p[SPEED_MAX] ** 2,
+                self.jerk_squared(x, u) / p[JERK_MAX] ** 2,
             )
 
-        network = self.model.network
         return StageModel(
             nx=STATES,
             nu=INPUTS,
-            np=PARAMETERS,
+            np=EFFECTS + len(self.theta),
             derivative=self.derivative,
             residual=self.residual if minimise_residual else None,
             effort=effort,
             path=path,
-            network=None if network is None else layers(network),
+            network=self.model.network,
             augmented=self.augmented,
             weigh_time=weigh_time,
         )
-
-
-def layers(network: Network) -> Layers:
-    """The network's layers as matrices and biases; in its flat vector each row ends with its bias."""
-    out: list[tuple[Array, Array]] = []
-    start = 0
-    sizes = network.layout.sizes
-    for inputs, outputs in pairwise(sizes):
-        stop = start + outputs * (inputs + 1)
-        rows = network.xi[start:stop].reshape(outputs, inputs + 1)
-        out.append((rows[:, :-1].copy(), rows[:, -1].copy()))
-        start = stop
-    return tuple(out)

@@ -12,8 +12,9 @@ from firmware_model.law.checks import Verdict, check_reference, from_parameters
 from host.codegen import NUMPY
 from host.models.dynamics import THETA, THRUST, P, V, residual_acceleration_ned
 from host.plan.box import KEEP_OUT, checked
-from host.plan.dynamics import ResidualModel, Shape
+from host.plan.dynamics import ResidualModel
 from host.plan.table import Table, evaluate, flat_states, from_reference, to_reference
+from host.route.shapes import Shape
 from host.vehicle import Limits, Vehicle, to_parameters
 from protocol.blobs import Reference, YawNode
 

@@ -10,7 +10,7 @@ from typing import Literal
 from firmware_model.law.checks import Verdict
 from host.errors import Refused, SolverError, UsageError
 from host.plan.dynamics import Weights
-from host.plan.transcription import SolveStatus
+from host.plan.problem import SolveStatus
 from protocol.blobs import Reference
 
 Kind = Literal["min-snap", "min-control", "min-residual"]
@@ -33,22 +33,24 @@ class Settings:
 
     relative_weights: weights are in units of the mean squared residual predicted along the min-snap path (not
     below 0.5 m/s^2), so that a small drag is avoided as thoroughly as a large one; False takes them as they
-    are. weigh_time: the cost is an integral; False is the paper's sum without steps (eq. 11), which rewards
-    long ones. shared_steps: one step size a leg, else one an interval. step_box: bounds of a step in units of
-    its nominal value. step_penalty: cost of (h/h0 - 1)^2 for each step size. total_time_box: bounds of the
-    whole time in units of the route's. rounds: how often the problem may be solved, each time in a box
-    tightened by what the finished reference exceeded.
+    are. count_bias: the residual at rest counts too, though no path avoids it. weigh_time: the cost is an
+    integral; False is the paper's sum without steps (eq. 11), which rewards long ones. shared_steps: one step
+    size a leg, else one an interval. step_box: bounds of a step in units of its nominal value. step_penalty:
+    cost of (h/h0 - 1)^2 for each step size. total_time_box: bounds of the whole time in units of the route's.
+    rounds: how often the problem may be solved, each time in a box tightened by what the finished reference
+    exceeded.
     """
 
     weights: Weights = field(default_factory=Weights)
     relative_weights: bool = True
+    count_bias: bool = False
     weigh_time: bool = True
     shared_steps: bool = True
     step_box: tuple[float, float] = (0.7, 1.4)
     step_penalty: float = 0.0
     total_time_box: tuple[float, float] = (1.0, 1.0)
-    tolerance: float = 1e-6
-    iterations_max: int = 100
+    tolerance: float = 1e-3
+    iterations_max: int = 300
     rounds: int = 12
 
     def __post_init__(self) -> None:

@@ -16,23 +16,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from host.plan.box import SolverBox
+from host.plan.dynamics import YAW
+from host.plan.intervals import Engine
 from host.plan.job import Effort, Job
 from host.plan.judge import Judged, measure
+from host.plan.problem import Problem, Solution, SolveStatus
 from host.plan.result import Plan, PlanRefused, PlanUnsolved
 from host.plan.shooting import (
     NODE_S,
     Grid,
+    coarser,
     deviation_m,
     linear_start,
     make_grid,
     make_problem,
+    on_grid,
     smooth,
     table_start,
     yaw_profile,
 )
-from host.plan.stage import build_stage
+from host.plan.solver import solve
 from host.plan.table import snap_table
-from host.plan.transcription import Problem, Solution, SolveStatus, solve
 
 Array = NDArray[np.float64]
 
@@ -49,8 +53,6 @@ _NEARLY_FEASIBLE = 0.05
 """Constraint violation up to which an unfinished iterate is worth going on from."""
 _REMEDY = "give it more time, headroom or nodes"
 _NO_WAY = (SolveStatus.INFEASIBLE, SolveStatus.RESTORATION)
-_LAST_TRY = 3
-"""How many times the iterations the last start may take: time to find that there is no way."""
 
 
 def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
@@ -67,7 +69,7 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
         if not solution.status.usable:
             run.recover(solution)
             continue
-        table = smooth(run.stage, run.problem, solution, grid, job.waypoints_ned)
+        table = smooth(run.engine, run.problem, solution, grid, job.waypoints_ned)
         judged = job.judge(table, job.yaws(solution.t_s[-1] / job.route.duration_s))
         if run.settled(solution, judged):
             effort = Effort(
@@ -76,7 +78,7 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
                 rounds=run.rounds,
                 iterations=run.iterations,
                 intervals=len(solution.t_s) - 1,
-                deviation_m=deviation_m(run.stage, run.problem, solution, judged.table),
+                deviation_m=deviation_m(run.engine, run.problem, solution, judged.table),
             )
             return job.finish(judged, solution.t_s[grid.waypoints], effort)
     raise run.failure()
@@ -104,46 +106,61 @@ class _Run:
     def __init__(self, job: Job, grid: Grid) -> None:
         self.job, self.grid = job, grid
         self.box = SolverBox.inside(job.limits)
-        self.model = job.dynamics.stage_model(
-            minimise_residual=job.kind == "min-residual",
-            weights=job.settings.weights.scaled(_scale(job, grid)),
-            limits=job.limits,
-            keep_out=job.route.keep_out,
-            weigh_time=job.settings.weigh_time,
+        settings = job.settings
+        self.engine = Engine(
+            job.dynamics.stage_model(
+                minimise_residual=job.kind == "min-residual", weigh_time=settings.weigh_time
+            )
         )
-        self.stage = build_stage(self.model)
-        self.yaw = yaw_profile(job.yaws(), grid.times_s)
+        self._yaws = job.yaws()
+        self._weights = settings.weights.scaled(_scale(job, grid))
+        self._rest = np.zeros(3)
+        if job.kind == "min-residual" and not settings.count_bias:
+            self._rest = job.dynamics.rest_residual(self._yaws[0].yaw)
         self.problem: Problem
         self.rounds = self.iterations = 0
-        # A coarse grid lets faster ripples through its spline's knots.
-        self._smoothing = max(1.0, float(grid.times_s[-1]) / len(grid.leg_of) / NODE_S) ** 2
+        self._smoothing = 1.0
         self._start = _Start.LINEAR
         self._last: Solution | None = None
         self._near: Judged | None = None
 
     def solve(self) -> Solution:
-        """The round's last iterate."""
-        self.problem = self._make_problem()
+        """The round's last iterate. Without one to begin with, coarser grids are solved first."""
+        grids = [self.grid]
+        while self._last is None and (half := coarser(grids[-1])) is not None:
+            grids.append(half)
+        before: tuple[Solution, Grid] | None = None
+        for grid in reversed(grids):
+            solution = self._solve_on(grid, before)
+            before = (solution, grid) if solution.status.usable else None
+        self.rounds += 1
+        return solution
+
+    def _solve_on(self, grid: Grid, before: tuple[Solution, Grid] | None) -> Solution:
+        """The last iterate on a grid, from a coarser one's solution where there is one."""
+        self.problem = self._make_problem(grid)
+        if before is not None:
+            x, u = on_grid(*before, grid)
+            self.problem = replace(self.problem, x_start=x, u_start=u, h_start=before[0].h, near=True)
         settings = self.job.settings
         solution = solve(
-            self.model,
-            self.stage,
+            self.engine,
             self.problem,
+            keep_out=self.job.route.keep_out,
             tolerance=settings.tolerance,
-            max_iterations=settings.iterations_max * (_LAST_TRY if self._start is _Start.SNAP else 1),
+            max_iterations=settings.iterations_max,
         )
-        self.rounds += 1
         self.iterations += solution.iterations
         return solution
 
     def settled(self, solution: Solution, judged: Judged) -> bool:
         """Whether this is the plan; else what the next round does differently is set."""
+        asked = self.problem.parameters[YAW]
         self._last, self._near = solution, judged
-        yaw = yaw_profile(judged.reference.yaw_nodes(), solution.t_s)
-        moved = np.abs(yaw - self.yaw).max()
+        self._yaws = judged.reference.yaw_nodes()
+        moved = np.abs(yaw_profile(self._yaws, solution.t_s)[:-1] - asked).max()
         if judged.ok and (moved <= _YAW_SETTLED or self.rounds >= _PATIENCE):
             return True
-        self.yaw = yaw
         if not judged.ok:
             worst = self.box.excess(judged.margins)
             self.box = self.box.tightened(judged.margins)
@@ -177,23 +194,28 @@ class _Run:
             return PlanRefused(f"no {label} plan: no way within the limits was found ({tries}); {_REMEDY}")
         return PlanUnsolved(f"no {label} plan: {status.value} ({tries}); {_REMEDY}", status)
 
-    def _make_problem(self) -> Problem:
-        job, grid, settings = self.job, self.grid, self.job.settings
+    def _make_problem(self, grid: Grid) -> Problem:
+        job, settings = self.job, self.job.settings
+        yaw = yaw_profile(self._yaws, grid.times_s if self._last is None else self._last.t_s)
         if self._start is _Start.SNAP:
             path = snap_table(job.waypoints_ned, grid.counts * grid.h0_s)
             start = table_start(job.dynamics, path, grid, job.yaws())
         else:
-            start = linear_start(job.dynamics, job.waypoints_ned, grid, self.yaw)
+            start = linear_start(job.dynamics, job.waypoints_ned, grid, yaw)
         low, high = settings.total_time_box
         total_s = job.route.duration_s
+        step_s = float(grid.times_s[-1]) / len(grid.leg_of)
         problem = make_problem(
             job.dynamics,
             job.waypoints_ned,
             grid,
             job.limits,
             self.box,
-            yaw=self.yaw,
-            smoothing=self._smoothing,
+            yaw=yaw,
+            # A coarse grid lets faster ripples through its spline's knots.
+            smoothing=self._smoothing * max(1.0, step_s / NODE_S) ** 2,
+            weights=self._weights,
+            unavoidable=self._rest,
             start=start,
             h_bounds=settings.step_box,
             total_bounds_s=(-np.inf, np.inf) if grid.times_fixed else (low * total_s, high * total_s),
@@ -204,4 +226,11 @@ class _Run:
         if self._last is None:
             return problem
         last = self._last
-        return replace(problem, x_start=last.x, u_start=last.u, h_start=last.h, warm=last.multipliers)
+        return replace(
+            problem,
+            x_start=last.x,
+            u_start=last.u,
+            h_start=last.h,
+            near=last.status.usable,
+            multipliers=last.multipliers,
+        )

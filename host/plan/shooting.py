@@ -13,25 +13,28 @@ from host.errors import UsageError
 from host.models.dynamics import RATE, THETA, THRUST, P, V
 from host.plan.box import SolverBox
 from host.plan.dynamics import (
-    FIRST_SHAPE_ROW,
     INPUTS,
     JERK_ROW,
+    PATH_ROWS,
     SPEED_ROW,
     STATES,
     TILT_ROW,
     Dynamics,
+    Weights,
 )
+from host.plan.intervals import Engine
+from host.plan.problem import Problem, Solution
 from host.plan.smooth import fit
-from host.plan.stage import Stage
 from host.plan.table import Table, evaluate, flat_states, yaw_at
-from host.plan.transcription import Problem, Solution
 from host.vehicle import Limits
 from protocol.blobs import YawNode
 
 Array = NDArray[np.float64]
 
-NODES_MAX = 200
+NODES_MAX = 1600
 NODE_S = 0.07
+COARSE = 100
+"""Intervals of the coarsest grid; finer ones begin at the solution of one half as fine."""
 _DATA_S = 0.1
 _LEG_NODES_MIN = 4
 _YAW_SLACK = 0.3  # rad, around the heading asked for; the cost keeps it two orders of magnitude closer
@@ -68,8 +71,8 @@ class Grid:
 def make_grid(durations_s: Array, nodes: int | None, *, times_fixed: bool) -> Grid:
     """Intervals shared out by the legs' nominal durations, at least four a leg; about `nodes` of them in all.
 
-    Without a number a step takes about 70 ms, within 60 to 200 intervals. Beyond 200 the legs that were
-    rounded up most give back. Raises UsageError for more legs than 200 intervals are enough for.
+    Without a number a step takes about 70 ms, within 60 to 1600 intervals. Beyond 1600 the legs that
+    were rounded up most give back. Raises UsageError for more legs than 1600 intervals are enough for.
     """
     if (legs := len(durations_s)) > NODES_MAX // _LEG_NODES_MIN:
         raise UsageError(
@@ -83,6 +86,29 @@ def make_grid(durations_s: Array, nodes: int | None, *, times_fixed: bool) -> Gr
     while counts.sum() > NODES_MAX:
         counts[np.argmax(np.where(counts > _LEG_NODES_MIN, counts - shares, -np.inf))] -= 1
     return Grid(counts=counts, h0_s=durations_s / counts, times_fixed=times_fixed)
+
+
+def coarser(grid: Grid) -> Grid | None:
+    """The grid with half as many intervals on every leg; None where that would be few, or hardly fewer."""
+    counts = np.maximum(_LEG_NODES_MIN, (grid.counts + 1) // 2)
+    if len(grid.leg_of) < 2 * COARSE or counts.sum() > 0.7 * len(grid.leg_of):
+        return None
+    return Grid(counts=counts, h0_s=grid.counts * grid.h0_s / counts, times_fixed=grid.times_fixed)
+
+
+def on_grid(solution: Solution, old: Grid, new: Grid) -> tuple[Array, Array]:
+    """States and inputs of a solution at another grid's nodes, leg by leg."""
+    places = [
+        np.append(grid.leg_of + _share(grid), float(len(grid.counts))) for grid in (old, new)
+    ]  # legs passed at every node
+    x = np.array([np.interp(places[1], places[0], row) for row in solution.x])
+    interval = np.searchsorted(places[0], places[1][:-1] + 1e-9, side="right") - 1
+    return x, solution.u[:, interval]
+
+
+def _share(grid: Grid) -> Array:
+    """(N,) share of its leg that is behind every node."""
+    return (np.arange(len(grid.leg_of)) - grid.waypoints[grid.leg_of]) / grid.counts[grid.leg_of]
 
 
 def linear_start(dynamics: Dynamics, waypoints_ned: Array, grid: Grid, yaw: Array) -> tuple[Array, Array]:
@@ -113,6 +139,8 @@ def make_problem(
     *,
     yaw: Array,
     smoothing: float,
+    weights: Weights,
+    unavoidable: Array,
     start: tuple[Array, Array],
     h_bounds: tuple[float, float],
     total_bounds_s: tuple[float, float],
@@ -121,7 +149,7 @@ def make_problem(
     shapes: int,
 ) -> Problem:
     """The problem in this box. yaw: (N + 1,) heading asked for at the nodes; smoothing: factor
-    on the weight of the thrust rates.
+    on the weight of the thrust rates; unavoidable: (3,) residual left out of the cost; shapes: how many.
     """
     count = int(grid.counts.sum())
     low, high = np.full((STATES, count + 1), -np.inf), np.full((STATES, count + 1), np.inf)
@@ -141,12 +169,12 @@ def make_problem(
         rest = dynamics.hover(float(yaw[node]))
         low[P.stop :, node] = high[P.stop :, node] = rest[P.stop :]
 
-    rows = FIRST_SHAPE_ROW + shapes
+    rows = PATH_ROWS + shapes
     path_low, path_high = np.full((rows, count), -np.inf), np.full((rows, count), np.inf)
     path_low[TILT_ROW] = np.cos(tilt)
     path_high[SPEED_ROW] = (box.speed_m_s / limits.speed_max_m_s) ** 2
     path_high[JERK_ROW] = (box.jerk_m_s3 / limits.jerk_max_m_s3) ** 2
-    path_low[FIRST_SHAPE_ROW:] = box.keep_out_m
+    path_low[PATH_ROWS:] = box.keep_out_m
 
     # The reference starts and ends with no jerk: the first and the last interval change no thrust.
     change = np.full((INPUTS, count), np.inf)
@@ -156,7 +184,9 @@ def make_problem(
         leg_of=grid.leg_of,
         shared_steps=shared_steps,
         h0_s=grid.h0_s[grid.leg_of],
-        parameters=np.stack([yaw[:-1], np.full(count, smoothing)]),
+        parameters=dynamics.parameters(
+            yaw[:-1], smoothing=smoothing, weights=weights, limits=limits, rest=unavoidable
+        ),
         x_bounds=(low, high),
         u_bounds=(-change, change),
         path_bounds=(path_low, path_high),
@@ -174,31 +204,31 @@ def yaw_profile(yaws: Sequence[YawNode], times_s: Array) -> Array:
     return yaw_at(yaws, times_s * 1e6)[0]
 
 
-def smooth(stage: Stage, problem: Problem, solution: Solution, grid: Grid, waypoints_ned: Array) -> Table:
+def smooth(engine: Engine, problem: Problem, solution: Solution, grid: Grid, waypoints_ned: Array) -> Table:
     """The node table through a solution, seen at points about as close as the table's own nodes."""
     parts = math.ceil(float(np.diff(solution.t_s).max()) / _DATA_S)
-    times_s, x = _within(stage, problem, solution, tuple(k / parts for k in range(parts)))
+    times_s, x = _within(engine, problem, solution, tuple(k / parts for k in range(parts)))
     return fit(times_s, x[P], x[V], parts * grid.waypoints, waypoints_ned)
 
 
-def deviation_m(stage: Stage, problem: Problem, solution: Solution, table: Table) -> float:
+def deviation_m(engine: Engine, problem: Problem, solution: Solution, table: Table) -> float:
     """Largest distance of the table from the solution, at eight points an interval."""
-    times_s, x = _within(stage, problem, solution, tuple(k / 8 for k in range(8)))
+    times_s, x = _within(engine, problem, solution, tuple(k / 8 for k in range(8)))
     path = evaluate(table, np.minimum(times_s * 1e6, float(table.times_us[-1])))[0]
     return float(np.linalg.norm(path - x[P], axis=0).max())
 
 
 def _within(
-    stage: Stage, problem: Problem, solution: Solution, shares: tuple[float, ...]
+    engine: Engine, problem: Problem, solution: Solution, shares: tuple[float, ...]
 ) -> tuple[Array, Array]:
     """Times and states at these shares of every interval, and at the end: (m,), (16, m)."""
-    count = len(problem.leg_of)
-    step = stage.value.map(count)
+    intervals = engine.over(problem.h0_s, problem.parameters)
     h = solution.h[problem.step_of]
-    rows = [
-        step(solution.x[:, :-1], solution.u, share * h[None, :], problem.h0_s[None, :], problem.parameters)[0]
-        for share in shares
-    ]
-    states = np.stack([np.asarray(row) for row in rows], axis=2).reshape(STATES, -1)
+    rows = []
+    for share in shares:
+        intervals.set(solution.x[:, :-1].T, solution.u.T, share * h)
+        intervals.values()
+        rows.append(intervals.x_next.dense(STATES)[:, :, 0])
+    states = np.stack(rows, axis=1).reshape(-1, STATES).T
     times = (solution.t_s[:-1, None] + np.array(shares) * np.diff(solution.t_s)[:, None]).ravel()
     return np.append(times, solution.t_s[-1]), np.hstack([states, solution.x[:, -1:]])

@@ -9,9 +9,13 @@ itself.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.sparse import bmat, csr_matrix, identity, vstack
+from scipy.sparse.linalg import splu
 
 from host.plan.table import SPACING_S, Table, knot_times, round_times
 
@@ -34,14 +38,13 @@ def fit(
     knots_us = knot_times(waypoint_times, max(SPACING_S, step_s), np.diff(waypoints))
     knots = knots_us * 1e-6
     padded = np.concatenate([[knots[0]] * _DEGREE, knots, [knots[-1]] * _DEGREE])
-    size = len(padded) - _DEGREE - 1
-    basis = BSpline(padded, np.eye(size), _DEGREE)
-
     inside = np.clip(times_s, knots[0], knots[-1])
-    rows = np.concatenate([basis(inside), _VELOCITY_S * basis(inside, nu=1)])
+    rows = vstack([_basis(padded, inside), _VELOCITY_S * _basis(padded, inside, 1)])
     wanted = np.concatenate([p_ned.T, _VELOCITY_S * v_ned.T])
-    ends = knots[[0, -1]]
-    equal = np.concatenate([basis(waypoint_times * 1e-6), *[basis(ends, nu=order) for order in (1, 2, 3)]])
+    ends = np.array([knots[0], knots[-1]])
+    equal = vstack(
+        [_basis(padded, waypoint_times * 1e-6), *[_basis(padded, ends, order) for order in (1, 2, 3)]]
+    )
     exact = np.concatenate([waypoints_ned, np.zeros((6, 3))])
 
     coefficients = _constrained_lstsq(rows, wanted, equal, exact)
@@ -51,11 +54,31 @@ def fit(
     return Table(times_us=knots_us, states_ned=states)
 
 
-def _constrained_lstsq(rows: Array, wanted: Array, equal: Array, exact: Array) -> Array:
-    """The x with equal x = exact that minimises |rows x - wanted|, by the null space of `equal`."""
-    q, r = np.linalg.qr(equal.T, mode="complete")
-    count = len(equal)
-    particular = q[:, :count] @ np.linalg.solve(r[:count].T, exact)
-    free = q[:, count:]
-    found, *_ = np.linalg.lstsq(rows @ free, wanted - rows @ particular, rcond=None)
-    return particular + free @ found
+def _basis(padded: np.ndarray, at: np.ndarray, order: int = 0) -> csr_matrix:
+    """(n, size) values of every B-spline at n places, or of their derivative of this order."""
+    size = len(padded) - _DEGREE - 1
+    interval = np.clip(np.searchsorted(padded, at, side="right") - 1, _DEGREE, size - 1)
+    columns = interval[:, None] + np.arange(-_DEGREE, 1)
+    # A unit coefficient in every residue class of the columns: no interval sees two of one class.
+    classes = np.zeros((size, _DEGREE + 1))
+    classes[np.arange(size), np.arange(size) % (_DEGREE + 1)] = 1.0
+    values = BSpline(padded, classes, _DEGREE)(at, nu=order)
+    values = np.take_along_axis(values, columns % (_DEGREE + 1), axis=1)
+    starts = (_DEGREE + 1) * np.arange(len(at) + 1)
+    return csr_matrix((values.ravel(), columns.ravel(), starts), shape=(len(at), size))
+
+
+def _constrained_lstsq(rows: Any, wanted: Array, equal: Any, exact: Array) -> Array:
+    """The x with equal x = exact that minimises |rows x - wanted|, by its conditions of optimality."""
+    residuals, size = rows.shape
+    # With the residual r as unknown nothing is squared: r + rows x = wanted, rows' r + equal' m = 0.
+    system = bmat(
+        [
+            [identity(residuals), rows, None],
+            [rows.T, None, equal.T],
+            [None, equal, None],
+        ],
+        format="csc",
+    )
+    given = np.concatenate([wanted, np.zeros((size, wanted.shape[1])), exact])
+    return splu(system).solve(given)[residuals : residuals + size]

@@ -17,10 +17,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from host.codegen.ops import CASADI
+from host.models.network import Layout, Network
 
 NETWORK_INPUTS = slice(3, 9)  # v_ned and Theta in the state
 NETWORK_ROWS = slice(3, 6)  # the acceleration in the state's derivative
@@ -29,29 +28,24 @@ _ALONG = (0.0, 0.5, 0.5, 1.0)  # where RK4 evaluates, in steps
 _WEIGHT = (1 / 6, 2 / 6, 2 / 6, 1 / 6)
 
 
-Layers = tuple[tuple[Array, Array], ...]
-"""A tanh network from (v_ned, Theta) to an acceleration in NED, m/s^2: weights (outputs, inputs) and biases
-(outputs,) of every layer; the last is linear."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class StageModel:
     """What an interval integrates, costs and bounds. p: the interval's parameters besides its nominal step.
 
-    derivative(x, u): (nx,) continuous dynamics without the network. residual(x): (3,) m/s^2, the part of the
-    cost |residual|^2 that is not the network's, or None for no such cost. effort(x, u, p): scalar, already
-    weighted. path(x, u, p): rows bounded at every node. network: added to the residual, and where `augmented`
-    to rows 3:6 of the dynamics. weigh_time: cost per second of the interval, else per interval.
+    derivative(x, u, p): (nx,) continuous dynamics without the network. residual(x, p): (3,) m/s^2, the part
+    of the cost |residual|^2 that is not the network's, or None for no such cost. effort(x, u, p): scalar,
+    already weighted. path(x, u, p): rows bounded at every node. network: added to the residual, and where
+    `augmented` to rows 3:6 of the dynamics. weigh_time: cost per second of the interval, else per interval.
     """
 
     nx: int
     nu: int
     np: int
-    derivative: Callable[[ca.SX, ca.SX], ca.SX]
-    residual: Callable[[ca.SX], ca.SX] | None
+    derivative: Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
+    residual: Callable[[ca.SX, ca.SX], ca.SX] | None
     effort: Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
     path: Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
-    network: Layers | None
+    network: Network | None
     augmented: bool
     weigh_time: bool
 
@@ -74,7 +68,7 @@ class Stage:
 
 @dataclass(frozen=True, kw_only=True)
 class _NetworkTerms:
-    """The network's output y, its Jacobian, mu -> gradient of mu' y, mu -> Hessian of mu' y."""
+    """The acceleration d of the network, its Jacobian, mu -> gradient of mu' d, mu -> Hessian of mu' d."""
 
     value: ca.SX
     jacobian: ca.SX
@@ -82,36 +76,72 @@ class _NetworkTerms:
     bend: Callable[[ca.SX], ca.SX]
 
 
-def _network(network: Layers, inputs: ca.SX) -> _NetworkTerms:
-    """Output (3), Jacobian (3, 6), gradient (6) and Hessian (6, 6) of the network, all by formula."""
-    layers = [(ca.DM(weight), ca.DM(bias)) for weight, bias in network]
-    # Whole turns of yaw do not count (`host.models.network`); the derivatives do not see them.
-    yaw = ca.atan2(ca.sin(inputs[5]), ca.cos(inputs[5]))
-    value, slope = ca.vertcat(inputs[:5], yaw), ca.SX.eye(6)
+def network_ends(layout: Layout) -> dict[str, ca.Function]:
+    """What the network sees of v_ned and Theta and what its outputs give, with their derivatives.
+
+    seen(state) -> (n,); dseen(state) -> (n, 6); ddseen(state, eta) -> Hessian (6, 6) of eta' seen;
+    given(state, out) -> (3,); dgiven(state, out) -> (3, 6), (3, 3); ddgiven(state, out, mu) -> of mu' given
+    by state and state (6, 6), by out and state (3, 6).
+    """
+    state, out = ca.SX.sym("state", 6), ca.SX.sym("out", 3)
+    mu, eta = ca.SX.sym("mu", 3), ca.SX.sym("eta", layout.sizes[0])
+    seen = ca.vertcat(*layout.seen(CASADI, ca.vertsplit(state)))
+    given = ca.vertcat(*layout.given(CASADI, ca.vertsplit(state), ca.vertsplit(out)))
+    slope = ca.gradient(ca.dot(mu, given), state)
+    parts = {
+        "seen": ([state], [seen]),
+        "dseen": ([state], [ca.jacobian(seen, state)]),
+        "ddseen": ([state, eta], [ca.hessian(ca.dot(eta, seen), state)[0]]),
+        "given": ([state, out], [given]),
+        "dgiven": ([state, out], [ca.jacobian(given, state), ca.jacobian(given, out)]),
+        "ddgiven": ([state, out, mu], [ca.jacobian(slope, state), ca.jacobian(slope, out).T]),
+    }
+    return {name: ca.Function(name, inputs, outputs) for name, (inputs, outputs) in parts.items()}
+
+
+def _network(network: Network, state: ca.SX) -> _NetworkTerms:
+    """d (3), Jacobian (3, 6), gradient (6) and Hessian (6, 6) by (v_ned, Theta): the layers' by formula."""
+    ends = network_ends(network.layout)
+    layers = [(ca.DM(weight), ca.DM(bias)) for weight, bias in network.layout.layers(network.xi)]
+    ways = network.layout.sizes[0]
+    value, slope = ends["seen"](state), ca.SX.eye(ways)
     hidden: list[tuple[ca.SX, ca.SX]] = []  # (activation, Jacobian of what it is applied to)
     for weight, bias in layers[:-1]:
         before = weight @ slope
         value = ca.tanh(weight @ value + bias)
-        slope = ca.repmat(1 - value * value, 1, 6) * before
+        slope = ca.repmat(1 - value * value, 1, ways) * before
         hidden.append((value, before))
     weight, bias = layers[-1]
+    out = weight @ value + bias
+    by_state = ends["dseen"](state)
+    out_slope = weight @ slope @ by_state
+    given_by_state, by_out = ends["dgiven"](state, out)
 
-    def pull(mu: ca.SX) -> ca.SX:
-        back = weight.T @ mu
-        for (activation, _), (inner, _) in zip(reversed(hidden), reversed(layers[:-1]), strict=True):
-            back = inner.T @ ((1 - activation * activation) * back)
-        return back
-
-    def bend(mu: ca.SX) -> ca.SX:
-        total = ca.SX(6, 6)
+    def behind(mu: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Gradient and Hessian of mu' out by what is seen."""
+        total = ca.SX(ways, ways)
         back = weight.T @ mu
         for (activation, before), (inner, _) in zip(reversed(hidden), reversed(layers[:-1]), strict=True):
             gain = 1 - activation * activation
-            total += before.T @ (ca.repmat(-2 * activation * gain * back, 1, 6) * before)
+            total += before.T @ (ca.repmat(-2 * activation * gain * back, 1, ways) * before)
             back = inner.T @ (gain * back)
-        return total
+        return back, total
 
-    return _NetworkTerms(value=weight @ value + bias, jacobian=weight @ slope, pull=pull, bend=bend)
+    def pull(mu: ca.SX) -> ca.SX:
+        return by_state.T @ behind(by_out.T @ mu)[0] + given_by_state.T @ mu
+
+    def bend(mu: ca.SX) -> ca.SX:
+        eta, total = behind(by_out.T @ mu)
+        direct, mixed = ends["ddgiven"](state, out, mu)
+        cross = mixed.T @ out_slope
+        return by_state.T @ total @ by_state + ends["ddseen"](state, eta) + direct + cross + cross.T
+
+    return _NetworkTerms(
+        value=ends["given"](state, out),
+        jacobian=by_out @ out_slope + given_by_state,
+        pull=pull,
+        bend=bend,
+    )
 
 
 def _embed(block: ca.SX, rows: slice, columns: slice, shape: tuple[int, int]) -> ca.SX:
@@ -148,12 +178,11 @@ class _Builder:
         self.du = _embed(ca.SX.eye(nu), slice(0, nu), slice(nx, nx + nu), (nu, self.nz))
         self.dh = _embed(ca.SX(self.h0), slice(0, 1), slice(self.nz - 1, self.nz), (1, self.nz))  # d step/dz
 
-        f = model.derivative(self.x, self.u)
+        f = model.derivative(self.x, self.u, self.p)
         kappa = ca.SX.sym("kappa", nx)
-        self._f = ca.Function("f", [self.x, self.u], [f, ca.jacobian(f, self.x), ca.jacobian(f, self.u)])
-        self._f_bend = ca.Function(
-            "f_bend", [self.x, self.u, kappa], [ca.hessian(ca.dot(kappa, f), self.xu)[0]]
-        )
+        inputs = [self.x, self.u, self.p]
+        self._f = ca.Function("f", inputs, [f, ca.jacobian(f, self.x), ca.jacobian(f, self.u)])
+        self._f_bend = ca.Function("f_bend", [*inputs, kappa], [ca.hessian(ca.dot(kappa, f), self.xu)[0]])
         self.evaluations = self._integrate()
         self.x_next = self.x + self.step * self._mean_slope()
         self._residual()
@@ -168,7 +197,7 @@ class _Builder:
                 last = out[-1]
                 x = self.x + along * self.step * last.slope
                 dx = start + along * (self.step * last.slope_sensitivity + last.slope @ self.dh)
-            slope, jacobian, by_input = self._f(x, self.u)
+            slope, jacobian, by_input = self._f(x, self.u, self.p)
             network = None
             if self.model.network is not None and self.model.augmented:
                 network = _network(self.model.network, x[NETWORK_INPUTS])
@@ -206,10 +235,11 @@ class _Builder:
         self._effort = running
         gradient = ca.gradient(running, self.xu)
         if model.residual is not None:
-            d = model.residual(self.x)
+            d = model.residual(self.x, self.p)
             jacobian = ca.jacobian(d, self.x)
             mu = ca.SX.sym("mu", 3)
-            self._d_bend = ca.Function("d_bend", [self.x, mu], [ca.hessian(ca.dot(mu, d), self.x)[0]])
+            bend = ca.hessian(ca.dot(mu, d), self.x)[0]
+            self._d_bend = ca.Function("d_bend", [self.x, self.p, mu], [bend])
             pulled = jacobian.T @ d
             if model.network is not None:
                 terms = self.evaluations[0].network or _network(model.network, self.x[NETWORK_INPUTS])
@@ -274,7 +304,7 @@ class _Builder:
             pulled[i] = self.evaluations[i].jacobian.T @ adjoint[i]
         total = ca.SX(nz, nz)
         for evaluation, kappa in zip(self.evaluations, adjoint, strict=True):
-            bend = self._f_bend(evaluation.x, self.u, kappa)
+            bend = self._f_bend(evaluation.x, self.u, self.p, kappa)
             if evaluation.network is not None:
                 block = evaluation.network.bend(kappa[NETWORK_ROWS])
                 bend = bend + _embed(block, NETWORK_INPUTS, NETWORK_INPUTS, (nx + model.nu, nx + model.nu))
@@ -294,7 +324,7 @@ class _Builder:
         total = _embed(block, both, both, (nz, nz))
         if self.residual_jacobian is not None:
             jacobian, mu = self.residual_jacobian, 2 * sigma * weight * self.residual
-            bend = self._d_bend(self.x, mu) + 2 * sigma * weight * (jacobian.T @ jacobian)
+            bend = self._d_bend(self.x, self.p, mu) + 2 * sigma * weight * (jacobian.T @ jacobian)
             total = total + _embed(bend, states, states, (nz, nz))
             if model.network is not None:
                 total = total + _embed(self._d_network_bend(mu), NETWORK_INPUTS, NETWORK_INPUTS, (nz, nz))

@@ -1,384 +1,334 @@
-"""Direct multiple shooting: many intervals joined into one sparse problem for Ipopt.
+"""Direct multiple shooting: many intervals joined into one sparse problem.
 
 The unknowns are the states at N + 1 nodes, the inputs of N intervals and the step sizes in units of their
 nominal value, one for each interval or one shared by all intervals of a leg (paper eq. 11 with every h in a
-box). Sharing makes a step size one dense column in the sparse matrices instead of a variable of its own at
-every node, and keeps the solver from trading steps against each other within a leg. All derivatives come from
-`Stage`, mapped over the intervals; MUMPS factorises. The same problem gives the same iterates.
+box). Everything stands in the order of the nodes, so that a solver for optimal control (Fatrop) sees a chain
+of stages and one for sparse problems (Ipopt) a narrow band: a step size is an input of its leg's first
+interval and a state of the others, and where the whole time is bounded it is a state too. Values that bounds
+fix are rows.
 """
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
-from enum import Enum
-from typing import Any
+from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csc_matrix
 
-from host.plan.stage import Stage, StageModel
+from host.plan.clearance import Clearance
+from host.plan.intervals import Engine
+from host.plan.problem import Problem
+from host.route.shapes import Shape
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Multipliers:
-    """Of the bounds on the unknowns and of the constraint rows, at a solution."""
-
-    bounds: Array
-    rows: Array
-
-
-@dataclass(frozen=True, kw_only=True)
-class Problem:
-    """Bounds and a start for the unknowns of N intervals. Infinite bounds mean none; equal ones fix a value.
-
-    leg_of: (N,) leg of each interval, ascending from 0. h0_s: (N,) nominal steps. parameters: (np, N).
-    x_bounds: two of (nx, N + 1); u_bounds: two of (nu, N); path_bounds: two of (rows, N); h_bounds: low,
-    high, in units of h0_s. total_bounds_s: low, high of the whole time; equal ones pin it. x_start: (nx, N +
-    1); u_start: (nu, N); h_start: (steps,). step_penalty: cost of (h - 1)^2 for each step size.
-    """
-
-    leg_of: NDArray[np.int64]
-    shared_steps: bool
-    h0_s: Array
-    parameters: Array
-    x_bounds: tuple[Array, Array]
-    u_bounds: tuple[Array, Array]
-    path_bounds: tuple[Array, Array]
-    h_bounds: tuple[float, float]
-    total_bounds_s: tuple[float, float]
-    x_start: Array
-    u_start: Array
-    h_start: Array
-    step_penalty: float
-    warm: Multipliers | None = None
-
-    def __post_init__(self) -> None:
-        count = len(self.leg_of)
-        if self.h0_s.shape != (count,) or not (self.h0_s > 0).all():
-            raise ValueError(f"h0_s must be {count} positive steps")
-        for name, array, columns in (
-            ("x", self.x_start, count + 1),
-            ("u", self.u_start, count),
-            ("parameters", self.parameters, count),
-        ):
-            if array.shape[1] != columns:
-                raise ValueError(f"{name} has {array.shape[1]} columns, {columns} wanted")
-        if self.h_start.shape != (self.steps,):
-            raise ValueError(f"h_start has shape {self.h_start.shape}, {self.steps} step sizes wanted")
-        if not 0.0 < self.h_bounds[0] <= 1.0 <= self.h_bounds[1]:
-            raise ValueError(f"the step box {self.h_bounds} must be positive and hold 1")
-
-    @property
-    def step_of(self) -> NDArray[np.int64]:
-        """(N,) the step size variable of each interval."""
-        return self.leg_of if self.shared_steps else np.arange(len(self.leg_of))
-
-    @property
-    def steps(self) -> int:
-        """How many step sizes there are."""
-        return int(self.step_of[-1]) + 1
-
-
-_WARM = {
-    "ipopt.warm_start_init_point": "yes",
-    "ipopt.mu_init": 1e-4,
-    "ipopt.warm_start_bound_push": 1e-6,
-    "ipopt.warm_start_bound_frac": 1e-6,
-    "ipopt.warm_start_slack_bound_push": 1e-6,
-    "ipopt.warm_start_slack_bound_frac": 1e-6,
-    "ipopt.warm_start_mult_bound_push": 1e-6,
-}
-"""For a start near the solution, with its multipliers; else Ipopt moves it into the middle of its box."""
-
-
-class SolveStatus(Enum):
-    """How a solve ended; the value is a sentence for a person."""
-
-    SOLVED = "the solver converged"
-    ACCEPTABLE = "the solver stopped at an acceptable point just short of its tolerance"
-    INFEASIBLE = (
-        "the constraints contradict each other: the solver converged to a point that violates them least"
-    )
-    ITERATIONS = "the solver reached its limit of iterations without converging"
-    RESTORATION = "the solver could not get back to a feasible point"
-    INVALID_NUMBER = "the model gave a number that is not finite"
-    STEP = "the solver's search direction became too small to make progress"
-    OTHER = "the solver gave up"
-
-    @property
-    def usable(self) -> bool:
-        """Whether the point may be used, subject to the checks of the reference."""
-        return self in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE)
-
-
-_STATUS = {
-    "Solve_Succeeded": SolveStatus.SOLVED,
-    "Solved_To_Acceptable_Level": SolveStatus.ACCEPTABLE,
-    "Infeasible_Problem_Detected": SolveStatus.INFEASIBLE,
-    "Maximum_Iterations_Exceeded": SolveStatus.ITERATIONS,
-    "Restoration_Failed": SolveStatus.RESTORATION,
-    "Invalid_Number_Detected": SolveStatus.INVALID_NUMBER,
-    "Search_Direction_Becomes_Too_Small": SolveStatus.STEP,
-}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Solution:
-    """The last iterate. x: (nx, N + 1); u: (nu, N); h: (steps,) in units of h0; t_s: (N + 1,) node times.
-
-    violation: by how much it misses the constraint rows at most.
-    """
-
-    status: SolveStatus
-    x: Array
-    u: Array
-    h: Array
-    t_s: Array
-    cost: float
-    iterations: int
-    solve_s: float
-    multipliers: Multipliers
-    violation: float
-
-
-def solve(
-    model: StageModel, stage: Stage, problem: Problem, *, tolerance: float, max_iterations: int
-) -> Solution:
-    """The local optimum from the given start. `solve_s` is processor time and the only number that varies."""
-    started = time.process_time()
-    assembly = Assembly(model, stage, problem)
-    options: dict[str, Any] = {
-        "cache": assembly.derivatives,
-        "no_nlp_grad": True,
-        "calc_lam_p": False,
-        "print_time": False,
-        "ipopt.print_level": 0,
-        "ipopt.sb": "yes",
-        "ipopt.tol": tolerance,
-        "ipopt.max_iter": max_iterations,
-    }
-    low, high = assembly.bounds()
-    g_low, g_high = assembly.row_bounds()
-    given = {"x0": assembly.start(), "lbx": low, "ubx": high, "lbg": g_low, "ubg": g_high}
-    if problem.warm is not None:
-        options |= _WARM
-        given |= {"lam_x0": problem.warm.bounds, "lam_g0": problem.warm.rows}
-    solver = ca.nlpsol("plan", "ipopt", assembly.nlp, options)
-    found = solver(**given)
-    stats = solver.stats()
-    x, u, h = assembly.split(np.asarray(found["x"]).ravel())
-    steps = h[problem.step_of] * problem.h0_s
-    return Solution(
-        status=_STATUS.get(stats["return_status"], SolveStatus.OTHER),
-        x=x,
-        u=u,
-        h=h,
-        t_s=np.concatenate([[0.0], np.cumsum(steps)]),
-        cost=float(found["f"]),
-        iterations=int(stats["iter_count"]),
-        solve_s=time.process_time() - started,
-        multipliers=Multipliers(
-            bounds=np.asarray(found["lam_x"]).ravel(), rows=np.asarray(found["lam_g"]).ravel()
-        ),
-        violation=_violation(np.asarray(found["g"]).ravel(), g_low, g_high),
-    )
-
-
-def _violation(rows: Array, low: Array, high: Array) -> float:
-    """Largest distance of a row from its bounds; infinity where one is not a number."""
-    missed = float(np.maximum(low - rows, rows - high).max())
-    return max(0.0, missed) if np.isfinite(rows).all() else float("inf")
+Index = NDArray[np.int64]
 
 
 class Assembly:
-    """Objective, constraints and their derivatives over all intervals, as CasADi functions of one vector w.
+    """Objective, constraints and their derivatives over all intervals, as functions of one vector w.
 
-    w = (x_0 .. x_N, u_0 .. u_{N-1}, h). Rows: N * nx gaps, N * np path rows, then the total time.
+    w: node by node the states, the step size where it is a state, the time, the inputs, the step size where
+    it is an input. Rows: node by node the gaps to the next, the bounded path rows, what is fixed there.
     """
 
-    def __init__(self, model: StageModel, stage: Stage, problem: Problem) -> None:
+    def __init__(self, engine: Engine, problem: Problem, keep_out: Sequence[Shape] = ()) -> None:
         self.problem, self.count = problem, len(problem.leg_of)
-        self.nx, self.nu = model.nx, model.nu
-        self.rows = stage.value.size1_out("path")
-        self.width = self.nx * (self.count + 1) + self.nu * self.count + problem.steps
-        self.height = (self.nx + self.rows) * self.count + 1
-        w = ca.MX.sym("w", self.width)
-        none = ca.MX.sym("p", 0, 1)
-        self._arguments = self._interval_arguments(w)
-        x_next, cost, path = stage.value.map(self.count)(*self._arguments)
-        gaps = x_next - self._x(w)[:, 1:]
-        h = w[self.width - problem.steps :]
-        self._time_row = np.bincount(problem.step_of, weights=problem.h0_s)
-        g = ca.vertcat(ca.vec(gaps), ca.vec(path), ca.dot(ca.DM(self._time_row), h))
-        f = ca.sum2(cost) + problem.step_penalty * ca.sumsqr(h - 1)
-        self.nlp = {"x": w, "f": f, "g": g}
-        self.derivatives = {
-            "nlp_grad_f": self._gradient(w, none, stage, f),
-            "nlp_jac_g": self._jacobian(w, none, stage, g),
-            "nlp_hess_l": self._hessian(w, none, stage),
-        }
+        self.nx, self.nu = engine.model.nx, engine.model.nu
+        self._intervals = engine.over(problem.h0_s, problem.parameters)
+        self._own_rows = problem.path_bounds[0].shape[0] - len(keep_out)
+        self._clearance = Clearance(keep_out, self.count) if keep_out else None
+        self._place_unknowns()
+        self._place_rows()
+        self._plan_jacobian()
+        self._plan_hessian()
+        self._at: Array = np.full(self.width, np.nan)
+        self._known: set[str] = set()
 
-    def _x(self, w: ca.MX) -> ca.MX:
-        return ca.reshape(w[: self.nx * (self.count + 1)], self.nx, self.count + 1)
+    # Where things stand.
 
-    def _interval_arguments(self, w: ca.MX) -> list[ca.MX | ca.DM]:
-        first = self.nx * (self.count + 1)
-        u = ca.reshape(w[first : first + self.nu * self.count], self.nu, self.count)
-        steps = (first + self.nu * self.count + self.problem.step_of).tolist()
-        return [
-            self._x(w)[:, : self.count],
-            u,
-            ca.reshape(w[steps], 1, self.count),
-            ca.DM(self.problem.h0_s).T,
-            ca.DM(self.problem.parameters),
-        ]
+    def _place_unknowns(self) -> None:
+        problem, count, nx, nu = self.problem, self.count, self.nx, self.nu
+        step_of = problem.step_of
+        first = np.concatenate([[True], step_of[1:] != step_of[:-1]])
+        free = problem.steps_free
+        self._timed = free and bool(np.isfinite(problem.total_bounds_s).any())
+        self._h_is_input = first & free
+        self._h_is_state = np.append(~first & free, False)
+        t_is_state = np.arange(count + 1) > 0
+        t_is_state &= self._timed
+        self.nx_of = nx + self._h_is_state + t_is_state.astype(int)
+        self.nu_of = np.append(nu + self._h_is_input.astype(int), 0)
+        start = np.concatenate([[0], np.cumsum(self.nx_of + self.nu_of)])
+        self.width = int(start[-1])
+        self._x_at = start[:-1, None] + np.arange(nx)
+        self._u_at = (start[:-1] + self.nx_of)[:-1, None] + np.arange(nu)
+        self._t_at = np.where(t_is_state, start[:-1] + nx + self._h_is_state, -1)
+        h_state = np.where(self._h_is_state, start[:-1] + nx, -1)
+        self._h_at = np.where(self._h_is_input, self._u_at[:, -1] + 1, h_state[:-1]) if free else None
+        self._h_state_at = h_state
+        self._first_of = np.flatnonzero(first)
 
-    def _columns(self) -> NDArray[np.int64]:
-        """(N, nx + nu + 1): where each interval's z lies in w."""
-        k = np.arange(self.count)[:, None]
-        first = self.nx * (self.count + 1)
-        return np.hstack(
-            [
-                k * self.nx + np.arange(self.nx),
-                first + k * self.nu + np.arange(self.nu),
-                first + self.nu * self.count + self.problem.step_of[:, None],
-            ]
+    def _place_rows(self) -> None:
+        """Rows with their bounds; equal bounds on unknowns become rows."""
+        problem, count = self.problem, self.count
+        low, high = self._spread(problem.x_bounds, problem.u_bounds)
+        fixed = (low == high) & np.isfinite(low)
+        self._fixed_at = np.flatnonzero(fixed)
+        stage_of = np.repeat(np.arange(count + 1), self.nx_of + self.nu_of)
+        bounded = np.isfinite(problem.path_bounds[0]) | np.isfinite(problem.path_bounds[1])
+        gaps = np.append(self.nx_of[1:], 0)
+        paths = np.append(bounded.sum(axis=0), 0)
+        fixes = np.bincount(stage_of[self._fixed_at], minlength=count + 1)
+        self.ng_of = paths + fixes
+        start = np.concatenate([[0], np.cumsum(gaps + self.ng_of)])
+        self.height = int(start[-1])
+        self._gap_at = start[:-2, None] + np.arange(self.nx)
+        after = start[:-2] + self.nx
+        self._h_row = np.where(self._h_is_state[1:], after, -1)
+        self._t_row = np.where(self._t_at[1:] >= 0, after + self._h_is_state[1:], -1)
+        order = np.cumsum(bounded, axis=0) - 1
+        self._path_at = np.where(bounded, (start[:-2] + gaps[:-1])[None, :] + order, -1).T
+        within = (
+            np.arange(len(self._fixed_at)) - np.concatenate([[0], np.cumsum(fixes)])[stage_of[self._fixed_at]]
         )
+        self._fix_at = (start[:-1] + gaps + paths)[stage_of[self._fixed_at]] + within
+        self.g_low, self.g_high = np.zeros(self.height), np.zeros(self.height)
+        k, row = np.nonzero(self._path_at >= 0)
+        at = self._path_at[k, row]
+        self.g_low[at], self.g_high[at] = (bound[row, k] for bound in problem.path_bounds)
+        self.g_low[self._fix_at] = self.g_high[self._fix_at] = low[self._fixed_at]
+        low[self._fixed_at], high[self._fixed_at] = -np.inf, np.inf
+        self.low, self.high = low, high
 
-    def _gradient(self, w: ca.MX, none: ca.MX, stage: Stage, f: ca.MX) -> ca.Function:
-        """Gradients of the intervals, scattered: step sizes are shared, everything else stands alone."""
-        cost_slope = stage.gradient.map(self.count)(*self._arguments)
-        columns = self._columns().ravel()
-        scatter = ca.DM.triplet(
-            columns.tolist(), list(range(len(columns))), ca.DM.ones(len(columns)), self.width, len(columns)
-        )
-        h_first = self.width - self.problem.steps
-        penalty = ca.vertcat(ca.MX(h_first, 1), 2 * self.problem.step_penalty * (w[h_first:] - 1))
-        gradient = ca.densify(
-            scatter @ ca.vec(cost_slope) + penalty
-        )  # the solver reads it without its pattern
-        return ca.Function("nlp_grad_f", [w, none], [f, gradient], ["x", "p"], ["f", "grad:f:x"])
-
-    def _jacobian(self, w: ca.MX, none: ca.MX, stage: Stage, g: ca.MX) -> ca.Function:
-        x_slope, path_slope = stage.slopes.map(self.count)(*self._arguments)
-        columns = self._columns()
-        intervals = np.arange(self.count)[:, None]
-        parts: list[tuple[NDArray[np.int64], NDArray[np.int64], ca.MX | ca.DM]] = []
-        for sparsity, values, offset, rows in (
-            (stage.slopes.sparsity_out("x_slope"), x_slope, 0, self.nx),
-            (stage.slopes.sparsity_out("path_slope"), path_slope, self.nx * self.count, self.rows),
-        ):
-            row, column = (np.array(index, dtype=np.int64) for index in sparsity.get_triplet())
-            parts.append(
-                ((offset + intervals * rows + row).ravel(), columns[:, column].ravel(), ca.vec(values.nz[:]))
-            )
-        gap = np.arange(self.nx * self.count)
-        parts.append((gap, gap + self.nx, ca.DM(-np.ones(len(gap)))))
-        steps = np.arange(self.problem.steps)
-        parts.append(
-            (
-                np.full(len(steps), self.height - 1),
-                self.width - self.problem.steps + steps,
-                ca.DM(self._time_row),
-            )
-        )
-        matrix = _sparse(parts, self.height, self.width)
-        return ca.Function("nlp_jac_g", [w, none], [g, matrix], ["x", "p"], ["g", "jac:g:x"])
-
-    def _hessian(self, w: ca.MX, none: ca.MX, stage: Stage) -> ca.Function:
-        sigma = ca.MX.sym("lam_f")
-        lam = ca.MX.sym("lam_g", self.height)
-        split = self.nx * self.count
-        blocks = stage.hessian.map(self.count)(
-            *self._arguments,
-            ca.repmat(sigma, 1, self.count),
-            ca.reshape(lam[:split], self.nx, self.count),
-            ca.reshape(lam[split : self.height - 1], self.rows, self.count),
-        )
-        sparsity = stage.hessian.sparsity_out("hessian")
-        row, column = (np.array(index, dtype=np.int64) for index in sparsity.get_triplet())
-        values = ca.reshape(blocks.nz[:], len(row), self.count)
-        last = self.nx + self.nu
-        shared = (row == last) & (column == last)
-        alone = np.flatnonzero(~shared)
-        columns = self._columns()
-        parts: list[tuple[NDArray[np.int64], NDArray[np.int64], ca.MX | ca.DM]] = [
-            (
-                columns[:, row[alone]].ravel(),
-                columns[:, column[alone]].ravel(),
-                ca.vec(values[alone.tolist(), :]),
-            )
-        ]
-        steps = np.arange(self.problem.steps)
-        total = 2 * self.problem.step_penalty * sigma * ca.MX.ones(self.problem.steps)
-        if shared.any():
-            gather = ca.DM.triplet(
-                self.problem.step_of.tolist(),
-                list(range(self.count)),
-                ca.DM.ones(self.count),
-                self.problem.steps,
-                self.count,
-            )
-            total += gather @ ca.vec(values[np.flatnonzero(shared).tolist(), :])
-        diagonal = self.width - self.problem.steps + steps
-        parts.append((diagonal, diagonal, total))
-        matrix = _sparse(parts, self.width, self.width)
-        return ca.Function(
-            "nlp_hess_l",
-            [w, none, sigma, lam],
-            [matrix],
-            ["x", "p", "lam:f", "lam:g"],
-            ["triu:hess:gamma:x:x"],
-        )
-
-    def bounds(self) -> tuple[Array, Array]:
+    def _spread(self, x: tuple[Array, Array], u: tuple[Array, Array]) -> tuple[Array, Array]:
         """Bounds of w."""
-        p = self.problem
-        low, high = (
-            np.concatenate([x.ravel(order="F"), u.ravel(order="F"), np.full(p.steps, h)])
-            for x, u, h in zip(p.x_bounds, p.u_bounds, p.h_bounds, strict=True)
-        )
+        problem = self.problem
+        low, high = np.full(self.width, -np.inf), np.full(self.width, np.inf)
+        for bound, of_x, of_u in zip((low, high), x, u, strict=True):
+            bound[self._x_at], bound[self._u_at] = of_x.T, of_u.T
+        if self._h_at is not None:
+            at = self._h_at[self._first_of]
+            low[at], high[at] = problem.h_bounds
+        if self._timed:
+            low[self._t_at[-1]], high[self._t_at[-1]] = problem.total_bounds_s
         return low, high
 
-    def row_bounds(self) -> tuple[Array, Array]:
-        """Bounds of the constraint rows."""
-        p = self.problem
-        gap = np.zeros(self.nx * self.count)
-        low, high = (
-            np.concatenate([gap, path.ravel(order="F"), [total]])
-            for path, total in zip(p.path_bounds, p.total_bounds_s, strict=True)
-        )
-        return low, high
+    def _columns(self, entries: Index) -> Index:
+        """(N, entries) where entries of z = (x, u, h) stand in w; -1 for a step size that is no unknown."""
+        h = np.full(self.count, -1) if self._h_at is None else self._h_at
+        return np.hstack([self._x_at[:-1], self._u_at, h[:, None]])[:, entries]
+
+    def _plan_jacobian(self) -> None:
+        """The pattern of dg/dw, its constant entries, and where the intervals' numbers go."""
+        intervals, clearance = self._intervals, self._clearance
+        parts: list[tuple[Index, Index, Array]] = []
+
+        def constant(rows: Index, columns: Index, value: float | Array) -> None:
+            kept = (rows >= 0) & (columns >= 0)
+            parts.append((rows[kept], columns[kept], np.broadcast_to(value, rows.shape)[kept]))
+
+        constant(self._gap_at.ravel(), self._x_at[1:].ravel(), 1.0)
+        constant(self._fix_at, self._fixed_at, 1.0)
+        if self._h_at is not None:
+            constant(self._h_row, self._h_state_at[1:], 1.0)
+            constant(self._h_row, self._h_at, -1.0)
+        if self._timed and self._h_at is not None:
+            constant(self._t_row, self._t_at[1:], 1.0)
+            constant(self._t_row, self._t_at[:-1], -1.0)
+            constant(np.where(self._h_is_input, self._t_row, -1), self._h_at, -self._leg_time())
+        fixed = len(parts)
+        sources: list[Index] = []  # of kept entries: where in what the intervals computed
+        for output, rows in (
+            (intervals.x_slope, self._gap_at[:, intervals.x_slope.rows]),
+            (intervals.path_slope, self._path_at[:, intervals.path_slope.rows]),
+        ):
+            columns = self._columns(output.columns)
+            kept = (rows >= 0) & (columns >= 0)
+            parts.append((rows[kept], columns[kept], np.zeros(int(kept.sum()))))
+            sources.append(output.at[kept])
+        if clearance is not None:
+            rows = np.repeat(self._path_at[:, self._own_rows :], 3, axis=1)
+            columns = np.tile(self._x_at[:-1, :3], (1, clearance.rows))
+            kept = rows >= 0
+            parts.append((rows[kept], columns[kept], np.zeros(int(kept.sum()))))
+            sources.append(np.flatnonzero(kept))
+        self.slopes = Pattern([part[:2] for part in parts], self.height, self.width)
+        places = [self.slopes.find(rows, columns) for rows, columns, _ in parts]
+        self._jacobian_constants = np.zeros(self.slopes.count)
+        for place, (_, _, values) in zip(places, parts, strict=True):
+            self._jacobian_constants[place] = values
+        self._jacobian_places = [
+            (place, source) for place, source in zip(places[fixed:], sources, strict=True)
+        ]
+
+    def _leg_time(self) -> Array:
+        """(N,) seconds that a step size of 1 gives all the intervals that share it."""
+        problem = self.problem
+        whole = np.bincount(problem.step_of, weights=problem.h0_s).astype(float)
+        return whole[problem.step_of]
+
+    def _plan_hessian(self) -> None:
+        output = self._intervals.hessian
+        rows, columns = self._columns(output.rows), self._columns(output.columns)
+        kept = (rows >= 0) & (columns >= 0)
+        self._hessian_from = output.at[kept]
+        up = np.minimum(rows, columns)[kept]
+        over = np.maximum(rows, columns)[kept]
+        extra: list[tuple[Index, Index]] = []
+        if self._h_at is not None:
+            diagonal = self._h_at[self._first_of]
+            extra.append((diagonal, diagonal))
+        if self._clearance is not None:
+            i, j = np.triu_indices(3)
+            extra.append((self._x_at[:-1][:, i].ravel(), self._x_at[:-1][:, j].ravel()))
+        self.upper = Pattern([(up, over), *extra], self.width, self.width)
+        self._hessian_to = self.upper.find(up, over)
+        self._hessian_extra = [self.upper.find(*more) for more in extra]
+
+    @cached_property
+    def whole_hessian(self) -> tuple[tuple[Index, Index], Index]:
+        """Rows and columns of the Hessian with both triangles, and which entry of the upper one each is."""
+        upper = self.upper
+        whole = Pattern([(upper.rows, upper.columns), (upper.columns, upper.rows)], self.width, self.width)
+        low, high = np.minimum(whole.rows, whole.columns), np.maximum(whole.rows, whole.columns)
+        return (whole.rows, whole.columns), upper.find(low, high)
+
+    # Numbers.
+
+    def _set(self, w: Array) -> None:
+        if np.array_equal(w, self._at):
+            return
+        self._at[:] = w
+        self._known.clear()
+        h = np.ones(self.count) if self._h_at is None else w[self._h_at]
+        self._intervals.set(w[self._x_at[:-1]], w[self._u_at], h)
+
+    def _need(self, what: str, compute: Callable[[], None]) -> None:
+        if what not in self._known:
+            compute()
+            self._known.add(what)
+
+    def objective(self, w: Array) -> float:
+        """The cost."""
+        self._set(w)
+        self._need("values", self._intervals.values)
+        cost = self._intervals.cost
+        total = float(cost.flat[cost.at].sum())
+        if self._h_at is not None and self.problem.step_penalty:
+            total += self.problem.step_penalty * float(((w[self._h_at[self._first_of]] - 1.0) ** 2).sum())
+        return total
+
+    def gradient(self, w: Array) -> Array:
+        """Its slope (width,)."""
+        self._set(w)
+        if "slopes" not in self._known:
+            self._need("gradient", self._intervals.gradient)
+        output = self._intervals.cost_slope
+        out = np.zeros(self.width)
+        columns = self._columns(output.rows)
+        kept = columns >= 0
+        out[columns[kept]] = output.flat[output.at[kept]]
+        if self._h_at is not None and self.problem.step_penalty:
+            at = self._h_at[self._first_of]
+            out[at] += 2.0 * self.problem.step_penalty * (w[at] - 1.0)
+        return out
+
+    def rows(self, w: Array) -> Array:
+        """The constraint rows (height,)."""
+        self._set(w)
+        self._need("values", self._intervals.values)
+        out = np.zeros(self.height)
+        x_next, path = self._intervals.x_next, self._intervals.path
+        out[self._gap_at] = w[self._x_at[1:]] - x_next.flat[x_next.at]
+        own = self._path_at[:, : self._own_rows]
+        kept = own >= 0
+        out[own[kept]] = path.flat[path.at[kept]]
+        if self._clearance is not None:
+            distance, _ = self._clearance.first(w[self._x_at[:-1, :3]])
+            out[self._path_at[:, self._own_rows :]] = distance
+        out[self._fix_at] = w[self._fixed_at]
+        if self._h_at is not None:
+            k = np.flatnonzero(self._h_row >= 0)
+            out[self._h_row[k]] = w[self._h_state_at[k + 1]] - w[self._h_at[k]]
+            k = np.flatnonzero(self._t_row >= 0)
+            before = np.where(self._t_at[k] >= 0, w[self._t_at[k]], 0.0)
+            change = np.where(self._h_is_input[k], self._leg_time()[k] * w[self._h_at[k]], 0.0)
+            out[self._t_row[k]] = w[self._t_at[k + 1]] - before - change
+        return out
+
+    def jacobian(self, w: Array) -> Array:
+        """Nonzeros of dg/dw in the order of `slopes`."""
+        self._set(w)
+        self._need("slopes", self._intervals.slopes)
+        out = self._jacobian_constants.copy()
+        (to, source), (path_to, path_source), *more = self._jacobian_places
+        out[to] = -self._intervals.x_slope.flat[source]
+        out[path_to] = self._intervals.path_slope.flat[path_source]
+        if self._clearance is not None:
+            _, slope = self._clearance.first(w[self._x_at[:-1, :3]])
+            out[more[0][0]] = slope.ravel()[more[0][1]]
+        return out
+
+    def hessian(self, w: Array, sigma: float, lam: Array) -> Array:
+        """Nonzeros of the upper triangle of the Hessian of sigma f + lam' g."""
+        self._set(w)
+        path = np.where(self._path_at >= 0, lam[self._path_at], 0.0)
+        self._intervals.bend(sigma, -lam[self._gap_at], path[:, : self._own_rows])
+        out = np.zeros(self.upper.count)
+        out[self._hessian_to] = self._intervals.hessian.flat[self._hessian_from]
+        extra = iter(self._hessian_extra)
+        if self._h_at is not None:
+            out[next(extra)] += 2.0 * self.problem.step_penalty * sigma
+        if self._clearance is not None:
+            bend = self._clearance.second(w[self._x_at[:-1, :3]], path[:, self._own_rows :])
+            i, j = np.triu_indices(3)
+            out[next(extra)] += bend[:, i, j].ravel()
+        return out
+
+    def lagrangian_gradient(self, w: Array, sigma: float, lam: Array) -> Array:
+        """Slope of sigma f + lam' g (width,)."""
+        values = self.jacobian(w)
+        pattern = self.slopes
+        matrix = csc_matrix((values, pattern.rows, pattern.starts), shape=(self.height, self.width))
+        return sigma * self.gradient(w) + matrix.T @ lam
 
     def start(self) -> Array:
-        """The start, clipped to its bounds by Ipopt."""
+        """The start: what is bounded inside its bounds, what is fixed there."""
         p = self.problem
-        return np.concatenate([p.x_start.ravel(order="F"), p.u_start.ravel(order="F"), p.h_start])
+        w = np.zeros(self.width)
+        w[self._x_at], w[self._u_at] = p.x_start.T, p.u_start.T
+        if self._h_at is not None:
+            w[self._h_at] = p.h_start[p.step_of]
+        if self._timed:
+            total = np.cumsum(np.bincount(p.step_of, weights=p.h0_s) * p.h_start)
+            k = np.flatnonzero(self._t_at >= 0)
+            w[self._t_at[k]] = total[p.step_of[k - 1]]
+        w[self._fixed_at] = self.g_low[self._fix_at]
+        return np.clip(w, self.low, self.high)
 
     def split(self, w: Array) -> tuple[Array, Array, Array]:
-        """x, u and h of a vector w."""
-        first = self.nx * (self.count + 1)
-        second = first + self.nu * self.count
-        return (
-            w[:first].reshape(self.count + 1, self.nx).T,
-            w[first:second].reshape(self.count, self.nu).T,
-            w[second:],
-        )
+        """x (nx, N + 1), u (nu, N) and h (steps,) of a vector w."""
+        h = np.ones(self.problem.steps) if self._h_at is None else w[self._h_at[self._first_of]]
+        return w[self._x_at].T, w[self._u_at].T, h
 
 
-def _sparse(
-    parts: list[tuple[NDArray[np.int64], NDArray[np.int64], ca.MX | ca.DM]], height: int, width: int
-) -> ca.MX:
-    """A sparse matrix from (rows, columns, values) without repeated entries."""
-    rows = np.concatenate([part[0] for part in parts])
-    columns = np.concatenate([part[1] for part in parts])
-    order = np.lexsort((rows, columns))
-    pattern = ca.Sparsity.triplet(height, width, rows.tolist(), columns.tolist())
-    if pattern.nnz() != len(rows):
-        raise ValueError("entries of a sparse matrix repeat")
-    values = ca.vertcat(*[ca.MX(part[2]) if isinstance(part[2], ca.DM) else part[2] for part in parts])
-    return ca.MX(pattern, values[order.tolist()])
+class Pattern:
+    """Entries of a sparse matrix, column by column: rows, columns (nonzeros,), starts (width + 1,)."""
+
+    def __init__(self, parts: Sequence[tuple[Index, Index]], height: int, width: int) -> None:
+        self._shape = (height, width)
+        self._keys = np.unique(np.concatenate([columns * height + rows for rows, columns in parts]))
+        self.count = len(self._keys)
+        self.columns, self.rows = np.divmod(self._keys, height)
+        self.starts = np.searchsorted(self.columns, np.arange(width + 1))
+
+    def find(self, rows: Index, columns: Index) -> Index:
+        """Where entries stand among the nonzeros."""
+        return np.searchsorted(self._keys, columns * self._shape[0] + rows)
+
+    def sparsity(self) -> ca.Sparsity:
+        """As CasADi's."""
+        return ca.Sparsity(*self._shape, self.starts.tolist(), self.rows.tolist())

@@ -41,7 +41,7 @@ def command(
         min-snap, min-control or min-residual; with a star behind it the model is part of the dynamics.
         By default min-residual where a model is given that predicts a residual, else min-snap.
     nodes
-        About how many shooting intervals, 20 to 200; one about every 70 ms by default.
+        About how many shooting intervals, 20 to 1600; one about every 70 ms by default.
     time_s
         Total time, in place of the route's, at most 500 s.
     stretch

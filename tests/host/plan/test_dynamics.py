@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from host.effects import load_effects
-from host.errors import UsageError
 from host.models.model import Model, Values
 from host.models.network import Layout, Network
 from host.plan.dynamics import Dynamics, ResidualModel, Weights
@@ -36,8 +35,8 @@ def test_hover_state_does_not_move(augmented: bool) -> None:
         vehicle=VEHICLE, model=ResidualModel(parts=parts, network=network), augmented=augmented
     )
     rest = dynamics.hover(0.7)
-    x, u = ca.SX.sym("x", 16), ca.SX.sym("u", 4)
-    slope = _evaluate(dynamics.derivative(x, u), (x, rest), (u, np.zeros(4)))
+    x, u, p = ca.SX.sym("x", 16), ca.SX.sym("u", 4), ca.SX(dynamics.parameters(np.array([0.7])))
+    slope = _evaluate(dynamics.derivative(x, u, p), (x, rest), (u, np.zeros(4)))
     if augmented:
         slope[3:6] += network.acceleration_ned(rest[3:6, None], rest[6:9, None]).ravel()
         assert np.abs(rest[6:8]).max() > 0.01
@@ -63,7 +62,8 @@ def test_planner_sentence_of_an_effect_says_nothing_exactly_where_plans_do_not_c
         seen = []
         for parts in (beside, (*beside, (effect, theta))):
             dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts), augmented=augmented)
-            seen.append(_evaluate(ca.vertcat(dynamics.derivative(x, u), dynamics.residual(x)), *at))
+            p = ca.SX(dynamics.parameters(np.zeros(1)))
+            seen.append(_evaluate(ca.vertcat(dynamics.derivative(x, u, p), dynamics.residual(x, p)), *at))
         return bool(np.abs(seen[1] - seen[0]).max() > 1e-9)
 
     said = effect.closing.planner
@@ -80,8 +80,8 @@ def test_hover_with_a_model_that_cannot_rest_raises() -> None:
 
 def test_jerk_equals_the_acceleration_s_finite_difference() -> None:
     dynamics = Dynamics(vehicle=VEHICLE)
-    x, u = ca.SX.sym("x", 16), ca.SX.sym("u", 4)
-    derivative = ca.Function("f", [x, u], [dynamics.derivative(x, u)])
+    x, u, p = ca.SX.sym("x", 16), ca.SX.sym("u", 4), ca.SX(dynamics.parameters(np.zeros(1)))
+    derivative = ca.Function("f", [x, u], [dynamics.derivative(x, u, p)])
     squared = ca.Function("j", [x, u], [dynamics.jerk_squared(x, u)])
     rng = np.random.default_rng(1)
     state = np.concatenate([rng.standard_normal(6), 0.3 * rng.standard_normal(6), rng.uniform(0.5, 1.5, 4)])
@@ -132,9 +132,16 @@ def test_weights_that_are_not_positive_raise() -> None:
     assert Weights().scaled(2.0).control == 2.0 * Weights().control
 
 
-def test_network_in_the_bodys_frame_is_refused() -> None:
-    layout = Layout(hidden=(3,), frame="body")
-    network = Network(layout=layout, xi=np.zeros(layout.size))
-    model = Model(vehicle_id=VEHICLE.id, vehicle_name="research", network=network)
-    with pytest.raises(UsageError, match="learn it again with --frame world"):
-        ResidualModel.of(model, EFFECTS)
+def test_residual_at_rest_is_left_out_of_the_cost() -> None:
+    layout = Layout(hidden=(6,), frame="body")
+    network = Network(layout=layout, xi=np.random.default_rng(0).standard_normal(layout.size))
+    parts = ((EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["wind"], (2.0, -1.0)))
+    dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts, network=network))
+    rest = dynamics.rest_residual(0.7)
+    x = ca.SX.sym("x", 16)
+    p = ca.SX(dynamics.parameters(np.array([0.7]), rest=rest))
+    state = dynamics.hover(0.7)
+    d = _evaluate(dynamics.residual(x, p), (x, state))
+    d += network.acceleration_ned(state[3:6, None], state[6:9, None])[:, 0]
+    assert np.abs(rest).max() > 0.3
+    np.testing.assert_allclose(d, 0.0, atol=1e-12)

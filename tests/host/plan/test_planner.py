@@ -320,3 +320,11 @@ def test_measured_residual_is_that_of_the_drag() -> None:
 def test_shipped_routes_can_be_planned_for_every_vehicle(route: str, vehicle: str) -> None:
     made = plan(load_route(route), load_vehicle(vehicle), stretch=True)
     assert made.stretch < (1.0 + 1e-9 if vehicle == "research" else 1.4)
+
+
+def test_a_solve_that_would_never_end_is_left_to_the_other_solver(require) -> None:
+    # Fifty legs of four intervals: on the way Fatrop meets rows it takes for dependent, and searches on.
+    require("compiler")
+    points = tuple((0.02 * k, 0.3 * (k % 2), -1.0) for k in range(52))
+    made = plan(Route(name="zigzag", waypoints_m=points, total_time_s=40.0), VEHICLE, kind="min-control")
+    assert made.status == "solved"

@@ -6,44 +6,44 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from host.codegen import CASADI
 from host.effects import load_effects
-from host.models.network import Layout, Network
-from host.plan.dynamics import INPUTS, PARAMETERS, STATES, Dynamics, ResidualModel, Weights, layers
-from host.plan.stage import NETWORK_INPUTS, Layers, StageModel, build_stage
-from host.route.shapes import Sphere
+from host.models.network import Frame, Layout, Network
+from host.plan.dynamics import EFFECTS, INPUTS, PATH_ROWS, STATES, Dynamics, ResidualModel, Weights
+from host.plan.intervals import Engine, Intervals
+from host.plan.kernel import kernel_source
+from host.plan.stage import NETWORK_INPUTS, StageModel, build_stage
 from host.vehicle import load_vehicle
 
 _EFFECTS = load_effects()
+_VEHICLE = load_vehicle("research")
+_FRAMES = (None, "world", "body")
 
 
-def _stage_model(augmented: bool, network: bool, minimise: bool, weigh_time: bool) -> StageModel:
-    vehicle = load_vehicle("research")
+def _dynamics(augmented: bool, frame: Frame | None) -> Dynamics:
     parts = (
         (_EFFECTS["linear-drag"], (0.5, 0.4, 0.1)),
         (_EFFECTS["wind"], (1.0, -0.5)),
         (_EFFECTS["thrust-gain"], (0.95,)),
     )
     learned = None
-    if network:
-        layout = Layout(hidden=(8, 5))
+    if frame is not None:
+        layout = Layout(hidden=(8, 5), frame=frame)
         learned = Network(layout=layout, xi=0.4 * np.random.default_rng(0).standard_normal(layout.size))
-    dynamics = Dynamics(
-        vehicle=vehicle, model=ResidualModel(parts=parts, network=learned), augmented=augmented
-    )
-    return dynamics.stage_model(
-        minimise_residual=minimise,
-        weights=Weights(control=0.3, thrust_rate=0.02, yaw=10.0),
-        limits=vehicle.limits,
-        keep_out=[Sphere(kind="sphere", centre_m=(5.0, 0.0, 0.0), radius_m=1.0)],
-        weigh_time=weigh_time,
-    )
+    return Dynamics(vehicle=_VEHICLE, model=ResidualModel(parts=parts, network=learned), augmented=augmented)
 
 
-def _network(network: Layers, inputs: ca.SX) -> ca.SX:
-    value = inputs
-    for k, (weight, bias) in enumerate(network):
+def _stage_model(augmented: bool, frame: Frame | None, minimise: bool, weigh_time: bool) -> StageModel:
+    return _dynamics(augmented, frame).stage_model(minimise_residual=minimise, weigh_time=weigh_time)
+
+
+def _network(network: Network, state: ca.SX) -> ca.SX:
+    """The network written down plainly."""
+    layout = network.layout
+    value = ca.vertcat(*layout.seen(CASADI, ca.vertsplit(state)))
+    for k, (weight, bias) in enumerate(layout.layers(network.xi)):
         value = ca.DM(weight) @ (ca.tanh(value) if k else value) + ca.DM(bias)
-    return value
+    return ca.vertcat(*layout.given(CASADI, ca.vertsplit(state), ca.vertsplit(value)))
 
 
 def _unrolled(model: StageModel) -> tuple[list[ca.SX], ca.SX, ca.SX, ca.SX]:
@@ -55,7 +55,7 @@ def _unrolled(model: StageModel) -> tuple[list[ca.SX], ca.SX, ca.SX, ca.SX]:
         return ca.SX(3, 1) if model.network is None else _network(model.network, state[NETWORK_INPUTS])
 
     def f(state: ca.SX) -> ca.SX:
-        slope = model.derivative(state, u)
+        slope = model.derivative(state, u, p)
         if model.augmented:
             slope = slope + ca.vertcat(ca.SX(3, 1), learned(state), ca.SX(model.nx - 6, 1))
         return slope
@@ -67,35 +67,48 @@ def _unrolled(model: StageModel) -> tuple[list[ca.SX], ca.SX, ca.SX, ca.SX]:
     k4 = f(x + step * k3)
     cost = model.effort(x, u, p)
     if model.residual is not None:
-        d = model.residual(x) + learned(x)
+        d = model.residual(x, p) + learned(x)
         cost = cost + ca.dot(d, d)
     cost = cost * step if model.weigh_time else cost
     return [x, u, h, h0, p], x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4), cost, model.path(x, u, p)
 
 
-def _point(seed: int) -> list[np.ndarray]:
-    rng = np.random.default_rng(seed)
-    x = np.concatenate([2.0 * rng.standard_normal(6), 0.4 * rng.standard_normal(6), rng.uniform(0.5, 1.5, 4)])
-    return [x, rng.standard_normal(INPUTS), np.array(1.1), np.array(0.08), np.array([0.1, 2.0])]
+def _points(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """x, u, h, h0_s and parameters of intervals, one a column."""
+    rng = np.random.default_rng(7)
+    x = np.concatenate(
+        [
+            2.0 * rng.standard_normal((6, count)),
+            0.4 * rng.standard_normal((6, count)),
+            rng.uniform(0.5, 1.5, (4, count)),
+        ]
+    )
+    p = _dynamics(True, None).parameters(
+        rng.uniform(-0.2, 0.2, count),
+        smoothing=2.0,
+        weights=Weights(control=0.3, thrust_rate=0.02, yaw=10.0, time=0.7),
+        rest=np.array([0.2, -0.1, 0.3]),
+    )
+    steps = rng.uniform(0.05, 0.1, count)
+    return x, rng.standard_normal((INPUTS, count)), rng.uniform(0.8, 1.2, count), steps, p
 
 
+@pytest.mark.parametrize("engine", ["vm", "c"])
 @pytest.mark.parametrize("weigh_time", [True, False])
 @pytest.mark.parametrize("minimise", [True, False])
-@pytest.mark.parametrize("network", [True, False])
+@pytest.mark.parametrize("frame", _FRAMES)
 @pytest.mark.parametrize("augmented", [True, False])
-def test_stage_derivatives_equal_those_of_the_unrolled_step(
-    augmented: bool, network: bool, minimise: bool, weigh_time: bool
+def test_derivatives_of_intervals_equal_those_of_the_unrolled_step(
+    augmented: bool, frame: Frame | None, minimise: bool, weigh_time: bool, engine: str, require
 ) -> None:
-    model = _stage_model(augmented, network, minimise, weigh_time)
-    assert (model.nx, model.nu, model.np) == (STATES, INPUTS, PARAMETERS)
-    stage = build_stage(model)
+    if engine == "c":
+        require("compiler")
+    model = _stage_model(augmented, frame, minimise, weigh_time)
+    assert (model.nx, model.nu, model.np) == (STATES, INPUTS, EFFECTS + 6)
     arguments, x_next, cost, path = _unrolled(model)
     z, xu = ca.vertcat(*arguments[:3]), ca.vertcat(*arguments[:2])
-    sigma, lam_x, lam_path = (
-        ca.SX.sym("sigma"),
-        ca.SX.sym("lam_x", model.nx),
-        ca.SX.sym("lam_p", path.shape[0]),
-    )
+    rows = path.shape[0]
+    sigma, lam_x, lam_path = ca.SX.sym("sigma"), ca.SX.sym("lam_x", model.nx), ca.SX.sym("lam_p", rows)
     lagrangian = sigma * cost + ca.dot(lam_x, x_next) + ca.dot(lam_path, path)
     oracle = ca.Function(
         "oracle",
@@ -105,29 +118,68 @@ def test_stage_derivatives_equal_those_of_the_unrolled_step(
             ca.triu(ca.hessian(lagrangian, z)[0]),
         ],
     )  # fmt: skip
+    count = 11  # no multiple of the lanes
+    x, u, h, h0_s, p = _points(count)
     rng = np.random.default_rng(5)
-    for seed in range(3):
-        point = _point(seed)
-        weights = [np.array(1.3), rng.standard_normal(model.nx), rng.standard_normal(path.shape[0])]
-        found = [
-            *stage.value(*point),
-            stage.gradient(*point),
-            *stage.slopes(*point),
-            stage.hessian(*point, *weights),
-        ]
-        for value, expected in zip(found, oracle(*point, *weights), strict=True):
-            scale = max(1.0, np.abs(np.array(expected)).max())
-            np.testing.assert_allclose(np.array(value), np.array(expected), atol=1e-11 * scale)
+    weights = rng.standard_normal((count, model.nx)), rng.standard_normal((count, rows))
+    made = Engine(model, engine)
+    assert made.compiled == (engine == "c")
+    found = _evaluated(made.over(h0_s, p), (x.T, u.T, h), weights)
+    for k in range(count):
+        expected = oracle(x[:, k], u[:, k], h[k], h0_s[k], p[:, k], 1.3, *(part[k] for part in weights))
+        for value, wanted in zip(found, (np.array(part) for part in expected), strict=True):
+            scale = max(1.0, np.abs(wanted).max())
+            np.testing.assert_allclose(value[k], wanted, atol=1e-11 * scale)
+
+
+def _evaluated(
+    intervals: Intervals, where: tuple[np.ndarray, ...], weights: tuple[np.ndarray, ...]
+) -> list[np.ndarray]:
+    """All outputs, (N, height, width) each."""
+    intervals.set(*where)
+    intervals.values()
+    intervals.slopes()
+    gradient = intervals.cost_slope.dense(STATES + INPUTS + 1)
+    intervals.gradient()
+    np.testing.assert_array_equal(intervals.cost_slope.dense(STATES + INPUTS + 1), gradient)
+    intervals.bend(1.3, *weights)
+    nz = STATES + INPUTS + 1
+    return [
+        intervals.x_next.dense(STATES),
+        intervals.cost.dense(1),
+        intervals.path.dense(PATH_ROWS),
+        gradient,
+        intervals.x_slope.dense(STATES, nz),
+        intervals.path_slope.dense(PATH_ROWS, nz - 1),
+        intervals.hessian.dense(nz, nz),
+    ]
+
+
+def test_other_weights_limits_and_values_need_no_other_kernel() -> None:
+    first = _dynamics(True, "world")
+    layout = Layout(hidden=(8, 5))
+    other = ResidualModel(
+        parts=tuple((effect, tuple(0.5 * value for value in theta)) for effect, theta in first.model.parts),
+        network=Network(layout=layout, xi=np.ones(layout.size)),
+    )
+    models = [
+        Dynamics(vehicle=_VEHICLE, model=model, augmented=True).stage_model(
+            minimise_residual=True, weigh_time=True
+        )
+        for model in (first.model, other)
+    ]
+    assert kernel_source(models[0]) == kernel_source(models[1])
 
 
 def test_stage_functions_of_the_same_model_have_the_same_instructions() -> None:
-    first, second = (build_stage(_stage_model(True, True, True, True)) for _ in range(2))
+    first, second = (build_stage(_stage_model(True, "world", True, True)) for _ in range(2))
     assert first.hessian.serialize() == second.hessian.serialize()
 
 
-def test_layers_of_a_network_give_its_output() -> None:
-    layout = Layout(hidden=(7, 4, 6))
+@pytest.mark.parametrize("frame", ["world", "body"])
+def test_layers_of_a_network_give_its_output(frame: Frame) -> None:
+    layout = Layout(hidden=(7, 4, 6), frame=frame)
     network = Network(layout=layout, xi=np.random.default_rng(1).standard_normal(layout.size))
-    inputs = np.random.default_rng(2).standard_normal(6)
-    value = np.array(ca.DM(_network(layers(network), ca.SX(ca.DM(inputs)))))
-    np.testing.assert_allclose(value, layout.arrays(network.xi, inputs[:, None]), atol=1e-14)
+    state = np.random.default_rng(2).standard_normal(6)
+    value = np.array(ca.DM(_network(network, ca.SX(ca.DM(state)))))
+    np.testing.assert_allclose(value, layout.arrays(network.xi, state[:, None]), atol=1e-14)

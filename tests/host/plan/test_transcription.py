@@ -8,8 +8,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from host.plan.stage import StageModel, build_stage
-from host.plan.transcription import Assembly, Problem, SolveStatus, solve
+from host.plan.intervals import Engine
+from host.plan.problem import Problem, SolveStatus
+from host.plan.solver import Solver, solve
+from host.plan.stage import StageModel
+from host.plan.transcription import Assembly
+from host.route.shapes import Sphere
 
 INF = np.inf
 
@@ -20,7 +24,7 @@ def _cart(weigh_time: bool = True) -> StageModel:
         nx=2,
         nu=1,
         np=1,
-        derivative=lambda x, u: ca.vertcat(x[1], u[0]),
+        derivative=lambda x, u, p: ca.vertcat(x[1], u[0]),
         residual=None,
         effort=lambda x, u, p: p[0] * u[0] * u[0],
         path=lambda x, u, p: x[1],
@@ -31,7 +35,11 @@ def _cart(weigh_time: bool = True) -> StageModel:
 
 
 def _problem(
-    *, legs: tuple[int, ...] = (20, 20), shared: bool = True, total: tuple[float, float] = (1.0, 1.0)
+    *,
+    legs: tuple[int, ...] = (20, 20),
+    shared: bool = True,
+    total: tuple[float, float] = (1.0, 1.0),
+    steps: tuple[float, float] = (0.5, 2.0),
 ) -> Problem:
     """Rest to rest over one metre in a second."""
     count = sum(legs)
@@ -47,7 +55,7 @@ def _problem(
         x_bounds=(low, high),
         u_bounds=(np.full((1, count), -INF), np.full((1, count), INF)),
         path_bounds=(np.full((1, count), -INF), np.full((1, count), INF)),
-        h_bounds=(0.5, 2.0),
+        h_bounds=steps,
         total_bounds_s=total,
         x_start=np.zeros((2, count + 1)),
         u_start=np.zeros((1, count)),
@@ -56,30 +64,145 @@ def _problem(
     )
 
 
-def _solve(model: StageModel, problem: Problem, iterations: int = 200):
-    return solve(model, build_stage(model), problem, tolerance=1e-9, max_iterations=iterations)
+def _solve(model: StageModel, problem: Problem, iterations: int = 200, solver: Solver | None = None):
+    return solve(Engine(model), problem, tolerance=1e-9, max_iterations=iterations, solver=solver)
 
 
-@pytest.mark.parametrize("shared", [True, False])
-def test_assembled_derivatives_equal_automatic_ones(shared: bool) -> None:
-    model, problem = _cart(), _problem(legs=(3, 2), shared=shared)
-    whole = Assembly(model, build_stage(model), problem)
-    w, f, g = whole.nlp["x"], whole.nlp["f"], whole.nlp["g"]
-    sigma, lam = ca.MX.sym("sigma"), ca.MX.sym("lam", g.shape[0])
-    oracle = ca.Function(
-        "oracle",
-        [w, sigma, lam],
-        [ca.gradient(f, w), ca.jacobian(g, w), ca.triu(ca.hessian(sigma * f + ca.dot(lam, g), w)[0])],
+def _point() -> StageModel:
+    """A point that is moved: x = p, u = v; cost u'u."""
+    return StageModel(
+        nx=3,
+        nu=3,
+        np=1,
+        derivative=lambda x, u, p: u,
+        residual=None,
+        effort=lambda x, u, p: ca.dot(u, u),
+        path=lambda x, u, p: ca.dot(u, u),
+        network=None,
+        augmented=False,
+        weigh_time=True,
     )
+
+
+_SPHERE = Sphere(kind="sphere", centre_m=(0.5, 0.05, 0.0), radius_m=0.2)
+
+
+def _around(count: int = 30) -> Problem:
+    """From the origin to (1, 0, 0) in a second, outside a sphere on the way."""
+    low, high = np.full((3, count + 1), -INF), np.full((3, count + 1), INF)
+    low[:, 0] = high[:, 0] = 0.0
+    low[:, -1] = high[:, -1] = (1.0, 0.0, 0.0)
+    free = np.full((3, count), INF)
+    start = np.zeros((3, count + 1))
+    start[0] = np.linspace(0.0, 1.0, count + 1)
+    return Problem(
+        leg_of=np.zeros(count, dtype=int),
+        shared_steps=True,
+        h0_s=np.full(count, 1.0 / count),
+        parameters=np.ones((1, count)),
+        x_bounds=(low, high),
+        u_bounds=(-free, free),
+        path_bounds=(np.full((2, count), -INF), np.full((2, count), INF)),
+        h_bounds=(1.0, 1.0),
+        total_bounds_s=(-INF, INF),
+        x_start=start,
+        u_start=np.zeros((3, count)),
+        h_start=np.ones(1),
+        step_penalty=0.0,
+    )
+
+
+_CASES = {
+    "shared steps": {},
+    "a step an interval": {"shared": False},
+    "free total time": {"total": (-INF, INF)},
+    "bounded total time": {"total": (0.9, 1.1)},
+    "fixed steps": {"steps": (1.0, 1.0)},
+}
+
+
+@pytest.mark.parametrize("engine", ["vm", "c"])
+@pytest.mark.parametrize("case", sorted(_CASES))
+def test_assembled_derivatives_equal_differences(case: str, engine: str, require) -> None:
+    if engine == "c":
+        require("compiler")
+    whole = Assembly(Engine(_cart(), engine), _problem(legs=(3, 2), **_CASES[case]))
+    _check_derivatives(whole, 1.0)
+
+
+def test_assembled_derivatives_with_keep_out_equal_differences() -> None:
+    count = 5
+    problem = _around(count)
+    low = np.full((2, count), -INF)
+    low[1] = 0.0
+    problem = replace(problem, path_bounds=(low, problem.path_bounds[1]))
+    _check_derivatives(Assembly(Engine(_point()), problem, [_SPHERE]), 1.0)
+
+
+def _check_derivatives(whole: Assembly, size: float) -> None:
     rng = np.random.default_rng(0)
-    point, weights = rng.uniform(0.5, 1.5, w.shape[0]), rng.standard_normal(g.shape[0])
-    gradient, jacobian, hessian = oracle(point, 1.7, weights)
-    found_f = whole.derivatives["nlp_grad_f"](point, [])[1]
-    found_g = whole.derivatives["nlp_jac_g"](point, [])[1]
-    found_h = whole.derivatives["nlp_hess_l"](point, [], 1.7, weights)
-    assert found_f.sparsity().is_dense()
-    for found, expected in ((found_f, gradient), (found_g, jacobian), (found_h, hessian)):
-        np.testing.assert_allclose(np.array(ca.DM(found)), np.array(ca.DM(expected)), atol=1e-12)
+    w, lam = rng.uniform(0.5, 1.5, whole.width), rng.standard_normal(whole.height)
+    step = 1e-6
+
+    def slope(function) -> np.ndarray:
+        """d function/dw by central differences, one column an unknown."""
+        ends = [[function(w + sign * step * e) for sign in (1, -1)] for e in np.eye(whole.width)]
+        return np.array([(after - before) / (2 * step) for after, before in ends]).T
+
+    jacobian = np.array(ca.DM(whole.slopes.sparsity(), whole.jacobian(w)))
+    np.testing.assert_allclose(jacobian, slope(whole.rows), atol=1e-7 * size)
+    np.testing.assert_allclose(whole.gradient(w), slope(whole.objective), atol=1e-7 * size)
+    upper = np.array(ca.DM(whole.upper.sparsity(), whole.hessian(w, 1.7, lam)))
+    expected = slope(lambda at: whole.lagrangian_gradient(at, 1.7, lam))
+    np.testing.assert_allclose(upper, np.triu(expected), atol=1e-6 * size)
+    expected = 1.7 * whole.gradient(w) + jacobian.T @ lam
+    np.testing.assert_allclose(whole.lagrangian_gradient(w, 1.7, lam), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("case", sorted(_CASES))
+def test_fatrop_and_ipopt_find_the_same_optimum(case: str, require) -> None:
+    require("compiler")
+    problem = _problem(**_CASES[case])
+    bounded = replace(problem, path_bounds=(problem.path_bounds[0], np.full((1, 40), 1.3)))
+    first, second = (_solve(_cart(), bounded, solver=solver) for solver in ("fatrop", "ipopt"))
+    assert (first.solver, second.solver) == ("fatrop", "ipopt")
+    assert first.status is second.status is SolveStatus.SOLVED
+    assert first.cost == pytest.approx(second.cost, rel=1e-6)
+    np.testing.assert_allclose(first.x, second.x, atol=2e-5)
+
+
+def test_fatrop_hands_on_what_is_raised_while_it_runs(require, monkeypatch) -> None:
+    require("compiler")
+
+    def interrupted(self, w: np.ndarray, sigma: float, lam: np.ndarray) -> np.ndarray:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Assembly, "hessian", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        _solve(_cart(), _problem())
+
+
+def test_a_model_that_gives_no_numbers_ends_the_solve(require) -> None:
+    require("compiler")
+    broken = replace(_cart(), effort=lambda x, u, p: p[0] * ca.log(x[0] - 100.0))
+    assert not _solve(broken, _problem()).status.usable
+
+
+def test_solve_goes_around_what_is_to_be_kept_out_of() -> None:
+    problem = _around()
+    low = np.full((2, 30), -INF)
+    low[1] = 0.0
+    solution = solve(
+        Engine(_point()),
+        replace(problem, path_bounds=(low, problem.path_bounds[1])),
+        keep_out=[_SPHERE],
+        tolerance=1e-8,
+        max_iterations=200,
+    )
+    assert solution.status.usable
+    distance = np.linalg.norm(solution.x - np.array([[0.5], [0.05], [0.0]]), axis=0) - 0.2
+    assert distance.min() > -1e-6
+    assert solution.x[1].min() < -0.1
 
 
 def test_solve_of_the_rest_to_rest_cart_reaches_the_known_optimum() -> None:
@@ -136,15 +259,16 @@ def test_solve_out_of_iterations_says_so() -> None:
     assert _solve(_cart(), bounded, iterations=2).status is SolveStatus.ITERATIONS
 
 
-def test_solve_from_its_own_solution_takes_fewer_iterations() -> None:
+@pytest.mark.parametrize("solver", ["fatrop", "ipopt"])
+def test_solve_from_its_own_solution_takes_fewer_iterations(solver: Solver, require) -> None:
+    if solver == "fatrop":
+        require("compiler")
     problem = _problem()
     low, high = problem.path_bounds
     problem = replace(problem, path_bounds=(low, np.minimum(high, 1.2)))
-    first = _solve(_cart(), problem)
-    again = _solve(
-        _cart(),
-        replace(problem, x_start=first.x, u_start=first.u, h_start=first.h, warm=first.multipliers),
-    )
+    first = _solve(_cart(), problem, solver=solver)
+    start = {"x_start": first.x, "u_start": first.u, "h_start": first.h, "near": True}
+    again = _solve(_cart(), replace(problem, **start, multipliers=first.multipliers), solver=solver)
     assert again.iterations < first.iterations
     assert again.cost == pytest.approx(first.cost, rel=1e-6)
 

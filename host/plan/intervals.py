@@ -1,0 +1,244 @@
+"""All intervals of a problem at once: in C over SIMD lanes, or in CasADi's virtual machine.
+
+Both write their results into flat arrays that stay where they are; an `Output` says where each number stands.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from host.codegen.buffered import Buffered
+from host.codegen.compiler import Compiler, wanted_compiler
+from host.codegen.simd import LANES, aligned
+from host.plan.kernel import Kernel, kernel
+from host.plan.stage import Stage, StageModel, build_stage
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    """Results of one kind. flat: the numbers; at: (N, entries) where each stands; rows, columns: (entries,)
+    which entry of an interval's matrix, or row of its vector, that is.
+    """
+
+    flat: Array
+    at: Index
+    rows: Index
+    columns: Index
+
+    def dense(self, height: int, width: int = 1) -> Array:
+        """(N, height, width), a copy."""
+        out = np.zeros((len(self.at), height, width))
+        out[:, self.rows, self.columns] = self.flat[self.at]
+        return out
+
+
+class Intervals(Protocol):
+    """What a problem's assembly asks for. The methods compute at the last `set`; h counts in units of h0.
+
+    slopes and hessian are by z = (x, u, h), the Hessian's upper triangle; path slopes are by (x, u).
+    """
+
+    x_next: Output
+    cost: Output
+    path: Output
+    x_slope: Output
+    cost_slope: Output
+    path_slope: Output
+    hessian: Output
+
+    def set(self, x: Array, u: Array, h: Array) -> None:
+        """Where: x (N, nx), u (N, nu), h (N,)."""
+        ...
+
+    def values(self) -> None:
+        """x_next, cost, path."""
+        ...
+
+    def slopes(self) -> None:
+        """x_slope, cost_slope, path_slope."""
+        ...
+
+    def gradient(self) -> None:
+        """cost_slope alone."""
+        ...
+
+    def bend(self, sigma: float, lam_x: Array, lam_path: Array) -> None:
+        """hessian of sigma cost + lam_x' x_next + lam_path' path; (N, nx) and (N, rows)."""
+        ...
+
+
+class Engine:
+    """A stage model ready to be evaluated over any number of intervals.
+
+    In C where there is a compiler and `engine` or TRIMTAB_ENGINE leave the choice, else in the virtual
+    machine. Raises CodegenError where C is asked for and cannot be.
+    """
+
+    def __init__(self, model: StageModel, engine: str | None = None) -> None:
+        self.model = model
+        compiler = wanted_compiler(engine)
+        self._made: Kernel | Stage = build_stage(model) if compiler is None else _kernel(model, compiler)
+
+    @property
+    def compiled(self) -> bool:
+        """Whether it runs in C."""
+        return isinstance(self._made, Kernel)
+
+    def over(self, h0_s: Array, parameters: Array) -> Intervals:
+        """N intervals of these nominal steps (N,) and parameters (np, N)."""
+        if isinstance(self._made, Kernel):
+            return _Lanes(self.model, self._made, h0_s, parameters)
+        return _Machine(self.model, self._made, h0_s, parameters)
+
+
+def _kernel(model: StageModel, compiler: Compiler) -> Kernel:
+    return kernel(model, compiler)
+
+
+class _Lanes:
+    """Intervals in lanes of the C kernel."""
+
+    def __init__(self, model: StageModel, made: Kernel, h0_s: Array, parameters: Array) -> None:
+        self._kernel = made
+        count, nx, nu = len(h0_s), model.nx, model.nu
+        nz = nx + nu + 1
+        self._groups = -(-count // LANES)
+        # Lanes beyond the last interval repeat the first: their numbers are finite and nobody reads them.
+        lane = np.zeros(self._groups * LANES, dtype=np.int64)
+        lane[:count] = np.arange(count)
+        self._lane = lane
+        self._shape = (self._groups, LANES)
+        self._z = aligned((self._groups, nz + 1 + model.np, LANES))
+        self._z[:, nz] = h0_s[lane].reshape(self._shape)
+        self._z[:, nz + 1 :] = parameters[:, lane].reshape(model.np, *self._shape).swapaxes(0, 1)
+        self._nx, self._nu = nx, nu
+        self._xi = np.zeros(1) if model.network is None else np.ascontiguousarray(model.network.xi)
+        self._sigma = aligned((1, LANES))
+        self._lam_x = aligned((self._groups, nx, LANES))
+        self._lam_path = aligned((self._groups, made.rows, LANES))
+        pattern = made.pattern
+        self.x_next = self._output(count, np.ones((nx, 1), dtype=bool))
+        self.cost = self._output(count, np.ones((1, 1), dtype=bool))
+        self.path = self._output(count, np.ones((made.rows, 1), dtype=bool))
+        self.x_slope = self._output(count, pattern.x_slope)
+        self.cost_slope = self._output(count, np.ones((nz, 1), dtype=bool))
+        rows, columns = made.path_slope
+        entries = np.arange(len(rows))
+        self.path_slope = self._placed(count, max(1, len(rows)), entries, rows, columns)
+        rows, columns = np.nonzero(pattern.hessian)
+        number = np.zeros((nz, nz), dtype=np.int64)
+        number[np.triu_indices(nz)] = np.arange(nz * (nz + 1) // 2)
+        self.hessian = self._placed(count, nz * (nz + 1) // 2, number[rows, columns], rows, columns)
+
+    def _output(self, count: int, mask: NDArray[np.bool_]) -> Output:
+        rows, columns = np.nonzero(mask)
+        return self._placed(count, mask.size, rows * mask.shape[1] + columns, rows, columns)
+
+    def _placed(self, count: int, size: int, entries: Index, rows: Index, columns: Index) -> Output:
+        """Room for `size` numbers a lane, of which `entries` are read."""
+        k = np.arange(count)[:, None]
+        at = (k // LANES) * (size * LANES) + entries * LANES + k % LANES
+        flat = aligned((self._groups, size, LANES)).reshape(-1)
+        return Output(flat=flat, at=at, rows=rows, columns=columns)
+
+    def _in_lanes(self, rows: Array) -> Array:
+        """(groups, columns, LANES) of (N, columns)."""
+        return rows[self._lane].reshape(*self._shape, -1).swapaxes(1, 2)
+
+    def set(self, x: Array, u: Array, h: Array) -> None:
+        nx, nu = self._nx, self._nu
+        self._z[:, :nx] = self._in_lanes(x)
+        self._z[:, nx : nx + nu] = self._in_lanes(u)
+        self._z[:, nx + nu] = h[self._lane].reshape(self._shape)
+
+    def values(self) -> None:
+        self._call(self._kernel.values, self._z, self.x_next.flat, self.cost.flat, self.path.flat)
+
+    def slopes(self) -> None:
+        self._slopes(dynamics=True)
+
+    def gradient(self) -> None:
+        self._slopes(dynamics=False)
+
+    def _slopes(self, *, dynamics: bool) -> None:
+        outputs = (self.x_slope.flat, self.cost_slope.flat, self.path_slope.flat)
+        self._call(self._kernel.slopes, ctypes.c_long(dynamics), self._z, *outputs)
+
+    def bend(self, sigma: float, lam_x: Array, lam_path: Array) -> None:
+        self._sigma[:] = sigma
+        self._lam_x[:] = self._in_lanes(lam_x)
+        self._lam_path[:] = self._in_lanes(lam_path)
+        self._call(
+            self._kernel.hessians, self._z, self._sigma, self._lam_x, self._lam_path, self.hessian.flat
+        )
+
+    def _call(self, function: object, *arguments: ctypes.c_long | Array) -> None:
+        assert callable(function)
+        pointers = [
+            ctypes.c_void_p(part.ctypes.data) if isinstance(part, np.ndarray) else part for part in arguments
+        ]
+        function(ctypes.c_void_p(self._xi.ctypes.data), ctypes.c_long(self._groups), *pointers)
+
+
+class _Machine:
+    """Intervals in CasADi's virtual machine."""
+
+    def __init__(self, model: StageModel, stage: Stage, h0_s: Array, parameters: Array) -> None:
+        count = len(h0_s)
+        self._nx, self._nu, self._count = model.nx, model.nu, count
+        self._functions = {
+            name: Buffered(function.map(count))
+            for name, function in (
+                ("value", stage.value),
+                ("slopes", stage.slopes),
+                ("gradient", stage.gradient),
+                ("hessian", stage.hessian),
+            )
+        }
+        for function in self._functions.values():
+            function.inputs["h0_s"][:] = h0_s[:, None]
+            function.inputs["p"][:] = parameters.T
+        self.x_next = self._output(stage, "value", "x_next")
+        self.cost = self._output(stage, "value", "cost")
+        self.path = self._output(stage, "value", "path")
+        self.x_slope = self._output(stage, "slopes", "x_slope")
+        self.path_slope = self._output(stage, "slopes", "path_slope")
+        self.cost_slope = self._output(stage, "gradient", "cost_slope")
+        self.hessian = self._output(stage, "hessian", "hessian")
+
+    def _output(self, stage: Stage, function: str, name: str) -> Output:
+        rows, columns = getattr(stage, function).sparsity_out(name).get_triplet()
+        flat = self._functions[function].outputs[name].reshape(-1)
+        at = np.arange(self._count)[:, None] * len(rows) + np.arange(len(rows))
+        return Output(flat=flat, at=at, rows=np.array(rows, dtype=int), columns=np.array(columns, dtype=int))
+
+    def set(self, x: Array, u: Array, h: Array) -> None:
+        for function in self._functions.values():
+            function.inputs["x"][:] = x
+            function.inputs["u"][:] = u
+            function.inputs["h"][:] = h[:, None]
+
+    def values(self) -> None:
+        self._functions["value"]()
+
+    def slopes(self) -> None:
+        self._functions["slopes"]()
+        self.gradient()
+
+    def gradient(self) -> None:
+        self._functions["gradient"]()
+
+    def bend(self, sigma: float, lam_x: Array, lam_path: Array) -> None:
+        inputs = self._functions["hessian"].inputs
+        inputs["sigma"][:] = sigma
+        inputs["lam_x"][:] = lam_x
+        inputs["lam_path"][:] = lam_path
+        self._functions["hessian"]()

@@ -1,0 +1,274 @@
+"""Shooting intervals as C over SIMD lanes: values, slopes and Hessians with the network's by formula.
+
+A lane is an interval. Dynamics, cost and path rows are emitted from their SX graphs; RK4, its sensitivities
+and its adjoint are loops in `kernel.c`, and so is the network, whose weights are data: neither learning nor
+another course or limit rebuilds anything. The same derivatives as `host.plan.stage`, which needs no compiler.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from host.codegen.compiler import Compiler
+from host.codegen.simd import LAYERS, lane_source, simd_library
+from host.models.network import Layout
+from host.plan.stage import NETWORK_INPUTS, StageModel, network_ends
+
+_SOURCE = Path(__file__).parent / "kernel.c"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pattern:
+    """Where entries may differ from zero. x_slope (nx, nz), path_slope (rows, nx + nu), hessian (nz, nz),
+    upper triangle; z = (x, u, h).
+    """
+
+    x_slope: np.ndarray
+    path_slope: np.ndarray
+    hessian: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kernel:
+    """The library's functions over groups of lanes, see `kernel.c`, and the order of their outputs.
+
+    path_slope: rows and columns of its entries. rows: of path constraints.
+    """
+
+    values: Callable[..., None]
+    slopes: Callable[..., None]
+    hessians: Callable[..., None]
+    pattern: Pattern
+    path_slope: tuple[np.ndarray, np.ndarray]
+    rows: int
+
+
+def kernel(model: StageModel, compiler: Compiler) -> Kernel:
+    """The kernel of a model, compiled or from the cache. Raises CodegenError where the compiler fails."""
+    parts = _Parts(model)
+    library = ctypes.CDLL(simd_library(parts.source(), compiler))
+    for name in ("values", "slopes", "hessians"):
+        getattr(library, name).restype = None
+    return Kernel(
+        values=library.values,
+        slopes=library.slopes,
+        hessians=library.hessians,
+        pattern=parts.pattern(),
+        path_slope=_triplet(parts.path),
+        rows=parts.rows,
+    )
+
+
+def kernel_source(model: StageModel) -> str:
+    """The kernel's C, to stand behind `host.codegen.simd.PRELUDE`."""
+    return _Parts(model).source()
+
+
+class _Parts:
+    """The SX functions that the kernel is made of, and the patterns of their derivatives."""
+
+    def __init__(self, model: StageModel) -> None:
+        self.model = model
+        nx, nu = model.nx, model.nu
+        x, u, p = ca.SX.sym("x", nx), ca.SX.sym("u", nu), ca.SX.sym("p", model.np)
+        xu = ca.vertcat(x, u)
+        f = ca.densify(model.derivative(x, u, p))
+        by_x, by_u = ca.jacobian(f, x), ca.jacobian(f, u)
+        kappa = ca.SX.sym("kappa", nx)
+        bend = ca.triu(ca.hessian(ca.dot(kappa, f), xu)[0])
+        self.by_x, self.by_u = by_x.sparsity(), by_u.sparsity()
+        self.bend = bend.sparsity()
+        block = ca.Sparsity(nx + nu, nx + nu)
+        if model.network is not None and model.augmented:
+            seen = range(NETWORK_INPUTS.start, NETWORK_INPUTS.stop)
+            pairs = [(i, j) for i in seen for j in seen if i <= j]
+            block = ca.Sparsity.triplet(
+                nx + nu, nx + nu, [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+            )
+            self.bend = self.bend + block
+
+        effort, path = model.effort(x, u, p), ca.densify(model.path(x, u, p))
+        self.rows = path.shape[0]
+        d = ca.SX(3, 1) if model.residual is None else model.residual(x, p)
+        sigma, mu, lam = ca.SX.sym("sigma"), ca.SX.sym("mu", 3), ca.SX.sym("lam", self.rows)
+        own = ca.triu(ca.hessian(sigma * effort + ca.dot(mu, d) + ca.dot(lam, path), xu)[0])
+        by_path = ca.jacobian(path, xu)
+        self.path, self.own = by_path.sparsity(), own.sparsity()
+        jacobian = ca.densify(ca.jacobian(d, x))
+        self.residual = ca.jacobian(d, x).sparsity()
+        self.functions = {
+            "f": ca.Function("f", [x, u, p], [f]),
+            "df": _emitted("df", [x, u, p], [f, by_x.nz[:], by_u.nz[:]]),
+            "ddf": _emitted("ddf", [x, u, p, kappa], [ca.project(bend, self.bend).nz[:]]),
+            "own": _emitted("own", [x, u, p], [effort, d, path]),
+            "down": _emitted(
+                "down",
+                [x, u, p],
+                [effort, ca.gradient(effort, xu), d, ca.vec(jacobian.T), by_path.nz[:]],
+            ),
+            "ddown": _emitted("ddown", [x, u, p, sigma, mu, lam], [own.nz[:]]),
+        }
+
+    def pattern(self) -> Pattern:
+        """Which entries of the slopes and the Hessian differ from zero: RK4 chains the dynamics' patterns."""
+        nx, nu = self.model.nx, self.model.nu
+        nz = nx + nu + 1
+        by_x, by_u = _mask(self.by_x), _mask(self.by_u)
+        learned = np.zeros(nx, dtype=bool)
+        if self.model.network is not None:
+            learned[NETWORK_INPUTS] = True
+            if self.model.augmented:
+                by_x[3:6] |= learned
+        start = np.eye(nx, nz, dtype=bool)
+        reached = start.copy()
+        bend = _mask(self.bend)
+        bend |= bend.T
+        hessian = np.zeros((nz, nz), dtype=bool)
+        slope = np.zeros((nx, nz), dtype=bool)
+        for _ in range(4):
+            spread = np.zeros((nx + nu, nz), dtype=bool)
+            spread[:nx] = reached
+            spread[nx:, nx : nx + nu] = np.eye(nu, dtype=bool)
+            hessian |= _product(_product(spread.T, bend), spread)
+            change = _product(by_x, reached)
+            change[:, nx : nx + nu] |= by_u
+            slope |= change
+            reached = start | change
+            reached[:, -1] = True
+        hessian[:, -1] |= slope.any(axis=0) | True
+        own = np.zeros((nz, nz), dtype=bool)
+        own[:-1, :-1] = _mask(self.own)
+        if self.model.residual is not None:
+            support = np.zeros(nz, dtype=bool)
+            support[:nx] = _mask(self.residual).any(axis=0) | learned
+            own |= np.outer(support, support)
+        slope |= start
+        slope[:, -1] = True
+        return Pattern(x_slope=slope, path_slope=_mask(self.path), hessian=np.triu(hessian | own))
+
+    def source(self) -> str:
+        """The kernel's C, to stand behind `host.codegen.simd.PRELUDE`."""
+        model = self.model
+        functions, network = dict(self.functions), model.network
+        sizes = {
+            "NX": model.nx,
+            "NU": model.nu,
+            "NP": model.np,
+            "ROWS": self.rows,
+            "NETWORK": int(network is not None),
+            "AUGMENTED": int(model.augmented),
+            "RESIDUAL": int(model.residual is not None),
+            "WEIGH_TIME": int(model.weigh_time),
+        }
+        defines: list[str] = []
+        if network is not None:
+            layout = network.layout
+            functions |= _network_ends(layout)
+            sizes |= {"SEEN": layout.sizes[0], "UNITS": sum(layout.hidden), "LAST": max(layout.sizes)}
+            defines += _network_calls(layout)
+        tables = []
+        for name, pattern in (
+            ("A", self.by_x),
+            ("B", self.by_u),
+            ("BEND", self.bend),
+            ("PATH", self.path),
+            ("OWN", self.own),
+        ):
+            rows, columns = _triplet(pattern)
+            sizes[f"{name}_NNZ"] = max(1, len(rows))
+            tables += [_table(f"{name}_ROW", rows), _table(f"{name}_COL", columns)]
+        rows, columns = _triplet(self.bend)
+        first = NETWORK_INPUTS.start
+        inside = (rows >= first) & (columns < NETWORK_INPUTS.stop)
+        tables.append(_table("BEND_BLOCK", np.where(inside, 6 * (rows - first) + columns - first, -1)))
+        active = np.unique(np.concatenate([rows, columns]))
+        sizes["ACTIVE"] = len(active)
+        tables.append(_table("ACTIVE_ROW", active))
+        emitted = [lane_source(function, name) for name, function in functions.items()]
+        defines = [f"#define {name} {value}" for name, value in sizes.items()] + defines
+        return "\n".join([LAYERS, *emitted, *defines, *tables, _SOURCE.read_text(encoding="utf-8")])
+
+
+def _emitted(name: str, inputs: list[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
+    """A function of dense columns; what has no entries is one zero."""
+    columns = [
+        ca.densify(ca.vec(output)) if output.numel() else ca.densify(ca.SX(1, 1)) for output in outputs
+    ]
+    return ca.Function(name, inputs, ca.cse(columns))
+
+
+def _triplet(pattern: ca.Sparsity) -> tuple[np.ndarray, np.ndarray]:
+    rows, columns = pattern.get_triplet()
+    return np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
+
+
+def _mask(pattern: ca.Sparsity) -> np.ndarray:
+    mask = np.zeros(pattern.shape, dtype=bool)
+    mask[_triplet(pattern)] = True
+    return mask
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a.astype(np.int64) @ b.astype(np.int64) > 0
+
+
+def _table(name: str, numbers: np.ndarray) -> str:
+    values = ", ".join(map(str, numbers.tolist())) or "0"
+    return f"static const int {name}[] = {{{values}}};"
+
+
+def _network_ends(layout: Layout) -> dict[str, ca.Function]:
+    """The network's ends as dense columns, matrices row by row."""
+    emitted = {}
+    for name, function in network_ends(layout).items():
+        inputs = function.sx_in()
+        outputs = function.call(inputs)
+        emitted[name] = _emitted(name, inputs, [output.T for output in outputs])
+    return emitted
+
+
+def _network_calls(layout: Layout) -> list[str]:
+    """The layers' calls, as macros."""
+    forward, slopes, bends = [], [], []
+    layers = []  # where its weights, its units and its inputs are
+    unit = weight = 0
+    source = "n->s"
+    for inputs, outputs in pairwise(layout.sizes):
+        layers.append((weight, unit, source, inputs, outputs))
+        source, unit, weight = f"n->a + {unit}", unit + outputs, weight + outputs * (inputs + 1)
+    *hidden, (out_weight, _, out_source, out_inputs, _) = layers
+    for k, (weight, unit, source, inputs, outputs) in enumerate(hidden):
+        forward.append(f"layer(xi + {weight}, {source}, n->a + {unit}, {inputs}, {outputs});")
+        forward.append(f"for (int j = {unit}; j < {unit + outputs}; ++j) n->a[j] = vtanh(n->a[j]);")
+        if k == 0:
+            slopes.append(
+                f"for (int j = 0; j < {outputs}; ++j) for (int q = 0; q < SEEN; ++q) "
+                f"n->before[j * SEEN + q] = splat(xi[{weight} + j * (SEEN + 1) + q]);"
+            )
+        else:
+            slopes.append(
+                f"layer_slope(xi + {weight}, wide, n->before + {unit} * SEEN, {inputs}, {outputs}, SEEN);"
+            )
+        slopes.append(
+            f"for (int j = 0; j < {outputs}; ++j) for (int q = 0; q < SEEN; ++q) wide[j * SEEN + q] = "
+            f"(1.0 - n->a[{unit} + j] * n->a[{unit} + j]) * n->before[({unit} + j) * SEEN + q];"
+        )
+    forward.append(f"layer(xi + {out_weight}, {out_source}, n->out, {out_inputs}, 3);")
+    slopes.append(f"layer_slope(xi + {out_weight}, wide, n->slope, {out_inputs}, 3, SEEN);")
+    bends.append(f"layer_back(xi + {out_weight}, out_mu, back, {out_inputs}, 3);")
+    for weight, unit, _, inputs, outputs in reversed(hidden):
+        bends.append(
+            f"units_bend(n->a + {unit}, back, n->before + {unit} * SEEN, {outputs}, inner); "
+            f"for (int j = 0; j < {outputs}; ++j) back[j] *= 1.0 - n->a[{unit} + j] * n->a[{unit} + j]; "
+            f"layer_back(xi + {weight}, back, to, {inputs}, {outputs}); "
+            f"memcpy(back, to, sizeof(V) * {inputs});"
+        )
+    calls = {"FORWARD": forward, "SLOPES": slopes, "BENDS": bends}
+    return [f"#define {name} {' '.join(lines)}" for name, lines in calls.items()]

@@ -1,0 +1,119 @@
+"""A shooting problem in numbers, and how a solve of it ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Multipliers:
+    """Of the bounds on the unknowns and of the constraint rows, at a solution."""
+
+    bounds: Array
+    rows: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """Bounds and a start for the unknowns of N intervals. Infinite bounds mean none; equal ones fix a value.
+
+    leg_of: (N,) leg of each interval, ascending from 0. h0_s: (N,) nominal steps. parameters: (np, N).
+    x_bounds: two of (nx, N + 1); u_bounds: two of (nu, N); path_bounds: two of (rows, N); h_bounds: low,
+    high, in units of h0_s; where both are 1 the steps are no unknowns. total_bounds_s: low, high of the whole
+    time; equal ones pin it. x_start: (nx, N + 1); u_start: (nu, N); h_start: (steps,). step_penalty: cost of
+    (h - 1)^2 for each step size. near: the start is near the solution; multipliers: those there, if known.
+    """
+
+    leg_of: NDArray[np.int64]
+    shared_steps: bool
+    h0_s: Array
+    parameters: Array
+    x_bounds: tuple[Array, Array]
+    u_bounds: tuple[Array, Array]
+    path_bounds: tuple[Array, Array]
+    h_bounds: tuple[float, float]
+    total_bounds_s: tuple[float, float]
+    x_start: Array
+    u_start: Array
+    h_start: Array
+    step_penalty: float
+    near: bool = False
+    multipliers: Multipliers | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.leg_of)
+        if self.h0_s.shape != (count,) or not (self.h0_s > 0).all():
+            raise ValueError(f"h0_s must be {count} positive steps")
+        for name, array, columns in (
+            ("x", self.x_start, count + 1),
+            ("u", self.u_start, count),
+            ("parameters", self.parameters, count),
+        ):
+            if array.shape[1] != columns:
+                raise ValueError(f"{name} has {array.shape[1]} columns, {columns} wanted")
+        if self.h_start.shape != (self.steps,):
+            raise ValueError(f"h_start has shape {self.h_start.shape}, {self.steps} step sizes wanted")
+        if not 0.0 < self.h_bounds[0] <= 1.0 <= self.h_bounds[1]:
+            raise ValueError(f"the step box {self.h_bounds} must be positive and hold 1")
+
+    @property
+    def step_of(self) -> NDArray[np.int64]:
+        """(N,) the step size variable of each interval."""
+        return self.leg_of if self.shared_steps else np.arange(len(self.leg_of))
+
+    @property
+    def steps(self) -> int:
+        """How many step sizes there are."""
+        return int(self.step_of[-1]) + 1
+
+    @property
+    def steps_free(self) -> bool:
+        """Whether the step sizes are unknowns."""
+        return self.h_bounds != (1.0, 1.0)
+
+
+class SolveStatus(Enum):
+    """How a solve ended; the value is a sentence for a person."""
+
+    SOLVED = "the solver converged"
+    ACCEPTABLE = "the solver stopped at an acceptable point just short of its tolerance"
+    INFEASIBLE = (
+        "the constraints contradict each other: the solver converged to a point that violates them least"
+    )
+    ITERATIONS = "the solver reached its limit of iterations without converging"
+    RESTORATION = "the solver could not get back to a feasible point"
+    INVALID_NUMBER = "the model gave a number that is not finite"
+    STEP = "the solver's search direction became too small to make progress"
+    OTHER = "the solver gave up"
+
+    @property
+    def usable(self) -> bool:
+        """Whether the point may be used, subject to the checks of the reference."""
+        return self in (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """The last iterate. x: (nx, N + 1); u: (nu, N); h: (steps,) in units of h0; t_s: (N + 1,) node times.
+
+    violation: by how much it misses the constraint rows at most. multipliers: where the solver tells them.
+    solver: whose it is.
+    """
+
+    status: SolveStatus
+    x: Array
+    u: Array
+    h: Array
+    t_s: Array
+    cost: float
+    iterations: int
+    solve_s: float
+    multipliers: Multipliers | None
+    violation: float
+    solver: str
