@@ -5,6 +5,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 READY := $(VENV)/trimtab.stamp
 READY_ALL := $(VENV)/trimtab-all.stamp
+READY_BENCH := $(VENV)/trimtab-bench.stamp
 WORKERS ?= auto
 TESTS ?=
 PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
@@ -19,6 +20,9 @@ $(READY): requirements.lock pyproject.toml .ci/venv
 
 $(READY_ALL): requirements-all.lock $(READY)
 	@.ci/venv requirements-all.lock $@
+
+$(READY_BENCH): requirements-bench.lock $(READY)
+	@.ci/venv requirements-bench.lock $@
 
 demo: $(READY)
 	$(VENV)/bin/trimtab demo
@@ -37,7 +41,7 @@ style: $(READY_ALL)
 types: $(READY_ALL)
 	$(PYTHON) -m pyright
 
-bench: $(READY)
+bench: $(READY_BENCH)
 	$(VENV)/bin/trimtab bench
 
 generate: $(READY_ALL)

@@ -55,6 +55,7 @@ def _recorded_flights() -> str | None:
 PARTS: dict[str, Callable[[], str | None]] = {
     "browser": _program("chromium", "chromium-browser", "google-chrome"),
     "compiler": _compiler,
+    "diffrax": _module("diffrax", "requirements-bench.lock"),
     "flights": _recorded_flights,
     "generator": _module("grpc_tools", "requirements-all.lock"),
     "git": _program("git"),

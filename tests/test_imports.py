@@ -32,10 +32,12 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 EDGES: dict[str, tuple[str, ...]] = {
     "casadi": ("host.codegen", "host.models", "host.plan", "host.learn", "host.trace"),
     "cyclopts": ("host.cli", "host.verbs"),
+    "diffrax": ("host.bench.jax_rollouts",),
     "fastcrc": ("protocol",),
     "foxglove_schemas_protobuf": ("host.log",),
     "google": ("protocol", "host.log"),
     "grpc_tools": ("protocol.generate",),
+    "jax": ("host.bench.jax_loop", "host.bench.jax_rollouts"),
     "jinja2": ("host.report",),
     "matplotlib": ("host.report", "host.verbs"),
     "mcap": ("host.log",),

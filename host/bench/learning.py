@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from host.bench import peers
 from host.bench.timing import best_ms
 from host.codegen.compiler import wanted_compiler
 from host.learn.adjoint import Rollouts
@@ -27,8 +28,8 @@ from host.paper.learning.methods import (
 )
 from host.vehicle import Vehicle
 
-STEPS = ("flights", "gradient", "gradient, virtual machine", "Adam", "condensed")
-_REPEATS = 30
+STEPS = ("flights", "gradient", "gradient, virtual machine", "peers", "Adam", "condensed")
+_REPEATS = 100
 
 
 def measure(
@@ -44,8 +45,9 @@ def measure(
     """Times on one core, and the errors that the condensed loss ends at.
 
     gradient_ms: of 10 segments of 49 steps, a network of 2 x 32, in C; None without a compiler.
-    gradient_vm_ms: the same in CasADi's virtual machine. hear: told each of STEPS as it begins. counts:
-    flights by set.
+    gradient_vm_ms: the same in CasADi's virtual machine. peers: the same by JAX and diffrax, over_ours the
+    ratio to the best of ours; None where they are not installed. hear: told each of STEPS as it begins.
+    counts: flights by set.
     """
     hear(STEPS[0])
     sets = make_flights(vehicle, seed, counts=counts)
@@ -61,19 +63,23 @@ def measure(
         lanes = LaneRollouts(phi, PAPER_MLP, theta, step_s=STEP_S, weight=WEIGHT, compiler=compiler)
         lanes_ms = best_ms(lambda: lanes.gradient(batch, batch.x0, xi), repeats=repeats)
     hear(STEPS[2])
-    machine = Rollouts(
-        phi, PAPER_MLP, theta, batch=PAPER_BATCH, step_s=STEP_S, weight=WEIGHT, engine="vm"
-    )
+    machine = Rollouts(phi, PAPER_MLP, theta, batch=PAPER_BATCH, step_s=STEP_S, weight=WEIGHT, engine="vm")
     machine_ms = best_ms(lambda: machine.gradient(batch, batch.x0, xi), repeats=repeats)
     hear(STEPS[3])
-    adam = paper(phi, train, validation, seed, layout=PAPER_MLP, weight=WEIGHT, epochs=epochs)
+    ours, best_of_ours_ms = machine.gradient(batch, batch.x0, xi), lanes_ms or machine_ms
+    beside = peers.measure(phi, PAPER_MLP, batch, xi, WEIGHT, ours, repeats=repeats)
+    if beside is not None:
+        beside = [{**row, "over_ours": row["gradient_ms"] / best_of_ours_ms} for row in beside]
     hear(STEPS[4])
+    adam = paper(phi, train, validation, seed, layout=PAPER_MLP, weight=WEIGHT, epochs=epochs)
+    hear(STEPS[5])
     quick = condensed(
         phi, train, validation, seed, layout=PAPER_MLP, weight=WEIGHT, iterations=iterations, passes=1
     )
     return {
         "gradient_ms": lanes_ms,
         "gradient_vm_ms": machine_ms,
+        "peers": beside,
         "adam_100_s": adam.seconds,
         "adam_test_rmse": acceleration_error(adam.candidate, sets["test"]).pointwise,
         "condensed_s": quick.seconds,

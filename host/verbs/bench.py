@@ -1,4 +1,4 @@
-"""`trimtab bench`: speed on this machine."""
+"""`trimtab bench`: speed on this machine, beside named peers in the same run."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ def command(
     json: Json = False,
 ) -> None:
     """Measure how fast learning and simulated sessions are on this machine; half a minute.
+
+    JAX and diffrax compute the same gradient in the same run where they are installed (`make bench` installs
+    them): most of a minute more.
 
     Parameters
     ----------
@@ -47,6 +50,11 @@ def _lines(found: dict[str, Any]) -> list[str]:
         f"  C over SIMD lanes        {'no compiler' if c is None else f'{c:8.2f} ms'}",
         f"  CasADi virtual machine   {found['gradient_vm_ms']:8.2f} ms",
     ]
+    for row in found["peers"] or ():
+        figures = f"{row['gradient_ms']:8.2f} ms, {row['over_ours']:.1f} times ours"
+        lines.append(f"  {row['name']:<24} {figures}, compiled in {row['build_s']:.0f} s")
+    if found["peers"] is None:
+        lines.append("  JAX and diffrax are not installed: make bench, or pip install trimtab[bench]")
     return [
         *lines,
         f"Adam, 100 epochs of 128 segments: {found['adam_100_s']:.1f} s, test RMSE "

@@ -225,7 +225,9 @@ def test_study_paper_learning_prints_what_the_page_says() -> None:
     check("study paper-learning", {**outcome["answer"], "report": "f/report.html"})
 
 
-def test_bench_prints_what_the_page_says() -> None:
+def test_bench_prints_what_the_page_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    row = {"name": "JAX", "gradient_ms": 1.0, "build_s": 1.0, "differs": 0.0}
+    monkeypatch.setattr(bench.peers, "measure", lambda *of, repeats: [row])
     vehicle = load_vehicle("research")
     counts = {"train": 6, "test": 2, "validation": 2, "ood": 2}
     found = bench.measure(vehicle, 1, epochs=1, iterations=3, repeats=1, counts=counts)
