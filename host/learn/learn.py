@@ -1,15 +1,16 @@
-"""From flights to a model with a learned residual: split by reference, learn, judge on what was not used."""
+"""From flights to a model with a learned residual: split by reference, learn, keep what predicts best."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from firmware_model.law.ops import FLOAT
 from host.effects import Effect
+from host.learn.candidates import Candidate, Trial, best, note
 from host.learn.evaluate import Errors, model_errors, model_parts, whole_flights
 from host.learn.quick import CondensedSettings, CondensedTrained, train_condensed
 from host.learn.train import LOSS_SIGMA, Settings, Trained, train
@@ -31,7 +32,7 @@ class Judged:
     """Whole-flight errors on one set of flights.
 
     nominal: of the vehicle file alone. base: with the effects of the model learned upon, the same where there
-    was none. learned: with the network too. outside: share of samples beyond the region learned in.
+    was none. learned: of the model that is kept. outside: share of samples beyond the region learned in.
     """
 
     flights: tuple[str, ...]
@@ -43,7 +44,7 @@ class Judged:
 
     @property
     def ratio(self) -> float:
-        """Position error with the network over that without."""
+        """Position error with what was learned over that without."""
         return self.learned.position_rmse_m / self.base.position_rmse_m
 
     def to_json(self) -> dict[str, Any]:
@@ -60,15 +61,18 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """A model with what was learned best, and how good it is; `test` None: nothing was held out.
+    """The model that is kept, and how good it is; `test` None: nothing was held out.
 
-    log_latency_s: how much older poses are than stamped in the log, where that was learned. notes: what was
-    cut or left out of the logs.
+    trials: what could be kept, from nothing to what was asked for, with the errors that decide; kept: the one
+    that is. trained: what was asked for. log_latency_s: how much older poses are than stamped in the log,
+    where that was learned. notes: why less is kept than was asked for, what was cut or left out of the logs.
     """
 
     model: Model
     train: Judged
     test: Judged | None
+    trials: tuple[Trial, ...]
+    kept: Trial
     trained: Trained | CondensedTrained
     segments: int
     log_latency_s: float = 0.0
@@ -76,8 +80,8 @@ class Learned:
 
     @property
     def improved(self) -> bool:
-        """Whether flights are predicted better with the network than without: those held out, if any were."""
-        return (self.test or self.train).ratio < 1.0
+        """Whether flights are predicted better with the model than without: those used and those held out."""
+        return all(judged.ratio < 1.0 for judged in (self.train, self.test) if judged is not None)
 
 
 def learn(
@@ -89,15 +93,20 @@ def learn(
     settings: Settings | CondensedSettings | None = None,
     forms: Sequence[str] = (),
     seed: int = 0,
+    as_asked: bool = False,
     provenance: Mapping[str, Any] | None = None,
     on_epoch: Callable[[int, float], None] | None = None,
 ) -> Learned:
-    """A model learned from `flights` of one vehicle.
+    """A model learned from `flights` of one vehicle, or less where less predicts better.
 
     Held out for the test are `hold_out`; None: the flights of every fourth reference where there are three or
     more. A reference is never on both sides. `base` is a model whose effects (found in `effects`) stay as
     they are: what is learned is what they leave. `forms` are effects of the library that are learned beside
-    the network, on the condensed loss alone. Raises TooLittleData, also for flights of two vehicles.
+    the network, on the condensed loss alone.
+
+    Segments decide when learning stops, whole flights what is kept (`host.learn.candidates.best`): nothing,
+    the effects, or the network too. `as_asked` keeps what was asked for all the same. Raises TooLittleData,
+    also for flights of two vehicles.
     """
     settings = settings or CondensedSettings()
     kept_aside = hold_out or ()
@@ -120,74 +129,102 @@ def learn(
         used = states
     logs = {flight.id: flight for flight in [*flights, *kept_aside]}
     vehicle = flights[0].vehicle
-    kept = tuple(effect for effect, _ in parts)
-    grown = (*kept, *(library[name] for name in forms))
+    known = tuple(effect for effect, _ in parts)
+    grown = (*known, *(library[name] for name in forms))
     common: dict[str, Any] = {"vehicle": vehicle, "parameters": states[0].parameters}
     late = any(effect.mocap_latency_s is not None for effect in grown)
     phi = Phi(estimator=late, effects=grown, **common)
     theta = phi.theta(parts)
     fitted, checked = _segments(used, phi, rng)
     weight = 1.0 / np.square(LOSS_SIGMA)
+    before, after = Phi(effects=known, **common), Phi(effects=grown, **common)
+
+    candidates = [Candidate(phi=before, theta=before.theta(parts))]
     if isinstance(settings, CondensedSettings):
-        free = range(sum(len(effect.parameters) for effect in kept), len(theta))
-        trained = train_condensed(
-            phi, theta, fitted, checked, settings, rng, weight=weight, free=free, on_iteration=on_epoch
-        )
-        learned_theta = trained.theta
+        free = range(sum(len(effect.parameters) for effect in known), len(theta))
+        alone = [replace(settings, layout=None)] if forms and settings.layout is not None else []
+        found = [
+            train_condensed(
+                phi,
+                theta,
+                fitted,
+                checked,
+                wanted,
+                rng,
+                weight=weight,
+                free=free,
+                on_iteration=on_epoch if wanted is settings else None,
+            )
+            for wanted in (*alone, settings)
+        ]
+        candidates += [
+            Candidate(phi=after, theta=f.theta, forms=tuple(forms), network=f.network, delay_s=f.delay_s)
+            for f in found
+        ]
+        trained = found[-1]
     else:
         trained = train(phi, theta, fitted, checked, settings, rng, weight=weight, on_epoch=on_epoch)
-        learned_theta = theta
-    learned_parts = {effect.name: values for effect, values in phi.parts(learned_theta)}
+        candidates.append(replace(candidates[0], network=trained.network))
 
+    def errors(of: Candidate, chosen: Sequence[States]) -> Errors:
+        if of.latency_s != latency_s:
+            chosen = flight_states([logs[s.flight_id] for s in chosen], latency_s=of.latency_s)
+        return whole_flights(of.phi, of.theta, chosen, of.network)
+
+    trials = tuple(
+        Trial(what=each.what, train=errors(each, used), test=errors(each, test) if test else None)
+        for each in candidates
+    )
+    winner = trials[-1] if as_asked else best(trials)
+    kept = candidates[trials.index(winner)]
+    values = {effect.name: values for effect, values in kept.phi.parts(kept.theta)}
     learned_in = region(used)
-    before, after = Phi(effects=kept, **common), Phi(effects=grown, **common)
     model = Model(
         vehicle_id=vehicle.id,
         vehicle_name=vehicle.name,
         effects={
             **({} if base is None else base.effects),
             **{
-                name: dict(zip(library[name].keys, map(float, learned_parts[name]), strict=True))
-                for name in forms
+                name: dict(zip(library[name].keys, map(float, values[name]), strict=True))
+                for name in kept.forms
             },
         },
         adjustments={} if base is None else base.adjustments,
         covariance=None if base is None else base.covariance,
         sources={
             **({} if base is None else base.sources),
-            **{name: library[name].source_id for name in forms},
+            **{name: library[name].source_id for name in kept.forms},
         },
-        network=trained.network,
+        network=kept.network,
         region=learned_in,
         data=tuple(sorted({s.flight_id for s in used} | set(() if base is None else base.data))),
         provenance=provenance or {},
     )
 
-    log_latency_s = trained.delay_s if isinstance(trained, CondensedTrained) else 0.0
-    learned_late_s = float(mocap_latency_s(FLOAT, phi.parts(learned_theta))) + log_latency_s
-
-    def judged(chosen: Sequence[States]) -> Judged:
-        bare = whole_flights(before, before.theta(parts), chosen)
-        true = chosen
-        if learned_late_s != latency_s:
-            true = flight_states([logs[s.flight_id] for s in chosen], latency_s=learned_late_s)
+    def judged(chosen: Sequence[States], bare: Errors, learned: Errors) -> Judged:
         return Judged(
             flights=tuple(s.flight_id for s in chosen),
             references=tuple(dict.fromkeys(s.reference_id for s in chosen)),
             nominal=bare if base is None else model_errors([logs[s.flight_id] for s in chosen], None, {}),
             base=bare,
-            learned=whole_flights(after, learned_theta, true, trained.network),
+            learned=learned,
             outside=float(learned_in.outside(*_states_and_thrust(chosen)).mean()),
         )
 
     return Learned(
         model=model,
-        train=judged(used),
-        test=judged(test) if test else None,
+        train=judged(used, trials[0].train, winner.train),
+        test=judged(test, trials[0].test, winner.test) if trials[0].test and winner.test else None,
+        trials=trials,
+        kept=winner,
         trained=trained,
         segments=fitted.count,
-        log_latency_s=log_latency_s,
-        notes=(*_few(fitted, settings), *(note for s in [*used, *test] for note in s.notes)),
+        log_latency_s=kept.delay_s,
+        notes=(
+            *note(trials, winner),
+            *_few(fitted, settings),
+            *(line for s in [*used, *test] for line in s.notes),
+        ),
     )
 
 

@@ -67,6 +67,7 @@ def unexplained(
             base=model,
             effects=effects,
             settings=settings,
+            as_asked=True,
             provenance=model.provenance,
             on_epoch=lambda epoch, _: report(f"network on what is left, {epoch} of at most {epochs} epochs"),
         )

@@ -30,12 +30,13 @@ def command(
     log_latency: Annotated[bool, Parameter(negative="")] = False,
     epochs: int | None = None,
     any_heading: Annotated[bool, Parameter(negative="--no-any-heading")] = True,
+    as_asked: Annotated[bool, Parameter(negative="")] = False,
     seed: int = 0,
     workspace: WorkspaceFolder = None,
     json: Json = False,
     force: Force = False,
 ) -> None:
-    """Learn what a vehicle's model leaves out, from flight logs.
+    """Learn what a vehicle's model leaves out, from flight logs; keep what predicts whole flights best.
 
     Parameters
     ----------
@@ -67,6 +68,8 @@ def command(
         300).
     any_heading
         Take every flight as good in any heading; not so where the world has a direction, as with wind.
+    as_asked
+        Write what was asked for even where less, or nothing, predicts whole flights better.
     seed
         Seed of the first weights, the order and the split.
     """
@@ -74,7 +77,7 @@ def command(
 
     from host import artefacts
     from host.effects import load_effects
-    from host.errors import UsageError
+    from host.errors import GateMissed, UsageError
     from host.learn import CondensedSettings, Settings, learn
     from host.log import read_flight
     from host.models.file import SUFFIX, read_model, write_model
@@ -137,33 +140,43 @@ def command(
             settings=settings,
             forms=forms,
             seed=seed,
+            as_asked=as_asked,
             provenance=artefacts.provenance(seed=seed, parents=parents),
             on_epoch=lambda turn, loss: bar.update(turn, detail=f"validation loss {loss:.3g}"),
         )
-    write_model(learned.model, output, force=force)
+    written = learned.kept.what != "nothing"
+    named = {name: learned.model.effects[name] for name in forms if written}
     result: dict[str, Any] = {
-        "model": str(output),
-        "model_id": learned.model.id,
+        "model": str(output) if written else None,
+        "model_id": learned.model.id if written else None,
         "train": learned.train.to_json(),
         "test": None if learned.test is None else learned.test.to_json(),
         "improved": learned.improved,
-        "effects": {name: dict(learned.model.effects[name]) for name in forms},
+        "kept": learned.kept.what,
+        "candidates": [trial.to_json() for trial in learned.trials],
+        "effects": {name: dict(values) for name, values in named.items()},
         "epochs": learned.trained.epochs,
-        "log_latency_s": learned.log_latency_s if log_latency else None,
+        "log_latency_s": learned.log_latency_s if log_latency and written else None,
         "notes": list(learned.notes),
         "seconds": round(monotonic() - began, 3),
     }
-    say(
-        f"{output}  id {learned.model.id}  {learned.trained.epochs} rounds over {learned.segments} segments",
-        *(_numbers(name, learned.model.effects[name]) for name in forms),
-        *([f"poses are {1e3 * learned.log_latency_s:.1f} ms older than stamped"] if log_latency else []),
-        *(_line(name, judged) for name, judged in (("used", learned.train), ("held out", learned.test))),
-    )
+    if written:
+        write_model(learned.model, output, force=force)
+        told = f"{learned.trained.epochs} rounds over {learned.segments} segments"
+        say(
+            f"{output}  id {learned.model.id}  {told}",
+            *(_numbers(name, values) for name, values in named.items()),
+            *([f"poses are {1e3 * learned.log_latency_s:.1f} ms older than stamped"] if log_latency else []),
+            *(_line(name, judged) for name, judged in (("used", learned.train), ("held out", learned.test))),
+        )
     for note in learned.notes:
         warn(note)
-    if not learned.improved:
-        warn(f"{output}: predicts no better than without what was learned; give more flights or --epochs")
     emit(result, json)
+    if not written:
+        raise GateMissed(
+            f"{output}: not written, whole flights are predicted no better than without; "
+            "give more flights, other --effects or --epochs, or --as-asked"
+        )
 
 
 def _numbers(name: str, values: Mapping[str, float]) -> str:

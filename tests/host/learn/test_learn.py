@@ -13,16 +13,18 @@ import pytest
 from host.cli import main
 from host.effects import load_effects
 from host.learn import CondensedSettings, Judged, Learned, Settings, learn
+from host.learn.candidates import Trial
 from host.learn.evaluate import Errors
 from host.learn.train import Trained
 from host.link.flight import FlightOrder
 from host.link.fly import fly_lockstep
-from host.log import read_flight
+from host.log import Flight, read_flight
 from host.log.errors import TooLittleData
 from host.models.file import read_model
 from host.models.model import Model
 from host.models.network import Layout, Network
 from host.vehicle import load_vehicle
+from protocol.blobs import Reference
 from sitl.vehicle import SimulatedVehicle
 
 MADE = Path(__file__).parents[2] / "data"
@@ -34,19 +36,24 @@ def logs(tmp_path_factory, make_states) -> list[Path]:
     """Flights of three references, the first flown twice."""
     folder = tmp_path_factory.mktemp("flights")
     (folder / "world.toml").write_text('description = "drag"\ntolerances = false\n' + WORLD)
+    references = [make_states(seed, duration_s=6.0).reference for seed in (1, 1, 2, 3)]
+    return [flight.path for flight in fly(folder / "world.toml", references, folder)]
+
+
+def fly(world: Path, references: list[Reference], folder: Path) -> list[Flight]:
+    """The references flown in a world, logged in a folder."""
     vehicle = load_vehicle("research")
-    paths = []
-    for index, seed in enumerate((1, 1, 2, 3)):
-        reference = make_states(seed, duration_s=6.0).reference
+    flights = []
+    for index, reference in enumerate(references):
         start = reference.nodes_ned()[0].state
         simulated = SimulatedVehicle.create(
-            vehicle, world=str(folder / "world.toml"), flight=index, start_ned=(start[0], start[1], 0.0)
+            vehicle, world=str(world), flight=index, start_ned=(start[0], start[1], 0.0)
         )
         path = folder / f"flight{index}.mcap"
         with closing(simulated):
             fly_lockstep(FlightOrder(vehicle=vehicle, reference=reference, log_path=path), simulated)
-        paths.append(path)
-    return paths
+        flights.append(read_flight(path))
+    return flights
 
 
 def test_learn_finds_late_poses_beside_drag(make_states, tmp_path):
@@ -54,18 +61,7 @@ def test_learn_finds_late_poses_beside_drag(make_states, tmp_path):
     world = tmp_path / "world.toml"
     late = "[effects.mocap-latency]\nlatency_s = 0.02\n"
     world.write_text('description = "late"\ntolerances = false\n' + WORLD + late)
-    vehicle = load_vehicle("research")
-    flights = []
-    for seed in (1, 2, 3):
-        reference = make_states(seed, duration_s=6.0).reference
-        start = reference.nodes_ned()[0].state
-        simulated = SimulatedVehicle.create(
-            vehicle, world=str(world), flight=seed, start_ned=(start[0], start[1], 0.0)
-        )
-        path = tmp_path / f"flight{seed}.mcap"
-        with closing(simulated):
-            fly_lockstep(FlightOrder(vehicle=vehicle, reference=reference, log_path=path), simulated)
-        flights.append(read_flight(path))
+    flights = fly(world, [make_states(seed, duration_s=6.0).reference for seed in (1, 2, 3)], tmp_path)
     settings = CondensedSettings(layout=None)
     learned = learn(
         flights, effects=load_effects(), settings=settings, forms=("linear-drag", "mocap-latency")
@@ -79,7 +75,7 @@ def test_learn_finds_late_poses_beside_drag(make_states, tmp_path):
 def test_learn_verb_drag_lowers_the_error_on_a_reference_held_out(logs, tmp_path, capsys):
     output = tmp_path / "out.model.toml"
     words = ["learn", *map(str, logs), "-o", str(output), "--epochs", "40", "--hidden", "16", "--json"]
-    assert main(words) == 0
+    assert main([*words, "--as-asked"]) == 0
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert set(answer) >= {"model", "train", "test", "epochs", "seconds"}
     test = answer["test"]
@@ -246,30 +242,42 @@ def judged(base_m: float, learned_m: float) -> Judged:
         ((0.02, 0.01), None, True),
         ((0.02, 0.02), None, False),
         ((0.02, 0.01), (0.010, 0.012), False),
-        ((0.02, 0.03), (0.010, 0.009), True),
+        ((0.02, 0.03), (0.010, 0.009), False),
+        ((0.02, 0.01), (0.010, 0.009), True),
         ((0.02, 0.01), (0.010, float("inf")), False),
     ],
 )
-def test_model_that_predicts_flights_held_out_no_better_has_not_improved(train, test, improved):
+def test_model_that_predicts_some_flights_no_better_has_not_improved(train, test, improved):
     losses = np.zeros(2)
     network = Network(layout=Layout(hidden=(1,)), xi=np.zeros(Layout(hidden=(1,)).size))
+    kept = Trial(what="network", train=judged(*train).learned, test=None)
     learned = Learned(
         model=Model(vehicle_id="0" * 12, vehicle_name="v", network=network),
         train=judged(*train),
         test=None if test is None else judged(*test),
+        trials=(kept,),
+        kept=kept,
         trained=Trained(network=network, epochs=1, best_epoch=0, train_loss=losses, validation_loss=losses),
         segments=8,
     )
     assert learned.improved is improved
 
 
-@pytest.mark.parametrize(("seed", "improved"), [("0", False), ("1", True)])
-def test_learn_verb_warns_of_a_model_that_is_no_better(tmp_path, capsys, seed, improved):
+@pytest.mark.parametrize("seed", ["0", "1"])
+@pytest.mark.parametrize("as_asked", [False, True])
+def test_learn_verb_writes_no_model_that_is_no_better_unless_asked_to(tmp_path, capsys, seed, as_asked):
     # One epoch of a single neuron: from the first of these seeds it finds nothing.
+    better = seed == "1"
     output = tmp_path / "out.model.toml"
     words = ["--hold-out", str(MADE / "b1.mcap"), "-o", str(output), "--epochs", "1", "--hidden", "1"]
-    words += ["--method", "paper"]
-    assert main(["learn", str(MADE / "a1.mcap"), "--no-any-heading", "--seed", seed, *words, "--json"]) == 0
+    words += ["--method", "paper", "--no-any-heading", "--seed", seed, "--json", *["--as-asked"] * as_asked]
+    assert main(["learn", str(MADE / "a1.mcap"), *words]) == (0 if better or as_asked else 1)
     told = capsys.readouterr()
-    assert json.loads(told.out.splitlines()[-1])["improved"] is improved
-    assert ("predicts no better than without what was learned; give more" in told.err) is not improved
+    answer = json.loads(told.out.splitlines()[-1])
+    assert answer["improved"] is better
+    assert [each["what"] for each in answer["candidates"]] == ["nothing", "network"]
+    assert answer["kept"] == ("network" if better or as_asked else "nothing")
+    assert output.is_file() is (better or as_asked)
+    assert (answer["model"] is None) is (answer["model_id"] is None) is not output.is_file()
+    assert ("42.1 mm (held out) off with nothing learned" in answer["notes"][0]) is not better
+    assert (f"{output}: not written" in told.err) is not output.is_file()
