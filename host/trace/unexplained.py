@@ -24,19 +24,20 @@ DIRECTED = ("position", "time", "attitude", "constant")
 @dataclass(frozen=True, kw_only=True)
 class Unexplained:
     """Errors of whole held-out flights with the model that is kept and with the network on it, and the
-    network's model.
+    network's model; None where it predicts no better.
     """
 
     before: Errors
     after: Errors
-    model: Model
+    model: Model | None
 
     def line(self) -> str:
         """For people."""
         before, after = self.before.position_rmse_m, self.after.position_rmse_m
         return (
             f"unexplained: a network trained on what is left predicts the held-out flights "
-            f"{1e3 * before:.1f} mm off without it, {1e3 * after:.1f} mm with it; it names no cause"
+            f"{1e3 * before:.1f} mm off without it, {1e3 * after:.1f} mm with it; "
+            f"{'it names no cause' if self.model is not None else 'it is not kept'}"
         )
 
     def to_json(self, model_path: str | None) -> dict[str, Any]:
@@ -74,4 +75,5 @@ def unexplained(
     except TooLittleData:
         return None
     assert learned.test is not None
-    return Unexplained(before=learned.test.base, after=learned.test.learned, model=learned.model)
+    kept = learned.model if learned.improved else None
+    return Unexplained(before=learned.test.base, after=learned.test.learned, model=kept)

@@ -83,14 +83,15 @@ def command(
         from host.report.trace import page
 
         model_path, report_path = str(output / MODEL_NAME), str(output / REPORT_NAME)
-        if result.unexplained is not None:
+        learned = None if result.unexplained is None else result.unexplained.model
+        if learned is not None:
             network_path = str(output / NETWORK_NAME)
         answer = result.to_json(model_path=model_path, report_path=report_path, network_path=network_path)
         report = page(result, flights, held_out, answer)
         output.mkdir(exist_ok=True)
         write_model(result.model, output / MODEL_NAME, force=force)
-        if result.unexplained is not None:
-            write_model(result.unexplained.model, output / NETWORK_NAME, force=force)
+        if learned is not None:
+            write_model(learned, output / NETWORK_NAME, force=force)
         artefacts.write_atomic(output / REPORT_NAME, report, force)
         artefacts.write_atomic(output / JSON_NAME, json_text(answer), force)
         say(f"model, report and JSON are in {output}: {MODEL_NAME}, {REPORT_NAME}, {JSON_NAME}")

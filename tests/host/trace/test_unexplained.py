@@ -37,6 +37,11 @@ def test_a_network_takes_what_is_left_and_names_nothing(monkeypatch: pytest.Monk
     assert "names no cause" in found.line()
     assert found.to_json("x.model.toml")["model"] == "x.model.toml"
     assert said[-1] == "network on what is left, 12 of at most 12 epochs"
+    monkeypatch.setattr(module, "SETTINGS", {"hidden": (1,), "epochs": 1, "rate": 1e-12})
+    found = unexplained(flights, held_out, model, load_effects(), told)
+    assert found is not None
+    assert found.model is None
+    assert "it is not kept" in found.line()
     assert unexplained(flights, [], model, load_effects(), told) is None
     short = [replace(flight, estimate=None) for flight in flights]
     assert unexplained(short, held_out, model, load_effects(), told) is None
