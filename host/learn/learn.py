@@ -26,6 +26,12 @@ from host.models.states import States, flight_states
 SEGMENT_STEPS = 50
 """Of 20 ms: a second."""
 
+DEFAULT_FORMS = ("linear-drag", "com-offset")
+"""Effects to learn beside a network: an acceleration that grows with speed, and the torque that the law's
+rate integral stands against. Every segment begins with that integral: to a network, which gives no torque,
+the swing that a model without the torque makes there looks like an acceleration, and whole flights have none.
+"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:

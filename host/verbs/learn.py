@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from host.learn import Judged
 
 DEFAULT_OUTPUT = "learned.model.toml"
-DEFAULT_EFFECTS = ("linear-drag",)
 
 
 def command(
@@ -56,8 +55,8 @@ def command(
         What the network sees and gives: velocity and attitude in the world, as in the paper, or the velocity
         in the body's axes, which is the same for every heading.
     effects
-        Effects of the library that are learned beside the network; "none" for none. Default: linear-drag,
-        none on a model.
+        Effects of the library that are learned beside the network; "none" for none. Default: linear-drag
+        and com-offset, none on a model.
     method
         The trajectory loss condensed about roll-outs, or the paper's mini-batches, network only.
     log_latency
@@ -78,7 +77,7 @@ def command(
     from host import artefacts
     from host.effects import load_effects
     from host.errors import GateMissed, UsageError
-    from host.learn import CondensedSettings, Settings, learn
+    from host.learn import DEFAULT_FORMS, CondensedSettings, Settings, learn
     from host.log import read_flight
     from host.models.file import SUFFIX, read_model, write_model
     from host.models.network import Layout
@@ -122,7 +121,7 @@ def command(
     parents = {f"log {i}": flight.id for i, flight in enumerate(flights)}
     if base is not None:
         parents["model"] = base.id
-    chosen = DEFAULT_EFFECTS if effects is None and base is None and method != "paper" else effects or []
+    chosen = DEFAULT_FORMS if effects is None and base is None and method != "paper" else effects or []
     forms = tuple(name for name in chosen if name != "none")
     for name in forms:
         if name not in library:

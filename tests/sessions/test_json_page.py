@@ -215,6 +215,7 @@ def test_study_paper_learning_prints_what_the_page_says() -> None:
         },
         "world-00": {
             "errors": {name: methods for name in ("train", "test", "ood")},
+            "kept": dict.fromkeys(("paper", "hybrid", "body"), "network"),
             "flights": {"train": 13, "test": 3, "ood": 2},
             "failed": [{"flight": "ood-0", "why": "tilted"}],
             "statistics": {"known": moves, "ood": moves},

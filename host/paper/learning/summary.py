@@ -31,8 +31,8 @@ STATISTICS_PAPER = {
 METHODS = {
     "nominal": "nominal model",
     "paper": "paper: MLP 3 x 32, Adam",
-    "hybrid": "linear drag + MLP (default)",
-    "body": "linear drag + MLP on body velocity",
+    "hybrid": "effects + MLP (default)",
+    "body": "effects + MLP on body velocity",
 }
 _SETS = {"train": "train", "test": "test", "ood": "out of distribution"}
 
@@ -151,6 +151,7 @@ def _flown(worlds: Sequence[Mapping[str, Any]]) -> Row:
         "flights": {name: sum(w["flights"][name] for w in worlds) for name in _SETS},
         "failed": [flight for w in worlds for flight in w["failed"]],
         "errors": errors,
+        "kept": {method: [w["kept"][method] for w in worlds] for method in METHODS if method != "nominal"},
         "ratios": ratios,
         "ratio_median": {
             name: {method: _median(values) for method, values in each.items()}

@@ -12,7 +12,7 @@ import pytest
 
 from host.cli import main
 from host.effects import load_effects
-from host.learn import CondensedSettings, Judged, Learned, Settings, learn
+from host.learn import DEFAULT_FORMS, CondensedSettings, Judged, Learned, Settings, learn
 from host.learn.candidates import Trial
 from host.learn.evaluate import Errors
 from host.learn.train import Trained
@@ -110,7 +110,7 @@ def test_learn_verb_effects_beside_the_network_are_in_the_model(logs, tmp_path, 
     assert answer["test"]["position_rmse_m"] < 0.4 * answer["test"]["nominal"]["position_rmse_m"]
     model = read_model(output, vehicle_id=load_vehicle("research").id)
     assert model.effects == answer["effects"]
-    assert set(model.sources) == {"linear-drag"}
+    assert set(model.sources) == {"linear-drag", "com-offset"}
     words = ["learn", *map(str, logs), "-o", str(output), "--force", "--no-network", "--json"]
     assert main(words) == 0
     alone = json.loads(capsys.readouterr().out.splitlines()[-1])["effects"]["linear-drag"]
@@ -281,3 +281,19 @@ def test_learn_verb_writes_no_model_that_is_no_better_unless_asked_to(tmp_path, 
     assert (answer["model"] is None) is (answer["model_id"] is None) is not output.is_file()
     assert ("42.1 mm (held out) off with nothing learned" in answer["notes"][0]) is not better
     assert (f"{output}: not written" in told.err) is not output.is_file()
+
+
+def test_learn_a_standing_torque_is_no_acceleration(make_states, tmp_path):
+    """The law's integral stands against it at every segment's start: the default learns what it is."""
+    world = tmp_path / "world.toml"
+    world.write_text(
+        'description = "torque"\ntolerances = false\n[effects.com-offset]\nx = 0.006\ny = -0.004\n'
+    )
+    flights = fly(world, [make_states(seed, duration_s=6.0).reference for seed in (1, 2, 3)], tmp_path)
+    settings = CondensedSettings(layout=Layout(hidden=(8,)))
+    learned = learn(flights, effects=load_effects(), settings=settings, forms=DEFAULT_FORMS)
+    assert learned.model.effects["com-offset"]["x"] == pytest.approx(0.006, rel=0.1)
+    assert learned.model.effects["com-offset"]["y"] == pytest.approx(-0.004, rel=0.1)
+    assert learned.train.ratio < 0.4
+    network = learn(flights, effects=load_effects(), settings=settings)
+    assert network.trials[-1].train.position_rmse_m > 2.0 * learned.train.learned.position_rmse_m

@@ -25,6 +25,7 @@ def made_up_world(ratio: float) -> dict:
     return {
         "world": 0,
         "errors": {name: errors for name in ("train", "test", "ood")},
+        "kept": dict.fromkeys(("paper", "hybrid", "body"), "network"),
         "flights": {"train": 13, "test": 3, "ood": 3},
         "failed": [],
         "statistics": {"known": moves, "ood": moves},
