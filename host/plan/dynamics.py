@@ -34,6 +34,8 @@ the limits. Behind them the residual at rest (3) and the effects' values: all th
 rebuild."""
 REST = slice(8, 11)
 EFFECTS = REST.stop
+_STEP = 1e-6
+"""Of slopes by differences."""
 TILT_ROW, SPEED_ROW, JERK_ROW = 0, 1, 2
 PATH_ROWS = 3
 """Path rows: cos tilt; squared speed and squared jerk as shares of their squared limits."""
@@ -163,6 +165,17 @@ class Dynamics:
         out[YAW] = yaw
         return out
 
+    def _unrest(self, unknown: Array, yaw: float) -> Array:
+        """(6, n) acceleration and angular acceleration at rest at roll, pitch and thrusts (6, n)."""
+        zero = np.zeros(unknown.shape[1])
+        x = [*[zero] * 6, unknown[0], unknown[1], zero + yaw, *[zero] * 3, *unknown[2:]]
+        parts = self.model.parts if self.augmented else ()
+        rows = rigid_body(NUMPY, self.vehicle, parts, self.newtons(x))
+        found = np.array([zero + row for row in [*rows[V], *rows[RATE]]])
+        if self.augmented and self.model.network is not None:
+            found[:3] += self.model.network.acceleration_ned(np.array(x[V]), np.array(x[THETA]))
+        return found
+
     def rest_residual(self, yaw: float) -> Array:
         """(3,) the residual acceleration, NED, of the nominal vehicle at rest: what no plan can avoid."""
         x = np.array([0.0] * 8 + [yaw] + [0.0] * 3 + [self.hover_n] * 4)
@@ -182,29 +195,20 @@ class Dynamics:
     def hover(self, yaw: float) -> Array:
         """(16,) the state at rest at the origin in which nothing accelerates, in the planner's units.
 
-        Newton's method on attitude and thrusts; differs from level only where the dynamics are augmented.
-        Raises ValueError where the model has no such state.
+        Newton's method on attitude and thrusts, with slopes by differences; differs from level only where the
+        dynamics are augmented. Raises ValueError where the model has no such state.
         """
-        unknown = ca.SX.sym("unknown", 6)
-        x = ca.vertcat(ca.SX(6, 1), unknown[:2], yaw, ca.SX(3, 1), unknown[2:])
-        xdot = self.derivative(x, ca.SX(INPUTS, 1), ca.SX(ca.DM(self.parameters(np.array([yaw])))))
-        acceleration = xdot[V]
-        if self.augmented and self.model.network is not None:
-            inputs = [x[i] for i in range(V.start, THETA.stop)]
-            network = self.model.network
-            acceleration = acceleration + ca.vertcat(
-                *network.layout.scalars(CASADI, list(network.xi), inputs)
-            )
-        equations = ca.vertcat(acceleration, xdot[RATE])
-        step = ca.Function("step", [unknown], [equations, ca.jacobian(equations, unknown)])
         value = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
+        away = _STEP * np.eye(6)
         for _ in range(20):
-            error, slope = (np.array(part) for part in step(value))
+            lanes = value[:, None] + np.hstack([np.zeros((6, 1)), away, -away])
+            found = self._unrest(lanes, yaw)
+            error, slope = found[:, 0], (found[:, 1:7] - found[:, 7:]) / (2.0 * _STEP)
             if not np.isfinite(slope).all():
                 break
             if np.abs(error).max() < 1e-10:
                 return np.concatenate([np.zeros(6), value[:2], [yaw], np.zeros(3), value[2:]])
-            value = value - np.linalg.lstsq(slope, error, rcond=None)[0].ravel()
+            value = value - np.linalg.lstsq(slope, error, rcond=None)[0]
         raise ValueError("the model has no state of rest near level flight: its values cannot be right")
 
     def stage_model(self, *, minimise_residual: bool, weigh_time: bool) -> StageModel:
