@@ -18,6 +18,7 @@ FLAT_SIZE = 14
 class TrackingError:
     """Distance between camera pose and reference over the tracking phase, m; `poses` is how many entered."""
 
+    mean_m: float
     rmse_m: float
     max_m: float
     poses: int
@@ -61,5 +62,8 @@ def tracking_error(flight: Flight) -> TrackingError | None:
     wanted = reference_at(flight.reference, flight.mocap.t_us[keep] - start_us)[:, :3]
     square = ((flight.mocap.p[keep] - wanted) ** 2).sum(axis=1)
     return TrackingError(
-        rmse_m=float(np.sqrt(square.mean())), max_m=float(np.sqrt(square.max())), poses=int(keep.sum())
+        mean_m=float(np.sqrt(square).mean()),
+        rmse_m=float(np.sqrt(square.mean())),
+        max_m=float(np.sqrt(square.max())),
+        poses=int(keep.sum()),
     )

@@ -76,11 +76,7 @@ def measure(vehicle: Vehicle, model: ResidualModel, table: Table, yaws: Sequence
     length = float(np.linalg.norm(np.diff(x[P], axis=1), axis=0).sum())
     rms: float | None = None
     if model.has_residual:
-        d = np.zeros((3, len(times_us)))
-        d += np.array([np.broadcast_to(row, times_us.shape) for row in _residual(vehicle, model, x)])
-        if model.network is not None:
-            d += model.network.acceleration_ned(x[V], x[THETA])
-        rms = float(np.sqrt((d**2).sum(axis=0).mean()))
+        rms = float(np.sqrt((_residual(vehicle, model, x) ** 2).sum(axis=0).mean()))
     duration_s = float(table.times_us[-1]) * 1e-6
     beyond: float | None = None
     if model.region is not None:
@@ -93,8 +89,17 @@ def measure(vehicle: Vehicle, model: ResidualModel, table: Table, yaws: Sequence
     )
 
 
-def _residual(vehicle: Vehicle, model: ResidualModel, x: Array) -> Sequence[Array]:
-    return residual_acceleration_ned(NUMPY, vehicle, model.parts, list(x))
+def residual_along(vehicle: Vehicle, model: ResidualModel, reference: Reference) -> Array:
+    """(3, n) the predicted residual acceleration, NED, m/s^2, every 10 ms along a reference."""
+    table = from_reference(reference)
+    return _residual(vehicle, model, flat_states(vehicle, table, reference.yaw_nodes(), _samples(table)))
+
+
+def _residual(vehicle: Vehicle, model: ResidualModel, x: Array) -> Array:
+    """(3, n) at states (16, n)."""
+    rows = residual_acceleration_ned(NUMPY, vehicle, model.parts, list(x))
+    d = np.array([np.broadcast_to(row, x.shape[1:]) for row in rows])
+    return d if model.network is None else d + model.network.acceleration_ned(x[V], x[THETA])
 
 
 def _samples(table: Table) -> NDArray[np.float64]:

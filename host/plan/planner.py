@@ -16,7 +16,9 @@ excess.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 from host.effects import Effect, load_effects
 from host.errors import UsageError
@@ -41,6 +43,8 @@ def plan(
     effects: Mapping[str, Effect] | None = None,
     headroom: LimitsOverride | None = None,
     total_time_s: float | None = None,
+    time_box: tuple[float, float] | None = None,
+    time_weight: float | None = None,
     stretch: bool = False,
     nodes: int | None = None,
     settings: Settings | None = None,
@@ -50,9 +54,10 @@ def plan(
 
     kind: one of KINDS; a `*` behind it plans with the model in the dynamics. model: needed by min-residual
     and `*`; `effects` are those its names refer to, the shipped ones by default. headroom: limits tighter
-    than the route's. total_time_s: instead of the route's. stretch: a min-snap plan that breaks a limit takes
-    more time. nodes: about how many shooting intervals, None for one about every 70 ms. source: names
-    the route in errors, its name by default.
+    than the route's. total_time_s: instead of the route's. time_box: the total time is free within these
+    shares of it, at the price of time_weight (1 by default) a second, in the unit of the weights. stretch: a
+    min-snap plan that breaks a limit takes more time. nodes: about how many shooting intervals, None for one
+    about every 70 ms. source: names the route in errors, its name by default.
 
     Raises ConfigurationError or UsageError (exit code 2) for what contradicts itself before solving,
     PlanRefused (1) with node and reason, PlanUnsolved (4).
@@ -62,6 +67,7 @@ def plan(
         raise UsageError(f"--nodes {nodes}: give a number within 20..{NODES_MAX}")
     if stretch and name != "min-snap":
         raise UsageError(f"--stretch goes with min-snap, not with {kind}: give the time with --time-s")
+    settings = _free_time(settings or Settings(), route, kind, time_box, time_weight)
     route = _timed(route, total_time_s)
     limits = _limits(route, vehicle, headroom, source)
     dynamics = Dynamics(
@@ -71,7 +77,7 @@ def plan(
         _check_rest(dynamics)
     if dynamics.model.network is not None and dynamics.model.region is not None and name == "min-residual":
         limits = within_region(limits, dynamics.model.region, dynamics)
-    job = Job(kind=name, route=route, dynamics=dynamics, limits=limits, settings=settings or Settings())
+    job = Job(kind=name, route=route, dynamics=dynamics, limits=limits, settings=settings)
     return plan_snap(job, stretch=stretch) if name == "min-snap" else plan_shooting(job, nodes=nodes)
 
 
@@ -108,6 +114,41 @@ def _check_rest(dynamics: Dynamics) -> None:
         dynamics.hover(0.0)
     except (ValueError, ArithmeticError) as error:
         raise UsageError(f"{error}; plan without the star") from None
+
+
+def _free_time(
+    settings: Settings,
+    route: Route,
+    kind: str,
+    box: tuple[float, float] | None,
+    weight: float | None,
+) -> Settings:
+    """The settings with this much freedom of the total time. Raises UsageError."""
+    if box is None:
+        if weight is not None:
+            raise UsageError("--time-weight goes with --time-box: without it the total time is given")
+        return settings
+    low, high = box
+    if not 0.1 <= low <= 1.0 <= high <= 10.0:
+        raise UsageError(
+            f"--time-box {low:g} {high:g}: give two shares of the route's time, 0.1..1 and 1..10"
+        )
+    if kind == "min-snap":
+        raise UsageError("--time-box goes with min-control and min-residual; give min-snap --stretch")
+    if route.times_s is not None:
+        raise UsageError(
+            f"{route.name}: its waypoints have times, --time-box needs a route with total_time_s"
+        )
+    price = 1.0 if weight is None else weight
+    if not (math.isfinite(price) and price >= 0.0):
+        raise UsageError(f"--time-weight {price:g}: give 0 or more")
+    step_low, step_high = settings.step_box
+    return replace(
+        settings,
+        total_time_box=(low, high),
+        step_box=(low * step_low, high * step_high),
+        weights=replace(settings.weights, time=price),
+    )
 
 
 def _timed(route: Route, total_time_s: float | None) -> Route:

@@ -71,11 +71,14 @@ def over_noise(rows: Sequence[Mapping[str, Any]], caption: str) -> Figure:
 
 
 def over_nominal(
-    ratios: Mapping[str, Mapping[str, Sequence[float | None]]], names: Mapping[str, str], caption: str
+    ratios: Mapping[str, Mapping[str, Sequence[float | None]]],
+    names: Mapping[str, str],
+    caption: str,
+    over: str = "nominal",
 ) -> Figure:
-    """Position error over the nominal model's, a point a world, a column a set; also as PNG.
+    """Values over those of a baseline, a point a world or course, a column a set; also as PNG.
 
-    ratios: set -> method -> values (worlds,); None for a roll-out that diverged is left out.
+    ratios: set -> method -> values (worlds,); None for what diverged is left out. over: the baseline's name.
     """
     methods = list(next(iter(ratios.values())))
     with rc_context(STYLE):
@@ -92,13 +95,13 @@ def over_nominal(
         ax.axhline(1.0, color=NEUTRAL, linewidth=0.8)
         ax.axhline(0.0, color=FLOOR, linewidth=0.8)
         ax.set_xticks(range(len(ratios)), list(ratios))
-        ax.set(ylabel="position error over nominal")
+        ax.set(ylabel=f"over {over}")
         ax.legend(frameon=False, fontsize=8)
     told = "; ".join(
         f"{name}: " + ", ".join(f"{method} {_median(values)}" for method, values in each.items())
         for name, each in ratios.items()
     )
-    alt = f"Position error over that of the nominal model, medians {told}."
+    alt = f"Over {over}, medians {told}."
     return finish(canvas, caption, alt, png=True)
 
 

@@ -22,6 +22,8 @@ def command(
     kind: str | None = None,
     nodes: int | None = None,
     time_s: float | None = None,
+    time_box: tuple[float, float] | None = None,
+    time_weight: float | None = None,
     stretch: Annotated[bool, Parameter(negative="")] = False,
     headroom: tuple[float, float] | None = None,
     output: Output = None,
@@ -44,6 +46,10 @@ def command(
         About how many shooting intervals, 20 to 1600; one about every 70 ms by default.
     time_s
         Total time, in place of the route's, at most 500 s.
+    time_box
+        Let the total time be free between these shares of it, as 0.8 1.3.
+    time_weight
+        What a second costs where the total time is free, in units of the squared residual; 1 by default.
     stretch
         Give a min-snap plan that breaks a limit more time.
     headroom
@@ -82,6 +88,8 @@ def command(
             effects=effects,
             headroom=within,
             total_time_s=time_s,
+            time_box=time_box,
+            time_weight=time_weight,
             stretch=stretch,
             nodes=nodes,
             source=route_file(route, place.root),

@@ -31,15 +31,15 @@ def command(
     Parameters
     ----------
     name
-        Study to run: blind (tracing in sealed worlds) or paper-learning (the paper's learning section).
+        Study to run: blind (tracing in sealed worlds), paper-learning, paper-planning (the paper's sections).
     seed
         Worlds, flights and first weights are drawn from it.
     worlds
-        How many; blind: 30, in full size 538; paper-learning: 5.
+        How many; blind: 30, in full size 538; those of the paper: 5.
     jobs
         Processes at a time; one for each core by default.
     quick
-        paper-learning: a small one, to see that everything works.
+        paper-learning, paper-planning: a small one, to see that everything works.
     baselines
         blind: judge other methods on the same logs too.
     real

@@ -1,36 +1,26 @@
-"""`trimtab study paper-learning`: the paper's learning section, number beside number.
-
-The study is a list of pieces that do not depend on each other; each leaves a file, so a run that was cut
-short goes on where it was.
-"""
+"""`trimtab study paper-learning`: the paper's learning section, number beside number."""
 
 from __future__ import annotations
 
-import json
-import multiprocessing
-import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from host.artefacts import write_atomic
 from host.errors import UsageError
-from host.output import json_text
 from host.paper.learning import curves, flown, noise, transfer
 from host.paper.learning.flights import Flights, make_flights
 from host.paper.learning.measure import acceleration_error
 from host.paper.learning.methods import BODY, CLOSED, LONG, REGRESSORS, SHORT, WORLD, learn_exact
 from host.paper.learning.summary import summary
+from host.paper.pieces import Piece, Report, run_pieces
 from host.vehicle import load_vehicle
 
-NAME, ORDER, PIECES = "paper-learning", "study.json", "pieces"
+NAME = "paper-learning"
 WORLDS = 5
 
 _BY_NAME = {regressor.name: regressor for regressor in REGRESSORS}
-
-Report = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,16 +48,6 @@ QUICK = Scope(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Piece:
-    """One part of the study, by the name of the file it leaves; weight is its share of the work."""
-
-    name: str
-    kind: str
-    arguments: Mapping[str, Any]
-    weight: float = 1.0
-
-
 def run(
     *,
     folder: Path,
@@ -85,31 +65,10 @@ def run(
     if worlds < 1:
         raise UsageError(f"--worlds {worlds}: give 1 or more")
     folder = folder.absolute()
-    (folder / PIECES).mkdir(parents=True, exist_ok=True)
-    craft = load_vehicle(vehicle)
-    order = {"study": NAME, "seed": seed, "vehicle": craft.id, "quick": quick}
-    _same_order(folder, order)
+    order = {"study": NAME, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick}
     pieces = plan(seed, 1 if quick else worlds, QUICK if quick else FULL)
-    total = sum(piece.weight for piece in pieces)
-    waiting = [piece for piece in pieces if not _file(folder, piece).is_file()]
-    done = total - sum(piece.weight for piece in waiting)
-    report(done, total, "")
-    if waiting:
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-            running = {
-                pool.submit(work, piece, str(folder), vehicle, seed): piece
-                for piece in sorted(waiting, key=lambda piece: -piece.weight)
-            }
-            try:
-                for future in as_completed(running):
-                    future.result()
-                    done += running[future].weight
-                    report(done, total, running[future].name)
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
-    found = {piece.name: json.loads(_file(folder, piece).read_text("utf-8")) for piece in pieces}
+    work = partial(do, vehicle=vehicle, seed=seed)
+    found = run_pieces(pieces, work, folder=folder, order=order, jobs=jobs, report=report)
     answer = {"study": NAME, "seed": seed, "worlds": worlds, "quick": quick, "folder": str(folder)}
     return {**summary(answer, found), "scores": found}
 
@@ -144,15 +103,13 @@ def plan(seed: int, worlds: int, scope: Scope) -> list[Piece]:
     return pieces
 
 
-def work(piece: Piece, folder: str, vehicle: str, seed: int) -> None:
-    """Nothing comes back; the piece's file is in the study's folder."""
+def do(piece: Piece, folder: str, *, vehicle: str, seed: int) -> Any:
+    """What a piece comes to."""
     craft = load_vehicle(vehicle)
     if piece.kind == "world":
         place = Path(folder) / "worlds" / f"{piece.arguments['world']:02d}"
-        result: Any = flown.fly_and_learn(place, craft, **piece.arguments)
-    else:
-        result = _KINDS[piece.kind](make_flights(craft, seed), **piece.arguments)
-    write_atomic(_file(Path(folder), piece), json_text({"result": result}), force=True)
+        return flown.fly_and_learn(place, craft, **piece.arguments)
+    return _KINDS[piece.kind](make_flights(craft, seed), **piece.arguments)
 
 
 def _nominal(sets: dict[str, Flights]) -> dict[str, Any]:
@@ -193,24 +150,6 @@ _KINDS: Mapping[str, Callable[..., Any]] = {
     "noise": _noise,
     "transfer": _transfer,
 }
-
-
-def _same_order(folder: Path, order: Mapping[str, Any]) -> None:
-    """Nothing comes back; the folder's study is this one. Raises UsageError where it is another."""
-    path = folder / ORDER
-    if not path.is_file():
-        write_atomic(path, json_text(order), force=True)
-        return
-    before = json.loads(path.read_text("utf-8"))
-    different = [key for key in order if before.get(key) != order[key]]
-    if different:
-        raise UsageError(
-            f"{folder}: holds a study with another {', '.join(different)}; choose another folder with -o"
-        )
-
-
-def _file(folder: Path, piece: Piece) -> Path:
-    return folder / PIECES / f"{piece.name}.json"
 
 
 def _slug(name: str) -> str:

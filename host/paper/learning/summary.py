@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from host.paper.learning import curves, noise
+from host.paper.text import text
 
 Row = dict[str, Any]
 
@@ -73,13 +74,6 @@ def summary(answer: Mapping[str, Any], pieces: Mapping[str, Any]) -> dict[str, A
         "noise": noisy,
         "flown": flown,
     }
-
-
-def text(rows: Sequence[Mapping[str, str]]) -> list[str]:
-    """A table as lines."""
-    titled = [{key: key for key in rows[0]}, *rows]
-    widths = {key: max(len(str(row[key])) for row in titled) for key in rows[0]}
-    return ["  ".join(str(row[key]).ljust(width) for key, width in widths.items()).rstrip() for row in titled]
 
 
 def _curves(nominal: Mapping[str, Any], trials: Sequence[Mapping[str, Any]]) -> list[Row]:

@@ -1,0 +1,132 @@
+"""Kinds of plan side by side: as planned under a drag that is known, and flown in a sealed world.
+
+Planned: the paper's drag, diag(0.5, 0.5, 0.1) 1/s in the body's frame, is the model itself. Flown: a model is
+learned from flights of the sealed world, on courses of their own; the compared courses are flown by the DFBC
+without feed-forward, through firmware and radio.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from firmware_model.law.constants import GRAVITY
+from host.demo.flights import Airfield
+from host.effects import load_effects
+from host.errors import FlightFailed, Refused, SolverError
+from host.learn import DEFAULT_FORMS, CondensedSettings, learn
+from host.log import read_flight
+from host.log.tracking import reference_at, tracking_error
+from host.paper.planning.courses import Course, draw, draw_course
+from host.plan import Plan, ResidualModel, Settings, Weights, plan
+from host.plan.judge import residual_along
+from host.vehicle import Vehicle
+
+WORLD = "paper-drag"
+DRAG = (0.5, 0.5, 0.1)
+"""1/s along FRD, the paper's simulation."""
+KINDS = ("min-snap", "min-control", "min-control*", "min-residual", "min-residual*")
+NODES = 400
+_TRAINING = 6
+_PACES = (1.0, 0.75)
+
+
+def planned(vehicle: Vehicle, seed: int, index: int) -> dict[str, Any]:
+    """One course planned in every kind with the paper's nodes and its weight of control effort."""
+    course = draw_course(vehicle, seed, index, "planned")
+    known = ResidualModel(parts=((load_effects()["linear-drag"], DRAG),))
+    hover_n = vehicle.mass_kg * GRAVITY / 4.0
+    paper = Settings(weights=Weights(control=0.1 * hover_n**2), relative_weights=False)
+    return {
+        "course": course.route.name,
+        "duration_s": course.route.duration_s,
+        "kinds": {kind: _planned(course, vehicle, known, kind, paper, NODES)[0] for kind in KINDS},
+    }
+
+
+def flown(folder: Path, vehicle: Vehicle, seed: int, world: int, courses: int) -> dict[str, Any]:
+    """One world: a model learned from flights of its own, then every kind flown on held-out courses.
+
+    Logs stay in `folder`.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    field = Airfield(
+        vehicle=vehicle,
+        world=WORLD,
+        world_seed=draw(seed, "world", world),
+        session={"seed": str(seed), "command": "trimtab study paper-planning"},
+    )
+    flights, number = [], 0
+    for k in range(_TRAINING // len(_PACES)):
+        course = draw_course(vehicle, seed, k, f"training-{world}")
+        for pace in _PACES:
+            number += 1
+            log = folder / f"training-{k}-{pace:g}.mcap"
+            slow = plan(course.route, vehicle, total_time_s=course.route.duration_s / pace)
+            field.fly(slow.reference, number, log)
+            flights.append(read_flight(log))
+    effects = load_effects()
+    learned = learn(flights, effects=effects, settings=CondensedSettings(), forms=DEFAULT_FORMS, hold_out=())
+    model = ResidualModel.of(learned.model, effects)
+    rows = []
+    for k in range(courses):
+        course = draw_course(vehicle, seed, k, f"flown-{world}")
+        kinds = {}
+        for kind in KINDS:
+            row, made = _planned(course, vehicle, model, kind, Settings(), None)
+            if made is not None:
+                number += 1
+                row |= _flight(field, made, number, folder / f"course-{k}-{kind.replace('*', 's')}.mcap")
+            kinds[kind] = row
+        rows.append({"course": course.route.name, "duration_s": course.route.duration_s, "kinds": kinds})
+    return {"world": world, "kept": learned.kept.what, "courses": rows}
+
+
+def _planned(
+    course: Course, vehicle: Vehicle, model: ResidualModel, kind: str, settings: Settings, nodes: int | None
+) -> tuple[dict[str, Any], Plan | None]:
+    """The plan's figures, or why there is none, and the plan."""
+    try:
+        if kind == "min-snap":
+            made = course.snap
+        else:
+            made = plan(course.route, vehicle, kind=kind, model=model, nodes=nodes, settings=settings)
+    except (Refused, SolverError) as error:
+        return {"failed": str(error)}, None
+    d = residual_along(vehicle, model, made.reference)
+    norm = np.linalg.norm(d - d[:, :1], axis=0)
+    flat = reference_at(made.reference, np.arange(0, made.reference.duration_us, 10_000))
+    return {
+        "residual_mean_m_s2": float(norm.mean()),
+        "drag_mean_n": float(vehicle.mass_kg * np.linalg.norm(d, axis=0).mean()),
+        "solve_s": made.solve_s,
+        "iterations": made.iterations,
+        "rounds": made.rounds,
+        "path_length_m": made.path_length_m,
+        "mean_speed_m_s": made.mean_speed_m_s,
+        "acceleration_max_m_s2": float(np.linalg.norm(flat[:, 6:9], axis=1).max()),
+        "jerk_max_m_s3": float(np.linalg.norm(flat[:, 9:12], axis=1).max()),
+        "jerk_mean_m_s3": float(np.linalg.norm(flat[:, 9:12], axis=1).mean()),
+        "outside_region": made.outside_region,
+    }, made
+
+
+def _flight(field: Airfield, made: Plan, number: int, log: Path) -> Mapping[str, Any]:
+    """Tracking error of one flight, m, mean and greatest, and the share of clipped ticks."""
+    try:
+        result = field.fly(made.reference, number, log)
+    except FlightFailed as error:
+        return {"flight_failed": str(error)}
+    off = tracking_error(read_flight(log))
+    assert off is not None
+    return {
+        "error_mean_m": off.mean_m,
+        "error_rmse_m": off.rmse_m,
+        "error_max_m": off.max_m,
+        "clipped_share": result.clipped_share,
+    }

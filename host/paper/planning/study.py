@@ -1,0 +1,62 @@
+"""`trimtab study paper-planning`: the paper's planning section, number beside number."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from host.errors import UsageError
+from host.paper.pieces import Piece, Report, run_pieces
+from host.paper.planning import compare
+from host.paper.planning.summary import summary
+from host.vehicle import load_vehicle
+
+NAME = "paper-planning"
+WORLDS, COURSES, PLANNED = 5, 4, 20
+"""Sealed worlds, held-out courses flown in each, courses planned under the paper's drag."""
+
+
+def run(
+    *,
+    folder: Path,
+    seed: int,
+    vehicle: str,
+    jobs: int,
+    worlds: int = WORLDS,
+    quick: bool = False,
+    report: Report = lambda done, total, detail: None,
+) -> dict[str, Any]:
+    """The study's outcome: `answer` (the machine's object), `lines` (for people), `scores` (all pieces).
+
+    quick: a small one, to see that everything works. Raises UsageError where the folder holds another study.
+    """
+    if worlds < 1:
+        raise UsageError(f"--worlds {worlds}: give 1 or more")
+    folder = folder.absolute()
+    order = {"study": NAME, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick}
+    pieces = plan_pieces(1 if quick else worlds, 1 if quick else COURSES, 2 if quick else PLANNED)
+    work = partial(do, vehicle=vehicle, seed=seed)
+    found = run_pieces(pieces, work, folder=folder, order=order, jobs=jobs, report=report)
+    answer = {"study": NAME, "seed": seed, "worlds": worlds, "quick": quick, "folder": str(folder)}
+    return {**summary(answer, found), "scores": found}
+
+
+def plan_pieces(worlds: int, courses: int, planned: int) -> list[Piece]:
+    """The pieces of a study."""
+    pieces = [Piece(name=f"planned-{k:02d}", kind="planned", arguments={"index": k}) for k in range(planned)]
+    for world in range(worlds):
+        arguments = {"world": world, "courses": courses}
+        pieces.append(
+            Piece(name=f"world-{world:02d}", kind="world", arguments=arguments, weight=5.0 + 2.0 * courses)
+        )
+    return pieces
+
+
+def do(piece: Piece, folder: str, *, vehicle: str, seed: int) -> Any:
+    """What a piece comes to."""
+    craft = load_vehicle(vehicle)
+    if piece.kind == "planned":
+        return compare.planned(craft, seed, **piece.arguments)
+    place = Path(folder) / "worlds" / f"{piece.arguments['world']:02d}"
+    return compare.flown(place, craft, seed, **piece.arguments)

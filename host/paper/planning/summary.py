@@ -1,0 +1,194 @@
+"""From pieces of the study to its figures, tables and lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from host.paper.planning.compare import KINDS
+from host.paper.text import text
+
+Row = dict[str, Any]
+
+PAPER_DRAG_N = {"min-snap": 1.845, "min-residual*": 0.817}
+"""Mean drag along the plans of the paper's figure 3; its 1.483 N is of Min-Control-R."""
+BASES = ("min-snap", "min-control")
+_SAMPLES = 10_000
+_MEASURES = {
+    "residual": "residual_mean_m_s2",
+    "error": "error_mean_m",
+    "error_max": "error_max_m",
+    "jerk_max": "jerk_max_m_s3",
+    "length": "path_length_m",
+}
+
+
+def summary(answer: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The study's outcome: `answer`, `tables` by title, `lines`, and what the pictures show."""
+    results = [piece["result"] for piece in found.values()]
+    planned = [r for r in results if "kinds" in r]
+    courses = [course for r in results if "courses" in r for course in r["courses"]]
+    ratios = {
+        base: {
+            kind: {name: _ratio(courses, kind, base, key) for name, key in _MEASURES.items()}
+            for kind in KINDS
+            if kind != base
+        }
+        for base in BASES
+    }
+    figures = {
+        "planned": {kind: _planned(planned, kind) for kind in KINDS},
+        "flown": {kind: _flown(courses, kind) for kind in KINDS},
+        "ratios": ratios,
+        "failed": [
+            {"course": course["course"], "kind": kind, "why": row.get("failed") or row["flight_failed"]}
+            for course in [*planned, *courses]
+            for kind, row in course["kinds"].items()
+            if "failed" in row or "flight_failed" in row
+        ],
+    }
+    tables = {
+        "Planned under the paper's drag, N = 400, its weight of control effort": _planned_table(
+            figures["planned"]
+        ),
+        "Flown by the DFBC without feed-forward, held-out courses": _flown_table(figures["flown"]),
+        "Flown over min-snap and min-control: medians of ratios, 95 % of bootstraps": _ratio_table(ratios),
+        "The paper's claims": _claims(figures),
+    }
+    return {
+        "answer": {**answer, **figures},
+        "tables": tables,
+        "lines": [line for title, rows in tables.items() for line in ("", title, *text(rows))][1:],
+        "courses": courses,
+    }
+
+
+def _rows(courses: Sequence[Mapping[str, Any]], kind: str, key: str) -> list[float]:
+    return [c["kinds"][kind][key] for c in courses if c["kinds"][kind].get(key) is not None]
+
+
+def _middle(values: Sequence[float], of: Callable[[Any], Any] = np.median) -> float | None:
+    return float(of(values)) if len(values) else None
+
+
+def _planned(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
+    """Over the planned courses: mean drag, medians of solve time and iterations."""
+    return {
+        "courses": len(_rows(courses, kind, "drag_mean_n")),
+        "drag_mean_n": _middle(_rows(courses, kind, "drag_mean_n"), np.mean),
+        "solve_s": _middle(_rows(courses, kind, "solve_s")),
+        "iterations": _middle(_rows(courses, kind, "iterations")),
+        "jerk_max_m_s3": _middle(_rows(courses, kind, "jerk_max_m_s3")),
+    }
+
+
+def _flown(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
+    """Medians over the flown courses."""
+    keys = ("residual_mean_m_s2", "error_mean_m", "error_max_m", "clipped_share", "path_length_m")
+    keys += ("mean_speed_m_s", "jerk_max_m_s3", "solve_s", "outside_region")
+    found: Row = {key: _middle(_rows(courses, kind, key)) for key in keys}
+    return {"flights": len(_rows(courses, kind, "error_mean_m")), **found}
+
+
+def _ratio(courses: Sequence[Mapping[str, Any]], kind: str, base: str, key: str) -> Row:
+    """Median over courses of kind's value over base's, with the 95 % of bootstraps over courses."""
+    pairs = [(c["kinds"][kind].get(key), c["kinds"][base].get(key)) for c in courses]
+    ratios = np.array([a / b for a, b in pairs if a is not None and b])
+    if not len(ratios):
+        return {"median": None, "ci95": None, "courses": 0, "better": 0}
+    drawn = np.random.default_rng(0).integers(len(ratios), size=(_SAMPLES, len(ratios)))
+    low, high = np.percentile(np.median(ratios[drawn], axis=1), [2.5, 97.5])
+    return {
+        "median": float(np.median(ratios)),
+        "ci95": [float(low), float(high)],
+        "courses": len(ratios),
+        "better": int((ratios < 1.0).sum()),
+    }
+
+
+def _number(value: float | None, form: str) -> str:
+    return "" if value is None else format(value, form)
+
+
+def _planned_table(planned: Mapping[str, Row]) -> list[Row]:
+    return [
+        {
+            "kind": kind,
+            "courses": str(row["courses"]),
+            "mean drag, N": _number(row["drag_mean_n"], ".3f"),
+            "paper, N": _number(PAPER_DRAG_N.get(kind), ".3f"),
+            "whole plan, s": _number(row["solve_s"], ".2f"),
+            "iterations": _number(row["iterations"], ".0f"),
+            "greatest jerk, m/s^3": _number(row["jerk_max_m_s3"], ".1f"),
+        }
+        for kind, row in planned.items()
+    ]
+
+
+def _flown_table(flown: Mapping[str, Row]) -> list[Row]:
+    return [
+        {
+            "kind": kind,
+            "flights": str(row["flights"]),
+            "planned residual, m/s^2": _number(row["residual_mean_m_s2"], ".3f"),
+            "mean error, mm": _number(_thousand(row["error_mean_m"]), ".1f"),
+            "greatest error, mm": _number(_thousand(row["error_max_m"]), ".1f"),
+            "clipped, %": _number(_hundred(row["clipped_share"]), ".2f"),
+            "length, m": _number(row["path_length_m"], ".1f"),
+            "speed, m/s": _number(row["mean_speed_m_s"], ".2f"),
+            "greatest jerk, m/s^3": _number(row["jerk_max_m_s3"], ".1f"),
+            "plan, s": _number(row["solve_s"], ".2f"),
+        }
+        for kind, row in flown.items()
+    ]
+
+
+def _thousand(value: float | None) -> float | None:
+    return None if value is None else 1e3 * value
+
+
+def _hundred(value: float | None) -> float | None:
+    return None if value is None else 1e2 * value
+
+
+def _ratio_table(ratios: Mapping[str, Mapping[str, Mapping[str, Row]]]) -> list[Row]:
+    rows = []
+    for base, kinds in ratios.items():
+        for kind, measures in kinds.items():
+            row = {"over": base, "kind": kind}
+            for name, found in measures.items():
+                ci = found["ci95"]
+                row[name.replace("_", ", ")] = (
+                    "" if ci is None else f"{found['median']:.2f} ({ci[0]:.2f}-{ci[1]:.2f})"
+                )
+            rows.append(row)
+    return rows
+
+
+def _claims(figures: Mapping[str, Any]) -> list[Row]:
+    """What section V-B and the flights of VI-D say of trajectories, confirmed or not."""
+    drag = {kind: row["drag_mean_n"] for kind, row in figures["planned"].items()}
+    error = figures["ratios"]["min-snap"]
+    star, plain = error["min-residual*"]["error"]["median"], error["min-residual"]["error"]["median"]
+    jerk = error["min-residual"]["jerk_max"]["median"]
+    return [
+        _claim(
+            "drag of min-residual* over min-snap, planned: 0.44",
+            _over(drag["min-residual*"], drag["min-snap"]),
+            lambda x: x <= 0.44,
+        ),
+        _claim("min-residual is tracked better than min-snap: 0.87 in flight", plain, lambda x: x < 1.0),
+        _claim("min-residual* is tracked better than min-residual", _over(star, plain), lambda x: x < 1.0),
+        _claim("the greatest jerk of min-residual is larger: 2.06", jerk, lambda x: x > 1.0),
+    ]
+
+
+def _over(a: float | None, b: float | None) -> float | None:
+    return None if a is None or not b else a / b
+
+
+def _claim(what: str, ratio: float | None, holds: Callable[[float], bool]) -> Row:
+    said = "not measured" if ratio is None else "confirmed" if holds(ratio) else "not confirmed"
+    return {"claim (the paper's ratio)": what, "ours": _number(ratio, ".2f"), "": said}

@@ -1,0 +1,55 @@
+"""The page of the study of planning: the paper's numbers beside ours, tables and a picture."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from host.paper.planning.compare import KINDS
+from host.report import learning_figures
+from host.report.figures import Figure
+from host.report.html import render, script_data
+
+_MEASURES = {
+    "planned residual": "residual_mean_m_s2",
+    "flown mean error": "error_mean_m",
+    "greatest jerk": "jerk_max_m_s3",
+}
+
+
+def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
+    """The study's picture by file stem."""
+    others = [kind for kind in KINDS if kind not in ("min-snap", "min-control*")]
+    ratios = {
+        title: {kind: [_over(course["kinds"], kind, key) for course in outcome["courses"]] for kind in others}
+        for title, key in _MEASURES.items()
+    }
+    return {
+        "courses": learning_figures.over_nominal(
+            ratios,
+            {kind: kind for kind in others},
+            "Held-out courses, planned with a learned model and flown by the DFBC: over the min-snap plan of "
+            "the same course in the same time, a point a course, medians as bars.",
+            over="min-snap",
+        )
+    }
+
+
+def _over(kinds: Mapping[str, Mapping[str, Any]], kind: str, key: str) -> float | None:
+    value, base = kinds[kind].get(key), kinds["min-snap"].get(key)
+    return None if value is None or not base else value / base
+
+
+def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
+    """The HTML of the study's report; offline, one file."""
+    answer = outcome["answer"]
+    scope = "a quick look, no figure of record" if answer["quick"] else f"{answer['worlds']} worlds"
+    return render(
+        "tables.html.j2",
+        title=f"The paper's planning section: {scope}, seed {answer['seed']}",
+        tables=outcome["tables"],
+        figures=list(drawn.values()),
+        provenance=json.dumps(dict(provenance), indent=1, default=str),
+        data=script_data(answer),
+    )
