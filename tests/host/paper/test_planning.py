@@ -1,0 +1,106 @@
+"""`trimtab study paper-planning`: courses, figures, page and JSON; what it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from host.cli import main
+from host.paper.planning import compare
+from host.paper.planning.courses import draw_course
+from host.paper.planning.study import COURSES, PLANNED, WORLDS, plan_pieces
+from host.paper.planning.summary import summary
+from host.vehicle import load_vehicle
+
+VEHICLE = load_vehicle("research")
+
+
+def made_up_row(factor: float) -> dict:
+    """Figures of a plan that nobody made and a flight that nobody flew."""
+    return {
+        "residual_mean_m_s2": 1.5 * factor,
+        "drag_mean_n": 1.4 * factor,
+        "solve_s": 0.2,
+        "iterations": 30,
+        "rounds": 2,
+        "path_length_m": 36.0,
+        "mean_speed_m_s": 3.6,
+        "acceleration_max_m_s2": 9.0,
+        "jerk_max_m_s3": 30.0 / factor,
+        "jerk_mean_m_s3": 10.0,
+        "outside_region": 0.0,
+        "error_mean_m": 0.1 * factor**2,
+        "error_rmse_m": 0.12 * factor,
+        "error_max_m": 0.2 * factor,
+        "clipped_share": 0.0,
+    }
+
+
+FACTORS = dict(zip(compare.KINDS, (1.0, 0.95, 0.95, 0.6, 0.7), strict=True))
+
+
+def made_up_pieces() -> dict:
+    course = {"course": "c", "duration_s": 10.0, "kinds": {k: made_up_row(f) for k, f in FACTORS.items()}}
+    pieces = {f"planned-{k:02d}": {"result": course} for k in range(2)}
+    pieces["world-00"] = {"result": {"world": 0, "kept": "effects", "courses": [course, course]}}
+    return pieces
+
+
+def test_course_is_flown_by_min_snap_in_its_time():
+    course = draw_course(VEHICLE, 3, 0, "test")
+    assert min(course.snap.margins.values()) >= 0.0
+    assert course.route.duration_s == pytest.approx(course.snap.duration_s)
+    assert draw_course(VEHICLE, 3, 0, "test").snap.reference.id == course.snap.reference.id
+    assert draw_course(VEHICLE, 3, 1, "test").route.waypoints_m != course.route.waypoints_m
+
+
+def test_planned_course_has_every_kind_and_less_drag_with_min_residual(monkeypatch):
+    monkeypatch.setattr(compare, "NODES", 100)
+    found = compare.planned(VEHICLE, 3, 0)
+    drag = {kind: row["drag_mean_n"] for kind, row in found["kinds"].items()}
+    assert set(drag) == set(compare.KINDS)
+    assert drag["min-residual"] < 0.9 * drag["min-snap"]
+
+
+def test_summary_gives_ratios_with_bootstraps_and_the_paper_s_claims():
+    outcome = summary({"study": "paper-planning"}, made_up_pieces())
+    ratio = outcome["answer"]["ratios"]["min-snap"]["min-residual"]
+    assert ratio["error"]["median"] == pytest.approx(0.36)
+    np.testing.assert_allclose(ratio["error"]["ci95"], 0.36)
+    assert (ratio["error"]["courses"], ratio["error"]["better"]) == (2, 2)
+    said = [row[""] for row in outcome["tables"]["The paper's claims"]]
+    assert said == ["not confirmed", "confirmed", "not confirmed", "confirmed"]
+    assert outcome["answer"]["failed"] == []
+
+
+def test_summary_names_what_failed():
+    pieces = made_up_pieces()
+    kinds = {**pieces["planned-00"]["result"]["kinds"], "min-residual*": {"failed": "no way"}}
+    pieces["planned-00"] = {"result": {**pieces["planned-00"]["result"], "kinds": kinds}}
+    answer = summary({}, pieces)["answer"]
+    assert answer["failed"] == [{"course": "c", "kind": "min-residual*", "why": "no way"}]
+    assert answer["planned"]["min-residual*"]["courses"] == 1
+
+
+def test_study_goes_on_from_pieces_and_leaves_page_picture_and_json(tmp_path, capsys):
+    folder = tmp_path / "study"
+    (folder / "pieces").mkdir(parents=True)
+    for name, piece in made_up_pieces().items():
+        (folder / "pieces" / f"{name}.json").write_text(json.dumps(piece))
+    words = ["study", "paper-planning", "--quick", "--seed", "5", "-o", str(folder), "--jobs", "1", "--json"]
+    assert main(words) == 0
+    answer = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert answer["planned"]["min-residual"]["drag_mean_n"] == pytest.approx(0.84)
+    assert "1.845" in (folder / "report.html").read_text()
+    assert (folder / "courses.png").stat().st_size > 1000
+    words[words.index("5")] = "6"
+    assert main(words) == 2
+    assert "another seed" in capsys.readouterr().err
+
+
+def test_full_study_flies_twenty_held_out_courses():
+    pieces = plan_pieces(WORLDS, COURSES, PLANNED)
+    assert sum(piece.arguments["courses"] for piece in pieces if piece.kind == "world") == 20
+    assert len({piece.name for piece in pieces}) == len(pieces)
