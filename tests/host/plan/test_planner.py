@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from firmware_model.law.checks import check_reference, from_parameters
 from host.effects import load_effects
 from host.errors import UsageError
 from host.models.model import Model
-from host.models.network import Layout, Network
+from host.models.network import Frame, Layout, Network
 from host.models.region import Region
 from host.plan import Plan, PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
 from host.plan.judge import measure
@@ -328,3 +329,57 @@ def test_a_solve_that_would_never_end_is_left_to_the_other_solver(require) -> No
     points = tuple((0.02 * k, 0.3 * (k % 2), -1.0) for k in range(52))
     made = plan(Route(name="zigzag", waypoints_m=points, total_time_s=40.0), VEHICLE, kind="min-control")
     assert made.status == "solved"
+
+
+def test_free_total_time_is_shorter_where_a_second_costs_more() -> None:
+    route = load_route("pretzel")
+    drag = ResidualModel(parts=((EFFECTS["linear-drag"], (0.5, 0.5, 0.1)),))
+    made = [
+        plan(route, VEHICLE, kind="min-residual", model=drag, time_box=(0.7, 1.4), time_weight=weight)
+        for weight in (0.3, 3.0)
+    ]
+    slow, quick = (each.duration_s for each in made)
+    assert 0.7 * route.duration_s - 1e-3 <= quick < slow - 0.3
+    assert slow <= 1.4 * route.duration_s + 1e-3
+    assert made[1].residual_rms_m_s2 > made[0].residual_rms_m_s2
+    assert all(min(each.margins.values()) >= 0.0 for each in made)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"time_box": (1.1, 1.3)}, "--time-box 1.1 1.3"),
+        ({"time_box": (0.01, 1.3)}, "--time-box 0.01 1.3"),
+        ({"time_weight": 1.0}, "--time-weight goes with --time-box"),
+        ({"time_box": (0.8, 1.3), "time_weight": -1.0}, "--time-weight -1"),
+        ({"time_box": (0.8, 1.3), "kind": "min-snap"}, "--time-box goes with min-control"),
+    ],
+)
+def test_freedom_of_time_that_makes_no_sense_is_refused(arguments: dict, named: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(named)):
+        plan(load_route("pretzel"), VEHICLE, **{"kind": "min-control", **arguments})
+
+
+def test_free_total_time_of_a_route_with_times_is_refused() -> None:
+    route = Route(name="timed", waypoints_m=((0, 0, -1), (1, 0, -1), (2, 1, -1)), times_s=(0.0, 2.0, 4.0))
+    with pytest.raises(UsageError, match="its waypoints have times"):
+        plan(route, VEHICLE, kind="min-control", time_box=(0.8, 1.3))
+
+
+@pytest.mark.parametrize("frame", ["world", "body"])
+def test_plan_with_a_network_is_the_same_in_c_and_in_the_virtual_machine(
+    frame: Frame, monkeypatch: pytest.MonkeyPatch, require
+) -> None:
+    require("compiler")
+    layout = Layout(hidden=(8,), frame=frame)
+    network = Network(layout=layout, xi=0.3 * np.random.default_rng(3).standard_normal(layout.size))
+    made = []
+    for engine in ("c", "vm"):
+        monkeypatch.setenv("TRIMTAB_ENGINE", engine)
+        made.append(
+            plan(
+                load_route("pretzel"), VEHICLE, kind="min-residual*", model=ResidualModel(network=network),
+                nodes=60,
+            )
+        )  # fmt: skip
+    assert made[0].residual_rms_m_s2 == pytest.approx(made[1].residual_rms_m_s2, rel=0.01)
