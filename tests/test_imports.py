@@ -30,7 +30,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 """Package to what of ours it may import; the longest matching name decides."""
 
 EDGES: dict[str, tuple[str, ...]] = {
-    "casadi": ("host.codegen", "host.models", "host.plan", "host.learn", "host.trace"),
+    "casadi": ("host.bench.naive", "host.codegen", "host.models", "host.plan", "host.learn", "host.trace"),
     "cyclopts": ("host.cli", "host.verbs"),
     "diffrax": ("host.bench.jax_rollouts",),
     "fastcrc": ("protocol",),

@@ -26,6 +26,7 @@ class Effort:
 
     status: str
     solve_s: float
+    first_solve_s: float | None = None
     rounds: int = 1
     iterations: int = 0
     intervals: int = 0
@@ -97,4 +98,5 @@ class Job:
             rounds=effort.rounds,
             iterations=effort.iterations,
             solve_s=effort.solve_s,
+            first_solve_s=effort.first_solve_s,
         )

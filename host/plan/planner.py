@@ -62,11 +62,43 @@ def plan(
     Raises ConfigurationError or UsageError (exit code 2) for what contradicts itself before solving,
     PlanRefused (1) with node and reason, PlanUnsolved (4).
     """
-    name, augmented = parse_kind(kind)
+    name, _ = parse_kind(kind)
     if nodes is not None and not 20 <= nodes <= NODES_MAX:
         raise UsageError(f"--nodes {nodes}: give a number within 20..{NODES_MAX}")
     if stretch and name != "min-snap":
         raise UsageError(f"--stretch goes with min-snap, not with {kind}: give the time with --time-s")
+    job = make_job(
+        route,
+        vehicle,
+        kind=kind,
+        model=model,
+        effects=effects,
+        headroom=headroom,
+        total_time_s=total_time_s,
+        time_box=time_box,
+        time_weight=time_weight,
+        settings=settings,
+        source=source,
+    )
+    return plan_snap(job, stretch=stretch) if name == "min-snap" else plan_shooting(job, nodes=nodes)
+
+
+def make_job(
+    route: Route,
+    vehicle: Vehicle,
+    *,
+    kind: str,
+    model: Model | ResidualModel | None = None,
+    effects: Mapping[str, Effect] | None = None,
+    headroom: LimitsOverride | None = None,
+    total_time_s: float | None = None,
+    time_box: tuple[float, float] | None = None,
+    time_weight: float | None = None,
+    settings: Settings | None = None,
+    source: str | None = None,
+) -> Job:
+    """What `plan` plans: arguments checked, limits merged. Raises ConfigurationError or UsageError."""
+    name, augmented = parse_kind(kind)
     settings = _free_time(settings or Settings(), route, kind, time_box, time_weight)
     route = _timed(route, total_time_s)
     limits = _limits(route, vehicle, headroom, source)
@@ -77,8 +109,7 @@ def plan(
         _check_rest(dynamics)
     if dynamics.model.network is not None and dynamics.model.region is not None and name == "min-residual":
         limits = within_region(limits, dynamics.model.region, dynamics)
-    job = Job(kind=name, route=route, dynamics=dynamics, limits=limits, settings=settings)
-    return plan_snap(job, stretch=stretch) if name == "min-snap" else plan_shooting(job, nodes=nodes)
+    return Job(kind=name, route=route, dynamics=dynamics, limits=limits, settings=settings)
 
 
 def _residual_model(

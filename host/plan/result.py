@@ -71,8 +71,9 @@ class Plan:
     margins: least distance to each limit over the whole reference. residual_rms_m_s2: predicted along it,
     None without a model. outside_region: share of it beyond the region that the model's data covers, None
     where that is not known. deviation_m: largest distance from the solver's path, None for min-snap.
-    stretch: of the route's time. intervals: of the shooting problem; rounds: solves. solve_s: processor time,
-    the only number that varies from run to run.
+    stretch: of the route's time. intervals: of the shooting problem; rounds: solves. solve_s: processor time;
+    first_solve_s: of the first round's solver alone, on all its grids, None for min-snap. These two vary from
+    run to run, nothing else.
     """
 
     reference: Reference
@@ -92,6 +93,7 @@ class Plan:
     rounds: int
     iterations: int
     solve_s: float
+    first_solve_s: float | None
 
 
 class PlanRefused(Refused):

@@ -75,6 +75,7 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
             effort = Effort(
                 status=solution.status.name.lower(),
                 solve_s=time.process_time() - started,
+                first_solve_s=run.first_solve_s,
                 rounds=run.rounds,
                 iterations=run.iterations,
                 intervals=len(solution.t_s) - 1,
@@ -82,6 +83,18 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
             )
             return job.finish(judged, solution.t_s[grid.waypoints], effort)
     raise run.failure()
+
+
+def first_round(job: Job, *, nodes: int | None) -> tuple[Engine, Problem, Solution]:
+    """What evaluates the problem, the problem from the straight lines, and where the first round ends.
+
+    The solution's time is that of the solver on all grids.
+    """
+    grid = make_grid(job.durations(), nodes, times_fixed=job.route.times_s is not None)
+    run = _Run(job, grid)
+    problem = run.make_problem(grid)
+    solution = run.solve()
+    return run.engine, problem, replace(solution, solve_s=run.first_solve_s)
 
 
 def _scale(job: Job, grid: Grid) -> float:
@@ -119,6 +132,7 @@ class _Run:
             self._rest = job.dynamics.rest_residual(self._yaws[0].yaw)
         self.problem: Problem
         self.rounds = self.iterations = 0
+        self.first_solve_s = 0.0
         self._smoothing = 1.0
         self._start = _Start.LINEAR
         self._last: Solution | None = None
@@ -138,7 +152,7 @@ class _Run:
 
     def _solve_on(self, grid: Grid, before: tuple[Solution, Grid] | None) -> Solution:
         """The last iterate on a grid, from a coarser one's solution where there is one."""
-        self.problem = self._make_problem(grid)
+        self.problem = self.make_problem(grid)
         if before is not None:
             x, u = on_grid(*before, grid)
             self.problem = replace(self.problem, x_start=x, u_start=u, h_start=before[0].h, near=True)
@@ -151,6 +165,8 @@ class _Run:
             max_iterations=settings.iterations_max,
         )
         self.iterations += solution.iterations
+        if self.rounds == 0:
+            self.first_solve_s += solution.solve_s
         return solution
 
     def settled(self, solution: Solution, judged: Judged) -> bool:
@@ -194,7 +210,8 @@ class _Run:
             return PlanRefused(f"no {label} plan: no way within the limits was found ({tries}); {_REMEDY}")
         return PlanUnsolved(f"no {label} plan: {status.value} ({tries}); {_REMEDY}", status)
 
-    def _make_problem(self, grid: Grid) -> Problem:
+    def make_problem(self, grid: Grid) -> Problem:
+        """The problem of the next round on a grid."""
         job, settings = self.job, self.job.settings
         yaw = yaw_profile(self._yaws, grid.times_s if self._last is None else self._last.t_s)
         if self._start is _Start.SNAP:

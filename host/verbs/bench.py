@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from host.verbs.options import DEFAULT_VEHICLE, Json, VehicleName, WorkspaceFolder
@@ -11,10 +12,12 @@ def command(
     *,
     vehicle: VehicleName = DEFAULT_VEHICLE,
     seed: int = 1,
+    quick: bool = False,
+    courses: int | None = None,
     workspace: WorkspaceFolder = None,
     json: Json = False,
 ) -> None:
-    """Measure how fast learning and simulated sessions are on this machine; half a minute.
+    """Measure how fast learning, planning and simulated sessions are on this machine; some minutes.
 
     JAX and diffrax compute the same gradient in the same run where they are installed (`make bench` installs
     them): most of a minute more.
@@ -22,9 +25,13 @@ def command(
     Parameters
     ----------
     seed
-        Flights and first weights are drawn from it.
+        Flights, first weights and courses are drawn from it.
+    quick
+        Plan fewer courses, and set planning beside CasADi at 100 intervals: at most five minutes in all.
+    courses
+        Random courses that the success rate of planning is over: 40 without it, 10 with --quick.
     """
-    from host.bench import learning, session
+    from host.bench import learning, planning, session
     from host.errors import UsageError
     from host.output import emit, say
     from host.progress import Progress
@@ -32,17 +39,32 @@ def command(
 
     if seed < 0:
         raise UsageError(f"--seed {seed} is negative, give 0 or more")
+    size = planning.QUICK if quick else planning.Size()
+    if courses is not None:
+        if courses < 1:
+            raise UsageError(f"--courses {courses}: give 1 or more")
+        size = replace(size, success=courses)
     craft = open_workspace(workspace).vehicle(vehicle)
-    with Progress("bench", total=float(len(learning.STEPS) + 1)) as progress:
-        done = iter(range(len(learning.STEPS)))
-        found = learning.measure(craft, seed, lambda step: progress.update(next(done), detail=step))
-        progress.update(len(learning.STEPS), detail="session")
+    steps = len(learning.STEPS) + size.steps
+    with Progress("bench", total=float(steps + 1)) as progress:
+        done = iter(range(steps))
+
+        def hear(step: str) -> None:
+            progress.update(next(done), detail=step)
+
+        learned = learning.measure(craft, seed, hear)
+        planned = planning.measure(craft, seed, hear, size=size)
+        progress.update(steps, detail="session")
         factor = session.realtime_factor(craft)
-    say(*_lines(found), f"simulated sessions run {factor:.1f} times as fast as the clock")
-    emit({"learning": found, "session": {"realtime_factor": factor}}, json)
+    say(
+        *_learning_lines(learned),
+        *_planning_lines(planned),
+        f"simulated sessions run {factor:.1f} times as fast as the clock",
+    )
+    emit({"learning": learned, "planning": planned, "session": {"realtime_factor": factor}}, json)
 
 
-def _lines(found: dict[str, Any]) -> list[str]:
+def _learning_lines(found: dict[str, Any]) -> list[str]:
     """The figures of learning, for people."""
     c = found["gradient_ms"]
     lines = [
@@ -62,3 +84,32 @@ def _lines(found: dict[str, Any]) -> list[str]:
         f"condensed loss, L-BFGS: {found['condensed_s']:.1f} s, test RMSE {found['test_rmse']:.4f}, out of "
         f"distribution {found['ood_rmse']:.4f} m/s^2",
     ]
+
+
+def _planning_lines(found: dict[str, Any]) -> list[str]:
+    """The figures of planning, for people."""
+    lines = [
+        f"min-residual*, network 2 x 32, {found['nodes']} intervals, processor time, median of "
+        f"{found['planned']} of {found['courses']} courses:",
+        f"  solver, first round      {_seconds(found['min_residual_star_median_s'])}",
+        f"  whole plan               {_seconds(found['plan_median_s'])}",
+        f"  solver, total time free  {_seconds(found['free_time_s'])}, "
+        f"{found['free_time_planned']} of {found['free_time_courses']} courses",
+    ]
+    for row in found["scaling"]:
+        what = f"  {row['nodes']} intervals".ljust(26)
+        lines.append(f"{what} {_seconds(row['first_solve_s'])}, {row['planned']} of {row['courses']} courses")
+    naive, ratio = found["naive"], found["speedup_over_naive"]
+    if ratio is not None:
+        bound = "at least " if naive["at_least"] else ""
+        lines.append(
+            f"  CasADi's map and Ipopt   {_seconds(naive['seconds'])} for one course at {naive['nodes']} "
+            f"intervals, built in {naive['build_s']:.1f} s: {bound}{ratio:.0f} times ours"
+        )
+    if found["success_rate"] is not None:
+        lines.append(f"  planned: {found['success_rate']:.1%} of {found['success_courses']} random courses")
+    return [*lines, *(f"    {failure}" for failure in found["failures"])]
+
+
+def _seconds(value: float | None) -> str:
+    return "    none" if value is None else f"{value:8.2f} s"

@@ -389,6 +389,10 @@ def test_import_of_a_short_flight_is_too_little(refused: Refused, tmp_path: Path
     refused("import", "csv", "short.csv", "--columns", "map.toml", "-o", "x.mcap", code=2, parts=parts)
 
 
+def test_bench_without_courses_is_refused(refused: Refused) -> None:
+    refused("bench", "--courses", "0", code=2, parts=["--courses 0: give 1 or more"])
+
+
 def test_demo_refused_makes_no_folder(refused: Refused, ref: str) -> None:
     refused("demo", "--world", "atlantis", code=2, parts=["atlantis: no such world"])
     refused("demo", "-o", "no/demo", code=2, parts=["no/demo: its folder does not exist"])

@@ -16,6 +16,7 @@ import pytest
 
 from host import cli
 from host.bench import learning as bench
+from host.bench import planning
 from host.bench.session import realtime_factor
 from host.demo.compare import Comparison
 from host.link.upload import UploadResult
@@ -249,4 +250,9 @@ def test_bench_prints_what_the_page_says(monkeypatch: pytest.MonkeyPatch) -> Non
     found = bench.measure(vehicle, 1, epochs=1, iterations=3, repeats=1, counts=counts)
     assert found["gradient_vm_ms"] > 0.0
     assert found["test_rmse"] < 0.6  # less than what the nominal model lacks
-    check("bench", {"learning": found, "session": {"realtime_factor": realtime_factor(vehicle)}})
+    size = planning.Size(
+        plans=1, nodes=60, free_time=1, scaling=1, scaling_nodes=(60,), success=1, naive_nodes=20
+    )
+    planned = planning.measure(vehicle, 1, size=size, fit_iterations=50)
+    session = {"realtime_factor": realtime_factor(vehicle)}
+    check("bench", {"learning": found, "planning": planned, "session": session})

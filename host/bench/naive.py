@@ -1,0 +1,129 @@
+"""A shooting problem as CasADi is commonly used: one MX function of an interval, `map`, CasADi's derivatives.
+
+The rigid body is an SX function, the network matrix products, RK4 calls both four times. Ipopt with MUMPS and
+the exact Hessian solves it. Unknowns, bounds, rows, weights and start are those of the given problem.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from host.plan.problem import Problem
+from host.plan.stage import NETWORK_INPUTS, NETWORK_ROWS, StageModel
+
+Array = NDArray[np.float64]
+
+_SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Naive:
+    """How the solve ended. build_s, solve_s: processor time, before the first iteration and from there on."""
+
+    solved: bool
+    cost: float
+    iterations: int
+    build_s: float
+    solve_s: float
+
+
+def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: float) -> Naive:
+    """The problem's local optimum from its start, given up after `most_s` of processor time.
+
+    Raises ValueError for a problem with keep-out shapes.
+    """
+    began = time.process_time()
+    interval = _interval(model)
+    count, steps = len(problem.leg_of), problem.steps
+    if problem.path_bounds[0].shape[0] != interval.size1_out(2):
+        raise ValueError("keep-out shapes are not written here")
+    x, u = ca.MX.sym("x", model.nx, count + 1), ca.MX.sym("u", model.nu, count)
+    h = ca.MX.sym("h", steps)
+    step_s = (h[problem.step_of.tolist()] * ca.DM(problem.h0_s)).T
+    x_next, cost, path = interval.map(count)(x[:, :-1], u, step_s, ca.DM(problem.parameters))
+    nlp = {
+        "x": ca.veccat(x, u, h),
+        "f": ca.sum2(cost) + problem.step_penalty * ca.sumsqr(h - 1.0),
+        "g": ca.veccat(x[:, 1:] - x_next, path, ca.sum2(step_s)),
+    }
+    options: dict[str, Any] = {
+        "print_time": False,
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "ipopt.linear_solver": "mumps",
+        "ipopt.tol": tolerance,
+        "ipopt.max_cpu_time": most_s,
+    }
+    run = ca.nlpsol("naive", "ipopt", nlp, options)
+    given = _given(model, problem)
+    built = time.process_time()
+    found = run(**given)
+    stats = run.stats()
+    return Naive(
+        solved=stats["return_status"] in _SOLVED,
+        cost=float(found["f"]),
+        iterations=int(stats["iter_count"]),
+        build_s=built - began,
+        solve_s=time.process_time() - built,
+    )
+
+
+def _interval(model: StageModel) -> ca.Function:
+    """(x, u, step_s, p) -> x_next, cost, path."""
+    symbols = ca.SX.sym("x", model.nx), ca.SX.sym("u", model.nu), ca.SX.sym("p", model.np)
+    rigid = ca.Function("rigid", symbols, [model.derivative(*symbols)])
+    effort = ca.Function("effort", symbols, [model.effort(*symbols)])
+    path = ca.Function("path", symbols, [model.path(*symbols)])
+    x, u, p = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("p", model.np)
+    step_s = ca.MX.sym("step_s")
+
+    def push(at: ca.MX) -> ca.MX:
+        network = model.network
+        if network is None:
+            return ca.MX(3, 1)
+        return network.layout.matrices(ca.DM(network.xi), at[NETWORK_INPUTS])
+
+    def slope(at: ca.MX) -> ca.MX:
+        xdot = rigid(at, u, p)
+        if model.augmented:
+            before, after = NETWORK_ROWS.start, model.nx - NETWORK_ROWS.stop
+            xdot += ca.vertcat(ca.MX(before, 1), push(at), ca.MX(after, 1))
+        return xdot
+
+    k1 = slope(x)
+    k2 = slope(x + 0.5 * step_s * k1)
+    k3 = slope(x + 0.5 * step_s * k2)
+    k4 = slope(x + step_s * k3)
+    cost = effort(x, u, p)
+    if model.residual is not None:
+        residual = ca.Function("residual", [symbols[0], symbols[2]], [model.residual(symbols[0], symbols[2])])
+        cost += ca.sumsqr(residual(x, p) + push(x))
+    x_next = x + step_s / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    weight = step_s if model.weigh_time else 1.0
+    return ca.Function("interval", [x, u, step_s, p], [x_next, weight * cost, path(x, u, p)])
+
+
+def _given(model: StageModel, problem: Problem) -> dict[str, Array]:
+    """Start and bounds in the order of the unknowns and rows."""
+
+    def unknowns(x: Array, u: Array, h: Array | float) -> Array:
+        steps = np.broadcast_to(np.asarray(h, dtype=float), (problem.steps,))
+        return np.concatenate([x.ravel("F"), u.ravel("F"), steps])
+
+    low, high = (
+        unknowns(x, u, h)
+        for x, u, h in zip(problem.x_bounds, problem.u_bounds, problem.h_bounds, strict=True)
+    )
+    gaps = np.zeros(model.nx * len(problem.leg_of))
+    rows = [
+        np.concatenate([gaps, path.ravel("F"), [total_s]])
+        for path, total_s in zip(problem.path_bounds, problem.total_bounds_s, strict=True)
+    ]
+    start = np.clip(unknowns(problem.x_start, problem.u_start, problem.h_start), low, high)
+    return {"x0": start, "lbx": low, "ubx": high, "lbg": rows[0], "ubg": rows[1]}
