@@ -87,6 +87,7 @@ class Job:
             status=effort.status,
             duration_s=judged.reference.duration_us * 1e-6,
             waypoint_times_s=tuple(map(float, waypoint_times_s)),
+            limits=self.limits,
             margins=judged.margins,
             residual_rms_m_s2=figures.residual_rms_m_s2,
             outside_region=figures.outside_region,

@@ -6,21 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_model.law.checks import Verdict, check_reference, from_parameters
 from host.codegen import NUMPY
-from host.models.dynamics import THETA, THRUST, P, V, residual_acceleration_ned
 from host.plan.box import KEEP_OUT, checked
 from host.plan.dynamics import ResidualModel
-from host.plan.table import Table, evaluate, flat_states, from_reference, to_reference
+from host.plan.profile import profile, sample_times
+from host.plan.table import Table, evaluate, from_reference, to_reference
 from host.route.shapes import Shape
 from host.vehicle import Limits, Vehicle, to_parameters
 from protocol.blobs import Reference, YawNode
-
-Array = NDArray[np.float64]
-
-_SAMPLE_US = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,45 +66,20 @@ def judge(
 
 def measure(vehicle: Vehicle, model: ResidualModel, table: Table, yaws: Sequence[YawNode]) -> Figures:
     """Length, speed and predicted residual along a table, sampled every 10 ms."""
-    times_us = _samples(table)
-    x = flat_states(vehicle, table, yaws, times_us)
-    length = float(np.linalg.norm(np.diff(x[P], axis=1), axis=0).sum())
-    rms: float | None = None
-    if model.has_residual:
-        rms = float(np.sqrt((_residual(vehicle, model, x) ** 2).sum(axis=0).mean()))
-    duration_s = float(table.times_us[-1]) * 1e-6
-    beyond: float | None = None
-    if model.region is not None:
-        beyond = float(model.region.outside(x.T, x[THRUST].sum(axis=0)).mean())
+    along = profile(vehicle, model, table, yaws)
+    length = float(np.linalg.norm(np.diff(along.p_ned, axis=1), axis=0).sum())
+    residual = along.residual_m_s2
     return Figures(
         path_length_m=length,
-        mean_speed_m_s=length / duration_s,
-        residual_rms_m_s2=rms,
-        outside_region=beyond,
+        mean_speed_m_s=length / float(along.t_s[-1]),
+        residual_rms_m_s2=None if residual is None else float(np.sqrt((residual**2).mean())),
+        outside_region=None if along.outside is None else float(along.outside.mean()),
     )
-
-
-def residual_along(vehicle: Vehicle, model: ResidualModel, reference: Reference) -> Array:
-    """(3, n) the predicted residual acceleration, NED, m/s^2, every 10 ms along a reference."""
-    table = from_reference(reference)
-    return _residual(vehicle, model, flat_states(vehicle, table, reference.yaw_nodes(), _samples(table)))
-
-
-def _residual(vehicle: Vehicle, model: ResidualModel, x: Array) -> Array:
-    """(3, n) at states (16, n)."""
-    rows = residual_acceleration_ned(NUMPY, vehicle, model.parts, list(x))
-    d = np.array([np.broadcast_to(row, x.shape[1:]) for row in rows])
-    return d if model.network is None else d + model.network.acceleration_ned(x[V], x[THETA])
-
-
-def _samples(table: Table) -> NDArray[np.float64]:
-    end = float(table.times_us[-1])
-    return np.linspace(0.0, end, max(2, int(np.ceil(end / _SAMPLE_US)) + 1))
 
 
 def _keep_out(table: Table, shapes: Sequence[Shape]) -> tuple[float, str]:
     """Least distance from the shapes, and a sentence on where that is."""
-    times_us = _samples(table)
+    times_us = sample_times(table)
     p = evaluate(table, times_us)[0]
     least, where = np.inf, ""
     for number, shape in enumerate(shapes):

@@ -11,6 +11,7 @@ from firmware_model.law.checks import Verdict
 from host.errors import Refused, SolverError, UsageError
 from host.plan.dynamics import Weights
 from host.plan.problem import SolveStatus
+from host.vehicle import Limits
 from protocol.blobs import Reference
 
 Kind = Literal["min-snap", "min-control", "min-residual"]
@@ -68,12 +69,12 @@ class Settings:
 class Plan:
     """A checked reference and what is known about it.
 
-    margins: least distance to each limit over the whole reference. residual_rms_m_s2: predicted along it,
-    None without a model. outside_region: share of it beyond the region that the model's data covers, None
-    where that is not known. deviation_m: largest distance from the solver's path, None for min-snap.
-    stretch: of the route's time. intervals: of the shooting problem; rounds: solves. solve_s: processor time;
-    first_solve_s: of the first round's solver alone, on all its grids, None for min-snap. These two vary from
-    run to run, nothing else.
+    limits: those it was judged by, of vehicle, route and headroom together. margins: least distance to each
+    limit over the whole reference. residual_rms_m_s2: predicted along it, None without a model.
+    outside_region: share of it beyond the region that the model's data covers, None where that is not known.
+    deviation_m: largest distance from the solver's path, None for min-snap. stretch: of the route's time.
+    intervals: of the shooting problem; rounds: solves. solve_s: processor time; first_solve_s: of the first
+    round's solver alone, on all its grids, None for min-snap. These two vary from run to run, nothing else.
     """
 
     reference: Reference
@@ -82,6 +83,7 @@ class Plan:
     status: str
     duration_s: float
     waypoint_times_s: tuple[float, ...]
+    limits: Limits
     margins: Mapping[str, float]
     residual_rms_m_s2: float | None
     outside_region: float | None

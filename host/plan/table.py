@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from firmware_model.law.allocation import allocation_matrix, invert4
 from firmware_model.law.flatness import Body, flat_full
-from firmware_model.law.reference import hermite_yaw, septic
+from firmware_model.law.reference import cubic_acceleration, cubic_coefficients, hermite_yaw, septic
 from firmware_model.law.rotations import matrix_to_euler
 from host.codegen import NUMPY
 from host.plan.snap import SnapSpline, solve_snap
@@ -109,12 +109,27 @@ def yaw_at(yaws: Sequence[YawNode], times_us: Array | Times) -> tuple[Array, Arr
     return value, np.where((at < times[0]) | (at > times[-1]), 0.0, slope)
 
 
+def yaw_acceleration_at(yaws: Sequence[YawNode], times_us: Array | Times) -> Array:
+    """Yaw acceleration in rad/s^2, (m,); 0 where yaw is held, at a yaw node that of the piece behind it."""
+    at = np.asarray(times_us, dtype=float)
+    if len(yaws) == 1:
+        return np.zeros(at.shape)
+    times, yaw, rate = (np.array(column, dtype=float) for column in zip(*yaws, strict=True))
+    piece = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
+    length_s = (times[piece + 1] - times[piece]) * 1e-6
+    bends = cubic_coefficients(length_s, yaw[piece], rate[piece], yaw[piece + 1], rate[piece + 1])
+    bend = np.asarray(cubic_acceleration(bends, (at - times[piece]) * 1e-6))
+    return np.where((at < times[0]) | (at > times[-1]), 0.0, bend)
+
+
 def flat_states(vehicle: Vehicle, table: Table, yaws: Sequence[YawNode], times_us: Array | Times) -> Array:
     """(16, m): p_ned, v_ned, Theta, rate_frd, rotor thrusts (N) of the nominal vehicle on this path."""
     p, v, a, j, snap = evaluate(table, times_us)
     yaw, yaw_rate = yaw_at(yaws, times_us)
     body = Body(vehicle.mass_kg, vehicle.inertia_kg_m2)
-    R, rate, _, collective, torque = flat_full(NUMPY, list(a), list(j), list(snap), yaw, yaw_rate, body)
+    R, rate, _, collective, torque = flat_full(
+        NUMPY, list(a), list(j), list(snap), yaw, yaw_rate, body, yaw_acceleration_at(yaws, times_us)
+    )
     euler: Any = matrix_to_euler(NUMPY, R)
     positions = [rotor.position_m for rotor in vehicle.rotors]
     spins = [rotor.spin_sign for rotor in vehicle.rotors]

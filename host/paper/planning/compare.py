@@ -23,7 +23,8 @@ from host.log import read_flight
 from host.log.tracking import reference_at, tracking_error
 from host.paper.planning.courses import Course, draw, draw_course
 from host.plan import Plan, ResidualModel, Settings, Weights, plan
-from host.plan.judge import residual_along
+from host.plan.profile import profile
+from host.plan.table import from_reference
 from host.vehicle import Vehicle
 
 WORLD = "paper-drag"
@@ -98,7 +99,9 @@ def _planned(
             made = plan(course.route, vehicle, kind=kind, model=model, nodes=nodes, settings=settings)
     except (Refused, SolverError) as error:
         return {"failed": str(error)}, None
-    d = residual_along(vehicle, model, made.reference)
+    along = profile(vehicle, model, from_reference(made.reference), made.reference.yaw_nodes())
+    d = along.residual_ned
+    assert d is not None
     norm = np.linalg.norm(d - d[:, :1], axis=0)
     flat = reference_at(made.reference, np.arange(0, made.reference.duration_us, 10_000))
     return {

@@ -1,0 +1,122 @@
+"""What happens along a node table: motion, thrusts, predicted residual, distance to every limit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from host.codegen import NUMPY
+from host.models.dynamics import RATE, THETA, THRUST, P, V, residual_acceleration_ned
+from host.plan.box import KEEP_OUT
+from host.plan.dynamics import ResidualModel
+from host.plan.table import Table, evaluate, flat_states
+from host.route.shapes import Shape
+from host.vehicle import Limits, Vehicle
+from protocol.blobs import YawNode
+
+Array = NDArray[np.float64]
+
+_SAMPLE_US = 10_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """n samples along a table.
+
+    t_s: (n,). node: (n,) the one before. x: (16, n) as of `flat_states`. jerk_m_s3: (n,) norm. thrust_share:
+    (4, n) of a rotor's greatest. residual_ned: (3, n) m/s^2 as predicted, None without a model that predicts
+    any. outside: (n,) whether beyond the region that the model's data covers, None where that is not known.
+    """
+
+    t_s: Array
+    node: NDArray[np.int64]
+    x: Array
+    jerk_m_s3: Array
+    thrust_share: Array
+    residual_ned: Array | None
+    outside: NDArray[np.bool_] | None
+
+    @property
+    def p_ned(self) -> Array:
+        """(3, n) m."""
+        return self.x[P]
+
+    @property
+    def speed_m_s(self) -> Array:
+        """(n,)."""
+        return np.linalg.norm(self.x[V], axis=0)
+
+    @property
+    def tilt_deg(self) -> Array:
+        """(n,) angle of the thrust from upright."""
+        roll, pitch, _ = self.x[THETA]
+        return np.degrees(np.arccos(np.clip(np.cos(roll) * np.cos(pitch), -1.0, 1.0)))
+
+    @property
+    def residual_m_s2(self) -> Array | None:
+        """(n,) norm."""
+        return None if self.residual_ned is None else np.linalg.norm(self.residual_ned, axis=0)
+
+    def margins(self, limits: Limits, keep_out: Sequence[Shape] = ()) -> dict[str, Array]:
+        """(n,) distance to each limit by the names of `firmware_model.law.checks`, negative beyond it."""
+        fence, rates = np.array(limits.geofence_m), np.array(limits.body_rate_max_rad_s)
+        low, high = limits.thrust_headroom
+        p = self.p_ned
+        found = {
+            "geofence_m": np.minimum(p - fence[:, :1], fence[:, 1:] - p).min(axis=0),
+            "floor_m": -p[2],
+            "speed_m_s": limits.speed_max_m_s - self.speed_m_s,
+            "tilt_deg": limits.tilt_max_deg - self.tilt_deg,
+            "body_rate_rad_s": (rates[:, None] - np.abs(self.x[RATE])).min(axis=0),
+            "jerk_m_s3": limits.jerk_max_m_s3 - self.jerk_m_s3,
+            "thrust_low": self.thrust_share.min(axis=0) - low,
+            "thrust_high": high - self.thrust_share.max(axis=0),
+        }
+        if keep_out:
+            away = [np.asarray(shape.signed_distance(NUMPY, list(p))) for shape in keep_out]
+            found[KEEP_OUT] = np.min(away, axis=0)
+        return found
+
+
+def profile(
+    vehicle: Vehicle,
+    model: ResidualModel,
+    table: Table,
+    yaws: Sequence[YawNode],
+    times_us: Array | None = None,
+) -> Profile:
+    """The profile of the nominal vehicle at these times, every 10 ms by default."""
+    at = sample_times(table) if times_us is None else times_us
+    x = flat_states(vehicle, table, yaws, at)
+    residual: Array | None = None
+    if model.has_residual:
+        parts = residual_acceleration_ned(NUMPY, vehicle, model.parts, list(x))
+        residual = np.array([np.broadcast_to(row, at.shape) for row in parts], dtype=float)
+        if model.network is not None:
+            residual += model.network.acceleration_ned(x[V], x[THETA])
+    outside = None if model.region is None else model.region.outside(x.T, x[THRUST].sum(axis=0))
+    node = np.searchsorted(table.times_us, at, side="right") - 1
+    return Profile(
+        t_s=at * 1e-6,
+        node=np.clip(node, 0, len(table.times_us) - 1),
+        x=x,
+        jerk_m_s3=np.linalg.norm(evaluate(table, at)[3], axis=0),
+        thrust_share=x[THRUST] / vehicle.thrust_max_n,
+        residual_ned=residual,
+        outside=outside,
+    )
+
+
+def sample_times(table: Table) -> Array:
+    """Times in us, evenly over the table, at most 10 ms apart."""
+    end = float(table.times_us[-1])
+    return np.linspace(0.0, end, max(2, int(np.ceil(end / _SAMPLE_US)) + 1))
+
+
+def with_nodes(table: Table) -> Array:
+    """`sample_times`, every node's, and those just before the nodes: thrust jumps there as snap does."""
+    nodes = table.times_us.astype(float)
+    return np.unique(np.concatenate([sample_times(table), nodes, nodes[1:] - 1.0]))
