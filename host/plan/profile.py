@@ -50,6 +50,11 @@ class Profile:
         return np.linalg.norm(self.x[V], axis=0)
 
     @property
+    def rate_frd(self) -> Array:
+        """(3, n) rad/s."""
+        return self.x[RATE]
+
+    @property
     def tilt_deg(self) -> Array:
         """(n,) angle of the thrust from upright."""
         roll, pitch, _ = self.x[THETA]
@@ -70,7 +75,7 @@ class Profile:
             "floor_m": -p[2],
             "speed_m_s": limits.speed_max_m_s - self.speed_m_s,
             "tilt_deg": limits.tilt_max_deg - self.tilt_deg,
-            "body_rate_rad_s": (rates[:, None] - np.abs(self.x[RATE])).min(axis=0),
+            "body_rate_rad_s": (rates[:, None] - np.abs(self.rate_frd)).min(axis=0),
             "jerk_m_s3": limits.jerk_max_m_s3 - self.jerk_m_s3,
             "thrust_low": self.thrust_share.min(axis=0) - low,
             "thrust_high": high - self.thrust_share.max(axis=0),

@@ -1,0 +1,191 @@
+"""What a smaller predicted residual costs: a route planned with scaled weights, beside the other kinds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from host.effects import Effect
+from host.errors import UsageError
+from host.models.model import Model
+from host.plan.dynamics import ResidualModel
+from host.plan.planner import plan
+from host.plan.profile import profile
+from host.plan.result import Plan, PlanRefused, PlanUnsolved, Settings
+from host.plan.table import from_reference
+from host.route import LimitsOverride, Route
+from host.vehicle import Vehicle
+
+FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""On the weights of thrusts and their rates, from wild to tame."""
+COLUMNS: Mapping[str, str] = {
+    "residual": "m/s^2 RMS",
+    "jerk": "m/s^3 RMS",
+    "tilt": "deg max",
+    "thrust": "share max",
+    "length": "m",
+    "solve": "s",
+}
+"""Of a table for people: unit by title."""
+REFUSED, UNSOLVED = "refused", "unsolved"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """One plan of the trade, or why there is none.
+
+    kind: with its star. factor: on the default weights; None for the kinds that stand beside. status: of the
+    plan, `refused` or `unsolved`; reason: None where there is a plan. jerk_rms_m_s3, tilt_max_deg,
+    thrust_share_max (of a rotor's greatest): along the reference, None without one. solve_s: processor time.
+    """
+
+    kind: str
+    factor: float | None
+    status: str
+    reason: str | None
+    plan: Plan | None
+    jerk_rms_m_s3: float | None
+    tilt_max_deg: float | None
+    thrust_share_max: float | None
+    solve_s: float
+
+    @property
+    def label(self) -> str:
+        """The kind, with its factor."""
+        return self.kind if self.factor is None else f"{self.kind} x {self.factor:g}"
+
+    @property
+    def residual_rms_m_s2(self) -> float | None:
+        """As predicted along the reference."""
+        return None if self.plan is None else self.plan.residual_rms_m_s2
+
+    @property
+    def path_length_m(self) -> float | None:
+        """Of the reference."""
+        return None if self.plan is None else self.plan.path_length_m
+
+    def cells(self) -> tuple[str, ...]:
+        """The numbers of COLUMNS for people."""
+        numbers = (
+            (self.residual_rms_m_s2, ".3f"),
+            (self.jerk_rms_m_s3, ".2f"),
+            (self.tilt_max_deg, ".1f"),
+            (self.thrust_share_max, ".3f"),
+            (self.path_length_m, ".2f"),
+            (self.solve_s, ".2f"),
+        )
+        return tuple("-" if number is None else format(number, form) for number, form in numbers)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "kind": self.kind,
+            "factor": self.factor,
+            "status": self.status,
+            "reason": self.reason,
+            "residual_rms_m_s2": self.residual_rms_m_s2,
+            "jerk_rms_m_s3": self.jerk_rms_m_s3,
+            "tilt_max_deg": self.tilt_max_deg,
+            "thrust_share_max": self.thrust_share_max,
+            "path_length_m": self.path_length_m,
+            "solve_s": self.solve_s,
+        }
+
+
+def pareto(
+    route: Route,
+    vehicle: Vehicle,
+    model: Model | ResidualModel,
+    *,
+    kind: str = "min-residual",
+    factors: Sequence[float] = FACTORS,
+    effects: Mapping[str, Effect] | None = None,
+    settings: Settings | None = None,
+    headroom: LimitsOverride | None = None,
+    total_time_s: float | None = None,
+    nodes: int | None = None,
+    source: str | None = None,
+    on_point: Callable[[Point], None] | None = None,
+) -> list[Point]:
+    """min-snap, min-control, then a plan of `kind` for each factor, ascending; all take the same time.
+
+    kind: min-residual, or with a star, which min-control then has too. factors: positive, on the weights of
+    thrusts and their rates in `settings`. on_point: called with each point as it is found. The other
+    arguments are those of `host.plan.plan`, whose ConfigurationError and UsageError are raised here too; a
+    plan that is refused or not solved is a point with its reason.
+    """
+    star = "*" if kind.endswith("*") else ""
+    if kind.removesuffix("*") != "min-residual":
+        raise UsageError(f"{kind}: the trade is that of min-residual or min-residual*")
+    if not factors or not all(np.isfinite(factor) and factor > 0.0 for factor in factors):
+        raise ValueError(f"factors must be positive numbers, not {tuple(factors)!r}")
+    base = settings or Settings()
+    wanted: list[tuple[str, float | None]] = [("min-snap", None), (f"min-control{star}", None)]
+    wanted += [(kind, factor) for factor in sorted(factors)]
+    points = []
+    for each, factor in wanted:
+        started = time.process_time()
+        try:
+            made = plan(
+                route,
+                vehicle,
+                kind=each,
+                model=model,
+                effects=effects,
+                headroom=headroom,
+                total_time_s=total_time_s,
+                nodes=nodes,
+                settings=base if factor is None else _scaled(base, factor),
+                source=source,
+            )
+        except (PlanRefused, PlanUnsolved) as error:
+            point = _missing(each, factor, error, time.process_time() - started)
+        else:
+            point = _point(vehicle, each, factor, made)
+        points.append(point)
+        if on_point is not None:
+            on_point(point)
+    return points
+
+
+def _scaled(settings: Settings, factor: float) -> Settings:
+    """The settings with another price on thrusts and their rates; headings stay as dear as they were."""
+    weights = settings.weights
+    return replace(
+        settings,
+        weights=replace(weights, control=factor * weights.control, thrust_rate=factor * weights.thrust_rate),
+    )
+
+
+def _missing(kind: str, factor: float | None, error: PlanRefused | PlanUnsolved, solve_s: float) -> Point:
+    return Point(
+        kind=kind,
+        factor=factor,
+        status=REFUSED if isinstance(error, PlanRefused) else UNSOLVED,
+        reason=str(error),
+        plan=None,
+        jerk_rms_m_s3=None,
+        tilt_max_deg=None,
+        thrust_share_max=None,
+        solve_s=solve_s,
+    )
+
+
+def _point(vehicle: Vehicle, kind: str, factor: float | None, made: Plan) -> Point:
+    reference = made.reference
+    along = profile(vehicle, ResidualModel(), from_reference(reference), reference.yaw_nodes())
+    return Point(
+        kind=kind,
+        factor=factor,
+        status=made.status,
+        reason=None,
+        plan=made,
+        jerk_rms_m_s3=float(np.sqrt((along.jerk_m_s3**2).mean())),
+        tilt_max_deg=float(along.tilt_deg.max()),
+        thrust_share_max=float(along.thrust_share.max()),
+        solve_s=made.solve_s,
+    )
