@@ -10,8 +10,13 @@ from cyclopts import Parameter
 from host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from host.plan.pareto import Point
     from host.plan.result import Plan
     from host.route import LimitsOverride
+
+REPORT_SUFFIX = ".html"
 
 
 def command(
@@ -26,6 +31,8 @@ def command(
     time_weight: float | None = None,
     stretch: Annotated[bool, Parameter(negative="")] = False,
     headroom: tuple[float, float] | None = None,
+    report: Path | None = None,
+    pareto: Annotated[bool, Parameter(negative="")] = False,
     output: Output = None,
     force: Force = False,
     json: Json = False,
@@ -54,30 +61,71 @@ def command(
         Give a min-snap plan that breaks a limit more time.
     headroom
         Least and greatest share of a rotor's thrust that the plan may use; tighter than the vehicle's.
+    report
+        Page with pictures to write, .html: the path, what happens along it, distances to the limits.
+    pareto
+        Compare in place of writing a reference: min-snap, min-control, and min-residual with the weights of
+        thrusts and their rates scaled from 0.1 to 10 times. Needs --model; --report writes that page.
     output
         Reference to write; NAME.ref by default, with the route's name.
     """
     from host import artefacts
     from host.effects import load_effects
+    from host.errors import Refused, UsageError
     from host.models.file import read_model
     from host.output import emit, say
     from host.plan import plan as make_plan
     from host.plan.dynamics import ResidualModel
     from host.plan.files import check_name, figures, write_plan
+    from host.plan.pareto import FACTORS
+    from host.plan.pareto import pareto as trade
     from host.progress import Progress
     from host.route import route_file
     from host.workspace import open_workspace
 
+    if pareto and (model is None or output is not None or stretch):
+        raise UsageError(
+            "--pareto needs --model, and goes without --output and --stretch: it writes no reference"
+        )
+    if report is not None:
+        _check_report(report, force)
     place = open_workspace(workspace)
     airframe = place.vehicle(vehicle)
     way = place.route(route, airframe)
     known = None if model is None else read_model(model, vehicle_id=airframe.id)
     effects = load_effects(place.root)
+    within = None if headroom is None else _headroom(*headroom)
+    parents = {"vehicle": airframe.id, "route": way.id}
+    if known is not None:
+        parents["model"] = known.id
+    origin = artefacts.provenance(parents=parents)
+    if pareto and known is not None:
+        with Progress(f"planning {way.name}", len(FACTORS) + 2) as progress:
+            points = trade(
+                way,
+                airframe,
+                known,
+                kind=kind or "min-residual",
+                effects=effects,
+                headroom=within,
+                total_time_s=time_s,
+                nodes=nodes,
+                source=route_file(route, place.root),
+                on_point=lambda point: progress.advance(1.0, point.label),
+            )
+        if report is not None:
+            from host.report.plan import trade_page
+
+            artefacts.write_atomic(report, trade_page(points, way, origin), force)
+        say(*_trade_lines(points, report))
+        emit({"points": [point.to_json() for point in points], "report": report}, json)
+        if all(point.plan is None for point in points):
+            raise Refused(f"{way.name}: none of the plans was found, give it more time or headroom")
+        return
     if kind is None:
         kind = "min-snap"
         if known is not None and ResidualModel.of(known, effects).has_residual:
             kind = "min-residual"
-    within = None if headroom is None else _headroom(*headroom)
     target = check_name(output or Path(f"{way.name}.ref"), force)
     with Progress(f"planning {way.name}"):
         made = make_plan(
@@ -94,12 +142,24 @@ def command(
             nodes=nodes,
             source=route_file(route, place.root),
         )
-    parents = {"vehicle": airframe.id, "route": way.id}
-    if known is not None:
-        parents["model"] = known.id
-    write_plan(made, target, provenance=artefacts.provenance(parents=parents), force=force)
-    say(*_lines(made, target))
-    emit({"reference": str(target), "id": made.reference.id, **figures(made)}, json)
+    if report is not None:
+        from host.report.plan import page
+
+        residual = ResidualModel() if known is None else ResidualModel.of(known, effects)
+        artefacts.write_atomic(report, page(made, way, airframe, residual, origin), force)
+    write_plan(made, target, provenance=origin, force=force)
+    say(*_lines(made, target, report))
+    emit({"reference": str(target), "id": made.reference.id, **figures(made), "report": report}, json)
+
+
+def _check_report(path: Path, force: bool) -> None:
+    """Raises UsageError where no page may be written; call it before planning."""
+    from host import artefacts
+    from host.errors import UsageError
+
+    if path.suffix != REPORT_SUFFIX:
+        raise UsageError(f"{path}: a report's name ends in {REPORT_SUFFIX}")
+    artefacts.check_output(path, force)
 
 
 def _headroom(low: float, high: float) -> LimitsOverride:
@@ -112,7 +172,7 @@ def _headroom(low: float, high: float) -> LimitsOverride:
     return LimitsOverride(thrust_headroom=(low, high))
 
 
-def _lines(plan: Plan, target: Path) -> list[str]:
+def _lines(plan: Plan, target: Path, report: Path | None) -> list[str]:
     """The plan for people."""
     star = "*" if plan.augmented else ""
     first = (
@@ -134,4 +194,24 @@ def _lines(plan: Plan, target: Path) -> list[str]:
         lines.append(f"  {share:.0f} % of it is beyond the region that the model's data covers")
     margins = ", ".join(f"{name} {value:.3g}" for name, value in plan.margins.items())
     lines.append(f"  margins: {margins}")
+    if report is not None:
+        lines.append(f"  the report is {report}")
     return lines
+
+
+def _trade_lines(points: Sequence[Point], report: Path | None) -> list[str]:
+    """The trade for people: a table, then why plans are missing."""
+    from host.plan.pareto import COLUMNS
+
+    rows = [("plan", *COLUMNS, "status"), ("", *COLUMNS.values(), "")]
+    rows += [(point.label, *point.cells(), point.status) for point in points]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        "  ".join(
+            cell.ljust(width) if k in (0, len(row) - 1) else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+    lines += [f"{point.label}: {point.reason}" for point in points if point.reason is not None]
+    return lines if report is None else [*lines, f"the report is {report}"]

@@ -17,6 +17,8 @@ from host.link.fly import fly_lockstep
 from host.link.summary import FlightResult
 from host.link.vehicle import vehicle_class
 from host.log import Flight, read_flight
+from host.models.file import write_model
+from host.models.model import Model
 from host.vehicle import Vehicle, load_vehicle
 from protocol.blobs import Node, Reference
 
@@ -80,6 +82,15 @@ def trimtab(
         return json.loads(capsys.readouterr().out.strip().splitlines()[-1])
 
     return run
+
+
+@pytest.fixture
+def drag_model(vehicle: Vehicle, tmp_path: Path) -> str:
+    """A model of linear drag, written to drag.model.toml in the test's folder."""
+    drag = {"linear-drag": {"dx": 0.4, "dy": 0.35, "dz": 0.2}}
+    model = Model(vehicle_id=vehicle.id, vehicle_name=vehicle.name, effects=drag)
+    write_model(model, tmp_path / "drag.model.toml")
+    return "drag.model.toml"
 
 
 @pytest.fixture

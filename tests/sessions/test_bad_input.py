@@ -325,7 +325,7 @@ def test_verbs_without_a_log_say_so(refused: Refused) -> None:
 def test_output_that_exists_is_kept_unless_forced(
     refused: Refused, ref: str, log: str, tmp_path: Path
 ) -> None:
-    for name in ("a.ref", "b.mcap", "c.model.toml", "truth.json"):
+    for name in ("a.ref", "p.html", "b.mcap", "c.model.toml", "truth.json"):
         (tmp_path / name).write_text("mine")
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "trace.html").write_text("mine")
@@ -334,6 +334,7 @@ def test_output_that_exists_is_kept_unless_forced(
     (tmp_path / "map.toml").write_text(MAP)
     for words in (
         ("plan", "figure-eight", "-o", "a.ref"),
+        ("plan", "figure-eight", "--report", "p.html"),
         ("fly", ref, "-o", "b.mcap"),
         ("learn", log, "-o", "c.model.toml"),
         ("trace", log, "-o", "out"),
@@ -372,6 +373,25 @@ def test_workspace_with_a_file_for_a_folder_is_refused(refused: Refused, tmp_pat
 def test_time_given_two_ways_is_refused(refused: Refused) -> None:
     words = ("plan", "pretzel", "--kind", "min-control", "--stretch")
     refused(*words, code=2, parts=["--stretch goes with min-snap, not with min-control"])
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (("--report", "p.ref"), "p.ref: a report's name ends in .html"),
+        (("--pareto",), "--pareto needs --model"),
+        (("--pareto", "--model", "drag.model.toml", "-o", "x.ref"), "goes without --output"),
+        (("--pareto", "--model", "drag.model.toml", "--stretch"), "and --stretch"),
+        (
+            ("--pareto", "--model", "drag.model.toml", "--kind", "min-snap"),
+            "the trade is that of min-residual",
+        ),
+    ],
+)
+def test_plan_options_that_do_not_go_together_are_refused(
+    refused: Refused, drag_model: str, words: tuple[str, ...], part: str
+) -> None:
+    refused("plan", "hover-turns", *words, code=2, parts=[part])
 
 
 def test_import_of_poses_that_never_change_says_what_to_check(refused: Refused, tmp_path: Path) -> None:

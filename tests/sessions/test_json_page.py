@@ -91,8 +91,14 @@ def test_plan_and_fly_print_what_the_page_says(
     (tmp_path / "hop.toml").write_text(
         'name = "hop"\ntotal_time_s = 2.0\nwaypoints_m = [[0.0, 0.0, -1.0], [1.0, 0.0, -1.2]]\n'
     )
-    check("plan", trimtab("plan", "hop.toml", "-o", "hop.ref"))
+    check("plan", trimtab("plan", "hop.toml", "-o", "hop.ref", "--report", "hop.html"))
     check("fly", trimtab("fly", "hop.ref", "-o", "hop.mcap"))
+
+
+def test_plan_pareto_prints_what_the_page_says(
+    trimtab: Callable[..., dict[str, Any]], drag_model: str
+) -> None:
+    check("plan --pareto", trimtab("plan", "hover-turns", "--model", drag_model, "--pareto"))
 
 
 def test_log_prints_what_the_page_says(

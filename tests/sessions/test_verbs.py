@@ -174,6 +174,61 @@ def test_verb_with_bad_input_is_one_line_and_a_code_and_leaves_nothing(
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
+def test_plan_writes_its_page_beside_the_reference_and_overwrites_it_only_when_forced(
+    trimtab: Any, tmp_path: Path
+) -> None:
+    words = ("plan", "hover-turns", "-o", "x.ref", "--report", "x.html")
+    code, told, _ = trimtab(*words, "--json")
+    assert code == 0
+    assert told["report"] == "x.html"
+    html = (tmp_path / "x.html").read_text(encoding="utf-8")
+    assert told["id"] in html
+    assert "hover-turns: min-snap" in html
+    (tmp_path / "x.ref").unlink()
+    (tmp_path / "x.ref.json").unlink()
+    code, _, complaint = trimtab(*words)
+    assert code == 2
+    assert "x.html: exists" in complaint
+    assert not (tmp_path / "x.ref").exists()
+    assert trimtab(*words, "--force")[0] == 0
+    assert "--force" in (tmp_path / "x.html").read_text(encoding="utf-8")
+
+
+def test_plan_that_is_refused_leaves_no_page(trimtab: Any, tmp_path: Path) -> None:
+    words = ("plan", "pretzel", "--time-s", "5.6", "--report", "x.html")
+    assert trimtab(*words)[0] == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_plan_page_onto_a_full_disk_is_one_line_and_no_file(
+    trimtab: Any, tmp_path: Path, full_disk: Callable[[int], AbstractContextManager[None]]
+) -> None:
+    with full_disk(20_000):
+        code, told, complaint = trimtab("plan", "hover-turns", "--report", "x.html", "--json")
+    assert code == told["exit_code"] == 2
+    assert complaint.count("\n") == 1
+    assert "x.html" in complaint
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_plan_pareto_writes_a_page_and_no_reference(trimtab: Any, drag_model: str, tmp_path: Path) -> None:
+    words = ("plan", "pretzel", "--model", drag_model, "--pareto", "--time-s", "5.6", "--report", "x.html")
+    code, told, _ = trimtab(*words, "--json")
+    assert code == 0
+    assert [point["status"] for point in told["points"]] == ["refused"] + ["solved"] * 6
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drag.model.toml", "x.html"]
+    assert "the min-snap plan is refused" in (tmp_path / "x.html").read_text(encoding="utf-8")
+
+
+def test_plan_pareto_without_any_plan_tells_why_and_exits_with_1(trimtab: Any, drag_model: str) -> None:
+    words = ("plan", "pretzel", "--model", drag_model, "--pareto", "--time-s", "3.0")
+    code, told, complaint = trimtab(*words, "--json")
+    assert code == 1
+    assert {point["status"] for point in told["points"]} <= {"refused", "unsolved"}
+    assert all(point["reason"] for point in told["points"])
+    assert "none of the plans was found" in complaint
+
+
 def test_fly_that_ends_in_failsafe_answers_and_exits_with_1(
     trimtab: Any, ref: str, world_file: Callable[[str], str]
 ) -> None:

@@ -1,0 +1,164 @@
+"""The page of a plan, from its finished reference; and that of the trade between plans."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from host.plan.box import KEEP_OUT
+from host.plan.dynamics import ResidualModel
+from host.plan.files import figures
+from host.plan.pareto import COLUMNS, Point
+from host.plan.problem import SolveStatus
+from host.plan.profile import Profile, profile, with_nodes
+from host.plan.result import Plan
+from host.plan.table import from_reference
+from host.report import plan_figures
+from host.report.html import render, script_data
+from host.route import Route
+from host.vehicle import Limits, Vehicle
+
+_LIMITS = {
+    "geofence_m": ("geofence", "m"),
+    "floor_m": ("floor", "m"),
+    "speed_m_s": ("speed", "m/s"),
+    "tilt_deg": ("tilt", "deg"),
+    "body_rate_rad_s": ("body rate", "rad/s"),
+    "jerk_m_s3": ("jerk", "m/s^3"),
+    "thrust_low": ("least rotor thrust", "of greatest"),
+    "thrust_high": ("greatest rotor thrust", "of greatest"),
+    KEEP_OUT: ("keep-out shapes", "m"),
+}
+"""Name for people and unit by a margin's name."""
+
+
+def page(
+    plan: Plan, route: Route, vehicle: Vehicle, model: ResidualModel, provenance: Mapping[str, object]
+) -> str:
+    """The HTML of a plan's report; offline, one file. `model` predicts the residual that is shown."""
+    table = from_reference(plan.reference)
+    along = profile(vehicle, model, table, plan.reference.yaw_nodes(), with_nodes(table))
+    return render(
+        "plan.html.j2",
+        title=f"{route.name}: {_label(plan)}",
+        sentence=_sentence(plan),
+        figures=[plan_figures.path(plan, route, along), plan_figures.over_time(plan, along)],
+        parts=[
+            {"title": "The plan", "head": (), "numbers": (), "rows": _facts(plan)},
+            {
+                "title": "Distance to the limits",
+                "head": ("limit", "bound", "least distance", "unit", "node", "at, s"),
+                "numbers": ("least distance", "node", "at, s"),
+                "rows": _margins(plan, route, along),
+            },
+        ],
+        provenance=json.dumps(dict(provenance), indent=1, default=str),
+        data=script_data({"id": plan.reference.id, **_timeless(plan)}),
+    )
+
+
+def _timeless(plan: Plan) -> dict[str, Any]:
+    """Its figures without processor time: the same plan gives the same page."""
+    return {name: value for name, value in figures(plan).items() if name != "solve_s"}
+
+
+def _label(plan: Plan) -> str:
+    return f"{plan.kind}{'*' if plan.augmented else ''}"
+
+
+def _sentence(plan: Plan) -> str:
+    text = (
+        f"{plan.path_length_m:.1f} m in {plan.duration_s:.2f} s, {plan.mean_speed_m_s:.2f} m/s in the mean, "
+        "within every limit."
+    )
+    if plan.residual_rms_m_s2 is not None:
+        text += f" The model predicts a residual of {plan.residual_rms_m_s2:.2f} m/s^2 RMS along it."
+    return text
+
+
+def _facts(plan: Plan) -> list[tuple[str, str]]:
+    """Names and values of what holds for the plan as a whole."""
+    dynamics = "with the model in the dynamics" if plan.augmented else "with nominal dynamics"
+    rows = [("kind", f"{_label(plan)}, {dynamics}"), ("status", status_words(plan))]
+    time_s = f"{plan.duration_s:.3f} s"
+    if plan.stretch > 1.0:
+        time_s += f", {plan.stretch:.3f} times the route's"
+    rows += [
+        ("time", time_s),
+        ("length", f"{plan.path_length_m:.2f} m"),
+        ("mean speed", f"{plan.mean_speed_m_s:.2f} m/s"),
+        ("predicted residual", _or_dash(plan.residual_rms_m_s2, "{:.3f} m/s^2 RMS", "no model predicts any")),
+        (
+            "beyond the region that the model's data covers",
+            _or_dash(
+                None if plan.outside_region is None else 100.0 * plan.outside_region,
+                "{:.1f} % of the time",
+                "not known",
+            ),
+        ),
+        ("nodes", str(len(plan.reference.nodes))),
+    ]
+    if plan.deviation_m is not None:
+        rows.append(("greatest distance from the solver's path", f"{1e3 * plan.deviation_m:.2f} mm"))
+    return rows
+
+
+def status_words(plan: Plan) -> str:
+    """How the plan came about, for people."""
+    if not plan.iterations:
+        kept = "as it is" if plan.stretch <= 1.0 else "with more time"
+        return f"minimum-snap spline; it keeps every limit {kept}"
+    words = SolveStatus[plan.status.upper()].value
+    rounds = "1 round" if plan.rounds == 1 else f"{plan.rounds} rounds"
+    return f"{words}: {plan.iterations} iterations in {rounds} on {plan.intervals} intervals"
+
+
+def _margins(plan: Plan, route: Route, along: Profile) -> list[tuple[str, str, str, str, str, str]]:
+    """Rows of limit, bound, least distance, unit, node and time."""
+    distances = along.margins(plan.limits, route.keep_out)
+    rows = []
+    for name, value in plan.margins.items():
+        title, unit = _LIMITS.get(name, (name, ""))
+        k = int(distances[name].argmin())
+        at = (str(along.node[k]), f"{along.t_s[k]:.2f}")
+        rows.append((title, _bound(name, plan.limits), f"{value:.3g}", unit, *at))
+    return rows
+
+
+def _bound(name: str, limits: Limits) -> str:
+    low, high = limits.thrust_headroom
+    told = {
+        "geofence_m": " x ".join(f"[{a:g}, {b:g}]" for a, b in limits.geofence_m),
+        "floor_m": "0",
+        "speed_m_s": f"{limits.speed_max_m_s:g}",
+        "tilt_deg": f"{limits.tilt_max_deg:g}",
+        "body_rate_rad_s": ", ".join(f"{bound:g}" for bound in limits.body_rate_max_rad_s),
+        "jerk_m_s3": f"{limits.jerk_max_m_s3:g}",
+        "thrust_low": f"{low:.3g}",
+        "thrust_high": f"{high:.3g}",
+    }
+    return told.get(name, "")
+
+
+def _or_dash(value: float | None, form: str, otherwise: str) -> str:
+    return otherwise if value is None else form.format(value)
+
+
+def trade_page(points: Sequence[Point], route: Route, provenance: Mapping[str, object]) -> str:
+    """The HTML of a trade between residual and jerk; offline, one file."""
+    head = ("plan", *(f"{name}, {unit}" for name, unit in COLUMNS.items()), "status")
+    rows = [(point.label, *point.cells(), point.status) for point in points]
+    refused: Any = [(point.label, point.reason) for point in points if point.reason is not None]
+    parts = [{"title": "The plans", "head": head, "numbers": head[1:-1], "rows": rows}]
+    if refused:
+        parts.append({"title": "No plan", "head": ("plan", "why"), "numbers": (), "rows": refused})
+    return render(
+        "plan.html.j2",
+        title=f"{route.name}: residual against jerk",
+        sentence="The same route and time, planned with other weights and by other kinds.",
+        figures=[plan_figures.trade(points)],
+        parts=parts,
+        provenance=json.dumps(dict(provenance), indent=1, default=str),
+        data=script_data({"points": [point.to_json() for point in points]}),
+    )
