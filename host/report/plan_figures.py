@@ -21,8 +21,11 @@ from host.route.shapes import Box, Shape, Sphere
 
 _COLOURS = (AFTER, BEFORE, "#c29a3a", "#6b5b95")
 _FORBIDDEN = "#b5482f"
-_PIECES, _SAMPLES = 800, 2500
+_PIECES, _SAMPLES = 2000, 2500
 """Most pieces a coloured path, and samples a line, is drawn with."""
+_MANY = 40
+"""More waypoints than that are small points, of which the first and the last have their numbers."""
+_LEAST_SPAN_M = 0.5
 _FAR = 3.0
 """A limit this many times beyond what is reached is told, not shown."""
 
@@ -52,16 +55,20 @@ def path(plan: Plan, route: Route, along: Profile) -> Figure:
             marks = np.array(route.waypoints_m)[:, list(take)] * np.array(
                 [1.0, -1.0 if take[1] == 2 else 1.0]
             )
-            ax.plot(*marks.T, "o", color="white", markeredgecolor=NEUTRAL, markersize=6.0, zorder=3)
+            size = 6.0 if len(marks) <= _MANY else 3.0
+            ax.plot(*marks.T, "o", color="white", markeredgecolor=NEUTRAL, markersize=size, zorder=3)
+            middle = 0.5 * (marks.min(axis=0) + marks.max(axis=0))
+            ax.update_datalim([middle - 0.5 * _LEAST_SPAN_M, middle + 0.5 * _LEAST_SPAN_M])
             names = [("north", "east", "height")[axis] for axis in take]
             ax.autoscale_view()
             ax.margins(0.08)
             ax.set_aspect("equal", adjustable="datalim")
+            ax.locator_params(nbins=7)
             ax.set(title=title, xlabel=f"{names[0]}, m", ylabel=f"{names[1]}, m")
         _numbered(axes[0], np.array(route.waypoints_m)[:, [1, 0]])
         canvas.colorbar(lines, ax=axes.tolist(), label=what, shrink=0.85)
     plain = what.replace("$", "")
-    caption = f"The path, coloured by {plain.split(',')[0]}; numbered points are waypoints."
+    caption = f"The path, coloured by {plain.split(',')[0]}; points are waypoints."
     if route.keep_out:
         caption += " Red: keep-out shapes."
     return finish(canvas, caption, f"Path from above and from the side; {plain}, up to {shade.max():.2g}.")
@@ -78,7 +85,7 @@ def _coloured(ax: Any, xy: np.ndarray, shade: np.ndarray) -> LineCollection:
         list(np.stack([ends[:-1], ends[1:]], axis=1)), cmap="viridis", linewidths=2.5, capstyle="round"
     )
     lines.set_array(shade[keep][:-1])
-    lines.set_clim(0.0, max(float(shade.max()), 1e-3))
+    lines.set_clim(0.0, max(float(shade.max()), 1e-2))
     ax.add_collection(lines)
     return lines
 
@@ -88,6 +95,8 @@ def _numbered(ax: Any, xy: np.ndarray) -> None:
     groups: list[tuple[np.ndarray, list[str]]] = []
     near = 0.03 * max(float(np.ptp(xy, axis=0).max()), 0.1)
     for k, point in enumerate(xy):
+        if len(xy) > _MANY and k not in (0, len(xy) - 1):
+            continue
         for place, names in groups:
             if np.linalg.norm(place - point) < near:
                 names.append(str(k))
@@ -136,6 +145,7 @@ def over_time(plan: Plan, along: Profile) -> Figure:
     """
     keep = np.unique(np.linspace(0, len(along.t_s) - 1, min(len(along.t_s), _SAMPLES)).round().astype(int))
     t_s, limits = along.t_s[keep], plan.limits
+    thin = 0.8 if len(plan.waypoint_times_s) <= _MANY else 0.4
     rows = 5 + (along.residual_ned is not None)
     with rc_context(STYLE):
         canvas, axes = plt.subplots(rows, 1, figsize=(9.6, 0.9 + 1.75 * rows), sharex=True)
@@ -169,7 +179,7 @@ def over_time(plan: Plan, along: Profile) -> Figure:
         _thrusts(rest[3], along, limits.thrust_headroom)
         for ax in axes:
             for at in plan.waypoint_times_s:
-                ax.axvline(at, color=FLOOR, linewidth=0.8, linestyle=":", zorder=0)
+                ax.axvline(at, color=FLOOR, linewidth=thin, linestyle=":", zorder=0)
             if along.outside is not None:
                 _spans(ax, along.t_s, along.outside)
             ax.set_xlim(0.0, float(along.t_s[-1]))
@@ -194,7 +204,7 @@ def _numbers(times_s: Sequence[float]) -> list[str]:
     """Waypoints' numbers, without those that would stand on another."""
     told, last = [], -np.inf
     for k, at in enumerate(times_s):
-        room = at - last > 0.018 * times_s[-1]
+        room = at - last > 0.009 * (1 + len(str(k))) * times_s[-1]
         told.append(str(k) if room else "")
         last = at if room else last
     return told
@@ -207,7 +217,7 @@ def _legend(ax: Any) -> None:
 def _upper(ax: Any, reached: float, bound: float, unit: str) -> None:
     """The range of a quantity with an upper limit, which is shaded, or told where it is far away."""
     if bound > _FAR * max(reached, 1e-9):
-        ax.set_ylim(0.0, 1.12 * max(reached, 1e-3))
+        ax.set_ylim(0.0, 1.12 * max(reached, 0.01 * bound))
         ax.text(1.008, 0.5, f"limit\n{bound:g} {unit}", transform=ax.transAxes, fontsize=8, color=_FORBIDDEN)
         return
     top = 1.1 * max(bound, reached)
