@@ -14,6 +14,7 @@ from host.route import (
     Box,
     Cylinder,
     FigureEight,
+    Gate,
     LimitsOverride,
     RandomWaypoints,
     Route,
@@ -32,7 +33,7 @@ PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob
     ("page", "models"),
     [
         ("vehicle-file.md", (Vehicle, Rotor, Battery, Limits, Gains)),
-        ("route-file.md", (Route, YawProfile, LimitsOverride, Box, Sphere, Cylinder)),
+        ("route-file.md", (Route, YawProfile, LimitsOverride, Gate, Box, Sphere, Cylinder)),
         ("route-file.md", (FigureEight, RandomWaypoints)),
     ],
 )

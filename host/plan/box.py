@@ -23,7 +23,8 @@ _EXCESS = 1.2  # share of an excess that is taken off the box,
 _STEP = 0.002  # and share of the bound besides
 _REGION_MARGIN = 1.1  # how far beyond the trained region a network is trusted
 KEEP_OUT = "keep_out_m"
-"""Name of the margin to keep-out shapes, beside those of `firmware_model.law.checks`."""
+GATES = "gates_m"
+"""Names of the margins to keep-out shapes and gates' edges, beside those of `firmware_model.law.checks`."""
 
 
 @dataclass(frozen=True, kw_only=True)

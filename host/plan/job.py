@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from host.errors import UsageError
 from host.plan.dynamics import Dynamics
-from host.plan.judge import Judged, judge, measure
+from host.plan.judge import Judged, Passing, judge, measure
 from host.plan.result import Kind, Plan, Settings
 from host.plan.snap import optimise_durations
-from host.plan.table import Table
+from host.plan.table import Table, round_times
 from host.route import Route
 from host.vehicle import Limits
 from protocol.blobs import BLOB_BYTES_MAX, YawNode
@@ -66,9 +66,21 @@ class Job:
             YawNode(round(t_s * scale * 1e6), yaw, rate / scale) for t_s, yaw, rate in self.route.yaw.nodes()
         )
 
-    def judge(self, table: Table, yaws: tuple[YawNode, ...]) -> Judged:
+    def passed(self, p_ned: Array) -> Array:
+        """(K, 3) where a path that solves the waypoints at p_ned (K, 3) is to pass them exactly."""
+        out = self.waypoints_ned
+        for gate in self.route.gates or ():
+            out[gate.waypoint] = gate.nearest(p_ned[gate.waypoint], out[gate.waypoint])
+        return out
+
+    def judge(self, table: Table, yaws: tuple[YawNode, ...], waypoint_times_s: Array) -> Judged:
         """The verdict on a table."""
-        return judge(table, yaws, self.dynamics.vehicle, self.limits, self.route.keep_out)
+        times_us, route = round_times(waypoint_times_s), self.route
+        gates = [
+            Passing(gate=gate, centre_ned=route.waypoints_m[gate.waypoint], t_us=int(times_us[gate.waypoint]))
+            for gate in route.gates or ()
+        ]
+        return judge(table, yaws, self.dynamics.vehicle, self.limits, route.keep_out, gates)
 
     def finish(self, judged: Judged, waypoint_times_s: Array, effort: Effort) -> Plan:
         """The plan. Raises UsageError where the vehicle has no room for its reference."""

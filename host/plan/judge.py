@@ -9,10 +9,11 @@ import numpy as np
 
 from firmware_model.law.checks import Verdict, check_reference, from_parameters
 from host.codegen import NUMPY
-from host.plan.box import KEEP_OUT, checked
+from host.plan.box import GATES, KEEP_OUT, checked
 from host.plan.dynamics import ResidualModel
 from host.plan.profile import profile, sample_times
 from host.plan.table import Table, evaluate, from_reference, to_reference
+from host.route import Gate
 from host.route.shapes import Shape
 from host.vehicle import Limits, Vehicle, to_parameters
 from protocol.blobs import Reference, YawNode
@@ -31,6 +32,15 @@ class Judged:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Passing:
+    """A gate, where it stands, and when a table is to be in it."""
+
+    gate: Gate
+    centre_ned: tuple[float, float, float]
+    t_us: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class Figures:
     """Along the whole reference. residual_rms_m_s2: None without a model. outside_region: share of it beyond
     the region that the model's data covers, None where that is not known.
@@ -43,7 +53,12 @@ class Figures:
 
 
 def judge(
-    table: Table, yaws: Sequence[YawNode], vehicle: Vehicle, limits: Limits, keep_out: Sequence[Shape]
+    table: Table,
+    yaws: Sequence[YawNode],
+    vehicle: Vehicle,
+    limits: Limits,
+    keep_out: Sequence[Shape],
+    gates: Sequence[Passing] = (),
 ) -> Judged:
     """The verdict on a table as the vehicle will read it, within these limits and those on board."""
     reference = to_reference(table, yaws, vehicle.id)
@@ -57,10 +72,15 @@ def judge(
     )
     flown = from_reference(reference)
     margins, ok, message = dict(verdict.margins), verdict.ok, verdict.message
+    found: list[tuple[str, float, str]] = []
     if keep_out:
-        margins[KEEP_OUT], where = _keep_out(flown, keep_out)
-        if margins[KEEP_OUT] < 0.0:
-            ok, message = False, where if verdict.ok else message
+        found.append((KEEP_OUT, *_keep_out(flown, keep_out)))
+    if gates:
+        found.append((GATES, *_gates(flown, gates)))
+    for name, margin, where in found:
+        margins[name] = margin
+        if ok and margin < 0.0:
+            ok, message = False, where
     return Judged(reference=reference, table=flown, ok=ok, message=message, verdict=verdict, margins=margins)
 
 
@@ -93,3 +113,13 @@ def _keep_out(table: Table, shapes: Sequence[Shape]) -> tuple[float, str]:
                 f"keep_out[{number}] ({shape.kind}), at {times_us[k] * 1e-6:.3f} s"
             )
     return least, where
+
+
+def _gates(table: Table, gates: Sequence[Passing]) -> tuple[float, str]:
+    """Least distance inside a gate's edge when it is passed, and a sentence on where that is."""
+    times_us = np.array([passing.t_us for passing in gates])
+    p = evaluate(table, times_us)[0].T
+    inside = [passing.gate.inside_m(at, passing.centre_ned) for passing, at in zip(gates, p, strict=True)]
+    k = int(np.argmin(inside))
+    node = int(np.searchsorted(table.times_us, times_us[k], side="right")) - 1
+    return inside[k], f"node {node} at {times_us[k] * 1e-6:.3f} s: {-inside[k]:.3g} m outside gates[{k}]"

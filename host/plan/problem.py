@@ -27,7 +27,9 @@ class Problem:
     x_bounds: two of (nx, N + 1); u_bounds: two of (nu, N); path_bounds: two of (rows, N); h_bounds: low,
     high, in units of h0_s; where both are 1 the steps are no unknowns. total_bounds_s: low, high of the whole
     time; equal ones pin it. x_start: (nx, N + 1); u_start: (nu, N); h_start: (steps,). step_penalty: cost of
-    (h - 1)^2 for each step size. near: the start is near the solution; multipliers: those there, if known.
+    (h - 1)^2 for each step size. gates: (12, N) frame, row by row, and centre of the gate at each node, whose
+    rows are the first after the vehicle's path rows (`host.plan.places`); None without any. near: the start
+    is near the solution; multipliers: those there, if known.
     """
 
     leg_of: NDArray[np.int64]
@@ -43,6 +45,7 @@ class Problem:
     u_start: Array
     h_start: Array
     step_penalty: float
+    gates: Array | None = None
     near: bool = False
     multipliers: Multipliers | None = None
 

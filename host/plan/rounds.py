@@ -15,6 +15,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from host.models.dynamics import P
 from host.plan.box import SolverBox
 from host.plan.dynamics import YAW
 from host.plan.intervals import Engine
@@ -69,8 +70,9 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
         if not solution.status.usable:
             run.recover(solution)
             continue
-        table = smooth(run.engine, run.problem, solution, grid, job.waypoints_ned)
-        judged = job.judge(table, job.yaws(solution.t_s[-1] / job.route.duration_s))
+        passed, passed_s = job.passed(solution.x[P, grid.waypoints].T), solution.t_s[grid.waypoints]
+        table = smooth(run.engine, run.problem, solution, grid, passed)
+        judged = job.judge(table, job.yaws(solution.t_s[-1] / job.route.duration_s), passed_s)
         if run.settled(solution, judged):
             effort = Effort(
                 status=solution.status.name.lower(),
@@ -81,7 +83,7 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
                 intervals=len(solution.t_s) - 1,
                 deviation_m=deviation_m(run.engine, run.problem, solution, judged.table),
             )
-            return job.finish(judged, solution.t_s[grid.waypoints], effort)
+            return job.finish(judged, passed_s, effort)
     raise run.failure()
 
 
@@ -238,6 +240,7 @@ class _Run:
             total_bounds_s=(-np.inf, np.inf) if grid.times_fixed else (low * total_s, high * total_s),
             shared_steps=settings.shared_steps,
             step_penalty=settings.step_penalty,
+            gates=job.route.gates or (),
             shapes=len(job.route.keep_out),
         )
         if self._last is None:

@@ -23,9 +23,11 @@ from host.plan.dynamics import (
     Weights,
 )
 from host.plan.intervals import Engine
+from host.plan.places import GATE_ROWS
 from host.plan.problem import Problem, Solution
 from host.plan.smooth import fit
 from host.plan.table import Table, evaluate, flat_states, yaw_at
+from host.route import Gate
 from host.vehicle import Limits
 from protocol.blobs import YawNode
 
@@ -146,10 +148,12 @@ def make_problem(
     total_bounds_s: tuple[float, float],
     shared_steps: bool,
     step_penalty: float,
+    gates: Sequence[Gate],
     shapes: int,
 ) -> Problem:
     """The problem in this box. yaw: (N + 1,) heading asked for at the nodes; smoothing: factor
-    on the weight of the thrust rates; unavoidable: (3,) residual left out of the cost; shapes: how many.
+    on the weight of the thrust rates; unavoidable: (3,) residual left out of the cost; gates: of the
+    waypoints that need not be met exactly; shapes: how many.
     """
     count = int(grid.counts.sum())
     low, high = np.full((STATES, count + 1), -np.inf), np.full((STATES, count + 1), np.inf)
@@ -163,18 +167,22 @@ def make_problem(
     low[RATE], high[RATE] = -rate, rate
     per_hover = dynamics.vehicle.thrust_max_n / dynamics.hover_n
     low[THRUST], high[THRUST] = (share * per_hover for share in box.thrust_share)
-    for node, waypoint in zip(grid.waypoints, waypoints_ned, strict=True):
-        low[P, node] = high[P, node] = waypoint
+    met = np.setdiff1d(np.arange(len(waypoints_ned)), [gate.waypoint for gate in gates])
+    low[P, grid.waypoints[met]] = high[P, grid.waypoints[met]] = waypoints_ned[met].T
     for node in (0, count):
         rest = dynamics.hover(float(yaw[node]))
         low[P.stop :, node] = high[P.stop :, node] = rest[P.stop :]
 
-    rows = PATH_ROWS + shapes
+    first_shape = PATH_ROWS + (GATE_ROWS if gates else 0)
+    rows = first_shape + shapes
     path_low, path_high = np.full((rows, count), -np.inf), np.full((rows, count), np.inf)
     path_low[TILT_ROW] = np.cos(tilt)
     path_high[SPEED_ROW] = (box.speed_m_s / limits.speed_max_m_s) ** 2
     path_high[JERK_ROW] = (box.jerk_m_s3 / limits.jerk_max_m_s3) ** 2
-    path_low[PATH_ROWS:] = box.keep_out_m
+    path_low[first_shape:] = box.keep_out_m
+    for gate in gates:
+        node = grid.waypoints[gate.waypoint]
+        _bound_by(gate, path_low[PATH_ROWS:first_shape, node], path_high[PATH_ROWS:first_shape, node])
 
     # The reference starts and ends with no jerk: the first and the last interval change no thrust.
     change = np.full((INPUTS, count), np.inf)
@@ -196,7 +204,25 @@ def make_problem(
         u_start=start[1],
         h_start=np.ones(steps),
         step_penalty=step_penalty,
+        gates=_frames(gates, waypoints_ned, grid) if gates else None,
     )
+
+
+def _bound_by(gate: Gate, low: Array, high: Array) -> None:
+    """Set the bounds (4,) of a gate's rows where it is passed."""
+    if gate.is_sphere:
+        high[3] = 1.0
+    else:
+        low[:3], high[:3] = (0.0, -1.0, -1.0), (0.0, 1.0, 1.0)
+
+
+def _frames(gates: Sequence[Gate], waypoints_ned: Array, grid: Grid) -> Array:
+    """(12, N) frame and centre of the gate at each node; zeros where none is."""
+    out = np.zeros((12, len(grid.leg_of)))
+    for gate in gates:
+        frame = gate.frame().ravel()
+        out[:, grid.waypoints[gate.waypoint]] = [*frame, *waypoints_ned[gate.waypoint]]
+    return out
 
 
 def yaw_profile(yaws: Sequence[YawNode], times_s: Array) -> Array:

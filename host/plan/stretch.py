@@ -32,11 +32,16 @@ def plan_snap(job: Job, *, stretch: bool) -> Plan:
             )
         factor, judged = _stretched(job, durations, judged)
     effort = Effort(status="solved", solve_s=time.process_time() - started, stretch=factor)
-    return job.finish(judged, np.concatenate([[0.0], np.cumsum(durations * factor)]), effort)
+    return job.finish(judged, _times_s(durations * factor), effort)
 
 
 def _attempt(job: Job, durations: Array, factor: float) -> Judged:
-    return job.judge(snap_table(job.waypoints_ned, durations * factor), job.yaws(factor))
+    durations = durations * factor
+    return job.judge(snap_table(job.waypoints_ned, durations), job.yaws(factor), _times_s(durations))
+
+
+def _times_s(durations: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(durations)])
 
 
 def _stretched(job: Job, durations: Array, refused: Judged) -> tuple[float, Judged]:

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 
-from host.plan.clearance import Clearance
 from host.plan.intervals import Engine
+from host.plan.places import Places
 from host.plan.problem import Problem
 from host.route.shapes import Shape
 
@@ -38,8 +38,11 @@ class Assembly:
         self.problem, self.count = problem, len(problem.leg_of)
         self.nx, self.nu = engine.model.nx, engine.model.nu
         self._intervals = engine.over(problem.h0_s, problem.parameters)
-        self._own_rows = problem.path_bounds[0].shape[0] - len(keep_out)
-        self._clearance = Clearance(keep_out, self.count) if keep_out else None
+        self._own_rows = problem.path_bounds[0].shape[0]
+        self._places: Places | None = None
+        if keep_out or problem.gates is not None:
+            self._places = Places(problem.gates, keep_out, self.count)
+            self._own_rows -= self._places.rows
         self._place_unknowns()
         self._place_rows()
         self._plan_jacobian()
@@ -123,7 +126,7 @@ class Assembly:
 
     def _plan_jacobian(self) -> None:
         """The pattern of dg/dw, its constant entries, and where the intervals' numbers go."""
-        intervals, clearance = self._intervals, self._clearance
+        intervals, places = self._intervals, self._places
         parts: list[tuple[Index, Index, Array]] = []
 
         def constant(rows: Index, columns: Index, value: float | Array) -> None:
@@ -149,19 +152,19 @@ class Assembly:
             kept = (rows >= 0) & (columns >= 0)
             parts.append((rows[kept], columns[kept], np.zeros(int(kept.sum()))))
             sources.append(output.at[kept])
-        if clearance is not None:
+        if places is not None:
             rows = np.repeat(self._path_at[:, self._own_rows :], 3, axis=1)
-            columns = np.tile(self._x_at[:-1, :3], (1, clearance.rows))
+            columns = np.tile(self._x_at[:-1, :3], (1, places.rows))
             kept = rows >= 0
             parts.append((rows[kept], columns[kept], np.zeros(int(kept.sum()))))
             sources.append(np.flatnonzero(kept))
         self.slopes = Pattern([part[:2] for part in parts], self.height, self.width)
-        places = [self.slopes.find(rows, columns) for rows, columns, _ in parts]
+        found = [self.slopes.find(rows, columns) for rows, columns, _ in parts]
         self._jacobian_constants = np.zeros(self.slopes.count)
-        for place, (_, _, values) in zip(places, parts, strict=True):
+        for place, (_, _, values) in zip(found, parts, strict=True):
             self._jacobian_constants[place] = values
         self._jacobian_places = [
-            (place, source) for place, source in zip(places[fixed:], sources, strict=True)
+            (place, source) for place, source in zip(found[fixed:], sources, strict=True)
         ]
 
     def _leg_time(self) -> Array:
@@ -181,7 +184,7 @@ class Assembly:
         if self._h_at is not None:
             diagonal = self._h_at[self._first_of]
             extra.append((diagonal, diagonal))
-        if self._clearance is not None:
+        if self._places is not None:
             i, j = np.triu_indices(3)
             extra.append((self._x_at[:-1][:, i].ravel(), self._x_at[:-1][:, j].ravel()))
         self.upper = Pattern([(up, over), *extra], self.width, self.width)
@@ -246,9 +249,10 @@ class Assembly:
         own = self._path_at[:, : self._own_rows]
         kept = own >= 0
         out[own[kept]] = path.flat[path.at[kept]]
-        if self._clearance is not None:
-            distance, _ = self._clearance.first(w[self._x_at[:-1, :3]])
-            out[self._path_at[:, self._own_rows :]] = distance
+        if self._places is not None:
+            value, _ = self._places.first(w[self._x_at[:-1, :3]])
+            more = self._path_at[:, self._own_rows :]
+            out[more[more >= 0]] = value[more >= 0]
         out[self._fix_at] = w[self._fixed_at]
         if self._h_at is not None:
             k = np.flatnonzero(self._h_row >= 0)
@@ -267,8 +271,8 @@ class Assembly:
         (to, source), (path_to, path_source), *more = self._jacobian_places
         out[to] = -self._intervals.x_slope.flat[source]
         out[path_to] = self._intervals.path_slope.flat[path_source]
-        if self._clearance is not None:
-            _, slope = self._clearance.first(w[self._x_at[:-1, :3]])
+        if self._places is not None:
+            _, slope = self._places.first(w[self._x_at[:-1, :3]])
             out[more[0][0]] = slope.ravel()[more[0][1]]
         return out
 
@@ -282,8 +286,8 @@ class Assembly:
         extra = iter(self._hessian_extra)
         if self._h_at is not None:
             out[next(extra)] += 2.0 * self.problem.step_penalty * sigma
-        if self._clearance is not None:
-            bend = self._clearance.second(w[self._x_at[:-1, :3]], path[:, self._own_rows :])
+        if self._places is not None:
+            bend = self._places.second(w[self._x_at[:-1, :3]], path[:, self._own_rows :])
             i, j = np.triu_indices(3)
             out[next(extra)] += bend[:, i, j].ravel()
         return out

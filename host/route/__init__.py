@@ -1,7 +1,8 @@
-"""Routes: waypoints, times, heading, limits and keep-out shapes, read strictly from TOML."""
+"""Routes: waypoints, gates, times, heading, limits and keep-out shapes, read strictly from TOML."""
 
 from host.route.checks import TIME_MAX_S, check_route
 from host.route.files import list_routes, load_route, parse_route, route_description, route_file
+from host.route.gates import Gate
 from host.route.generators import FigureEight, RandomWaypoints, random_route
 from host.route.model import LimitsOverride, Route, YawProfile
 from host.route.shapes import Box, Cylinder, Sphere
@@ -11,6 +12,7 @@ __all__ = [
     "Box",
     "Cylinder",
     "FigureEight",
+    "Gate",
     "LimitsOverride",
     "RandomWaypoints",
     "Route",

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 
 from host.route.checks import TIME_MAX_S, check_route
+from host.route.gates import Gate
 from host.route.generators import FigureEight, RandomWaypoints
 from host.route.model import LimitsOverride, Route, YawProfile
 from host.route.shapes import Shape
@@ -34,6 +35,7 @@ class RouteFile(Strict):
     yaw: YawProfile = YawProfile()
     limits: LimitsOverride = LimitsOverride()
     keep_out: tuple[Shape, ...] = ()
+    gates: tuple[Gate, ...] | None = None
 
     @model_validator(mode="after")
     def _one_source_of_waypoints(self) -> Self:

@@ -10,6 +10,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from host.route.gates import Gate
 from host.route.shapes import Shape
 from host.vehicle.files import write_toml
 from host.vehicle.model import Interval, Limits, Name, Positive, Positive3, Vector3
@@ -77,7 +78,11 @@ class LimitsOverride(Strict):
 
 
 class Route(Strict):
-    """Waypoints to pass in order, starting and ending at rest. One of times_s and total_time_s is set."""
+    """Waypoints to pass in order, starting and ending at rest. One of times_s and total_time_s is set.
+
+    gates: the waypoints that are more than a point; None without any, so that such a route's text, and with
+    it its id, says nothing of them.
+    """
 
     name: Name
     waypoints_m: Annotated[tuple[Vector3, ...], Field(min_length=2)]
@@ -86,6 +91,7 @@ class Route(Strict):
     yaw: YawProfile = YawProfile()
     limits: LimitsOverride = LimitsOverride()
     keep_out: tuple[Shape, ...] = ()
+    gates: tuple[Gate, ...] | None = None
 
     @field_validator("waypoints_m")
     @classmethod
@@ -106,6 +112,19 @@ class Route(Strict):
                 )
             if self.times_s[0] != 0.0 or not _increasing(self.times_s):
                 raise ValueError("times_s must start at 0 and increase, mend them")
+        return self
+
+    @model_validator(mode="after")
+    def _gates_have_waypoints(self) -> Self:
+        last, taken = len(self.waypoints_m) - 1, dict[int, int]()
+        for number, gate in enumerate(self.gates or ()):
+            path, k = f"gates[{number}].waypoint", gate.waypoint
+            if not 0 < k < last:
+                remedy = f"give one of 1 to {last - 1}" if last > 1 else "leave the gate out"
+                raise ValueError(f"{path}: {k} is no waypoint between the first and the last, {remedy}")
+            if k in taken:
+                raise ValueError(f"{path}: waypoint {k} has gates[{taken[k]}] already, keep one of them")
+            taken[k] = number
         return self
 
     @property

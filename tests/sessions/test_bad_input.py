@@ -207,8 +207,14 @@ def route(tmp_path: Path, waypoints: str, total_time_s: float, more: str = "") -
             '[[keep_out]]\nkind = "sphere"\ncentre_m = [3.0, 0.0, -1.0]\nradius_m = 0.5\n',
             ["waypoints_m[1]", "keep_out[0]"],
         ),
+        (
+            "[[0.0, 0.0, -1.0], [3.0, 0.0, -1.0], [3.0, 2.0, -1.0]]",
+            5.0,
+            "[[gates]]\nwaypoint = 5\nradius_m = 0.3\n",
+            ["r.toml", "gates[0].waypoint: 5 is no waypoint between", "give one of 1 to 1"],
+        ),
     ],
-    ids=["outside the fence", "too fast", "inside a shape"],
+    ids=["outside the fence", "too fast", "inside a shape", "gate for no waypoint"],
 )
 def test_route_that_contradicts_itself_is_refused_before_solving(
     refused: Refused, tmp_path: Path, waypoints: str, time_s: float, more: str, parts: list[str]

@@ -17,12 +17,12 @@ from host.models.model import Model
 from host.models.network import Frame, Layout, Network
 from host.models.region import Region
 from host.plan import Plan, PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
-from host.plan.judge import measure
+from host.plan.judge import Passing, judge, measure
 from host.plan.table import evaluate, from_reference
-from host.route import TIME_MAX_S, LimitsOverride, Route, YawProfile, load_route, random_route
+from host.route import TIME_MAX_S, Gate, LimitsOverride, Route, YawProfile, load_route, random_route
 from host.route.shapes import Cylinder
 from host.vehicle import ConfigurationError, load_vehicle, to_parameters
-from protocol.blobs import BLOB_BYTES_MAX
+from protocol.blobs import BLOB_BYTES_MAX, YawNode
 
 EFFECTS = load_effects()
 VEHICLE = load_vehicle("research")
@@ -233,6 +233,54 @@ def test_min_residual_goes_round_a_keep_out_shape_that_min_snap_hits() -> None:
         plan(route, VEHICLE)
     made = plan(route, VEHICLE, kind="min-residual", model=DRAG)
     assert made.margins["keep_out_m"] >= 0.0
+
+
+GATES = (
+    Gate(waypoint=1, radius_m=0.3),
+    Gate(waypoint=2, width_m=0.8, height_m=0.6, heading_deg=200.0),
+)
+
+
+@pytest.mark.parametrize("times_s", [None, (0.0, 1.8, 3.0, 4.6)])
+@pytest.mark.parametrize("kind", ALL_KINDS)
+def test_plan_passes_gates_inside_and_by_shooting_makes_use_of_them(
+    kind: str, times_s: tuple[float, ...] | None
+) -> None:
+    timed = {} if times_s is None else {"times_s": times_s, "total_time_s": None}
+    made = plan(ROUTE.model_copy(update={"gates": GATES, **timed}), VEHICLE, kind=kind, model=DRAG)
+    _assert_flyable(made)
+    at = np.rint(np.array(made.waypoint_times_s) * 1e6)
+    p = evaluate(from_reference(made.reference), at)[0].T
+    inside = [gate.inside_m(p[gate.waypoint], ROUTE.waypoints_m[gate.waypoint]) for gate in GATES]
+    assert made.margins["gates_m"] == pytest.approx(min(inside), abs=1e-9)
+    off = np.linalg.norm(p - ROUTE.waypoints_m, axis=1)
+    assert off[[0, 3]].max() < 2e-5
+    if kind == "min-snap":
+        assert off.max() < 2e-5
+        assert min(inside) == pytest.approx(0.3, abs=2e-5)
+    else:
+        assert min(inside) > 0.0099
+        assert off[1:3].min() > 0.1
+        assert made.deviation_m is not None
+        assert made.deviation_m < 2e-3
+
+
+def test_plan_with_gates_has_less_residual_than_through_their_centres() -> None:
+    made = plan(ROUTE.model_copy(update={"gates": GATES}), VEHICLE, kind="min-residual", model=DRAG)
+    assert made.residual_rms_m_s2 is not None
+    assert made.residual_rms_m_s2 < 0.95 * (_planned("min-residual").residual_rms_m_s2 or 0.0)
+
+
+def test_judge_names_the_gate_that_is_missed() -> None:
+    table = from_reference(_planned("min-snap").reference)
+    far = (1.7, 1.2, -2.4)
+    passing = Passing(
+        gate=GATES[0], centre_ned=far, t_us=round(_planned("min-snap").waypoint_times_s[1] * 1e6)
+    )
+    judged = judge(table, [YawNode(0, 0.0, 0.0)], VEHICLE, VEHICLE.limits, (), [passing])
+    assert not judged.ok
+    assert re.fullmatch(r"node \d+ at \d\.\d+ s: 0\.5 m outside gates\[0\]", judged.message)
+    assert judged.margins["gates_m"] == pytest.approx(-0.5, abs=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from host.plan.problem import Problem, SolveStatus
 from host.plan.solver import Solver, solve
 from host.plan.stage import StageModel
 from host.plan.transcription import Assembly
+from host.route import Gate
 from host.route.shapes import Sphere
 
 INF = np.inf
@@ -137,6 +138,44 @@ def test_assembled_derivatives_with_keep_out_equal_differences() -> None:
     low[1] = 0.0
     problem = replace(problem, path_bounds=(low, problem.path_bounds[1]))
     _check_derivatives(Assembly(Engine(_point()), problem, [_SPHERE]), 1.0)
+
+
+def test_assembled_derivatives_with_gates_beside_keep_out_equal_differences() -> None:
+    _check_derivatives(Assembly(Engine(_point()), _gated(5), [_SPHERE]), 1.0)
+
+
+def _gated(count: int) -> Problem:
+    """As `_around`, a third of the way on a plane across it and at two thirds in a sphere."""
+    first, second = count // 3, 2 * count // 3
+    problem = _around(count)
+    low, high = np.full((6, count), -INF), np.full((6, count), INF)
+    low[5] = 0.0
+    low[1, first], high[1, first] = 0.0, 0.0
+    low[2, first], high[2, first] = 0.5, 1.0
+    high[4, second] = 1.0
+    gates = np.zeros((12, count))
+    gates[:, first] = [
+        *Gate(waypoint=1, width_m=2.0, height_m=2.0, heading_deg=30.0).frame().ravel(),
+        0.4,
+        0,
+        0,
+    ]
+    gates[:, second] = [*Gate(waypoint=1, radius_m=0.5).frame().ravel(), 0.6, 0.3, 0.0]
+    return replace(problem, path_bounds=(low, high), gates=gates)
+
+
+@pytest.mark.parametrize("solver", ["fatrop", "ipopt"])
+def test_solve_passes_gates_where_their_rows_say(solver: Solver, require) -> None:
+    require("compiler")
+    problem = _gated(30)
+    problem = replace(problem, path_bounds=(problem.path_bounds[0][:5], problem.path_bounds[1][:5]))
+    solution = solve(Engine(_point()), problem, tolerance=1e-8, max_iterations=200, solver=solver)
+    assert solution.status.usable
+    frame = Gate(waypoint=1, width_m=2.0, height_m=2.0, heading_deg=30.0).frame()
+    along, right, _ = frame @ (solution.x[:, 10] - [0.4, 0.0, 0.0])
+    assert along == pytest.approx(0.0, abs=1e-6)
+    assert 0.5 - 1e-6 <= right <= 1.0 + 1e-6
+    assert np.linalg.norm(solution.x[:, 20] - [0.6, 0.3, 0.0]) <= 0.49 + 1e-6
 
 
 def _check_derivatives(whole: Assembly, size: float) -> None:

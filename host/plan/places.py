@@ -1,0 +1,64 @@
+"""Gates and keep-out shapes over all nodes: rows of the position alone, beside the vehicle's path rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from host.codegen.buffered import Buffered
+from host.codegen.ops import CASADI
+from host.route.shapes import Shape
+
+Array = NDArray[np.float64]
+
+GATE_ROWS = 4
+"""Rows of a gate: its coordinates q of the position, as `Gate.frame` has them, and q'q."""
+
+
+class Places:
+    """Rows of N points, their slopes, and the Hessian of a weighted sum.
+
+    gates: (12, N) frame and centre at each node, or None; their rows come first, then signed distances to the
+    shapes. Both are another problem's another time, and small: CasADi's virtual machine evaluates them.
+    """
+
+    def __init__(self, gates: Array | None, shapes: Sequence[Shape], count: int) -> None:
+        p, gate = ca.SX.sym("p", 3), ca.SX.sym("gate", 12)
+        rows = []
+        if gates is not None:
+            q = ca.reshape(gate[:9], 3, 3).T @ (p - gate[9:])
+            rows += [q, ca.dot(q, q)]
+        rows += [shape.signed_distance(CASADI, ca.vertsplit(p)) for shape in shapes]
+        value = ca.densify(ca.vertcat(*rows))
+        self.rows = value.numel()
+        lam = ca.SX.sym("lam", self.rows)
+        slope = ca.densify(ca.jacobian(value, p)).T  # row by row
+        bend = ca.densify(ca.hessian(ca.dot(lam, value), p)[0])
+        self._first = Buffered(
+            ca.Function("first", [p, gate], [value, ca.vec(slope)], ["p", "gate"], ["value", "slope"]).map(
+                count
+            )
+        )
+        self._second = Buffered(
+            ca.Function("second", [p, gate, lam], [ca.vec(bend)], ["p", "gate", "lam"], ["bend"]).map(count)
+        )
+        if gates is not None:
+            for function in (self._first, self._second):
+                function.inputs["gate"][:] = gates.T
+
+    def first(self, p: Array) -> tuple[Array, Array]:
+        """Rows' values (N, rows) and slopes (N, rows, 3) at p (N, 3)."""
+        self._first.inputs["p"][:] = p
+        self._first()
+        value, slope = self._first.outputs["value"], self._first.outputs["slope"]
+        return value, slope.reshape(len(p), self.rows, 3)
+
+    def second(self, p: Array, lam: Array) -> Array:
+        """(N, 3, 3) Hessians of lam' rows; lam (N, rows)."""
+        self._second.inputs["p"][:] = p
+        self._second.inputs["lam"][:] = lam
+        self._second()
+        return self._second.outputs["bend"].reshape(len(p), 3, 3)
