@@ -165,10 +165,11 @@ class Dynamics:
         out[YAW] = yaw
         return out
 
-    def _unrest(self, unknown: Array, yaw: float) -> Array:
-        """(6, n) acceleration and angular acceleration at rest at roll, pitch and thrusts (6, n)."""
+    def _unrest(self, unknown: Array, yaw: float, v_ned: Sequence[float]) -> Array:
+        """(6, n) acceleration and angular acceleration without turning, at roll, pitch and thrusts (6, n)."""
         zero = np.zeros(unknown.shape[1])
-        x = [*[zero] * 6, unknown[0], unknown[1], zero + yaw, *[zero] * 3, *unknown[2:]]
+        moving = [zero + v for v in v_ned]
+        x = [*[zero] * 3, *moving, unknown[0], unknown[1], zero + yaw, *[zero] * 3, *unknown[2:]]
         parts = self.model.parts if self.augmented else ()
         rows = rigid_body(NUMPY, self.vehicle, parts, self.newtons(x))
         found = np.array([zero + row for row in [*rows[V], *rows[RATE]]])
@@ -192,8 +193,9 @@ class Dynamics:
         rate = x[RATE]
         return change**2 + force**2 * (rate[0] ** 2 + rate[1] ** 2)
 
-    def hover(self, yaw: float) -> Array:
-        """(16,) the state at rest at the origin in which nothing accelerates, in the planner's units.
+    def steady(self, yaw: float, v_ned: Sequence[float] = (0.0, 0.0, 0.0)) -> Array:
+        """(16,) the state at the origin, at rest or at v_ned (m/s), in which nothing accelerates, in the
+        planner's units.
 
         Newton's method on attitude and thrusts, with slopes by differences; differs from level only where the
         dynamics are augmented. Raises ValueError where the model has no such state.
@@ -202,13 +204,15 @@ class Dynamics:
         away = _STEP * np.eye(6)
         for _ in range(20):
             lanes = value[:, None] + np.hstack([np.zeros((6, 1)), away, -away])
-            found = self._unrest(lanes, yaw)
+            found = self._unrest(lanes, yaw, v_ned)
             error, slope = found[:, 0], (found[:, 1:7] - found[:, 7:]) / (2.0 * _STEP)
             if not np.isfinite(slope).all():
                 break
             if np.abs(error).max() < 1e-10:
-                return np.concatenate([np.zeros(6), value[:2], [yaw], np.zeros(3), value[2:]])
+                return np.concatenate([np.zeros(3), v_ned, value[:2], [yaw], np.zeros(3), value[2:]])
             value = value - np.linalg.lstsq(slope, error, rcond=None)[0]
+        if any(v_ned):
+            raise ValueError(f"the model has no steady flight at {list(v_ned)} m/s near level flight")
         raise ValueError("the model has no state of rest near level flight: its values cannot be right")
 
     def stage_model(self, *, minimise_residual: bool, weigh_time: bool) -> StageModel:

@@ -12,7 +12,7 @@ from host.plan.dynamics import Dynamics
 from host.plan.judge import Judged, Passing, judge, measure
 from host.plan.result import Kind, Plan, Settings
 from host.plan.snap import optimise_durations
-from host.plan.table import Table, round_times
+from host.plan.table import Table, round_times, snap_table
 from host.route import Route
 from host.vehicle import Limits
 from protocol.blobs import BLOB_BYTES_MAX, YawNode
@@ -58,7 +58,12 @@ class Job:
         """(legs,) the route's own, or those of least snap."""
         if self.route.times_s is not None:
             return np.diff(np.array(self.route.times_s))
-        return optimise_durations(self.waypoints_ned, self.route.duration_s)
+        route = self.route
+        return optimise_durations(self.waypoints_ned, route.duration_s, route.end_velocities_ned)
+
+    def snap(self, durations_s: Array) -> Table:
+        """The min-snap table with these leg times."""
+        return snap_table(self.waypoints_ned, durations_s, self.route.end_velocities_ned)
 
     def yaws(self, scale: float = 1.0) -> tuple[YawNode, ...]:
         """The route's yaw nodes with their times scaled."""

@@ -69,6 +69,7 @@ def judge(
         airframe,
         checked(limits, on_board),
         origin=reference.origin_ned,
+        ends_at_rest=not reference.free_ends,
     )
     flown = from_reference(reference)
     margins, ok, message = dict(verdict.margins), verdict.ok, verdict.message

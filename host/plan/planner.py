@@ -106,7 +106,7 @@ def make_job(
         vehicle=vehicle, model=_residual_model(model, effects, vehicle, name, augmented), augmented=augmented
     )
     if augmented:
-        _check_rest(dynamics)
+        _check_steady(dynamics, route)
     if dynamics.model.network is not None and dynamics.model.region is not None and name == "min-residual":
         limits = within_region(limits, dynamics.model.region, dynamics)
     return Job(kind=name, route=route, dynamics=dynamics, limits=limits, settings=settings)
@@ -139,10 +139,11 @@ def _residual_model(
     return model
 
 
-def _check_rest(dynamics: Dynamics) -> None:
-    """Raises UsageError for a model under which the vehicle cannot hover: paths start and end at rest."""
+def _check_steady(dynamics: Dynamics, route: Route) -> None:
+    """Raises UsageError for a model under which the vehicle cannot hover, or fly as the path's ends do."""
     try:
-        dynamics.hover(0.0)
+        for v_ned in ((0.0, 0.0, 0.0), *route.end_velocities_ned):
+            dynamics.steady(0.0, v_ned)
     except (ValueError, ArithmeticError) as error:
         raise UsageError(f"{error}; plan without the star") from None
 

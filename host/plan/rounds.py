@@ -37,7 +37,6 @@ from host.plan.shooting import (
     yaw_profile,
 )
 from host.plan.solver import solve
-from host.plan.table import snap_table
 
 Array = NDArray[np.float64]
 
@@ -103,7 +102,7 @@ def _scale(job: Job, grid: Grid) -> float:
     """Unit of the weights: the mean squared residual along the min-snap path at nominal times, or 1."""
     if job.kind != "min-residual" or not job.settings.relative_weights:
         return 1.0
-    path = snap_table(job.waypoints_ned, grid.counts * grid.h0_s)
+    path = job.snap(grid.counts * grid.h0_s)
     rms = measure(job.dynamics.vehicle, job.dynamics.model, path, job.yaws()).residual_rms_m_s2
     return max(_LEAST_RESIDUAL, rms or 0.0) ** 2
 
@@ -217,7 +216,7 @@ class _Run:
         job, settings = self.job, self.job.settings
         yaw = yaw_profile(self._yaws, grid.times_s if self._last is None else self._last.t_s)
         if self._start is _Start.SNAP:
-            path = snap_table(job.waypoints_ned, grid.counts * grid.h0_s)
+            path = job.snap(grid.counts * grid.h0_s)
             start = table_start(job.dynamics, path, grid, job.yaws())
         else:
             start = linear_start(job.dynamics, job.waypoints_ned, grid, yaw)
@@ -240,6 +239,7 @@ class _Run:
             total_bounds_s=(-np.inf, np.inf) if grid.times_fixed else (low * total_s, high * total_s),
             shared_steps=settings.shared_steps,
             step_penalty=settings.step_penalty,
+            end_velocities_ned=job.route.end_velocities_ned,
             gates=job.route.gates or (),
             shapes=len(job.route.keep_out),
         )

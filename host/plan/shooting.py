@@ -116,7 +116,7 @@ def _share(grid: Grid) -> Array:
 def linear_start(dynamics: Dynamics, waypoints_ned: Array, grid: Grid, yaw: Array) -> tuple[Array, Array]:
     """States and inputs at rest on the straight lines between waypoints, as in the paper's section IV-C.3."""
     count = int(grid.counts.sum())
-    x = np.repeat(dynamics.hover(float(yaw[0]))[:, None], count + 1, axis=1)
+    x = np.repeat(dynamics.steady(float(yaw[0]))[:, None], count + 1, axis=1)
     x[THETA.stop - 1] = yaw
     for axis in range(3):
         x[axis] = np.interp(np.arange(count + 1), grid.waypoints, waypoints_ned[:, axis])
@@ -148,12 +148,14 @@ def make_problem(
     total_bounds_s: tuple[float, float],
     shared_steps: bool,
     step_penalty: float,
+    end_velocities_ned: Sequence[Sequence[float]],
     gates: Sequence[Gate],
     shapes: int,
 ) -> Problem:
     """The problem in this box. yaw: (N + 1,) heading asked for at the nodes; smoothing: factor
-    on the weight of the thrust rates; unavoidable: (3,) residual left out of the cost; gates: of the
-    waypoints that need not be met exactly; shapes: how many.
+    on the weight of the thrust rates; unavoidable: (3,) residual left out of the cost;
+    end_velocities_ned: at the start and at the end, where nothing accelerates; gates: of the waypoints that
+    need not be met exactly; shapes: how many.
     """
     count = int(grid.counts.sum())
     low, high = np.full((STATES, count + 1), -np.inf), np.full((STATES, count + 1), np.inf)
@@ -169,15 +171,17 @@ def make_problem(
     low[THRUST], high[THRUST] = (share * per_hover for share in box.thrust_share)
     met = np.setdiff1d(np.arange(len(waypoints_ned)), [gate.waypoint for gate in gates])
     low[P, grid.waypoints[met]] = high[P, grid.waypoints[met]] = waypoints_ned[met].T
-    for node in (0, count):
-        rest = dynamics.hover(float(yaw[node]))
-        low[P.stop :, node] = high[P.stop :, node] = rest[P.stop :]
+    for node, velocity in zip((0, count), end_velocities_ned, strict=True):
+        steady = dynamics.steady(float(yaw[node]), velocity)
+        low[P.stop :, node] = high[P.stop :, node] = steady[P.stop :]
 
     first_shape = PATH_ROWS + (GATE_ROWS if gates else 0)
     rows = first_shape + shapes
     path_low, path_high = np.full((rows, count), -np.inf), np.full((rows, count), np.inf)
     path_low[TILT_ROW] = np.cos(tilt)
     path_high[SPEED_ROW] = (box.speed_m_s / limits.speed_max_m_s) ** 2
+    if any(end_velocities_ned[0]):
+        path_high[SPEED_ROW, 0] = np.inf  # given, and perhaps beyond the box
     path_high[JERK_ROW] = (box.jerk_m_s3 / limits.jerk_max_m_s3) ** 2
     path_low[first_shape:] = box.keep_out_m
     for gate in gates:
@@ -234,7 +238,8 @@ def smooth(engine: Engine, problem: Problem, solution: Solution, grid: Grid, way
     """The node table through a solution, seen at points about as close as the table's own nodes."""
     parts = math.ceil(float(np.diff(solution.t_s).max()) / _DATA_S)
     times_s, x = _within(engine, problem, solution, tuple(k / parts for k in range(parts)))
-    return fit(times_s, x[P], x[V], parts * grid.waypoints, waypoints_ned)
+    ends = problem.x_bounds[0][V][:, [0, -1]].T  # fixed there
+    return fit(times_s, x[P], x[V], parts * grid.waypoints, waypoints_ned, ends)
 
 
 def deviation_m(engine: Engine, problem: Problem, solution: Solution, table: Table) -> float:

@@ -2,7 +2,7 @@
 
 The solver's acceleration is continuous but its jerk jumps where an input does, and septic pieces through such
 nodes overshoot. A B-spline of degree 7 with simple knots is C6; fitted to the nodes' positions and
-velocities, with the waypoints and the rest at both ends as equalities, it leaves the nodes by well under a
+velocities, with the waypoints and both ends' velocities as equalities, it leaves the nodes by well under a
 millimetre. Its knots are the reference's nodes, so that the septic pieces of the reference are the spline
 itself.
 """
@@ -26,12 +26,18 @@ _VELOCITY_S = 0.03  # weight of a velocity error against a position error
 
 
 def fit(
-    times_s: Array, p_ned: Array, v_ned: Array, waypoints: NDArray[np.int64], waypoints_ned: Array
+    times_s: Array,
+    p_ned: Array,
+    v_ned: Array,
+    waypoints: NDArray[np.int64],
+    waypoints_ned: Array,
+    end_velocities_ned: Array,
 ) -> Table:
     """The node table of the spline nearest to the nodes in the least-squares sense.
 
     times_s: (n,) node times; p_ned, v_ned: (3, n); waypoints: index of each waypoint among the nodes, the
-    first 0, the last n - 1; waypoints_ned: (K, 3). No leg has more pieces than intervals between its nodes.
+    first 0, the last n - 1; waypoints_ned: (K, 3); end_velocities_ned: (2, 3). Acceleration and jerk are 0 at
+    both ends. No leg has more pieces than intervals between its nodes.
     """
     waypoint_times = round_times(times_s[waypoints])
     step_s = float(times_s[-1]) / (len(times_s) - 1)
@@ -45,12 +51,12 @@ def fit(
     equal = vstack(
         [_basis(padded, waypoint_times * 1e-6), *[_basis(padded, ends, order) for order in (1, 2, 3)]]
     )
-    exact = np.concatenate([waypoints_ned, np.zeros((6, 3))])
+    exact = np.concatenate([waypoints_ned, end_velocities_ned, np.zeros((4, 3))])
 
     coefficients = _constrained_lstsq(rows, wanted, equal, exact)
     spline = BSpline(padded, coefficients, _DEGREE)
     states = np.concatenate([spline(knots, nu=order) for order in range(4)], axis=1)
-    states[[0, -1], 3:] = 0.0
+    states[[0, -1], 3:6], states[[0, -1], 6:] = end_velocities_ned, 0.0
     return Table(times_us=knots_us, states_ned=states)
 
 

@@ -16,13 +16,14 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solveh_banded
 from scipy.optimize import minimize
 
 Array = NDArray[np.float64]
 
 _DERIVATIVES = 4  # p, v, a, j at each end
+REST = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # velocities at both ends
 _SHARE_FACTOR = 3.0  # how far optimise_durations may move a leg's share of the time, both ways
 
 
@@ -108,10 +109,11 @@ def _checked(waypoints_ned: Array, durations_s: Array) -> tuple[Array, Array]:
     return waypoints, durations
 
 
-def solve_snap(waypoints_ned: Array, durations_s: Array) -> SnapSpline:
-    """The minimum-snap spline through the waypoints, at rest (v = a = j = 0) at both ends.
+def solve_snap(waypoints_ned: Array, durations_s: Array, end_velocities_ned: ArrayLike = REST) -> SnapSpline:
+    """The minimum-snap spline through the waypoints, with a = j = 0 at both ends.
 
-    waypoints_ned: (K >= 2, 3) m; durations_s: (K - 1,). Source: Mellinger and Kumar, ICRA 2011; Bry et al.,
+    waypoints_ned: (K >= 2, 3) m; durations_s: (K - 1,); end_velocities_ned: (2, 3) m/s at the start and at
+    the end, at rest by default. Source: Mellinger and Kumar, ICRA 2011; Bry et al.,
     IJRR 2015. Raises ValueError for wrong shapes, non-finite values and durations that are not positive.
     """
     waypoints, durations = _checked(waypoints_ned, durations_s)
@@ -122,16 +124,21 @@ def solve_snap(waypoints_ned: Array, durations_s: Array) -> SnapSpline:
 
     ends = np.zeros((len(waypoints), 4, 3))
     ends[:, 0] = waypoints
+    ends[[0, -1], 1] = np.asarray(end_velocities_ned, dtype=float) * unit_s
     if len(waypoints) > 2:
-        ends[1:-1, 1:] = _inner_derivatives(blocks, waypoints)
+        ends[1:-1, 1:] = _inner_derivatives(blocks, ends)
     values = np.concatenate([ends[:-1], ends[1:]], axis=1)
     cost = float(np.einsum("mac,mab,mbc->", values, blocks, values)) / unit_s**7
     ends[:, 1:] /= unit_s ** np.arange(1, 4)[:, None]
     return SnapSpline(times_s=np.concatenate([[0.0], np.cumsum(durations)]), ends_ned=ends, cost=cost)
 
 
-def _inner_derivatives(blocks: Array, waypoints: Array) -> Array:
-    """(K - 2, 3, 3): velocity, acceleration and jerk at the inner waypoints that make the cost stationary."""
+def _inner_derivatives(blocks: Array, ends: Array) -> Array:
+    """(K - 2, 3, 3): velocity, acceleration and jerk at the inner waypoints that make the cost stationary.
+
+    ends: (K, 4, 3) with the waypoints, and the derivatives at the first and the last.
+    """
+    waypoints = ends[:, 0]
     inner = len(waypoints) - 2
     size = 3 * inner
     diagonal = blocks[:-1, 5:8, 5:8] + blocks[1:, 1:4, 1:4]
@@ -147,7 +154,10 @@ def _inner_derivatives(blocks: Array, waypoints: Array) -> Array:
         np.einsum("ma,mc->mac", blocks[:-1, 5:8, 0], waypoints[:-2])
         + np.einsum("ma,mc->mac", blocks[:-1, 5:8, 4] + blocks[1:, 1:4, 0], waypoints[1:-1])
         + np.einsum("ma,mc->mac", blocks[1:, 1:4, 4], waypoints[2:])
-    ).reshape(size, 3)
+    )
+    right[0] -= blocks[0, 5:8, 1:4] @ ends[0, 1:]
+    right[-1] -= blocks[-1, 1:4, 5:8] @ ends[-1, 1:]
+    right = right.reshape(size, 3)
     weight = 1.0 / np.sqrt(banded[0])
     for offset in range(len(banded)):
         banded[offset, : size - offset] *= weight[: size - offset] * weight[offset:]
@@ -184,7 +194,13 @@ def heuristic_durations(waypoints_ned: Array, total_s: float) -> Array:
     return weight / weight.sum() * total_s
 
 
-def optimise_durations(waypoints_ned: Array, total_s: float, *, iterations: int = 100) -> Array:
+def optimise_durations(
+    waypoints_ned: Array,
+    total_s: float,
+    end_velocities_ned: ArrayLike = REST,
+    *,
+    iterations: int = 100,
+) -> Array:
     """(K - 1,): the durations with the given sum that minimise the snap cost, from the heuristic ones.
 
     L-BFGS-B on the logarithm of the cost over the logarithms of the shares with the exact gradient; a share
@@ -197,11 +213,11 @@ def optimise_durations(waypoints_ned: Array, total_s: float, *, iterations: int 
     def objective(log_share: Array) -> tuple[float, Array]:
         share = np.exp(log_share - log_share.max())
         share /= share.sum()
-        spline = solve_snap(waypoints_ned, share * total_s)
+        spline = solve_snap(waypoints_ned, share * total_s, end_velocities_ned)
         slope = cost_gradient(spline) / spline.cost * total_s
         return float(np.log(spline.cost)), share * (slope - share @ slope)
 
-    if solve_snap(waypoints_ned, start).cost == 0.0:
+    if solve_snap(waypoints_ned, start, end_velocities_ned).cost == 0.0:
         return start
     log_start = np.log(start / total_s)
     reach = np.log(_SHARE_FACTOR)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from host.plan.job import Effort, Job
 from host.plan.judge import Judged
 from host.plan.result import Plan, PlanRefused
-from host.plan.table import snap_table
 
 Array = NDArray[np.float64]
 
@@ -37,7 +36,7 @@ def plan_snap(job: Job, *, stretch: bool) -> Plan:
 
 def _attempt(job: Job, durations: Array, factor: float) -> Judged:
     durations = durations * factor
-    return job.judge(snap_table(job.waypoints_ned, durations), job.yaws(factor), _times_s(durations))
+    return job.judge(job.snap(durations), job.yaws(factor), _times_s(durations))
 
 
 def _times_s(durations: Array) -> Array:

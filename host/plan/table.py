@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from firmware_model.law.allocation import allocation_matrix, invert4
 from firmware_model.law.flatness import Body, flat_full
 from firmware_model.law.reference import cubic_acceleration, cubic_coefficients, hermite_yaw, septic
 from firmware_model.law.rotations import matrix_to_euler
 from host.codegen import NUMPY
-from host.plan.snap import SnapSpline, solve_snap
+from host.plan.snap import REST, SnapSpline, solve_snap
 from host.vehicle import Vehicle
 from protocol.blobs import Node, Reference, YawNode
 
@@ -66,10 +66,10 @@ def round_times(times_s: Array) -> Times:
     return times
 
 
-def snap_table(waypoints_ned: Array, durations_s: Array) -> Table:
+def snap_table(waypoints_ned: Array, durations_s: Array, end_velocities_ned: ArrayLike = REST) -> Table:
     """The minimum-snap spline, waypoint times rounded to microseconds, divided into nodes without loss."""
     waypoint_times = round_times(np.concatenate([[0.0], np.cumsum(durations_s)]))
-    spline = solve_snap(waypoints_ned, np.diff(waypoint_times) * 1e-6)
+    spline = solve_snap(waypoints_ned, np.diff(waypoint_times) * 1e-6, end_velocities_ned)
     ends = Table(times_us=waypoint_times, states_ned=_rows(spline))
     knots = knot_times(waypoint_times)
     states = np.concatenate(evaluate(ends, knots)[:4]).T
@@ -139,7 +139,10 @@ def flat_states(vehicle: Vehicle, table: Table, yaws: Sequence[YawNode], times_u
 
 
 def to_reference(table: Table, yaws: Sequence[YawNode], vehicle_id: str) -> Reference:
-    """The reference blob; its origin is near the middle of the nodes, so that float32 loses least."""
+    """The reference blob; its origin is near the middle of the nodes, so that float32 loses least.
+
+    A table that moves at an end makes a reference with free ends, for which the vehicle does not arm.
+    """
     low, high = table.states_ned[:, :3].min(axis=0), table.states_ned[:, :3].max(axis=0)
     steps = np.rint(0.5 * (low + high) / _ORIGIN_STEP_M)
     origin = tuple(round(float(step) * _ORIGIN_STEP_M, 6) for step in steps)
@@ -153,6 +156,7 @@ def to_reference(table: Table, yaws: Sequence[YawNode], vehicle_id: str) -> Refe
             for t_us, state in zip(table.times_us, states, strict=True)
         ),
         yaws=tuple(yaws),
+        free_ends=bool(table.states_ned[[0, -1], 3:].any()),
     )
 
 

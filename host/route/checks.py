@@ -11,7 +11,7 @@ from host.route.model import Route
 from host.vehicle import ConfigurationError, Limits, Vehicle
 
 HEIGHT_MIN_M = 0.5
-"""A reference starts and ends at rest at least this high."""
+"""A reference starts and ends at least this high."""
 
 TIME_MAX_S = 500.0
 """With a node each 0.1 s more does not fit into the vehicle's memory."""
@@ -78,7 +78,7 @@ def _misplaced(route: Route, limits: Limits) -> Iterator[str]:
 
 
 def _too_fast(route: Route, limits: Limits) -> Iterator[str]:
-    """More time than the vehicle can hold, legs too long for theirs, a heading that turns too fast."""
+    """More time than the vehicle can hold, ends or legs too fast, a heading that turns too fast."""
     if route.duration_s > TIME_MAX_S:
         key = "times_s" if route.times_s is not None else "total_time_s"
         yield (
@@ -86,6 +86,9 @@ def _too_fast(route: Route, limits: Limits) -> Iterator[str]:
         )
     legs = list(pairwise(route.waypoints_m))
     speed = limits.speed_max_m_s
+    for end, velocity in zip(("start", "end"), route.end_velocities_ned, strict=True):
+        if math.hypot(*velocity) > speed:
+            yield f"{end}_velocity_m_s: {math.hypot(*velocity):.4g} m/s, the limit is {speed:g}; lower it"
     if route.times_s is not None:
         for k, ((a, b), (t0, t1)) in enumerate(zip(legs, pairwise(route.times_s), strict=True)):
             needed = math.dist(a, b) / (t1 - t0)

@@ -36,6 +36,8 @@ class RouteFile(Strict):
     limits: LimitsOverride = LimitsOverride()
     keep_out: tuple[Shape, ...] = ()
     gates: tuple[Gate, ...] | None = None
+    start_velocity_m_s: Vector3 | None = None
+    end_velocity_m_s: Vector3 | None = None
 
     @model_validator(mode="after")
     def _one_source_of_waypoints(self) -> Self:

@@ -80,8 +80,8 @@ class LimitsOverride(Strict):
 class Route(Strict):
     """Waypoints to pass in order, starting and ending at rest. One of times_s and total_time_s is set.
 
-    gates: the waypoints that are more than a point; None without any, so that such a route's text, and with
-    it its id, says nothing of them.
+    gates: the waypoints that are more than a point. start_velocity_m_s, end_velocity_m_s: NED, where it does
+    not start or end at rest. None of them is in the text, and so in the id, of a route that leaves them out.
     """
 
     name: Name
@@ -92,6 +92,8 @@ class Route(Strict):
     limits: LimitsOverride = LimitsOverride()
     keep_out: tuple[Shape, ...] = ()
     gates: tuple[Gate, ...] | None = None
+    start_velocity_m_s: Vector3 | None = None
+    end_velocity_m_s: Vector3 | None = None
 
     @field_validator("waypoints_m")
     @classmethod
@@ -136,6 +138,12 @@ class Route(Strict):
     def length_m(self) -> float:
         """Length of the straight legs."""
         return sum(math.dist(a, b) for a, b in zip(self.waypoints_m, self.waypoints_m[1:], strict=False))
+
+    @property
+    def end_velocities_ned(self) -> tuple[Vector3, Vector3]:
+        """Velocity at the start and at the end, m/s."""
+        rest = (0.0, 0.0, 0.0)
+        return self.start_velocity_m_s or rest, self.end_velocity_m_s or rest
 
     @property
     def id(self) -> str:

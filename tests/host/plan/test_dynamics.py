@@ -21,8 +21,9 @@ def _evaluate(expression: ca.SX, *pairs: tuple[ca.SX, np.ndarray]) -> np.ndarray
     return np.array(function(*[value for _, value in pairs])).ravel()
 
 
+@pytest.mark.parametrize("velocity", [(0.0, 0.0, 0.0), (2.0, -1.0, 0.5)])
 @pytest.mark.parametrize("augmented", [True, False])
-def test_hover_state_does_not_move(augmented: bool) -> None:
+def test_steady_state_does_not_accelerate(augmented: bool, velocity: tuple[float, float, float]) -> None:
     layout = Layout(hidden=(6,))
     network = Network(layout=layout, xi=0.2 * np.random.default_rng(0).standard_normal(layout.size))
     parts = (
@@ -34,7 +35,7 @@ def test_hover_state_does_not_move(augmented: bool) -> None:
     dynamics = Dynamics(
         vehicle=VEHICLE, model=ResidualModel(parts=parts, network=network), augmented=augmented
     )
-    rest = dynamics.hover(0.7)
+    rest = dynamics.steady(0.7, velocity)
     x, u, p = ca.SX.sym("x", 16), ca.SX.sym("u", 4), ca.SX(dynamics.parameters(np.array([0.7])))
     slope = _evaluate(dynamics.derivative(x, u, p), (x, rest), (u, np.zeros(4)))
     if augmented:
@@ -42,7 +43,8 @@ def test_hover_state_does_not_move(augmented: bool) -> None:
         assert np.abs(rest[6:8]).max() > 0.01
     else:
         np.testing.assert_allclose(rest[12:], 1.0)
-    assert np.abs(slope).max() < 1e-9
+    np.testing.assert_allclose(slope[:3], velocity)
+    assert np.abs(slope[3:]).max() < 1e-9
     assert rest[8] == 0.7
 
 
@@ -75,7 +77,7 @@ def test_hover_with_a_model_that_cannot_rest_raises() -> None:
     parts = ((EFFECTS["linear-drag"], (3.0, 3.0, 3.0)), (EFFECTS["wind"], (1e3, 1e3)))
     dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts), augmented=True)
     with pytest.raises(ValueError, match="no state of rest"):
-        dynamics.hover(0.0)
+        dynamics.steady(0.0)
 
 
 def test_jerk_equals_the_acceleration_s_finite_difference() -> None:
@@ -140,7 +142,7 @@ def test_residual_at_rest_is_left_out_of_the_cost() -> None:
     rest = dynamics.rest_residual(0.7)
     x = ca.SX.sym("x", 16)
     p = ca.SX(dynamics.parameters(np.array([0.7]), rest=rest))
-    state = dynamics.hover(0.7)
+    state = dynamics.steady(0.7)
     d = _evaluate(dynamics.residual(x, p), (x, state))
     d += network.acceleration_ned(state[3:6, None], state[6:9, None])[:, 0]
     assert np.abs(rest).max() > 0.3

@@ -22,7 +22,7 @@ from host.plan.table import evaluate, from_reference
 from host.route import TIME_MAX_S, Gate, LimitsOverride, Route, YawProfile, load_route, random_route
 from host.route.shapes import Cylinder
 from host.vehicle import ConfigurationError, load_vehicle, to_parameters
-from protocol.blobs import BLOB_BYTES_MAX, YawNode
+from protocol.blobs import BLOB_BYTES_MAX, Reference, YawNode
 
 EFFECTS = load_effects()
 VEHICLE = load_vehicle("research")
@@ -269,6 +269,28 @@ def test_plan_with_gates_has_less_residual_than_through_their_centres() -> None:
     made = plan(ROUTE.model_copy(update={"gates": GATES}), VEHICLE, kind="min-residual", model=DRAG)
     assert made.residual_rms_m_s2 is not None
     assert made.residual_rms_m_s2 < 0.95 * (_planned("min-residual").residual_rms_m_s2 or 0.0)
+
+
+@pytest.mark.parametrize("kind", ALL_KINDS)
+def test_plan_starts_and_ends_at_the_velocities_asked_for_with_nothing_accelerating(kind: str) -> None:
+    start, end = (1.5, 1.0, 0.0), (-1.5, -1.0, 0.25)
+    route = ROUTE.model_copy(update={"start_velocity_m_s": start, "end_velocity_m_s": end})
+    made = plan(route, VEHICLE, kind=kind, model=DRAG, total_time_s=3.6)
+    assert all(margin >= 0.0 for margin in made.margins.values())
+    assert made.reference.free_ends
+    ends = from_reference(made.reference).states_ned[[0, -1]]
+    np.testing.assert_allclose(ends[:, 3:6], [start, end], atol=1e-6)
+    assert not ends[:, 6:].any()
+    airframe, on_board = from_parameters(to_parameters(VEHICLE))
+    reference = Reference.from_bytes(made.reference.to_bytes())
+    origin = reference.origin_ned
+    nodes, yaws = reference.nodes, reference.yaw_nodes()
+    assert check_reference(nodes, yaws, airframe, on_board, origin=origin, ends_at_rest=False).ok
+    assert not check_reference(nodes, yaws, airframe, on_board, origin=origin).ok
+
+
+def test_plan_at_rest_at_both_ends_makes_a_reference_that_the_vehicle_arms_for() -> None:
+    assert not _planned("min-control").reference.free_ends
 
 
 def test_judge_names_the_gate_that_is_missed() -> None:

@@ -9,6 +9,8 @@ from host.plan.smooth import fit
 from host.plan.snap import optimise_durations
 from host.plan.table import evaluate, snap_table
 
+REST = np.zeros((2, 3))
+ENDS = np.array([[0.5, -0.2, 0.1], [-0.3, 0.0, 0.4]])
 WAYPOINTS = np.array([[0.0, 0.0, -1.0], [2.0, 1.0, -1.5], [3.0, -1.0, -2.0], [0.5, 0.0, -1.0]])
 
 
@@ -22,7 +24,7 @@ def test_fit_to_nodes_of_a_smooth_path_recovers_it() -> None:
     )  # fmt: skip
     inside = np.minimum(times * 1e6, float(table.times_us[-1]))
     p, v, *_ = evaluate(table, inside)
-    fitted = fit(times, p, v, np.concatenate([[0], np.cumsum(counts)]), WAYPOINTS)
+    fitted = fit(times, p, v, np.concatenate([[0], np.cumsum(counts)]), WAYPOINTS, REST)
     at = np.linspace(0.0, float(table.times_us[-1]), 1001)
     for order, tolerance in enumerate((2e-5, 3e-4, 6e-3, 0.25)):
         assert np.abs(evaluate(fitted, at)[order] - evaluate(table, at)[order]).max() < tolerance
@@ -44,7 +46,7 @@ def test_fit_to_nodes_with_jumping_jerk_does_not_ring() -> None:
     speed = np.stack([v, 0.0 * v, 0.0 * v])
     waypoints = np.array([[0.0, 0.0, 0.0], [p[-1], 0.0, 0.0]])
     count = len(t[nodes])
-    table = fit(t[nodes], path[:, nodes], speed[:, nodes], np.array([0, count - 1]), waypoints)
+    table = fit(t[nodes], path[:, nodes], speed[:, nodes], np.array([0, count - 1]), waypoints, REST)
     at = np.linspace(0.0, 2e6, 2001)
     found = evaluate(table, at)
     assert np.abs(found[0][0] - np.interp(at * 1e-6, t, p)).max() < 1e-3
@@ -52,13 +54,14 @@ def test_fit_to_nodes_with_jumping_jerk_does_not_ring() -> None:
     assert np.abs(found[3][0]).max() < 16.0
 
 
-def test_fit_passes_waypoints_and_rests_at_both_ends() -> None:
+def test_fit_passes_waypoints_and_ends_at_the_velocities_given() -> None:
     rng = np.random.default_rng(0)
     times = np.linspace(0.0, 2.4, 31)
     waypoints = np.array([[0.0, 0.0, -1.0], [1.0, 0.5, -1.2], [2.0, 0.0, -1.0]])
     p = np.stack([np.interp(times, [0.0, 1.2, 2.4], waypoints[:, axis]) for axis in range(3)])
-    table = fit(times, p, rng.normal(0.0, 0.1, (3, 31)), np.array([0, 15, 30]), waypoints)
+    table = fit(times, p, rng.normal(0.0, 0.1, (3, 31)), np.array([0, 15, 30]), waypoints, ENDS)
     p_at, v_at, a_at, j_at, _ = evaluate(table, np.array([0.0, 1.2e6, 2.4e6]))
     np.testing.assert_allclose(p_at.T, waypoints, atol=1e-9)
-    for rest in (v_at, a_at, j_at):
+    np.testing.assert_allclose(v_at[:, [0, 2]].T, ENDS, atol=1e-9)
+    for rest in (a_at, j_at):
         assert np.abs(rest[:, [0, 2]]).max() < 1e-9

@@ -19,6 +19,7 @@ from host.plan.snap import (
 )
 
 Array = NDArray[np.float64]
+_REST, _MOVING = np.zeros((2, 3)), np.array([[1.0, -2.0, 0.3], [-0.5, 0.0, 1.5]])
 
 
 def _walk(count: int, seed: int = 0) -> Array:
@@ -32,7 +33,7 @@ def _derivative_row(t: float, order: int) -> Array:
     )
 
 
-def _dense(waypoints: Array, durations: Array) -> tuple[Array, float]:
+def _dense(waypoints: Array, durations: Array, velocities: Array) -> tuple[Array, float]:
     """Monomial coefficients (legs, 8, 3) and cost by one dense KKT system with C4 at the waypoints."""
     legs = len(durations)
     hessian = np.zeros((8 * legs, 8 * legs))
@@ -58,8 +59,9 @@ def _dense(waypoints: Array, durations: Array) -> tuple[Array, float]:
                 jump = {leg: _derivative_row(duration, order), leg + 1: -_derivative_row(0.0, order)}
                 constrain(jump, np.zeros(3))
     for order in (1, 2, 3):
-        constrain({0: _derivative_row(0.0, order)}, np.zeros(3))
-        constrain({legs - 1: _derivative_row(durations[-1], order)}, np.zeros(3))
+        start, end = velocities if order == 1 else np.zeros((2, 3))
+        constrain({0: _derivative_row(0.0, order)}, start)
+        constrain({legs - 1: _derivative_row(durations[-1], order)}, end)
     equal = np.array(rows)
     system = np.block([[hessian, equal.T], [equal, np.zeros((len(equal), len(equal)))]])
     found = np.linalg.solve(system, np.concatenate([np.zeros((8 * legs, 3)), np.array(right)]))[: 8 * legs]
@@ -77,12 +79,13 @@ def _sides(spline: SnapSpline, order: int) -> tuple[Array, Array]:
     return np.array(ends[1][:-1]), np.array(ends[0][1:])
 
 
+@pytest.mark.parametrize("velocities", [_REST, _MOVING], ids=["at rest", "moving"])
 @pytest.mark.parametrize("count", [2, 3, 4, 9])
-def test_spline_any_route_equals_dense_solve(count: int) -> None:
+def test_spline_any_route_equals_dense_solve(count: int, velocities: Array) -> None:
     waypoints = _walk(count)
     durations = np.random.default_rng(1).uniform(0.5, 1.8, count - 1)
-    spline = solve_snap(waypoints, durations)
-    coefficients, cost = _dense(waypoints, durations)
+    spline = solve_snap(waypoints, durations, velocities)
+    coefficients, cost = _dense(waypoints, durations, velocities)
     for order in range(4):
         expected = np.array([_derivative_row(0.0, order) @ leg for leg in coefficients])
         np.testing.assert_allclose(spline.ends_ned[:-1, order], expected, rtol=1e-6, atol=1e-6)
@@ -134,14 +137,16 @@ def test_spline_moved_scaled_and_slowed_keeps_its_shape(
         np.testing.assert_allclose(moved.ends_ned[:, order], expected, atol=1e-7 * size)
 
 
-def test_cost_gradient_equals_finite_differences() -> None:
+@pytest.mark.parametrize("velocities", [_REST, _MOVING], ids=["at rest", "moving"])
+def test_cost_gradient_equals_finite_differences(velocities: Array) -> None:
     waypoints = _walk(7)
     durations = np.random.default_rng(4).uniform(0.8, 1.6, 6)
-    gradient = cost_gradient(solve_snap(waypoints, durations))
+    gradient = cost_gradient(solve_snap(waypoints, durations, velocities))
     for leg in range(6):
         step = np.zeros(6)
         step[leg] = 1e-5
-        rise = solve_snap(waypoints, durations + step).cost - solve_snap(waypoints, durations - step).cost
+        after, before = (solve_snap(waypoints, durations + sign * step, velocities).cost for sign in (1, -1))
+        rise = after - before
         assert gradient[leg] == pytest.approx(rise / 2e-5, rel=1e-6, abs=1e-3)
 
 

@@ -96,9 +96,9 @@ def test_route_with_gates_reads_back_equal_and_one_without_does_not_tell_of_them
     ],
 )
 def test_bad_gate_is_named_with_its_key_and_a_remedy(table: str, said: str) -> None:
+    vehicle = load_vehicle("research")
     with pytest.raises(ConfigurationError) as caught:
-        route = parse_route(f"{ROUTE}[[gates]]\n{table}\n", "bad.toml")
-        check_route(route, load_vehicle("research"), "bad.toml")
+        check_route(parse_route(f"{ROUTE}[[gates]]\n{table}\n", "bad.toml"), vehicle, "bad.toml")
     (line,) = caught.value.problems
     assert line.startswith(f"bad.toml: {said}")
     assert caught.value.exit_code == 2

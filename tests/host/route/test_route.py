@@ -147,6 +147,16 @@ def test_contradictions_are_all_told_before_solving(research: Vehicle) -> None:
         ("total_time_s = 6.0", "", "give either total_time_s or times_s"),
         ("total_time_s = 6.0", "total_time_s = 6.0\ntimes_s = [0, 2, 4]", "and not both"),
         ("total_time_s = 6.0", "times_s = [0, 2]", "2 times_s for 3 waypoints_m"),
+        (
+            "total_time_s = 6.0",
+            "total_time_s = 6.0\nstart_velocity_m_s = [8, 6, 1]",
+            "start_velocity_m_s: 10.05 m/s, the limit is 10; lower it",
+        ),
+        (
+            "total_time_s = 6.0",
+            "total_time_s = 6.0\nend_velocity_m_s = [1, 2]",
+            "end_velocity_m_s[2]: missing",
+        ),
         ("total_time_s = 6.0", "times_s = [0, 2, 2]", "must start at 0 and increase"),
         ("total_time_s = 6.0", "times_s = [0, 0.1, 2]", "times_s[1]: leg 0 needs 30.0 m/s"),
         ("[3, 0, -1]", "[0, 0, -1]", "waypoints 0 and 1 are the same point"),
@@ -236,6 +246,13 @@ def test_problem_names_the_file_it_was_read_from(
     with pytest.raises(ConfigurationError, match=r"^routes/mine\.toml: waypoints_m\[1\]"):
         load_route("mine", tmp_path)
     assert route_file("mine", tmp_path) == "routes/mine.toml"
+
+
+def test_velocities_at_the_ends_are_read_and_left_out_of_routes_at_rest() -> None:
+    moving = parse_route(GOOD + "end_velocity_m_s = [1, 0, -0.5]\n", "r")
+    assert moving.end_velocities_ned == ((0.0, 0.0, 0.0), (1.0, 0.0, -0.5))
+    assert parse_route(moving.to_toml(), "again") == moving
+    assert "velocity" not in parse_route(GOOD, "r").to_toml()
 
 
 def test_two_sources_of_waypoints_are_refused(research: Vehicle) -> None:
