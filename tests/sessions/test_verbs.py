@@ -286,3 +286,19 @@ def test_log_recover_of_a_cut_log_writes_one_that_can_be_read(
     assert code == 0
     assert described["recovered"]
     assert trimtab("log", "recover", "cut.mcap")[0] == 2  # it is there already
+
+
+def test_plan_that_moves_at_its_ends_says_so_and_the_vehicle_does_not_arm_for_it(
+    trimtab: Callable[..., tuple[int, dict[str, Any], str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines: list[str] = []
+    monkeypatch.setattr(output, "say", lambda *said: lines.extend(said))
+    (tmp_path / "m.toml").write_text(
+        'name = "m"\ntotal_time_s = 3.0\nwaypoints_m = [[0, 0, -1.2], [3, 0, -1.2]]\n'
+        "start_velocity_m_s = [1.0, 0, 0]\n"
+    )
+    assert trimtab("plan", "m.toml")[0] == 0
+    assert sum("moves at its ends" in line for line in lines) == 1
+    code, _, complaint = trimtab("fly", "m.ref")
+    assert code == 1
+    assert "reference not at rest at its ends" in complaint
