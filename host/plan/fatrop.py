@@ -31,10 +31,11 @@ _WHEEL = Path(ca.__file__).parent
 _EVALUATIONS = 30
 """Times the iterations allowed: a line search that tries without end is ended.
 """
-_PIVOT = 1e-4
-"""Least pivot in eliminating a stage's equalities; smaller ones wait for an earlier stage. A rest at the end
-is reached through five integrations of the input, whose pivots in one short step are next to nothing: with
-them the Hessian never looks definite, and Fatrop searches on without end.
+_PIVOT, _PIVOT_STEP_S = 1e-4, 0.025
+"""Least pivot in eliminating a stage's equalities, at steps of this length or longer; shorter ones have less
+of it, as their square. Smaller pivots wait for an earlier stage. A rest at the end is reached through five
+integrations of the input, whose pivots in one step are next to nothing: with them the Hessian never looks
+definite, and Fatrop searches on without end; where too few count, rows pile up and look dependent.
 """
 _NEAR = {"mu_init": 1e-3, "bound_push": 1e-4, "bound_frac": 1e-4}
 """For a start near the solution; else Fatrop moves it further into its box, and takes longer to come back."""
@@ -304,7 +305,8 @@ class _Run:
         try:
             for name, value in (("print_level", 0), ("max_iter", self._max_iterations)):
                 library.fatrop_ocp_c_set_option_int(solver, name.encode(), ctypes.c_int(value))
-            numbers = {"tolerance": tolerance, "linsol_lu_fact_tol": _PIVOT}
+            step = min(1.0, float(self._assembly.problem.h0_s.mean()) / _PIVOT_STEP_S)
+            numbers = {"tolerance": tolerance, "linsol_lu_fact_tol": _PIVOT * step * step}
             numbers |= _NEAR if self._assembly.problem.near else {}
             for name, number in numbers.items():
                 library.fatrop_ocp_c_set_option_double(solver, name.encode(), ctypes.c_double(number))
