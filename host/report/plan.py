@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from host.plan.box import KEEP_OUT
+from host.plan.box import GATES, KEEP_OUT
 from host.plan.dynamics import ResidualModel
 from host.plan.files import figures
 from host.plan.pareto import COLUMNS, Point
@@ -29,6 +29,7 @@ _LIMITS = {
     "thrust_low": ("least rotor thrust", "of greatest"),
     "thrust_high": ("greatest rotor thrust", "of greatest"),
     KEEP_OUT: ("keep-out shapes", "m"),
+    GATES: ("edges of gates", "m"),
 }
 """Name for people and unit by a margin's name."""
 
@@ -120,8 +121,10 @@ def _margins(plan: Plan, route: Route, along: Profile) -> list[tuple[str, str, s
     rows = []
     for name, value in plan.margins.items():
         title, unit = _LIMITS.get(name, (name, ""))
-        k = int(distances[name].argmin())
-        at = (str(along.node[k]), f"{along.t_s[k]:.2f}")
+        at = ("", "")
+        if name in distances:  # a gate counts only where it is passed
+            k = int(distances[name].argmin())
+            at = (str(along.node[k]), f"{along.t_s[k]:.2f}")
         rows.append((title, _bound(name, plan.limits), f"{value:.3g}", unit, *at))
     return rows
 

@@ -16,7 +16,7 @@ from host.plan.profile import profile
 from host.plan.table import from_reference
 from host.report import plan_figures
 from host.report.plan import page, trade_page
-from host.route import Route
+from host.route import Gate, Route
 from host.route.shapes import Box, Cylinder, Sphere
 from host.vehicle import load_vehicle
 
@@ -120,3 +120,14 @@ def test_trade_page_has_a_row_for_every_plan_and_the_reason_of_one_that_failed(m
 def test_trade_without_any_plan_is_drawn_empty() -> None:
     point = Point(status="refused", reason="no way", **SNAP, **BARE)
     assert "no plan was found" in plan_figures.trade([point]).alt
+
+
+def test_page_of_a_route_with_gates_tells_how_far_inside_they_are_passed() -> None:
+    route = Route(
+        name="gated",
+        waypoints_m=((-1.6, -0.9, -1.2), (1.7, 1.2, -1.6), (0.0, 2.4, -2.0)),
+        total_time_s=4.0,
+        gates=(Gate(waypoint=1, radius_m=0.3),),
+    )
+    gated = plan(route, VEHICLE, kind="min-control")
+    assert "edges of gates" in page(gated, route, VEHICLE, ResidualModel(), {})
