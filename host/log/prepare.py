@@ -55,9 +55,7 @@ class Prepared:
         return self.start_s + self.step_s * np.arange(len(self.x))
 
 
-def prepare(
-    flights: Sequence[Flight], *, step_s: float = STEP_S, latency_s: float = 0.0
-) -> list[Prepared]:
+def prepare(flights: Sequence[Flight], *, step_s: float = STEP_S, latency_s: float = 0.0) -> list[Prepared]:
     """The flights' tracking phases smoothed; poses are taken to be `latency_s` older than stamped.
 
     Together they cost less than one by one. A flight that leaves the range of Euler angles is cut there.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from host.codegen.buffered import Buffered
-from host.codegen.compiler import Compiler, wanted_compiler
+from host.codegen.compiler import wanted_compiler
 from host.codegen.simd import LANES, aligned
 from host.plan.kernel import Kernel, kernel
 from host.plan.stage import Stage, StageModel, build_stage
@@ -85,7 +85,7 @@ class Engine:
     def __init__(self, model: StageModel, engine: str | None = None) -> None:
         self.model = model
         compiler = wanted_compiler(engine)
-        self._made: Kernel | Stage = build_stage(model) if compiler is None else _kernel(model, compiler)
+        self._made: Kernel | Stage = build_stage(model) if compiler is None else kernel(model, compiler)
 
     @property
     def compiled(self) -> bool:
@@ -97,10 +97,6 @@ class Engine:
         if isinstance(self._made, Kernel):
             return _Lanes(self.model, self._made, h0_s, parameters)
         return _Machine(self.model, self._made, h0_s, parameters)
-
-
-def _kernel(model: StageModel, compiler: Compiler) -> Kernel:
-    return kernel(model, compiler)
 
 
 class _Lanes:

@@ -58,9 +58,7 @@ class Flights:
         """The first `count` of them."""
         return replace(self, references=self.references[:count], x=self.x[:count])
 
-    def segments(
-        self, phi: Phi, *, measured: np.ndarray, sigma: np.ndarray, held: bool = False
-    ) -> Segments:
+    def segments(self, phi: Phi, *, measured: np.ndarray, sigma: np.ndarray, held: bool = False) -> Segments:
         """Segments of 50 nodes for a model `phi` of the same state.
 
         measured (F, n, 12) with sigma (12,). held: the reference does not move on inside a step, which makes

@@ -35,9 +35,7 @@ def steps(candidate: Candidate, flights: Flights) -> list[dict[str, Any]]:
     ]
 
 
-def laws(
-    candidate: Candidate, sets: dict[str, Flights], seed: int, iterations: int
-) -> list[dict[str, Any]]:
+def laws(candidate: Candidate, sets: dict[str, Flights], seed: int, iterations: int) -> list[dict[str, Any]]:
     """Errors of what was learned under the vehicle file's gains (A), by law and network.
 
     `candidate`, a network of 2 x 32 learned from all training flights, and the largest the vehicle can hold
