@@ -11,12 +11,14 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from host.artefacts import write_atomic
 from host.errors import UsageError
 from host.output import json_text
+from host.vehicle import load_vehicle
 
 ORDER, PIECES = "study.json", "pieces"
 
@@ -72,6 +74,35 @@ def run_pieces(
                 pool.shutdown(cancel_futures=True)
                 raise
     return {piece.name: json.loads(_file(folder, piece).read_text("utf-8")) for piece in pieces}
+
+
+def run_study(
+    name: str,
+    pieces: Sequence[Piece],
+    do: Callable[..., Any],
+    summary: Callable[[Mapping[str, Any], Mapping[str, Any]], dict[str, Any]],
+    *,
+    folder: Path,
+    seed: int,
+    vehicle: str,
+    worlds: int,
+    quick: bool,
+    jobs: int,
+    report: Report,
+) -> dict[str, Any]:
+    """The outcome of a study of these pieces: what `summary` makes of its answer and them, and `scores`.
+
+    do(piece, folder, vehicle=, seed=): what a piece comes to. Raises UsageError without a world, and where
+    the folder holds another study.
+    """
+    if worlds < 1:
+        raise UsageError(f"--worlds {worlds}: give 1 or more")
+    folder = folder.absolute()
+    order = {"study": name, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick}
+    work = partial(do, vehicle=vehicle, seed=seed)
+    found = run_pieces(pieces, work, folder=folder, order=order, jobs=jobs, report=report)
+    answer = {"study": name, "seed": seed, "worlds": worlds, "quick": quick, "folder": str(folder)}
+    return {**summary(answer, found), "scores": found}
 
 
 def _leave(work: Work, piece: Piece, folder: str) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from host.codegen.compiler import Compiler, shared_library
-from host.plan.transcription import Assembly
+from host.plan.transcription import Assembly, ranks
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -29,8 +29,7 @@ Index = NDArray[np.int64]
 _SOURCE = Path(__file__).parent / "fatrop.c"
 _WHEEL = Path(ca.__file__).parent
 _EVALUATIONS = 30
-"""Times the iterations allowed: a line search that tries without end is ended.
-"""
+"""Times the iterations allowed: a line search that tries without end is ended."""
 _PIVOT, _PIVOT_STEP_S = 1e-4, 0.025
 """Least pivot in eliminating a stage's equalities, at steps of this length or longer; shorter ones have less
 of it, as their square. Smaller pivots wait for an earlier stage. A rest at the end is reached through five
@@ -144,19 +143,13 @@ class _Run:
         a = self._assembly
         stages = a.count + 1
         nx, nu = a.nx_of, a.nu_of
-        start = np.concatenate([[0], np.cumsum(nx + nu)])
-        stage_of = np.repeat(np.arange(stages), nx + nu)
-        within = np.arange(a.width) - start[stage_of]
+        stage_of, row_stage = a.stage_of, a.row_stage
+        within = ranks(stage_of)
         # Fatrop has a stage's inputs first.
         place = np.where(within < nx[stage_of], within + nu[stage_of], within - nx[stage_of])
 
-        gaps = np.append(nx[1:], 0)
-        row_start = np.concatenate([[0], np.cumsum(gaps + a.ng_of)])
-        row_stage = np.repeat(np.arange(stages), gaps + a.ng_of)
-        row_within = np.arange(a.height) - row_start[row_stage]
-        is_gap = row_within < gaps[row_stage]
-        is_equal = ~is_gap & (a.g_low == a.g_high)
-        is_bounded = ~is_gap & ~is_equal
+        is_equal = ~a.is_gap & (a.g_low == a.g_high)
+        is_bounded = ~a.is_gap & ~is_equal
         equal_row, bounded_row = np.flatnonzero(is_equal), np.flatnonzero(is_bounded)
         bounded_w = np.flatnonzero(np.isfinite(a.low) | np.isfinite(a.high))
         equalities = np.bincount(row_stage[equal_row], minlength=stages)
@@ -167,14 +160,12 @@ class _Run:
         order = np.argsort(bounded_stage, kind="stable")
         rows = np.concatenate([bounded_row, np.full(len(bounded_w), -1)])[order]
         unknowns = np.concatenate([np.full(len(bounded_row), -1), bounded_w])[order]
-        number = np.arange(len(order)) - np.concatenate([[0], np.cumsum(inequalities)])[bounded_stage[order]]
+        number = ranks(bounded_stage[order])
         lower = np.concatenate([a.g_low[bounded_row], a.low[bounded_w]])[order]
         upper = np.concatenate([a.g_high[bounded_row], a.high[bounded_w]])[order]
 
-        local = row_within.copy()  # of a row among those of its kind in its stage
-        local[equal_row] = (
-            np.arange(len(equal_row)) - np.concatenate([[0], np.cumsum(equalities)])[row_stage[equal_row]]
-        )
+        local = ranks(row_stage)  # of a row among those of its kind in its stage; gaps come first
+        local[equal_row] = ranks(row_stage[equal_row])
         local[rows[rows >= 0]] = number[rows >= 0]
         r, c = a.slopes.rows, a.slopes.columns
         entry = np.arange(a.slopes.count)
@@ -197,7 +188,7 @@ class _Run:
             nu=self._ints(nu),
             equalities=self._ints(equalities),
             inequalities=self._ints(inequalities),
-            start=self._ints(start),
+            start=self._ints(a.start_of),
             initial=self._doubles(a.start()),
             lower=self._doubles(lower),
             upper=self._doubles(upper),
@@ -210,12 +201,12 @@ class _Run:
             lam=self._doubles(self._lam),
             sigma=self._doubles(self._sigma),
             fill=self._fill,
-            gap_row=self._ints(row_start),
+            gap_row=self._ints(a.row_start_of),
             equal_row=self._ints(equal_row),
             bounded_row=self._ints(rows),
             bounded_w=self._ints(unknowns),
             equal_to=self._doubles(a.g_low[equal_row]),
-            dynamics=entries(is_gap[r] & (stage_of[c] == row_stage[r])),
+            dynamics=entries(a.is_gap[r] & (stage_of[c] == row_stage[r])),
             equal=entries(is_equal[r]),
             bounded=bounded,
             bend=self._entries(stage_of[i], place[i], place[j], source),
@@ -311,6 +302,8 @@ class _Run:
             for name, number in numbers.items():
                 library.fatrop_ocp_c_set_option_double(solver, name.encode(), ctypes.c_double(number))
             ended = self._watched(library)
+            if self._error is not None:
+                raise self._error
             if not ended:
                 return Found(w=self._w.copy(), solved=False, iterations=0)
             stats = ctypes.c_void_p(library.fatrop_ocp_c_get_stats(solver))
@@ -324,6 +317,4 @@ class _Run:
                 library.fatrop_ocp_c_destroy(solver)
             else:
                 _ASLEEP.append(self)
-        if self._error is not None:
-            raise self._error
         return Found(w=self._w.copy(), solved=solved and self._left > 0, iterations=iterations)

@@ -49,12 +49,20 @@ class Places:
             for function in (self._first, self._second):
                 function.inputs["gate"][:] = gates.T
 
-    def first(self, p: Array) -> tuple[Array, Array]:
-        """Rows' values (N, rows) and slopes (N, rows, 3) at p (N, 3)."""
+    def first(self, p: Array) -> None:
+        """Compute `value` and `slope` at p (N, 3)."""
         self._first.inputs["p"][:] = p
         self._first()
-        value, slope = self._first.outputs["value"], self._first.outputs["slope"]
-        return value, slope.reshape(len(p), self.rows, 3)
+
+    @property
+    def value(self) -> Array:
+        """(N, rows) at the last `first`."""
+        return self._first.outputs["value"]
+
+    @property
+    def slope(self) -> Array:
+        """(N, rows, 3) at the last `first`."""
+        return self._first.outputs["slope"].reshape(-1, self.rows, 3)
 
     def second(self, p: Array, lam: Array) -> Array:
         """(N, 3, 3) Hessians of lam' rows; lam (N, rows)."""

@@ -153,10 +153,7 @@ class _Run:
 
     def _solve_on(self, grid: Grid, before: tuple[Solution, Grid] | None) -> Solution:
         """The last iterate on a grid, from a coarser one's solution where there is one."""
-        self.problem = self.make_problem(grid)
-        if before is not None:
-            x, u = on_grid(*before, grid)
-            self.problem = replace(self.problem, x_start=x, u_start=u, h_start=before[0].h, near=True)
+        self.problem = self.make_problem(grid, before)
         settings = self.job.settings
         solution = solve(
             self.engine,
@@ -211,11 +208,16 @@ class _Run:
             return PlanRefused(f"no {label} plan: no way within the limits was found ({tries}); {_REMEDY}")
         return PlanUnsolved(f"no {label} plan: {status.value} ({tries}); {_REMEDY}", status)
 
-    def make_problem(self, grid: Grid) -> Problem:
-        """The problem of the next round on a grid."""
+    def make_problem(self, grid: Grid, before: tuple[Solution, Grid] | None = None) -> Problem:
+        """The next round's problem on a grid: from the last round's end, or a coarser grid's solution."""
         job, settings = self.job, self.job.settings
         yaw = yaw_profile(self._yaws, grid.times_s if self._last is None else self._last.t_s)
-        if self._start is _Start.SNAP:
+        last = self._last or (before[0] if before is not None else None)
+        if self._last is not None:
+            start = self._last.x, self._last.u
+        elif before is not None:
+            start = on_grid(*before, grid)
+        elif self._start is _Start.SNAP:
             path = job.snap(grid.counts * grid.h0_s)
             start = table_start(job.dynamics, path, grid, job.yaws())
         else:
@@ -243,14 +245,8 @@ class _Run:
             gates=job.route.gates or (),
             shapes=len(job.route.keep_out),
         )
-        if self._last is None:
+        if last is None:
             return problem
-        last = self._last
-        return replace(
-            problem,
-            x_start=last.x,
-            u_start=last.u,
-            h_start=last.h,
-            near=last.status.usable,
-            multipliers=last.multipliers,
-        )
+        # Of another grid the multipliers are those of other rows.
+        multipliers = None if self._last is None else last.multipliers
+        return replace(problem, h_start=last.h, near=last.status.usable, multipliers=multipliers)

@@ -45,6 +45,7 @@ class Assembly:
             self._own_rows -= self._places.rows
         self._place_unknowns()
         self._place_rows()
+        self._plan_gradient()
         self._plan_jacobian()
         self._plan_hessian()
         self._at: Array = np.full(self.width, np.nan)
@@ -64,8 +65,10 @@ class Assembly:
         t_is_state &= self._timed
         self.nx_of = nx + self._h_is_state + t_is_state.astype(int)
         self.nu_of = np.append(nu + self._h_is_input.astype(int), 0)
-        start = np.concatenate([[0], np.cumsum(self.nx_of + self.nu_of)])
-        self.width = int(start[-1])
+        sizes = self.nx_of + self.nu_of
+        start = np.concatenate([[0], np.cumsum(sizes)])
+        self.width, self.start_of = int(start[-1]), start[:-1]
+        self.stage_of = np.repeat(np.arange(count + 1), sizes)
         self._x_at = start[:-1, None] + np.arange(nx)
         self._u_at = (start[:-1] + self.nx_of)[:-1, None] + np.arange(nu)
         self._t_at = np.where(t_is_state, start[:-1] + nx + self._h_is_state, -1)
@@ -73,6 +76,8 @@ class Assembly:
         self._h_at = np.where(self._h_is_input, self._u_at[:, -1] + 1, h_state[:-1]) if free else None
         self._h_state_at = h_state
         self._first_of = np.flatnonzero(first)
+        # Seconds that a step size of 1 gives all the intervals that share it.
+        self._shared_s: Array = np.bincount(step_of, weights=problem.h0_s).astype(float)[step_of]
 
     def _place_rows(self) -> None:
         """Rows with their bounds; equal bounds on unknowns become rows."""
@@ -80,24 +85,22 @@ class Assembly:
         low, high = self._spread(problem.x_bounds, problem.u_bounds)
         fixed = (low == high) & np.isfinite(low)
         self._fixed_at = np.flatnonzero(fixed)
-        stage_of = np.repeat(np.arange(count + 1), self.nx_of + self.nu_of)
+        fixed_stage = self.stage_of[self._fixed_at]
         bounded = np.isfinite(problem.path_bounds[0]) | np.isfinite(problem.path_bounds[1])
         gaps = np.append(self.nx_of[1:], 0)
         paths = np.append(bounded.sum(axis=0), 0)
-        fixes = np.bincount(stage_of[self._fixed_at], minlength=count + 1)
-        self.ng_of = paths + fixes
-        start = np.concatenate([[0], np.cumsum(gaps + self.ng_of)])
-        self.height = int(start[-1])
+        sizes = gaps + paths + np.bincount(fixed_stage, minlength=count + 1)
+        start = np.concatenate([[0], np.cumsum(sizes)])
+        self.height, self.row_start_of = int(start[-1]), start[:-1]
+        self.row_stage = np.repeat(np.arange(count + 1), sizes)
+        self.is_gap = ranks(self.row_stage) < gaps[self.row_stage]
         self._gap_at = start[:-2, None] + np.arange(self.nx)
         after = start[:-2] + self.nx
         self._h_row = np.where(self._h_is_state[1:], after, -1)
         self._t_row = np.where(self._t_at[1:] >= 0, after + self._h_is_state[1:], -1)
         order = np.cumsum(bounded, axis=0) - 1
         self._path_at = np.where(bounded, (start[:-2] + gaps[:-1])[None, :] + order, -1).T
-        within = (
-            np.arange(len(self._fixed_at)) - np.concatenate([[0], np.cumsum(fixes)])[stage_of[self._fixed_at]]
-        )
-        self._fix_at = (start[:-1] + gaps + paths)[stage_of[self._fixed_at]] + within
+        self._fix_at = (start[:-1] + gaps + paths)[fixed_stage] + ranks(fixed_stage)
         self.g_low, self.g_high = np.zeros(self.height), np.zeros(self.height)
         k, row = np.nonzero(self._path_at >= 0)
         at = self._path_at[k, row]
@@ -141,7 +144,7 @@ class Assembly:
         if self._timed and self._h_at is not None:
             constant(self._t_row, self._t_at[1:], 1.0)
             constant(self._t_row, self._t_at[:-1], -1.0)
-            constant(np.where(self._h_is_input, self._t_row, -1), self._h_at, -self._leg_time())
+            constant(np.where(self._h_is_input, self._t_row, -1), self._h_at, -self._shared_s)
         fixed = len(parts)
         sources: list[Index] = []  # of kept entries: where in what the intervals computed
         for output, rows in (
@@ -167,11 +170,11 @@ class Assembly:
             (place, source) for place, source in zip(found[fixed:], sources, strict=True)
         ]
 
-    def _leg_time(self) -> Array:
-        """(N,) seconds that a step size of 1 gives all the intervals that share it."""
-        problem = self.problem
-        whole = np.bincount(problem.step_of, weights=problem.h0_s).astype(float)
-        return whole[problem.step_of]
+    def _plan_gradient(self) -> None:
+        output = self._intervals.cost_slope
+        columns = self._columns(output.rows)
+        kept = columns >= 0
+        self._gradient_to, self._gradient_from = columns[kept], output.at[kept]
 
     def _plan_hessian(self) -> None:
         output = self._intervals.hessian
@@ -214,6 +217,13 @@ class Assembly:
             compute()
             self._known.add(what)
 
+    def _placed(self, w: Array) -> tuple[Array, Array]:
+        """Values and slopes of the rows of places, computed once at a point."""
+        assert self._places is not None
+        places, p = self._places, w[self._x_at[:-1, :3]]
+        self._need("places", lambda: places.first(p))
+        return places.value, places.slope
+
     def objective(self, w: Array) -> float:
         """The cost."""
         self._set(w)
@@ -229,11 +239,8 @@ class Assembly:
         self._set(w)
         if "slopes" not in self._known:
             self._need("gradient", self._intervals.gradient)
-        output = self._intervals.cost_slope
         out = np.zeros(self.width)
-        columns = self._columns(output.rows)
-        kept = columns >= 0
-        out[columns[kept]] = output.flat[output.at[kept]]
+        out[self._gradient_to] = self._intervals.cost_slope.flat[self._gradient_from]
         if self._h_at is not None and self.problem.step_penalty:
             at = self._h_at[self._first_of]
             out[at] += 2.0 * self.problem.step_penalty * (w[at] - 1.0)
@@ -250,7 +257,7 @@ class Assembly:
         kept = own >= 0
         out[own[kept]] = path.flat[path.at[kept]]
         if self._places is not None:
-            value, _ = self._places.first(w[self._x_at[:-1, :3]])
+            value, _ = self._placed(w)
             more = self._path_at[:, self._own_rows :]
             out[more[more >= 0]] = value[more >= 0]
         out[self._fix_at] = w[self._fixed_at]
@@ -259,7 +266,7 @@ class Assembly:
             out[self._h_row[k]] = w[self._h_state_at[k + 1]] - w[self._h_at[k]]
             k = np.flatnonzero(self._t_row >= 0)
             before = np.where(self._t_at[k] >= 0, w[self._t_at[k]], 0.0)
-            change = np.where(self._h_is_input[k], self._leg_time()[k] * w[self._h_at[k]], 0.0)
+            change = np.where(self._h_is_input[k], self._shared_s[k] * w[self._h_at[k]], 0.0)
             out[self._t_row[k]] = w[self._t_at[k + 1]] - before - change
         return out
 
@@ -272,7 +279,7 @@ class Assembly:
         out[to] = -self._intervals.x_slope.flat[source]
         out[path_to] = self._intervals.path_slope.flat[path_source]
         if self._places is not None:
-            _, slope = self._places.first(w[self._x_at[:-1, :3]])
+            _, slope = self._placed(w)
             out[more[0][0]] = slope.ravel()[more[0][1]]
         return out
 
@@ -317,6 +324,11 @@ class Assembly:
         """x (nx, N + 1), u (nu, N) and h (steps,) of a vector w."""
         h = np.ones(self.problem.steps) if self._h_at is None else w[self._h_at[self._first_of]]
         return w[self._x_at].T, w[self._u_at].T, h
+
+
+def ranks(ascending: Index) -> Index:
+    """Which of those of the same value each is, from 0."""
+    return np.arange(len(ascending)) - np.searchsorted(ascending, ascending)
 
 
 class Pattern:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
 from host.paper.learning.summary import METHODS
 from host.report import learning_figures
 from host.report.figures import Figure
-from host.report.html import render, script_data
+from host.report.tables import tables_page
 
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
@@ -36,13 +35,4 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
     """The HTML of the study's report; offline, one file."""
-    answer = outcome["answer"]
-    scope = "a quick look, no figure of record" if answer["quick"] else f"{answer['worlds']} worlds"
-    return render(
-        "tables.html.j2",
-        title=f"The paper's learning section: {scope}, seed {answer['seed']}",
-        tables=outcome["tables"],
-        figures=list(drawn.values()),
-        provenance=json.dumps(dict(provenance), indent=1, default=str),
-        data=script_data(answer),
-    )
+    return tables_page("learning", outcome, drawn, provenance)

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from host.errors import UsageError
 from host.paper.learning import curves, flown, noise, transfer
 from host.paper.learning.flights import Flights, make_flights
 from host.paper.learning.measure import acceleration_error
 from host.paper.learning.methods import BODY, CLOSED, LONG, REGRESSORS, SHORT, WORLD, learn_exact
 from host.paper.learning.summary import summary
-from host.paper.pieces import Piece, Report, run_pieces
+from host.paper.pieces import Piece, Report, run_study
 from host.vehicle import load_vehicle
 
 NAME = "paper-learning"
@@ -62,15 +60,19 @@ def run(
 
     quick: a small one, to see that everything works. Raises UsageError where the folder holds another study.
     """
-    if worlds < 1:
-        raise UsageError(f"--worlds {worlds}: give 1 or more")
-    folder = folder.absolute()
-    order = {"study": NAME, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick}
-    pieces = plan(seed, 1 if quick else worlds, QUICK if quick else FULL)
-    work = partial(do, vehicle=vehicle, seed=seed)
-    found = run_pieces(pieces, work, folder=folder, order=order, jobs=jobs, report=report)
-    answer = {"study": NAME, "seed": seed, "worlds": worlds, "quick": quick, "folder": str(folder)}
-    return {**summary(answer, found), "scores": found}
+    return run_study(
+        NAME,
+        plan(seed, 1 if quick else worlds, QUICK if quick else FULL),
+        do,
+        summary,
+        folder=folder,
+        seed=seed,
+        vehicle=vehicle,
+        worlds=worlds,
+        quick=quick,
+        jobs=jobs,
+        report=report,
+    )
 
 
 def plan(seed: int, worlds: int, scope: Scope) -> list[Piece]:

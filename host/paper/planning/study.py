@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from host.errors import UsageError
-from host.paper.pieces import Piece, Report, run_pieces
+from host.paper.pieces import Piece, Report, run_study
 from host.paper.planning import compare
 from host.paper.planning.summary import summary
 from host.vehicle import load_vehicle
@@ -31,15 +29,19 @@ def run(
 
     quick: a small one, to see that everything works. Raises UsageError where the folder holds another study.
     """
-    if worlds < 1:
-        raise UsageError(f"--worlds {worlds}: give 1 or more")
-    folder = folder.absolute()
-    order = {"study": NAME, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick}
-    pieces = plan_pieces(1 if quick else worlds, 1 if quick else COURSES, 2 if quick else PLANNED)
-    work = partial(do, vehicle=vehicle, seed=seed)
-    found = run_pieces(pieces, work, folder=folder, order=order, jobs=jobs, report=report)
-    answer = {"study": NAME, "seed": seed, "worlds": worlds, "quick": quick, "folder": str(folder)}
-    return {**summary(answer, found), "scores": found}
+    return run_study(
+        NAME,
+        plan_pieces(1 if quick else worlds, 1 if quick else COURSES, 2 if quick else PLANNED),
+        do,
+        summary,
+        folder=folder,
+        seed=seed,
+        vehicle=vehicle,
+        worlds=worlds,
+        quick=quick,
+        jobs=jobs,
+        report=report,
+    )
 
 
 def plan_pieces(worlds: int, courses: int, planned: int) -> list[Piece]:

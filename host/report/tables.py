@@ -1,0 +1,29 @@
+"""The page of a study of a section of the paper: its tables, its pictures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from host.report.figures import Figure
+from host.report.html import render, script_data
+
+
+def tables_page(
+    section: str,
+    outcome: Mapping[str, Any],
+    drawn: Mapping[str, Figure],
+    provenance: Mapping[str, object],
+) -> str:
+    """The HTML of a study's report; offline, one file."""
+    answer = outcome["answer"]
+    scope = "a quick look, no figure of record" if answer["quick"] else f"{answer['worlds']} worlds"
+    return render(
+        "tables.html.j2",
+        title=f"The paper's {section} section: {scope}, seed {answer['seed']}",
+        tables=outcome["tables"],
+        figures=list(drawn.values()),
+        provenance=json.dumps(dict(provenance), indent=1, default=str),
+        data=script_data(answer),
+    )
