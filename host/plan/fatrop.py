@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from host.codegen.compiler import Compiler, shared_library
+from host.plan.problem import SolveStatus
 from host.plan.transcription import Assembly, ranks
 
 Array = NDArray[np.float64]
@@ -72,11 +73,21 @@ class _Chain(ctypes.Structure):
 
 @dataclass(frozen=True, kw_only=True)
 class Found:
-    """Where Fatrop stopped. w: (width,); solved: whether it converged."""
+    """Where Fatrop stopped. w: (width,); status: SOLVED, ACCEPTABLE or OTHER."""
 
     w: Array
-    solved: bool
+    status: SolveStatus
     iterations: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Enough:
+    """When a point is acceptable: in two iterations running the cost changed by less than the share `change`,
+    with every row met within `gap`.
+    """
+
+    change: float
+    gap: float
 
 
 def usable() -> bool:
@@ -84,10 +95,19 @@ def usable() -> bool:
     return (_WHEEL / "include" / "fatrop" / "ocp" / "OCPCInterface.h").is_file() and bool(_libraries())
 
 
-def solve_chain(assembly: Assembly, compiler: Compiler, *, tolerance: float, max_iterations: int) -> Found:
-    """The assembly's optimum from its start. Raises what the assembly raises, CodegenError without a
-    compiler."""
-    return _Run(assembly, compiler, max_iterations).solve(tolerance)
+def solve_chain(
+    assembly: Assembly,
+    compiler: Compiler,
+    *,
+    tolerance: float,
+    max_iterations: int,
+    enough: Enough | None = None,
+) -> Found:
+    """The assembly's optimum from its start, or the first acceptable point on the way.
+
+    Raises what the assembly raises, CodegenError without a compiler.
+    """
+    return _Run(assembly, compiler, max_iterations, enough).solve(tolerance)
 
 
 def _libraries() -> tuple[Path, ...]:
@@ -115,8 +135,12 @@ def _glue(compiler: Compiler) -> ctypes.CDLL:
 class _Run:
     """One solve: the chain's tables and arrays, and the callback that fills them."""
 
-    def __init__(self, assembly: Assembly, compiler: Compiler, max_iterations: int) -> None:
+    def __init__(
+        self, assembly: Assembly, compiler: Compiler, max_iterations: int, enough: Enough | None
+    ) -> None:
         self._assembly, self._glue = assembly, _glue(compiler)
+        self._enough, self._cost, self._calm = enough, np.inf, 0
+        self._acceptable: Array | None = None
         self._kept: list[Any] = []
         self._error: BaseException | None = None
         self._max_iterations = max_iterations
@@ -240,7 +264,7 @@ class _Run:
                     self._left = 0
             except BaseException as error:  # Ctrl-C too: it must not be lost in C
                 self._error = error
-        if self._error is not None or self._left == 0:
+        if self._error is not None or self._left == 0 or self._acceptable is not None:
             for array in self._filled_by[part]:
                 np.nan_to_num(array, copy=False)
             _fatrop().fatrop_ocp_c_set_option_int(self._solver, b"max_iter", ctypes.c_int(0))
@@ -261,6 +285,18 @@ class _Run:
             sigma = float(self._sigma[0])
             self._hessian[:] = assembly.hessian(w, sigma, self._lam)
             self._gradient[:] = assembly.lagrangian_gradient(w, sigma, self._lam)
+            self._judge()
+
+    def _judge(self) -> None:
+        """Note an acceptable point: Fatrop asks for the Hessian once an iteration, where it stands."""
+        if self._enough is None:
+            return
+        cost, before = self._assembly.objective(self._w), self._cost
+        calm = abs(cost - before) < self._enough.change * abs(cost)
+        calm = calm and self._assembly.violation(self._w) <= self._enough.gap
+        self._cost, self._calm = cost, self._calm + 1 if calm else 0
+        if self._calm == 2:
+            self._acceptable = self._w.copy()
 
     def _watched(self, library: ctypes.CDLL) -> bool:
         """Whether Fatrop came to an end; it runs in a thread that is put to sleep where it asks for nothing
@@ -305,9 +341,9 @@ class _Run:
             if self._error is not None:
                 raise self._error
             if not ended:
-                return Found(w=self._w.copy(), solved=False, iterations=0)
+                return Found(w=self._w.copy(), status=SolveStatus.OTHER, iterations=0)
             stats = ctypes.c_void_p(library.fatrop_ocp_c_get_stats(solver))
-            solved = self._glue.flag(stats) == 0
+            solved = self._glue.flag(stats) == 0 and self._left > 0
             iterations = int(self._glue.iterations(stats))
             self._glue.unknowns(
                 ctypes.byref(self._chain), ctypes.c_void_p(library.fatrop_ocp_c_get_primal(solver))
@@ -317,4 +353,7 @@ class _Run:
                 library.fatrop_ocp_c_destroy(solver)
             else:
                 _ASLEEP.append(self)
-        return Found(w=self._w.copy(), solved=solved and self._left > 0, iterations=iterations)
+        if self._acceptable is not None and not solved:
+            return Found(w=self._acceptable, status=SolveStatus.ACCEPTABLE, iterations=iterations)
+        status = SolveStatus.SOLVED if solved else SolveStatus.OTHER
+        return Found(w=self._w.copy(), status=status, iterations=iterations)

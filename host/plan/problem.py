@@ -85,7 +85,7 @@ class SolveStatus(Enum):
     """How a solve ended; the value is a sentence for a person."""
 
     SOLVED = "the solver converged"
-    ACCEPTABLE = "the solver stopped at an acceptable point just short of its tolerance"
+    ACCEPTABLE = "the solver stopped at an acceptable point: its cost hardly changed any more"
     INFEASIBLE = (
         "the constraints contradict each other: the solver converged to a point that violates them least"
     )

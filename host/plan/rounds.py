@@ -1,6 +1,7 @@
 """Rounds of solving and judging.
 
-A reference that leaves the limits between nodes is solved again, warm, in a box tightened by the excess.
+Coarser grids are solved first, for a start and for the first tightening of the box. A reference that leaves
+the limits between nodes is solved again, warm, in a box tightened by the excess.
 Where it leaves them by much, or the solver keeps wandering, the path ripples as fast as its nodes allow: then
 the weight of the thrust rates doubles too. A solve that fails starts anew: on the straight lines, then along
 the min-snap path.
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from host.models.dynamics import P
 from host.plan.box import SolverBox
 from host.plan.dynamics import YAW
+from host.plan.fatrop import Enough
 from host.plan.intervals import Engine
 from host.plan.job import Effort, Job
 from host.plan.judge import Judged, measure
@@ -51,6 +53,8 @@ _PATIENCE = 4
 heading moved."""
 _NEARLY_FEASIBLE = 0.05
 """Constraint violation up to which an unfinished iterate is worth going on from."""
+_COARSE_GAP = 10.0
+"""How many tolerances the rows of a grid may miss by that only gives a start."""
 _REMEDY = "give it more time, headroom or nodes"
 _NO_WAY = (SolveStatus.INFEASIBLE, SolveStatus.RESTORATION)
 
@@ -69,9 +73,7 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
         if not solution.status.usable:
             run.recover(solution)
             continue
-        passed, passed_s = job.passed(solution.x[P, grid.waypoints].T), solution.t_s[grid.waypoints]
-        table = smooth(run.engine, run.problem, solution, grid, passed)
-        judged = job.judge(table, job.yaws(solution.t_s[-1] / job.route.duration_s), passed_s)
+        judged = run.judged(solution, grid)
         if run.settled(solution, judged):
             effort = Effort(
                 status=solution.status.name.lower(),
@@ -82,7 +84,7 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
                 intervals=len(solution.t_s) - 1,
                 deviation_m=deviation_m(run.engine, run.problem, solution, judged.table),
             )
-            return job.finish(judged, passed_s, effort)
+            return job.finish(judged, solution.t_s[grid.waypoints], effort)
     raise run.failure()
 
 
@@ -144,14 +146,24 @@ class _Run:
         grids = [self.grid]
         while self._last is None and (half := coarser(grids[-1])) is not None:
             grids.append(half)
-        before: tuple[Solution, Grid] | None = None
+        before: tuple[Problem, Solution, Grid] | None = None
         for grid in reversed(grids):
             solution = self._solve_on(grid, before)
-            before = (solution, grid) if solution.status.usable else None
+            before = (self.problem, solution, grid) if solution.status.usable else None
+            if before is not None and len(grids) > 1 and grid is grids[1]:
+                # What sticks out on the next coarser grid would on the finest.
+                self.box = self.box.tightened(self.judged(solution, grid).margins)
         self.rounds += 1
         return solution
 
-    def _solve_on(self, grid: Grid, before: tuple[Solution, Grid] | None) -> Solution:
+    def judged(self, solution: Solution, grid: Grid) -> Judged:
+        """The verdict on the spline through the last problem's solution."""
+        job = self.job
+        passed, passed_s = job.passed(solution.x[P, grid.waypoints].T), solution.t_s[grid.waypoints]
+        table = smooth(self.engine, self.problem, solution, grid, passed)
+        return job.judge(table, job.yaws(solution.t_s[-1] / job.route.duration_s), passed_s)
+
+    def _solve_on(self, grid: Grid, before: tuple[Problem, Solution, Grid] | None) -> Solution:
         """The last iterate on a grid, from a coarser one's solution where there is one."""
         self.problem = self.make_problem(grid, before)
         settings = self.job.settings
@@ -161,6 +173,10 @@ class _Run:
             keep_out=self.job.route.keep_out,
             tolerance=settings.tolerance,
             max_iterations=settings.iterations_max,
+            enough=Enough(
+                change=settings.enough,
+                gap=settings.tolerance * (1.0 if grid is self.grid else _COARSE_GAP),
+            ),
         )
         self.iterations += solution.iterations
         if self.rounds == 0:
@@ -208,15 +224,15 @@ class _Run:
             return PlanRefused(f"no {label} plan: no way within the limits was found ({tries}); {_REMEDY}")
         return PlanUnsolved(f"no {label} plan: {status.value} ({tries}); {_REMEDY}", status)
 
-    def make_problem(self, grid: Grid, before: tuple[Solution, Grid] | None = None) -> Problem:
+    def make_problem(self, grid: Grid, before: tuple[Problem, Solution, Grid] | None = None) -> Problem:
         """The next round's problem on a grid: from the last round's end, or a coarser grid's solution."""
         job, settings = self.job, self.job.settings
         yaw = yaw_profile(self._yaws, grid.times_s if self._last is None else self._last.t_s)
-        last = self._last or (before[0] if before is not None else None)
+        last = self._last or (before[1] if before is not None else None)
         if self._last is not None:
             start = self._last.x, self._last.u
         elif before is not None:
-            start = on_grid(*before, grid)
+            start = on_grid(self.engine, *before, grid)
         elif self._start is _Start.SNAP:
             path = job.snap(grid.counts * grid.h0_s)
             start = table_start(job.dynamics, path, grid, job.yaws())

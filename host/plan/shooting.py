@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 NODES_MAX = 1600
 NODE_S = 0.07
-COARSE = 100
+COARSE = 50
 """Intervals of the coarsest grid; finer ones begin at the solution of one half as fine."""
 _DATA_S = 0.1
 _LEG_NODES_MIN = 4
@@ -98,14 +98,21 @@ def coarser(grid: Grid) -> Grid | None:
     return Grid(counts=counts, h0_s=grid.counts * grid.h0_s / counts, times_fixed=grid.times_fixed)
 
 
-def on_grid(solution: Solution, old: Grid, new: Grid) -> tuple[Array, Array]:
-    """States and inputs of a solution at another grid's nodes, leg by leg."""
-    places = [
-        np.append(grid.leg_of + _share(grid), float(len(grid.counts))) for grid in (old, new)
-    ]  # legs passed at every node
-    x = np.array([np.interp(places[1], places[0], row) for row in solution.x])
-    interval = np.searchsorted(places[0], places[1][:-1] + 1e-9, side="right") - 1
-    return x, solution.u[:, interval]
+def on_grid(
+    engine: Engine, problem: Problem, solution: Solution, old: Grid, new: Grid
+) -> tuple[Array, Array]:
+    """States and inputs of a problem's solution at another grid's nodes, leg by leg.
+
+    Between its nodes the solution is integrated: on the new grid it leaves next to no gaps.
+    """
+    passed = new.leg_of + _share(new) + 1e-9  # legs, at every node but the last
+    at = np.searchsorted(old.leg_of + _share(old), passed, side="right") - 1
+    share = np.maximum((passed - 1e-9 - (old.leg_of + _share(old))[at]) * old.counts[old.leg_of[at]], 0.0)
+    intervals = engine.over(problem.h0_s[at], problem.parameters[:, at])
+    intervals.set(solution.x[:, at].T, solution.u[:, at].T, share * solution.h[problem.step_of][at])
+    intervals.values()
+    x = intervals.x_next.dense(engine.model.nx)[:, :, 0].T
+    return np.hstack([x, solution.x[:, -1:]]), solution.u[:, at]
 
 
 def _share(grid: Grid) -> Array:

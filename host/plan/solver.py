@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from host.codegen.compiler import wanted_compiler
 from host.plan import fatrop
+from host.plan.fatrop import Enough
 from host.plan.intervals import Engine
 from host.plan.problem import Multipliers, Problem, Solution, SolveStatus
 from host.plan.transcription import Assembly
@@ -124,10 +125,11 @@ def solve(
     keep_out: Sequence[Shape] = (),
     tolerance: float,
     max_iterations: int,
+    enough: Enough | None = None,
     solver: Solver | None = None,
 ) -> Solution:
     """The local optimum from the given start, by Fatrop, and where that does not converge by Ipopt; or by
-    one.
+    one. enough: where Fatrop may stop before.
 
     `solve_s` is processor time, of both, and the only number that varies.
     """
@@ -136,9 +138,10 @@ def solve(
     compiler = wanted_compiler()
     found: Solution | None = None
     if solver != "ipopt" and compiler is not None and fatrop.usable():
-        end = fatrop.solve_chain(assembly, compiler, tolerance=tolerance, max_iterations=max_iterations)
-        status = SolveStatus.SOLVED if end.solved else SolveStatus.OTHER
-        found = _solution(assembly, end.w, status, end.iterations, "fatrop")
+        end = fatrop.solve_chain(
+            assembly, compiler, tolerance=tolerance, max_iterations=max_iterations, enough=enough
+        )
+        found = _solution(assembly, end.w, end.status, end.iterations, "fatrop")
     if found is None or (solver is None and not found.status.usable):
         found = _ipopt(assembly, tolerance, max_iterations)
     return replace(found, solve_s=time.process_time() - started)
@@ -148,8 +151,6 @@ def _solution(assembly: Assembly, w: Array, status: SolveStatus, iterations: int
     """A point in the problem's terms; its time is not told."""
     problem = assembly.problem
     x, u, h = assembly.split(w)
-    rows = assembly.rows(w)
-    missed = float(np.maximum(assembly.g_low - rows, rows - assembly.g_high).max())
     return Solution(
         status=status,
         x=x,
@@ -160,7 +161,7 @@ def _solution(assembly: Assembly, w: Array, status: SolveStatus, iterations: int
         iterations=iterations,
         solve_s=0.0,
         multipliers=None,
-        violation=max(0.0, missed) if np.isfinite(rows).all() else float("inf"),
+        violation=assembly.violation(w),
         solver=solver,
     )
 

@@ -11,7 +11,6 @@ fix are rows.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -194,13 +193,13 @@ class Assembly:
         self._hessian_to = self.upper.find(up, over)
         self._hessian_extra = [self.upper.find(*more) for more in extra]
 
-    @cached_property
+    @property
     def whole_hessian(self) -> tuple[tuple[Index, Index], Index]:
         """Rows and columns of the Hessian with both triangles, and which entry of the upper one each is."""
-        upper = self.upper
-        whole = Pattern([(upper.rows, upper.columns), (upper.columns, upper.rows)], self.width, self.width)
-        low, high = np.minimum(whole.rows, whole.columns), np.maximum(whole.rows, whole.columns)
-        return (whole.rows, whole.columns), upper.find(low, high)
+        rows, columns, entry = self.upper.rows, self.upper.columns, np.arange(self.upper.count)
+        below = rows != columns
+        whole = np.concatenate([rows, columns[below]]), np.concatenate([columns, rows[below]])
+        return whole, np.concatenate([entry, entry[below]])
 
     # Numbers.
 
@@ -270,6 +269,12 @@ class Assembly:
             out[self._t_row[k]] = w[self._t_at[k + 1]] - before - change
         return out
 
+    def violation(self, w: Array) -> float:
+        """By how much the rows miss their bounds at most; infinity where one is not finite."""
+        rows = self.rows(w)
+        missed = float(np.maximum(self.g_low - rows, rows - self.g_high).max())
+        return max(0.0, missed) if np.isfinite(rows).all() else float("inf")
+
     def jacobian(self, w: Array) -> Array:
         """Nonzeros of dg/dw in the order of `slopes`."""
         self._set(w)
@@ -336,7 +341,8 @@ class Pattern:
 
     def __init__(self, parts: Sequence[tuple[Index, Index]], height: int, width: int) -> None:
         self._shape = (height, width)
-        self._keys = np.unique(np.concatenate([columns * height + rows for rows, columns in parts]))
+        keys = np.sort(np.concatenate([columns * height + rows for rows, columns in parts]), kind="stable")
+        self._keys = keys[np.append(True, keys[1:] != keys[:-1])]
         self.count = len(self._keys)
         self.columns, self.rows = np.divmod(self._keys, height)
         self.starts = np.searchsorted(self.columns, np.arange(width + 1))

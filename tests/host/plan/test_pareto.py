@@ -38,7 +38,7 @@ def test_pareto_has_the_other_kinds_first_and_then_the_factors_in_order(points: 
         "min-residual x 1",
         "min-residual x 10",
     ]
-    assert all(point.status == "solved" and point.reason is None for point in points)
+    assert all(point.status in ("solved", "acceptable") and point.reason is None for point in points)
 
 
 def test_pareto_with_dearer_thrusts_is_calmer_and_leaves_more_residual(points: list[Point]) -> None:

@@ -7,7 +7,8 @@ import pytest
 
 from host.errors import UsageError
 from host.plan import plan
-from host.plan.problem import Solution, SolveStatus
+from host.plan.planner import make_job
+from host.plan.rounds import first_round
 from host.plan.shooting import NODES_MAX, Grid, coarser, make_grid, on_grid
 from host.route import Route
 from host.vehicle import load_vehicle
@@ -37,21 +38,35 @@ def test_coarser_grid_has_half_the_intervals_until_there_are_few() -> None:
     np.testing.assert_array_equal(half.counts, (fine.counts + 1) // 2)
     assert half.times_s[-1] == pytest.approx(10.0)
     assert coarser(half) is not None
-    assert coarser(make_grid(np.ones(10), 150, times_fixed=False)) is None
+    assert coarser(make_grid(np.ones(10), 80, times_fixed=False)) is None
     assert coarser(make_grid(np.ones(51), 204, times_fixed=False)) is None  # four a leg are the least
 
 
-def test_solution_on_another_grid_keeps_waypoints_and_inputs() -> None:
-    fine = make_grid(np.array([1.0, 3.0]), 80, times_fixed=False)
-    half = Grid(counts=fine.counts // 2, h0_s=2.0 * fine.h0_s, times_fixed=False)
-    x = np.linspace(0.0, 1.0, 41)[None, :] ** 2
-    solution = Solution(
-        status=SolveStatus.SOLVED, x=x, u=np.arange(40.0)[None, :], h=np.ones(2), t_s=half.times_s,
-        cost=0.0, iterations=0, solve_s=0.0, multipliers=None, violation=0.0, solver="ipopt",
-    )  # fmt: skip
-    at, u = on_grid(solution, half, fine)
-    np.testing.assert_allclose(at[:, fine.waypoints], x[:, half.waypoints])
-    np.testing.assert_array_equal(u[0], np.repeat(np.arange(40.0), 2))
+def test_solution_on_a_finer_grid_is_the_same_path_without_gaps() -> None:
+    points = ((0.0, 0.0, -1.0), (2.0, 1.0, -1.5), (4.0, 0.0, -1.0))
+    route = Route(name="bend", waypoints_m=points, total_time_s=4.0)
+    job = make_job(route, load_vehicle("research"), kind="min-control")
+    engine, problem, solution = first_round(job, nodes=40)
+    old = make_grid(job.durations(), 40, times_fixed=False)
+    new = Grid(counts=2 * old.counts, h0_s=old.h0_s / 2.0, times_fixed=False)
+    x, u = on_grid(engine, problem, solution, old, new)
+    np.testing.assert_allclose(x[:, ::2], solution.x, atol=1e-9)
+    np.testing.assert_array_equal(u, solution.u.repeat(2, axis=1))
+    fine = engine.over(new.h0_s[new.leg_of], problem.parameters.repeat(2, axis=1))
+    fine.set(x[:, :-1].T, u.T, solution.h[new.leg_of])
+    fine.values()
+    assert np.abs(fine.x_next.dense(len(x))[:, :, 0].T - x[:, 1:]).max() < 1e-3
+
+
+def test_solution_on_another_grid_keeps_waypoints() -> None:
+    points = ((0.0, 0.0, -1.0), (2.0, 1.0, -1.5), (4.0, 0.0, -1.0))
+    route = Route(name="bend", waypoints_m=points, total_time_s=4.0)
+    job = make_job(route, load_vehicle("research"), kind="min-control")
+    engine, problem, solution = first_round(job, nodes=40)
+    old = make_grid(job.durations(), 40, times_fixed=False)
+    new = Grid(counts=3 * old.counts - 1, h0_s=np.ones(2), times_fixed=False)
+    x, _ = on_grid(engine, problem, solution, old, new)
+    np.testing.assert_allclose(x[:, new.waypoints], solution.x[:, old.waypoints], atol=1e-9)
 
 
 def test_route_of_more_legs_than_intervals_are_enough_for_is_refused() -> None:

@@ -8,13 +8,17 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from host.plan.fatrop import Enough
 from host.plan.intervals import Engine
+from host.plan.planner import make_job
 from host.plan.problem import Problem, SolveStatus
+from host.plan.rounds import first_round
 from host.plan.solver import Solver, solve
 from host.plan.stage import StageModel
 from host.plan.transcription import Assembly
-from host.route import Gate
+from host.route import Gate, random_route
 from host.route.shapes import Sphere
+from host.vehicle import load_vehicle
 
 INF = np.inf
 
@@ -162,6 +166,18 @@ def _gated(count: int) -> Problem:
     ]
     gates[:, second] = [*Gate(waypoint=1, radius_m=0.5).frame().ravel(), 0.6, 0.3, 0.0]
     return replace(problem, path_bounds=(low, high), gates=gates)
+
+
+def test_solve_may_stop_where_its_cost_hardly_changes(require) -> None:
+    require("compiler")
+    job = make_job(random_route(3), load_vehicle("research"), kind="min-control")
+    engine, problem, _ = first_round(job, nodes=60)
+    end = solve(engine, problem, tolerance=1e-9, max_iterations=200)
+    soon = solve(engine, problem, tolerance=1e-9, max_iterations=200, enough=Enough(change=1e-2, gap=1e-3))
+    assert (end.status, soon.status) == (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE)
+    assert soon.iterations < end.iterations
+    assert soon.violation <= 1e-3
+    assert soon.cost == pytest.approx(end.cost, rel=0.05)
 
 
 @pytest.mark.parametrize("solver", ["fatrop", "ipopt"])
