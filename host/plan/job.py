@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from host.errors import UsageError
 from host.plan.dynamics import Dynamics
-from host.plan.judge import Judged, Passing, judge, measure
+from host.plan.judge import Judged, judge, measure, passings
 from host.plan.result import Kind, Plan, Settings
 from host.plan.snap import optimise_durations
-from host.plan.table import Table, round_times, snap_table
+from host.plan.table import Table, snap_table
 from host.route import Route
 from host.vehicle import Limits
 from protocol.blobs import BLOB_BYTES_MAX, YawNode
@@ -80,11 +80,7 @@ class Job:
 
     def judge(self, table: Table, yaws: tuple[YawNode, ...], waypoint_times_s: Array) -> Judged:
         """The verdict on a table."""
-        times_us, route = round_times(waypoint_times_s), self.route
-        gates = [
-            Passing(gate=gate, centre_ned=route.waypoints_m[gate.waypoint], t_us=int(times_us[gate.waypoint]))
-            for gate in route.gates or ()
-        ]
+        route, gates = self.route, passings(self.route, waypoint_times_s)
         return judge(table, yaws, self.dynamics.vehicle, self.limits, route.keep_out, gates)
 
     def finish(self, judged: Judged, waypoint_times_s: Array, effort: Effort) -> Plan:

@@ -6,14 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from firmware_model.law.checks import Verdict, check_reference, from_parameters
 from host.codegen import NUMPY
 from host.plan.box import GATES, KEEP_OUT, checked
 from host.plan.dynamics import ResidualModel
 from host.plan.profile import profile, sample_times
-from host.plan.table import Table, evaluate, from_reference, to_reference
-from host.route import Gate
+from host.plan.table import Table, evaluate, from_reference, round_times, to_reference
+from host.route import Gate, Route
 from host.route.shapes import Shape
 from host.vehicle import Limits, Vehicle, to_parameters
 from protocol.blobs import Reference, YawNode
@@ -38,6 +39,15 @@ class Passing:
     gate: Gate
     centre_ned: tuple[float, float, float]
     t_us: int
+
+
+def passings(route: Route, waypoint_times_s: ArrayLike) -> list[Passing]:
+    """The route's gates, each when its waypoint is passed; times (K,)."""
+    times_us = round_times(np.asarray(waypoint_times_s, dtype=float))
+    return [
+        Passing(gate=gate, centre_ned=route.waypoints_m[gate.waypoint], t_us=int(times_us[gate.waypoint]))
+        for gate in route.gates or ()
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,11 +126,17 @@ def _keep_out(table: Table, shapes: Sequence[Shape]) -> tuple[float, str]:
     return least, where
 
 
+def inside_gates(table: Table, gates: Sequence[Passing]) -> NDArray[np.float64]:
+    """(gates,) metres inside each gate's edge when it is passed, negative outside."""
+    p = evaluate(table, np.array([passing.t_us for passing in gates], dtype=np.int64))[0].T
+    inside = [passing.gate.inside_m(at, passing.centre_ned) for passing, at in zip(gates, p, strict=True)]
+    return np.array(inside)
+
+
 def _gates(table: Table, gates: Sequence[Passing]) -> tuple[float, str]:
     """Least distance inside a gate's edge when it is passed, and a sentence on where that is."""
-    times_us = np.array([passing.t_us for passing in gates])
-    p = evaluate(table, times_us)[0].T
-    inside = [passing.gate.inside_m(at, passing.centre_ned) for passing, at in zip(gates, p, strict=True)]
-    k = int(np.argmin(inside))
-    node = int(np.searchsorted(table.times_us, times_us[k], side="right")) - 1
-    return inside[k], f"node {node} at {times_us[k] * 1e-6:.3f} s: {-inside[k]:.3g} m outside gates[{k}]"
+    inside = inside_gates(table, gates)
+    k = int(inside.argmin())
+    t_us = gates[k].t_us
+    node = int(np.searchsorted(table.times_us, t_us, side="right")) - 1
+    return float(inside[k]), f"node {node} at {t_us * 1e-6:.3f} s: {-inside[k]:.3g} m outside gates[{k}]"

@@ -85,6 +85,22 @@ class Profile:
             found[KEEP_OUT] = np.min(away, axis=0)
         return found
 
+    def margin_shares(self, limits: Limits) -> dict[str, Array]:
+        """(n,) distance to each limit that is no length, as a share of the limit: 0 at it, 1 far from it.
+
+        thrust: to the nearer of its two limits, as a share of half the range between them.
+        """
+        rates = np.array(limits.body_rate_max_rad_s)
+        low, high = limits.thrust_headroom
+        nearest = np.minimum(self.thrust_share.min(axis=0) - low, high - self.thrust_share.max(axis=0))
+        return {
+            "speed": 1.0 - self.speed_m_s / limits.speed_max_m_s,
+            "tilt": 1.0 - self.tilt_deg / limits.tilt_max_deg,
+            "body rate": (1.0 - np.abs(self.rate_frd) / rates[:, None]).min(axis=0),
+            "jerk": 1.0 - self.jerk_m_s3 / limits.jerk_max_m_s3,
+            "thrust": nearest / (0.5 * (high - low)),
+        }
+
 
 def profile(
     vehicle: Vehicle,

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import json
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from host.plan.box import GATES, KEEP_OUT
 from host.plan.dynamics import ResidualModel
 from host.plan.files import figures
+from host.plan.judge import Passing, inside_gates, passings
 from host.plan.pareto import COLUMNS, Point
 from host.plan.problem import SolveStatus
 from host.plan.profile import Profile, profile, with_nodes
 from host.plan.result import Plan
+from host.plan.sensitivity import Sensitivity, sensitivity
 from host.plan.table import from_reference
 from host.report import plan_figures
 from host.report.html import render, script_data
+from host.report.plan_path import path
 from host.route import Route
 from host.vehicle import Limits, Vehicle
 
@@ -38,20 +45,27 @@ def page(
     plan: Plan, route: Route, vehicle: Vehicle, model: ResidualModel, provenance: Mapping[str, object]
 ) -> str:
     """The HTML of a plan's report; offline, one file. `model` predicts the residual that is shown."""
-    table = from_reference(plan.reference)
-    along = profile(vehicle, model, table, plan.reference.yaw_nodes(), with_nodes(table))
+    table, yaws = from_reference(plan.reference), plan.reference.yaw_nodes()
+    along = profile(vehicle, model, table, yaws, with_nodes(table))
+    off = sensitivity(vehicle, model, table, yaws)
+    gates = passings(route, plan.waypoint_times_s)
+    inside = inside_gates(table, gates)
     return render(
         "plan.html.j2",
         title=f"{route.name}: {_label(plan)}",
         sentence=_sentence(plan),
-        figures=[plan_figures.path(plan, route, along), plan_figures.over_time(plan, along)],
+        figures=[
+            path(route, along),
+            plan_figures.per_node(plan, route, along, off, inside),
+            plan_figures.over_time(plan, along),
+        ],
         parts=[
-            {"title": "The plan", "head": (), "numbers": (), "rows": _facts(plan)},
+            {"title": "The plan", "head": (), "numbers": (), "rows": _facts(plan, off)},
             {
                 "title": "Distance to the limits",
                 "head": ("limit", "bound", "least distance", "unit", "node", "at, s"),
                 "numbers": ("least distance", "node", "at, s"),
-                "rows": _margins(plan, route, along),
+                "rows": _margins(plan, route, along, gates, inside),
             },
         ],
         provenance=json.dumps(dict(provenance), indent=1, default=str),
@@ -78,7 +92,7 @@ def _sentence(plan: Plan) -> str:
     return text
 
 
-def _facts(plan: Plan) -> list[tuple[str, str]]:
+def _facts(plan: Plan, off: Sensitivity | None) -> list[tuple[str, str]]:
     """Names and values of what holds for the plan as a whole."""
     dynamics = "with the model in the dynamics" if plan.augmented else "with nominal dynamics"
     rows = [("kind", f"{_label(plan)}, {dynamics}"), ("status", status_words(plan))]
@@ -90,6 +104,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
         ("length", f"{plan.path_length_m:.2f} m"),
         ("mean speed", f"{plan.mean_speed_m_s:.2f} m/s"),
         ("predicted residual", _or_dash(plan.residual_rms_m_s2, "{:.3f} m/s^2 RMS", "no model predicts any")),
+        *_off_reference(off),
         (
             "beyond the region that the model's data covers",
             _or_dash(
@@ -105,6 +120,22 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     return rows
 
 
+def _off_reference(off: Sensitivity | None) -> list[tuple[str, str]]:
+    """Where the predicted residual depends most on being on the reference."""
+    peaks = None if off is None else off.peaks()
+    if peaks is None:
+        return []
+    return [
+        (
+            f"greatest sensitivity of it to {to}",
+            f"{peak.value:.3g} {unit}, node {peak.node} at {peak.t_s:.2f} s",
+        )
+        for to, unit, peak in zip(
+            ("velocity", "attitude"), ("m/s^2 per m/s", "m/s^2 per rad"), peaks, strict=True
+        )
+    ]
+
+
 def status_words(plan: Plan) -> str:
     """How the plan came about, for people."""
     if not plan.iterations:
@@ -115,16 +146,22 @@ def status_words(plan: Plan) -> str:
     return f"{words}: {plan.iterations} iterations in {rounds} on {plan.intervals} intervals"
 
 
-def _margins(plan: Plan, route: Route, along: Profile) -> list[tuple[str, str, str, str, str, str]]:
+def _margins(
+    plan: Plan, route: Route, along: Profile, gates: Sequence[Passing], inside: ArrayLike
+) -> list[tuple[str, str, str, str, str, str]]:
     """Rows of limit, bound, least distance, unit, node and time."""
     distances = along.margins(plan.limits, route.keep_out)
+    nodes_us = [node.t_us for node in plan.reference.nodes]
     rows = []
     for name, value in plan.margins.items():
         title, unit = _LIMITS.get(name, (name, ""))
         at = ("", "")
-        if name in distances:  # a gate counts only where it is passed
+        if name in distances:
             k = int(distances[name].argmin())
             at = (str(along.node[k]), f"{along.t_s[k]:.2f}")
+        elif name == GATES:  # they count only where they are passed, which is at nodes
+            t_us = gates[int(np.argmin(inside))].t_us
+            at = (str(bisect_right(nodes_us, t_us) - 1), f"{t_us * 1e-6:.2f}")
         rows.append((title, _bound(name, plan.limits), f"{value:.3g}", unit, *at))
     return rows
 

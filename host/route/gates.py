@@ -58,6 +58,14 @@ class Gate(Strict):
         cos, sin = math.cos(heading), math.sin(heading)
         return np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
+    def corners_ned(self, waypoint_ned: ArrayLike) -> Array:
+        """(4, 3) corners of an opening, in order around it. Raises ValueError for a sphere."""
+        if self.is_sphere:
+            raise ValueError("a sphere has no corners")
+        wide, high = self._halves_m
+        around = np.array([[-wide, -high], [wide, -high], [wide, high], [-wide, high]])
+        return np.asarray(waypoint_ned, dtype=float) + around @ self._axes()[1:]
+
     def frame(self) -> Array:
         """(3, 3) takes an NED offset q from the waypoint into units of what a plan may use of the gate.
 

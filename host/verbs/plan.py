@@ -62,7 +62,8 @@ def command(
     headroom
         Least and greatest share of a rotor's thrust that the plan may use; tighter than the vehicle's.
     report
-        Page with pictures to write, .html: the path, what happens along it, distances to the limits.
+        Page with pictures to write, .html: the path with gates and keep-out shapes; residual, its sensitivity
+        and distance to the limits node by node; what happens along it.
     pareto
         Compare in place of writing a reference: min-snap, min-control, and min-residual with the weights of
         thrusts and their rates scaled from 0.1 to 10 times. Needs --model; --report writes that page.
@@ -79,6 +80,8 @@ def command(
     from host.plan.files import check_name, figures, write_plan
     from host.plan.pareto import FACTORS
     from host.plan.pareto import pareto as trade
+    from host.plan.sensitivity import sensitivity
+    from host.plan.table import from_reference
     from host.progress import Progress
     from host.route import route_file
     from host.workspace import open_workspace
@@ -142,14 +145,16 @@ def command(
             nodes=nodes,
             source=route_file(route, place.root),
         )
+    residual = ResidualModel() if known is None else ResidualModel.of(known, effects)
     if report is not None:
         from host.report.plan import page
 
-        residual = ResidualModel() if known is None else ResidualModel.of(known, effects)
         artefacts.write_atomic(report, page(made, way, airframe, residual, origin), force)
     write_plan(made, target, provenance=origin, force=force)
     say(*_lines(made, target, report))
-    emit({"reference": str(target), "id": made.reference.id, **figures(made), "report": report}, json)
+    off = sensitivity(airframe, residual, from_reference(made.reference), made.reference.yaw_nodes())
+    answer = {"reference": str(target), "id": made.reference.id, **figures(made)}
+    emit({**answer, "sensitivity": None if off is None else off.to_json(), "report": report}, json)
 
 
 def _check_report(path: Path, force: bool) -> None:

@@ -48,6 +48,20 @@ def test_profile_margins_are_those_of_the_vehicles_own_checks(made: Plan) -> Non
     assert 1e6 * along.t_s[k] < table.times_us[along.node[k] + 1]
 
 
+def test_margin_shares_are_the_margins_over_their_limits(made: Plan) -> None:
+    along = profile(VEHICLE, MODEL, from_reference(made.reference), made.reference.yaw_nodes())
+    margins, shares, limits = along.margins(made.limits), along.margin_shares(made.limits), made.limits
+    np.testing.assert_allclose(shares["speed"] * limits.speed_max_m_s, margins["speed_m_s"])
+    np.testing.assert_allclose(shares["tilt"] * limits.tilt_max_deg, margins["tilt_deg"])
+    np.testing.assert_allclose(shares["jerk"] * limits.jerk_max_m_s3, margins["jerk_m_s3"])
+    low, high = limits.thrust_headroom
+    nearer = np.minimum(margins["thrust_low"], margins["thrust_high"])
+    np.testing.assert_allclose(shares["thrust"] * 0.5 * (high - low), nearer)
+    k = int(shares["body rate"].argmin())
+    used = np.abs(along.rate_frd[:, k]) / limits.body_rate_max_rad_s
+    assert shares["body rate"][k] == pytest.approx(1.0 - used.max())
+
+
 def test_profile_figures_are_those_of_the_plan(made: Plan) -> None:
     along = profile(VEHICLE, MODEL, from_reference(made.reference), made.reference.yaw_nodes())
     assert along.residual_m_s2 is not None

@@ -6,16 +6,20 @@ import json
 import re
 from typing import Any
 
+import matplotlib.pyplot as plt
 import pytest
+from matplotlib.patches import Circle, Polygon
 
 from host.effects import load_effects
 from host.models.region import Region
 from host.plan import Plan, ResidualModel, plan
 from host.plan.pareto import Point
 from host.plan.profile import profile
+from host.plan.sensitivity import sensitivity
 from host.plan.table import from_reference
-from host.report import plan_figures
+from host.report import plan_figures, plan_path
 from host.report.plan import page, trade_page
+from host.report.plan_path import path
 from host.route import Gate, Route
 from host.route.shapes import Box, Cylinder, Sphere
 from host.vehicle import load_vehicle
@@ -49,10 +53,10 @@ def data(html: str) -> dict[str, Any]:
     return json.loads(text)
 
 
-def test_plan_page_has_two_pictures_every_margin_and_nothing_from_elsewhere(made: Plan) -> None:
+def test_plan_page_has_three_pictures_every_margin_and_nothing_from_elsewhere(made: Plan) -> None:
     html = page(made, ROUTE, VEHICLE, MODEL, {"version": "1"})
     assert "<title>around: min-snap " in html
-    assert html.count("<img ") == 2
+    assert html.count("<img ") == 3
     assert not re.search(r'(src|href)="(?!data:)', html)
     names = (
         "geofence",
@@ -101,7 +105,7 @@ def test_plan_pictures_say_how_far_it_goes(made: Plan) -> None:
     over_time = plan_figures.over_time(made, along)
     assert f"speed up to {along.speed_m_s.max():.2f} m/s" in over_time.alt
     assert "Grey" in over_time.caption
-    assert "keep-out" in plan_figures.path(made, ROUTE, along).caption
+    assert "0 gates, 3 keep-out shapes" in path(ROUTE, along).alt
 
 
 def test_trade_page_has_a_row_for_every_plan_and_the_reason_of_one_that_failed(made: Plan) -> None:
@@ -122,12 +126,72 @@ def test_trade_without_any_plan_is_drawn_empty() -> None:
     assert "no plan was found" in plan_figures.trade([point]).alt
 
 
-def test_page_of_a_route_with_gates_tells_how_far_inside_they_are_passed() -> None:
-    route = Route(
-        name="gated",
-        waypoints_m=((-1.6, -0.9, -1.2), (1.7, 1.2, -1.6), (0.0, 2.4, -2.0)),
-        total_time_s=4.0,
-        gates=(Gate(waypoint=1, radius_m=0.3),),
-    )
-    gated = plan(route, VEHICLE, kind="min-control")
-    assert "edges of gates" in page(gated, route, VEHICLE, ResidualModel(), {})
+def test_pictures_without_a_model_leave_residual_and_sensitivity_out(made: Plan) -> None:
+    table = from_reference(made.reference)
+    yaws = made.reference.yaw_nodes()
+    off = sensitivity(VEHICLE, MODEL, table, yaws)
+    assert off is not None
+    told = plan_figures.per_node(made, ROUTE, profile(VEHICLE, MODEL, table, yaws), off, [])
+    v, a = off.velocity.max(), off.attitude.max()
+    assert f"change up to {v:.2f} per m/s and {a:.2f} per rad" in told.alt
+    along = profile(VEHICLE, ResidualModel(), table, yaws)
+    bare = plan_figures.per_node(made, ROUTE, along, None, [])
+    assert "Sensitivity" in told.caption
+    assert "Sensitivity" not in bare.caption
+    assert bare.height < told.height
+    least = min(values.min() for values in along.margin_shares(made.limits).values())
+    assert f"least margin {100.0 * least:.1f} %" in bare.alt
+
+
+def test_plan_page_names_the_node_of_the_greatest_sensitivity(made: Plan) -> None:
+    html = page(made, ROUTE, VEHICLE, MODEL, {})
+    off = sensitivity(VEHICLE, MODEL, from_reference(made.reference), made.reference.yaw_nodes())
+    assert off is not None
+    node = int(off.attitude.argmax())
+    wanted = f"{off.attitude[node]:.3g} m/s^2 per rad, node {node} at {off.t_s[node]:.2f} s"
+    assert f"<td>greatest sensitivity of it to attitude</td><td>{wanted}</td>" in html
+
+
+GATED = Route(
+    name="gated",
+    waypoints_m=((-1.6, -0.9, -1.2), (1.7, 1.2, -1.6), (0.0, 2.4, -2.0), (-2.0, 0.0, -1.4)),
+    total_time_s=6.0,
+    gates=(Gate(waypoint=1, radius_m=0.3), Gate(waypoint=2, width_m=0.8, height_m=0.6, heading_deg=180.0)),
+)
+
+
+def test_page_of_a_route_with_gates_tells_where_the_nearest_edge_is() -> None:
+    gated = plan(GATED, VEHICLE, kind="min-control")
+    html = page(gated, GATED, VEHICLE, ResidualModel(), {})
+    (row,) = re.findall(r"<tr><td>edges of gates</td>(.*)</tr>", html)
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", row)
+    times = [f"{gated.waypoint_times_s[k]:.2f}" for k in (1, 2)]
+    assert cells[1] == f"{gated.margins['gates_m']:.3g}"
+    assert cells[4] in times
+    node = gated.reference.nodes[int(cells[3])]
+    assert f"{node.t_us * 1e-6:.2f}" == cells[4]
+
+
+def test_path_picture_draws_each_gate_in_both_views_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    route = GATED.model_copy(update={"keep_out": ROUTE.keep_out[:1]})
+    snap = plan(route, VEHICLE, kind="min-snap")
+    along = profile(VEHICLE, ResidualModel(), from_reference(snap.reference), snap.reference.yaw_nodes())
+    drawn: list[Any] = []
+    monkeypatch.setattr(plan_path, "finish", lambda canvas, *told: drawn.append((canvas, told)))
+    path(route, along)
+    ((canvas, (caption, alt)),) = drawn
+    above, side = canvas.axes[:2]
+    rings = [[patch for patch in ax.patches if isinstance(patch, Circle)] for ax in (above, side)]
+    assert [(ring.center, ring.radius) for (ring,) in rings] == [((1.2, 1.7), 0.3), ((1.7, 1.6), 0.3)]
+    for ax, corners in (  # an opening across north: a line from above, and seen edge-on from the east
+        (above, [(2.0, 0.0), (2.8, 0.0)]),
+        (side, [(0.0, 1.7), (0.0, 2.3)]),
+    ):
+        (opening,) = [patch for patch in ax.patches if isinstance(patch, Polygon)]
+        found = {(round(float(x), 9) + 0.0, round(float(y), 9) + 0.0) for x, y in opening.get_xy()}
+        assert found == set(corners)
+    names = [text.get_text() for text in canvas.legends[0].get_texts()]
+    assert names == ["waypoint", "gate, a sphere", "gate, an opening", "keep-out shape"]
+    assert "projection" in caption
+    assert "2 gates, 1 keep-out shapes" in alt
+    plt.close(canvas)

@@ -37,6 +37,17 @@ def test_distance_inside_a_gate_is_the_hand_computed_one(
     assert gate.inside_m(np.add(CENTRE, offset), CENTRE) == pytest.approx(inside, abs=1e-12)
 
 
+def test_corners_of_an_opening_are_on_its_edge_and_a_sphere_has_none() -> None:
+    turned = Gate(waypoint=1, width_m=0.8, height_m=0.6, heading_deg=30.0)
+    corners = turned.corners_ned(CENTRE)
+    for corner in corners:
+        assert turned.inside_m(corner, CENTRE) == pytest.approx(0.0, abs=1e-12)
+    sides = np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1)
+    assert sides == pytest.approx([0.8, 0.6, 0.8, 0.6])
+    with pytest.raises(ValueError, match="no corners"):
+        SPHERE.corners_ned(CENTRE)
+
+
 @given(
     offset=st.tuples(*[st.floats(-2.0, 2.0)] * 3),
     heading=st.floats(-360.0, 360.0),

@@ -1,0 +1,101 @@
+"""How much the predicted residual changes where the vehicle is off its reference, at each of its nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_model.law.rotations import euler_rates
+from host.codegen import CASADI
+from host.models.dynamics import STATE_SIZE, THETA, V, residual_acceleration_ned
+from host.plan.dynamics import ResidualModel
+from host.plan.table import Table, flat_states
+from host.vehicle import Vehicle
+from protocol.blobs import YawNode
+
+Array = NDArray[np.float64]
+
+
+class Peak(NamedTuple):
+    """A value with the node where it is reached and that node's time."""
+
+    value: float
+    node: int
+    t_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensitivity:
+    """At the n nodes of a reference, t_s (n,): greatest singular values of the residual's slopes.
+
+    velocity: (n,) of d(residual)/d(v_ned), m/s^2 per m/s. attitude: (n,) of d(residual)/d(a small rotation of
+    the vehicle), m/s^2 per rad: the most by which the residual changes for a small step off the reference, by
+    its size. Rotor thrusts are held. nan where an effect has no slope, as one with a root may at rest.
+    """
+
+    t_s: Array
+    velocity: Array
+    attitude: Array
+
+    def peaks(self) -> tuple[Peak, Peak] | None:
+        """The greatest of velocity and of attitude; None where an effect has no slope at any node."""
+        if not (np.isfinite(self.velocity).any() and np.isfinite(self.attitude).any()):
+            return None
+        v, a = int(np.nanargmax(self.velocity)), int(np.nanargmax(self.attitude))
+        return (
+            Peak(value=float(self.velocity[v]), node=v, t_s=float(self.t_s[v])),
+            Peak(value=float(self.attitude[a]), node=a, t_s=float(self.t_s[a])),
+        )
+
+    def to_json(self) -> dict[str, dict[str, float | int]] | None:
+        """Its peaks as plain data."""
+        peaks = self.peaks()
+        if peaks is None:
+            return None
+        v, a = peaks
+        return {
+            "velocity": {"greatest_per_s": v.value, "node": v.node, "t_s": v.t_s},
+            "attitude": {"greatest_m_s2_per_rad": a.value, "node": a.node, "t_s": a.t_s},
+        }
+
+
+def sensitivity(
+    vehicle: Vehicle, model: ResidualModel, table: Table, yaws: Sequence[YawNode]
+) -> Sensitivity | None:
+    """Sensitivity of the prediction along a reference, by exact derivatives; None where there is none."""
+    if not model.has_residual:
+        return None
+    x = flat_states(vehicle, table, yaws, table.times_us)
+    n = x.shape[1]
+    found = np.array(_slopes(vehicle, model).map(n)(x)).reshape(3, n, 6).transpose(1, 0, 2)
+    return Sensitivity(
+        t_s=table.times_us.astype(float) * 1e-6,
+        velocity=_greatest(found[:, :, :3]),
+        attitude=_greatest(found[:, :, 3:]),
+    )
+
+
+def _greatest(slopes: Array) -> Array:
+    """(n,) greatest singular values of (n, 3, 3), nan where one is not finite."""
+    out, known = np.full(len(slopes), np.nan), np.isfinite(slopes).all(axis=(1, 2))
+    out[known] = np.linalg.norm(slopes[known], 2, axis=(1, 2))
+    return out
+
+
+def _slopes(vehicle: Vehicle, model: ResidualModel) -> ca.Function:
+    """x (16) -> (3, 6) d(residual)/d(v_ned, rotation vector in FRD)."""
+    x, turn = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("turn", 3)
+    residual = ca.vertcat(*residual_acceleration_ned(CASADI, vehicle, model.parts, ca.vertsplit(x)))
+    if model.network is not None:
+        seen = ca.vertcat(x[V], x[THETA])
+        residual += model.network.layout.matrices(ca.SX(model.network.xi), seen)
+    # a small rotation moves the Euler angles as a body rate of it does in unit time
+    angles = ca.vertcat(*euler_rates(CASADI, ca.vertsplit(x[THETA]), ca.vertsplit(turn)))
+    slope = ca.jacobian(residual, x)
+    both = ca.horzcat(slope[:, V], slope[:, THETA] @ ca.jacobian(angles, turn))
+    return ca.Function("slopes", [x], [ca.densify(both)])
