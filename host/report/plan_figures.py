@@ -69,7 +69,7 @@ def per_node(
     caption = "Node by node (points; their numbers are below the time). " if few else "Along the nodes. "
     if off is not None:
         caption += (
-            "Sensitivity: the most by which the residual changes where the vehicle is 1 m/s or 1 rad off "
+            "Sensitivity: by how much the residual changes, at most, per m/s or rad off the reference "
             "(greatest singular value of its slopes; rotor thrusts held). "
         )
     caption += "Margins: distance to each limit, of the limit; for thrust, of half its range."

@@ -86,12 +86,13 @@ def test_page_has_a_table_for_every_verb() -> None:
 
 
 def test_plan_and_fly_print_what_the_page_says(
-    trimtab: Callable[..., dict[str, Any]], tmp_path: Path
+    trimtab: Callable[..., dict[str, Any]], tmp_path: Path, drag_model: str
 ) -> None:
     (tmp_path / "hop.toml").write_text(
         'name = "hop"\ntotal_time_s = 2.0\nwaypoints_m = [[0.0, 0.0, -1.0], [1.0, 0.0, -1.2]]\n'
     )
-    check("plan", trimtab("plan", "hop.toml", "-o", "hop.ref", "--report", "hop.html"))
+    known = ("--model", drag_model, "--kind", "min-snap")
+    check("plan", trimtab("plan", "hop.toml", *known, "-o", "hop.ref", "--report", "hop.html"))
     check("fly", trimtab("fly", "hop.ref", "-o", "hop.mcap"))
 
 
