@@ -8,7 +8,7 @@ without feed-forward, through firmware and radio.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,11 +49,21 @@ def planned(vehicle: Vehicle, seed: int, index: int) -> dict[str, Any]:
     }
 
 
-def flown(folder: Path, vehicle: Vehicle, seed: int, world: int, courses: int) -> dict[str, Any]:
-    """One world: a model learned from flights of its own, then every kind flown on held-out courses.
+def flown(
+    folder: Path,
+    vehicle: Vehicle,
+    seed: int,
+    world: int,
+    courses: int,
+    *,
+    kinds: Sequence[str] = KINDS,
+    hear: Callable[[str], None] = lambda step: None,
+) -> dict[str, Any]:
+    """One world: a model learned from flights of its own, then the kinds flown on held-out courses.
 
-    Logs stay in `folder`.
+    Logs stay in `folder`. hear: told `courses` + 1 times what begins.
     """
+    hear(f"world {world}: flights to learn from")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     field = Airfield(
@@ -77,14 +87,15 @@ def flown(folder: Path, vehicle: Vehicle, seed: int, world: int, courses: int) -
     rows = []
     for k in range(courses):
         course = draw_course(vehicle, seed, k, f"flown-{world}")
-        kinds = {}
-        for kind in KINDS:
+        hear(f"world {world}: {course.route.name}")
+        found = {}
+        for kind in kinds:
             row, made = _planned(course, vehicle, model, kind, Settings(), None)
             if made is not None:
                 number += 1
                 row |= _flight(field, made, number, folder / f"course-{k}-{kind.replace('*', 's')}.mcap")
-            kinds[kind] = row
-        rows.append({"course": course.route.name, "duration_s": course.route.duration_s, "kinds": kinds})
+            found[kind] = row
+        rows.append({"course": course.route.name, "duration_s": course.route.duration_s, "kinds": found})
     return {"world": world, "kept": learned.kept.what, "courses": rows}
 
 

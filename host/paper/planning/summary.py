@@ -32,7 +32,7 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -
     courses = [course for r in results if "courses" in r for course in r["courses"]]
     ratios = {
         base: {
-            kind: {name: _ratio(courses, kind, base, key) for name, key in _MEASURES.items()}
+            kind: {name: ratio(courses, kind, base, key) for name, key in _MEASURES.items()}
             for kind in KINDS
             if kind != base
         }
@@ -40,14 +40,9 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -
     }
     figures = {
         "planned": {kind: _planned(planned, kind) for kind in KINDS},
-        "flown": {kind: _flown(courses, kind) for kind in KINDS},
+        "flown": {kind: medians(courses, kind) for kind in KINDS},
         "ratios": ratios,
-        "failed": [
-            {"course": course["course"], "kind": kind, "why": row.get("failed") or row["flight_failed"]}
-            for course in [*planned, *courses]
-            for kind, row in course["kinds"].items()
-            if "failed" in row or "flight_failed" in row
-        ],
+        "failed": failures([*planned, *courses]),
     }
     tables = {
         "Planned under the paper's drag, N = 400, its weight of control effort": _planned_table(
@@ -63,6 +58,16 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -
         "lines": [line for title, rows in tables.items() for line in ("", title, *text(rows))][1:],
         "courses": courses,
     }
+
+
+def failures(courses: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """What was not planned, or not flown to its end: course, kind, why."""
+    return [
+        {"course": course["course"], "kind": kind, "why": row.get("failed") or row["flight_failed"]}
+        for course in courses
+        for kind, row in course["kinds"].items()
+        if "failed" in row or "flight_failed" in row
+    ]
 
 
 def _rows(courses: Sequence[Mapping[str, Any]], kind: str, key: str) -> list[float]:
@@ -84,7 +89,7 @@ def _planned(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
     }
 
 
-def _flown(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
+def medians(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
     """Medians over the flown courses."""
     keys = ("residual_mean_m_s2", "error_mean_m", "error_max_m", "clipped_share", "path_length_m")
     keys += ("mean_speed_m_s", "jerk_max_m_s3", "solve_s", "outside_region")
@@ -92,7 +97,7 @@ def _flown(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
     return {"flights": len(_rows(courses, kind, "error_mean_m")), **found}
 
 
-def _ratio(courses: Sequence[Mapping[str, Any]], kind: str, base: str, key: str) -> Row:
+def ratio(courses: Sequence[Mapping[str, Any]], kind: str, base: str, key: str) -> Row:
     """Median over courses of kind's value over base's, with the 95 % of bootstraps over courses."""
     pairs = [(c["kinds"][kind].get(key), c["kinds"][base].get(key)) for c in courses]
     ratios = np.array([a / b for a, b in pairs if a is not None and b])
