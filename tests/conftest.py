@@ -59,8 +59,10 @@ PARTS: dict[str, Callable[[], str | None]] = {
     "flights": _recorded_flights,
     "generator": _module("grpc_tools", "requirements-all.lock"),
     "git": _program("git"),
+    "minsnap": _module("minsnap_trajectories", "requirements-bench.lock"),
     "node": _program("node"),
     "pty": _pty,
+    "rockit": _module("rockit", "requirements-bench.lock"),
     "uv": _program("uv"),
 }
 """Parts that a machine may lack: name to a check that returns what is missing, or None."""

@@ -30,7 +30,15 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 """Package to what of ours it may import; the longest matching name decides."""
 
 EDGES: dict[str, tuple[str, ...]] = {
-    "casadi": ("host.bench.naive", "host.codegen", "host.models", "host.plan", "host.learn", "host.trace"),
+    "casadi": (
+        "host.bench.naive",
+        "host.bench.rockit_ocp",
+        "host.codegen",
+        "host.learn",
+        "host.models",
+        "host.plan",
+        "host.trace",
+    ),
     "cyclopts": ("host.cli", "host.verbs"),
     "diffrax": ("host.bench.jax_rollouts",),
     "fastcrc": ("protocol",),
@@ -42,12 +50,14 @@ EDGES: dict[str, tuple[str, ...]] = {
     "matplotlib": ("host.report", "host.verbs"),
     "mcap": ("host.log",),
     "mcap_protobuf": ("host.log",),
+    "minsnap_trajectories": ("host.bench.snap_peer",),
     "numpy": ("host", "sitl"),
     "pydantic": ("host", "sitl"),
     "pydantic_core": ("host.vehicle",),
     "pysindy": ("sitl.studies.scoring.baselines",),
     "pymavlink": ("protocol.codec", "protocol.generate", "protocol.generated"),
     "rich": ("host.progress",),
+    "rockit": ("host.bench.rockit_ocp",),
     "scipy": ("host", "sitl"),
     "serial": ("host.link.ports",),
     "zstandard": ("host.log",),

@@ -19,12 +19,12 @@ from host.plan.stage import NETWORK_INPUTS, NETWORK_ROWS, StageModel
 
 Array = NDArray[np.float64]
 
-_SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
+SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Naive:
-    """How the solve ended. build_s, solve_s: processor time, before the first iteration and from there on."""
+class Ended:
+    """How a solve ended. build_s, solve_s: processor time, before the first iteration and from there on."""
 
     solved: bool
     cost: float
@@ -33,7 +33,7 @@ class Naive:
     solve_s: float
 
 
-def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: float) -> Naive:
+def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: float) -> Ended:
     """The problem's local optimum from its start, given up after `most_s` of processor time.
 
     Raises ValueError for a problem with keep-out shapes.
@@ -52,21 +52,13 @@ def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: floa
         "f": ca.sum2(cost) + problem.step_penalty * ca.sumsqr(h - 1.0),
         "g": ca.veccat(x[:, 1:] - x_next, path, ca.sum2(step_s)),
     }
-    options: dict[str, Any] = {
-        "print_time": False,
-        "ipopt.print_level": 0,
-        "ipopt.sb": "yes",
-        "ipopt.linear_solver": "mumps",
-        "ipopt.tol": tolerance,
-        "ipopt.max_cpu_time": most_s,
-    }
-    run = ca.nlpsol("naive", "ipopt", nlp, options)
+    run = ca.nlpsol("naive", "ipopt", nlp, ipopt(tolerance, most_s))
     given = _given(model, problem)
     built = time.process_time()
     found = run(**given)
     stats = run.stats()
-    return Naive(
-        solved=stats["return_status"] in _SOLVED,
+    return Ended(
+        solved=stats["return_status"] in SOLVED,
         cost=float(found["f"]),
         iterations=int(stats["iter_count"]),
         build_s=built - began,
@@ -74,39 +66,62 @@ def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: floa
     )
 
 
-def _interval(model: StageModel) -> ca.Function:
-    """(x, u, step_s, p) -> x_next, cost, path."""
+def ipopt(tolerance: float, most_s: float) -> dict[str, Any]:
+    """Options: silent, MUMPS, given up after `most_s` of processor time."""
+    return {
+        "print_time": False,
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "ipopt.linear_solver": "mumps",
+        "ipopt.tol": tolerance,
+        "ipopt.max_cpu_time": most_s,
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pieces:
+    """The problem in continuous time as MX-callable functions of (x, u, p): state's derivative, running cost,
+    path rows."""
+
+    slope: ca.Function
+    cost: ca.Function
+    path: ca.Function
+
+
+def pieces(model: StageModel) -> Pieces:
+    """The model's, with the network as matrix products."""
     symbols = ca.SX.sym("x", model.nx), ca.SX.sym("u", model.nu), ca.SX.sym("p", model.np)
     rigid = ca.Function("rigid", symbols, [model.derivative(*symbols)])
     effort = ca.Function("effort", symbols, [model.effort(*symbols)])
     path = ca.Function("path", symbols, [model.path(*symbols)])
-    x, u, p = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("p", model.np)
-    step_s = ca.MX.sym("step_s")
-
-    def push(at: ca.MX) -> ca.MX:
-        network = model.network
-        if network is None:
-            return ca.MX(3, 1)
-        return network.layout.matrices(ca.DM(network.xi), at[NETWORK_INPUTS])
-
-    def slope(at: ca.MX) -> ca.MX:
-        xdot = rigid(at, u, p)
-        if model.augmented:
-            before, after = NETWORK_ROWS.start, model.nx - NETWORK_ROWS.stop
-            xdot += ca.vertcat(ca.MX(before, 1), push(at), ca.MX(after, 1))
-        return xdot
-
-    k1 = slope(x)
-    k2 = slope(x + 0.5 * step_s * k1)
-    k3 = slope(x + 0.5 * step_s * k2)
-    k4 = slope(x + step_s * k3)
-    cost = effort(x, u, p)
+    at = x, u, p = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("p", model.np)
+    push = ca.MX(3, 1)
+    if model.network is not None:
+        push = model.network.layout.matrices(ca.DM(model.network.xi), x[NETWORK_INPUTS])
+    xdot, cost = rigid(x, u, p), effort(x, u, p)
+    if model.augmented:
+        before, after = NETWORK_ROWS.start, model.nx - NETWORK_ROWS.stop
+        xdot += ca.vertcat(ca.MX(before, 1), push, ca.MX(after, 1))
     if model.residual is not None:
         residual = ca.Function("residual", [symbols[0], symbols[2]], [model.residual(symbols[0], symbols[2])])
-        cost += ca.sumsqr(residual(x, p) + push(x))
+        cost += ca.sumsqr(residual(x, p) + push)
+    inline = {"always_inline": True}  # into the function of an interval
+    slope, running = (ca.Function(name, at, [of], inline) for name, of in (("slope", xdot), ("cost", cost)))
+    return Pieces(slope=slope, cost=running, path=path)
+
+
+def _interval(model: StageModel) -> ca.Function:
+    """(x, u, step_s, p) -> x_next, cost, path."""
+    parts = pieces(model)
+    x, u, p = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("p", model.np)
+    step_s = ca.MX.sym("step_s")
+    k1 = parts.slope(x, u, p)
+    k2 = parts.slope(x + 0.5 * step_s * k1, u, p)
+    k3 = parts.slope(x + 0.5 * step_s * k2, u, p)
+    k4 = parts.slope(x + step_s * k3, u, p)
     x_next = x + step_s / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    weight = step_s if model.weigh_time else 1.0
-    return ca.Function("interval", [x, u, step_s, p], [x_next, weight * cost, path(x, u, p)])
+    cost = (step_s if model.weigh_time else 1.0) * parts.cost(x, u, p)
+    return ca.Function("interval", [x, u, step_s, p], [x_next, cost, parts.path(x, u, p)])
 
 
 def _given(model: StageModel, problem: Problem) -> dict[str, Array]:

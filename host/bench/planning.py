@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from firmware_model.law.constants import GRAVITY
 from firmware_model.law.rotations import euler_to_matrix
-from host.bench import naive
+from host.bench import naive, rockit_ocp, snap_peer
 from host.codegen import NUMPY
 from host.models.network import Layout, Network
 from host.models.region import Region
@@ -26,6 +26,7 @@ from host.plan.box import within_region
 from host.plan.dynamics import Dynamics
 from host.plan.planner import make_job
 from host.plan.rounds import first_round
+from host.plan.snap import optimise_durations
 from host.plan.table import evaluate, from_reference
 from host.route import LimitsOverride, Route, random_route
 from host.vehicle import ConfigurationError, Vehicle
@@ -48,7 +49,7 @@ _DRAWS = 20
 @dataclass(frozen=True, kw_only=True)
 class Size:
     """How much is measured. plans, free_time, scaling, success: courses; nodes: of plans and free_time;
-    most_s: processor time that the naive solve may take.
+    naive_nodes, rockit_nodes: of the problem set beside them; most_s: processor time that each may take.
     """
 
     plans: int = 20
@@ -58,6 +59,7 @@ class Size:
     scaling_nodes: tuple[int, ...] = (100, 200, 400, 800, 1600)
     success: int = 40
     naive_nodes: int = 400
+    rockit_nodes: int = 100
     most_s: float = 300.0
 
     @property
@@ -68,7 +70,7 @@ class Size:
     @property
     def steps(self) -> int:
         """How often `measure` tells of a step."""
-        return 3 + self.plans + self.free_time + self.scaling * len(self.scaling_nodes) + self.success
+        return 4 + self.plans + self.free_time + self.scaling * len(self.scaling_nodes) + self.success
 
 
 QUICK = Size(
@@ -124,7 +126,14 @@ def measure(
         if (why := _failure(course, found)) is not None
     ]
     hear("CasADi and Ipopt")
-    beside = beside_naive(vehicle, model, courses[0], nodes=size.naive_nodes, most_s=size.most_s)
+    plain = beside(naive.solve, vehicle, model, courses[0], nodes=size.naive_nodes, most_s=size.most_s)
+    hear("rockit and minsnap-trajectories")
+    rockit = None
+    if rockit_ocp.installed():
+        rockit = beside(
+            rockit_ocp.solve, vehicle, model, courses[0], nodes=size.rockit_nodes, most_s=size.most_s
+        )
+    waypoints_ned = np.array(courses[0].waypoints_m)
     each_s = [row["first_solve_s"] / row["nodes"] for row in scaling if row["first_solve_s"] is not None]
     return {
         "network_rmse": rmse,
@@ -142,8 +151,12 @@ def measure(
         "success_rate": 1.0 - len(failures) / size.success if size.success else None,
         "success_courses": size.success,
         "failures": failures,
-        "speedup_over_naive": None if beside["ours_s"] is None else beside["seconds"] / beside["ours_s"],
-        "naive": beside,
+        "speedup_over_naive": None if plain["ours_s"] is None else plain["seconds"] / plain["ours_s"],
+        "naive": plain,
+        "rockit": rockit,
+        "minsnap_trajectories": snap_peer.measure(
+            waypoints_ned, optimise_durations(waypoints_ned, courses[0].duration_s)
+        ),
     }
 
 
@@ -212,18 +225,24 @@ def miss_m(made: Plan, course: Route) -> float:
     return float(np.linalg.norm(passed - np.array(course.waypoints_m), axis=1).max())
 
 
-def beside_naive(
-    vehicle: Vehicle, model: ResidualModel, course: Route, *, nodes: int, most_s: float
+def beside(
+    solve: Callable[..., naive.Ended],
+    vehicle: Vehicle,
+    model: ResidualModel,
+    course: Route,
+    *,
+    nodes: int,
+    most_s: float,
 ) -> dict[str, Any]:
-    """The first round's problem solved by `host.bench.naive` and by ours, both from the straight lines.
+    """The first round's problem by `solve` and by ours, both from the straight lines.
 
-    Ours goes by way of coarser grids, and their time counts. at_least: the naive solve did not arrive,
+    Ours goes by way of coarser grids, and their time counts. at_least: the other did not arrive,
     `seconds` is when it ended. ours_s: None where ours did not. cost_differs: of its optimum from ours, over
     ours.
     """
     job = make_job(course, vehicle, kind=KIND, model=model)
     engine, problem, ours = first_round(job, nodes=nodes)
-    other = naive.solve(engine.model, problem, tolerance=job.settings.tolerance, most_s=most_s)
+    other = solve(engine.model, problem, tolerance=job.settings.tolerance, most_s=most_s)
     both = other.solved and ours.status.usable
     return {
         "nodes": len(problem.leg_of),

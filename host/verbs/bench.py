@@ -17,21 +17,23 @@ def command(
     workspace: WorkspaceFolder = None,
     json: Json = False,
 ) -> None:
-    """Measure how fast learning, planning and simulated sessions are on this machine; some minutes.
+    """Measure how fast learning, planning and simulated sessions are on this machine, and how much closer
+    min-residual plans are flown; some minutes.
 
-    JAX and diffrax compute the same gradient in the same run where they are installed (`make bench` installs
-    them): most of a minute more.
+    JAX and diffrax compute the same gradient, rockit solves the same problem and minsnap-trajectories the
+    same spline in the same run where they are installed (`make bench` installs them): a minute more.
 
     Parameters
     ----------
     seed
-        Flights, first weights and courses are drawn from it.
+        Flights, first weights, courses and worlds are drawn from it.
     quick
-        Plan fewer courses, and set planning beside CasADi at 100 intervals: at most five minutes in all.
+        Plan and fly fewer courses, and set planning beside CasADi at 100 intervals: at most five minutes in
+        all.
     courses
         Random courses that the success rate of planning is over: 40 without it, 10 with --quick.
     """
-    from host.bench import learning, planning, session
+    from host.bench import flown, learning, planning, session
     from host.errors import UsageError
     from host.output import emit, say
     from host.progress import Progress
@@ -40,12 +42,13 @@ def command(
     if seed < 0:
         raise UsageError(f"--seed {seed} is negative, give 0 or more")
     size = planning.QUICK if quick else planning.Size()
+    flights = flown.QUICK if quick else flown.Size()
     if courses is not None:
         if courses < 1:
             raise UsageError(f"--courses {courses}: give 1 or more")
         size = replace(size, success=courses)
     craft = open_workspace(workspace).vehicle(vehicle)
-    steps = len(learning.STEPS) + size.steps
+    steps = len(learning.STEPS) + size.steps + flights.steps
     with Progress("bench", total=float(steps + 1)) as progress:
         done = iter(range(steps))
 
@@ -54,14 +57,17 @@ def command(
 
         learned = learning.measure(craft, seed, hear)
         planned = planning.measure(craft, seed, hear, size=size)
+        compared = flown.measure(craft, seed, hear, size=flights)
         progress.update(steps, detail="session")
         factor = session.realtime_factor(craft)
     say(
         *_learning_lines(learned),
         *_planning_lines(planned),
+        *_flown_lines(compared),
         f"simulated sessions run {factor:.1f} times as fast as the clock",
     )
-    emit({"learning": learned, "planning": planned, "session": {"realtime_factor": factor}}, json)
+    session_found = {"realtime_factor": factor}
+    emit({"learning": learned, "planning": planned, "flown": compared, "session": session_found}, json)
 
 
 def _learning_lines(found: dict[str, Any]) -> list[str]:
@@ -106,8 +112,50 @@ def _planning_lines(found: dict[str, Any]) -> list[str]:
             f"  CasADi's map and Ipopt   {_seconds(naive['seconds'])} for one course at {naive['nodes']} "
             f"intervals, built in {naive['build_s']:.1f} s: {bound}{ratio:.0f} times ours"
         )
+    lines += [_rockit_line(found["rockit"]), _snap_line(found["minsnap_trajectories"])]
     if found["success_rate"] is not None:
         lines.append(f"  planned: {found['success_rate']:.1%} of {found['success_courses']} random courses")
+    return [*lines, *(f"    {failure}" for failure in found["failures"])]
+
+
+def _rockit_line(found: dict[str, Any] | None) -> str:
+    if found is None:
+        return "  rockit is not installed: make bench, or pip install trimtab[bench]"
+    what = (
+        f"  rockit                   {_seconds(found['seconds'])} for one course at {found['nodes']} "
+        f"intervals, built in {found['build_s']:.1f} s"
+    )
+    if found["ours_s"] is None:
+        return what
+    bound = "at least " if found["at_least"] else ""
+    return f"{what}: {bound}{found['seconds'] / found['ours_s']:.0f} times ours"
+
+
+def _snap_line(found: dict[str, Any] | None) -> str:
+    if found is None:
+        return "  minsnap-trajectories is not installed: make bench, or pip install trimtab[bench]"
+    return (
+        f"  minsnap-trajectories     {found['ms']:8.2f} ms for a spline of {found['waypoints']} waypoints: "
+        f"{found['ms'] / found['ours_ms']:.0f} times ours"
+    )
+
+
+def _flown_lines(found: dict[str, Any]) -> list[str]:
+    """How much closer min-residual is flown, for people."""
+    lines = [
+        f"{found['kind']} flown by the DFBC on {found['courses']} held-out courses in {found['worlds']} "
+        "sealed worlds, median (95 % of bootstraps):"
+    ]
+    for what, name in (
+        ("predicted residual over min-snap's", "residual_ratio"),
+        ("mean error over min-snap's", "error_ratio"),
+        ("mean error over min-control's", "error_ratio_min_control"),
+    ):
+        if found[name] is None:
+            lines.append(f"  {what:<36} none")
+            continue
+        low, high = found[f"{name}_ci95"]
+        lines.append(f"  {what:<36} {found[name]:.2f} ({low:.2f} to {high:.2f})")
     return [*lines, *(f"    {failure}" for failure in found["failures"])]
 
 

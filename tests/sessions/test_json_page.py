@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from host import cli
+from host.bench import flown as bench_flown
 from host.bench import learning as bench
 from host.bench import planning
 from host.bench.session import realtime_factor
@@ -258,8 +259,25 @@ def test_bench_prints_what_the_page_says(monkeypatch: pytest.MonkeyPatch) -> Non
     assert found["gradient_vm_ms"] > 0.0
     assert found["test_rmse"] < 0.6  # less than what the nominal model lacks
     size = planning.Size(
-        plans=1, nodes=60, free_time=1, scaling=1, scaling_nodes=(60,), success=1, naive_nodes=20
+        plans=1,
+        nodes=60,
+        free_time=1,
+        scaling=1,
+        scaling_nodes=(60,),
+        success=1,
+        naive_nodes=20,
+        rockit_nodes=20,
     )
+    monkeypatch.setattr(planning.rockit_ocp, "installed", lambda: True)
+    monkeypatch.setattr(planning.rockit_ocp, "solve", planning.naive.solve)
+    spline = {"waypoints": 5, "ms": 1.0, "ours_ms": 0.1, "differs": 0.0}
+    monkeypatch.setattr(planning.snap_peer, "measure", lambda *of: spline)
     planned = planning.measure(vehicle, 1, size=size, fit_iterations=50)
+    figures = {"residual_mean_m_s2": 1.0, "error_mean_m": 0.1, "clipped_share": 0.0}
+    figures |= {"path_length_m": 30.0, "mean_speed_m_s": 3.0}
+    course = {"course": "c", "kinds": {kind: figures for kind in bench_flown.KINDS}}
+    refused = {"course": "d", "kinds": {**course["kinds"], "min-residual": {"failed": "no way"}}}
+    monkeypatch.setattr(bench_flown, "flown", lambda *of, **how: {"courses": [course, refused]})
+    compared = bench_flown.measure(vehicle, 1, size=bench_flown.Size(worlds=1, courses=2))
     session = {"realtime_factor": realtime_factor(vehicle)}
-    check("bench", {"learning": found, "planning": planned, "session": session})
+    check("bench", {"learning": found, "planning": planned, "flown": compared, "session": session})

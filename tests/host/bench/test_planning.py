@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -9,18 +10,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.bench import naive, planning
+from host.bench import naive, planning, rockit_ocp, snap_peer
 from host.plan import Plan, PlanRefused, ResidualModel, plan
 from host.plan.dynamics import Dynamics
 from host.plan.planner import make_job
 from host.plan.rounds import first_round
+from host.plan.snap import optimise_durations, solve_snap
 from host.plan.solver import solve
 from host.route import Route
 from host.vehicle import ConfigurationError, load_vehicle
 
 VEHICLE = load_vehicle("research")
 SIZE = planning.Size(
-    plans=2, nodes=60, free_time=1, scaling=1, scaling_nodes=(60, 80), success=2, naive_nodes=20
+    plans=2,
+    nodes=60,
+    free_time=1,
+    scaling=1,
+    scaling_nodes=(60, 80),
+    success=2,
+    naive_nodes=20,
+    rockit_nodes=20,
 )
 FIT = 300
 
@@ -83,10 +92,76 @@ def test_naive_problem_with_free_steps_and_time_has_our_optimum(
 
 
 def test_naive_solve_without_time_says_it_did_not_arrive(model: ResidualModel, courses: list[Route]) -> None:
-    found = planning.beside_naive(VEHICLE, model, courses[0], nodes=20, most_s=1e-3)
+    found = planning.beside(naive.solve, VEHICLE, model, courses[0], nodes=20, most_s=1e-3)
     assert found["at_least"]
     assert found["cost_differs"] is None
     assert found["ours_s"] > 0.0
+
+
+def test_rockit_problem_has_our_optimum(
+    require: Callable[[str], None], model: ResidualModel, courses: list[Route]
+) -> None:
+    require("rockit")
+    for kind, settings in ((planning.KIND, planning.Settings()), ("min-residual", planning.FREE_TIME)):
+        job = make_job(courses[0], VEHICLE, kind=kind, model=model, settings=settings)
+        engine, problem, _ = first_round(job, nodes=20)
+        ours = solve(engine, problem, tolerance=1e-7, max_iterations=300)
+        other = rockit_ocp.solve(engine.model, problem, tolerance=1e-7, most_s=60.0)
+        assert ours.status.usable
+        assert other.solved
+        assert other.cost == pytest.approx(ours.cost, rel=1e-6)
+
+
+def test_rockit_solve_without_time_says_it_did_not_arrive(
+    require: Callable[[str], None], model: ResidualModel, courses: list[Route]
+) -> None:
+    require("rockit")
+    found = planning.beside(rockit_ocp.solve, VEHICLE, model, courses[0], nodes=20, most_s=1e-3)
+    assert found["at_least"]
+    assert found["cost_differs"] is None
+
+
+def test_rockit_problem_that_is_not_written_is_refused(
+    require: Callable[[str], None], model: ResidualModel, courses: list[Route]
+) -> None:
+    require("rockit")
+    job = make_job(courses[0], VEHICLE, kind=planning.KIND, model=model)
+    engine, problem, _ = first_round(job, nodes=20)
+    wider = tuple(np.vstack([bound, bound[:1]]) for bound in problem.path_bounds)
+    cases = (({"path_bounds": wider}, "keep-out"), ({"h_bounds": (1.0, 1.0)}, "free step size"))
+    for change, told in cases:
+        with pytest.raises(ValueError, match=told):
+            rockit_ocp.solve(engine.model, replace(problem, **change), tolerance=1e-3, most_s=1.0)
+
+
+def test_peers_that_are_not_installed_are_not_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rockit_ocp, "installed", lambda: False)
+    monkeypatch.setattr(snap_peer, "installed", lambda: False)
+    found = planning.measure(VEHICLE, 1, size=replace(SIZE, plans=0, free_time=0, scaling=0, success=0))
+    assert (found["rockit"], found["minsnap_trajectories"]) == (None, None)
+
+
+def test_minsnap_trajectories_has_our_spline(require: Callable[[str], None], courses: list[Route]) -> None:
+    require("minsnap")
+    for course in courses:
+        waypoints = np.array(course.waypoints_m)
+        durations = optimise_durations(waypoints, course.duration_s)
+        found = snap_peer.measure(waypoints, durations, repeats=1)
+        assert found is not None
+        assert found["differs"] < 1e-8
+        assert found["waypoints"] == len(waypoints)
+
+
+def test_minsnap_trajectories_with_another_spline_is_refused(
+    require: Callable[[str], None], courses: list[Route], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    require("minsnap")
+    waypoints = np.array(courses[0].waypoints_m)
+    durations = optimise_durations(waypoints, courses[0].duration_s)
+    moving = ((0.1, 0.0, 0.0), (0.0, 0.0, 0.0))
+    monkeypatch.setattr(snap_peer, "solve_snap", lambda p, t: solve_snap(p, t, moving))
+    with pytest.raises(ValueError, match="another spline"):
+        snap_peer.measure(waypoints, durations, repeats=1)
 
 
 def test_naive_problem_with_keep_out_shapes_is_refused(model: ResidualModel, courses: list[Route]) -> None:
