@@ -142,9 +142,10 @@ def _snap_line(found: dict[str, Any] | None) -> str:
 
 def _flown_lines(found: dict[str, Any]) -> list[str]:
     """How much closer min-residual is flown, for people."""
+    worlds = "one sealed world" if found["worlds"] == 1 else f"{found['worlds']} sealed worlds"
     lines = [
-        f"{found['kind']} flown by the DFBC on {found['courses']} held-out courses in {found['worlds']} "
-        "sealed worlds, median (95 % of bootstraps):"
+        f"{found['kind']} flown by the DFBC on {found['courses']} held-out courses in {worlds}, "
+        "median (95 % of bootstraps):"
     ]
     for what, name in (
         ("predicted residual over min-snap's", "residual_ratio"),
