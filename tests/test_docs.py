@@ -17,12 +17,12 @@ from host.route import (
     Gate,
     LimitsOverride,
     RandomWaypoints,
-    Route,
     Sphere,
     YawProfile,
     check_route,
     parse_route,
 )
+from host.route.files import RouteFile
 from host.vehicle import Battery, Gains, Limits, Rotor, Vehicle, load_vehicle
 
 ROOT = Path(__file__).parent.parent
@@ -33,7 +33,7 @@ PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob
     ("page", "models"),
     [
         ("vehicle-file.md", (Vehicle, Rotor, Battery, Limits, Gains)),
-        ("route-file.md", (Route, YawProfile, LimitsOverride, Gate, Box, Sphere, Cylinder)),
+        ("route-file.md", (RouteFile, YawProfile, LimitsOverride, Gate, Box, Sphere, Cylinder)),
         ("route-file.md", (FigureEight, RandomWaypoints)),
     ],
 )

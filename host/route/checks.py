@@ -9,6 +9,7 @@ from itertools import pairwise
 from firmware_model.law.ops import FLOAT
 from host.route.model import Route
 from host.vehicle import ConfigurationError, Limits, Vehicle
+from host.vehicle.model import Vector3
 
 HEIGHT_MIN_M = 0.5
 """A reference starts and ends at least this high."""
@@ -59,15 +60,23 @@ def _loosened(route: Route, limits: Limits) -> Iterator[str]:
 
 
 def _misplaced(route: Route, limits: Limits) -> Iterator[str]:
-    """Waypoints outside the geofence, inside a keep-out shape, or too low to start or end at."""
+    """Waypoints outside the geofence, inside a keep-out shape, or too low to start or end at.
+
+    What is said of a waypoint is not said again where a later lap passes it.
+    """
     last = len(route.waypoints_m) - 1
+    told = set[tuple[Vector3, bool]]()
     for k, point in enumerate(route.waypoints_m):
+        end = k in (0, last)
+        if told & {(point, True), (point, end)}:
+            continue
+        told.add((point, end))
         path = f"waypoints_m[{k}]"
         for axis, (value, (low, high)) in enumerate(zip(point, limits.geofence_m, strict=True)):
             if not low <= value <= high:
                 name = ("north", "east", "down")[axis]
                 yield f"{path}: {name} {value:g} m is outside the geofence [{low:g}, {high:g}], move it"
-        if k in (0, last) and -point[2] < HEIGHT_MIN_M:
+        if end and -point[2] < HEIGHT_MIN_M:
             yield f"{path}: starts or ends {-point[2]:g} m up, move it to down <= -{HEIGHT_MIN_M:g}"
         elif point[2] > 0.0:
             yield f"{path}: lies below the floor (down {point[2]:g} m), move it up"
@@ -90,7 +99,11 @@ def _too_fast(route: Route, limits: Limits) -> Iterator[str]:
         if math.hypot(*velocity) > speed:
             yield f"{end}_velocity_m_s: {math.hypot(*velocity):.4g} m/s, the limit is {speed:g}; lower it"
     if route.times_s is not None:
+        seen = set[tuple[Vector3, Vector3, float]]()
         for k, ((a, b), (t0, t1)) in enumerate(zip(legs, pairwise(route.times_s), strict=True)):
+            if (leg := (a, b, round(t1 - t0, 6))) in seen:
+                continue
+            seen.add(leg)
             needed = math.dist(a, b) / (t1 - t0)
             if needed > speed:
                 yield f"times_s[{k + 1}]: leg {k} needs {needed:.1f} m/s, the limit is {speed:g}; slow down"

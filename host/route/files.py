@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +13,8 @@ from pydantic import Field, model_validator
 from host.route.checks import TIME_MAX_S, check_route
 from host.route.gates import Gate
 from host.route.generators import FigureEight, RandomWaypoints
-from host.route.model import LimitsOverride, Route, YawProfile
+from host.route.laps import LAPS_MAX, flown
+from host.route.model import LEG_MIN_M, LimitsOverride, Route, YawProfile
 from host.route.shapes import Shape
 from host.vehicle.files import find_file, list_files, read_text, shown
 from host.vehicle.model import Name, Positive, Vector3, Vehicle
@@ -22,7 +24,8 @@ from host.vehicle.strict_toml import ConfigurationError, Strict, parse_toml, val
 class RouteFile(Strict):
     """A route file: a Route whose waypoints are listed or made by exactly one generator.
 
-    description: one line on what the route is for; no part of the route.
+    description: one line on what the route is for; no part of the route. closed: the waypoints are one lap,
+    back to the first of them and `laps` times round, 1 by default.
     """
 
     name: Name
@@ -30,6 +33,8 @@ class RouteFile(Strict):
     waypoints_m: Annotated[tuple[Vector3, ...], Field(min_length=2)] | None = None
     figure_eight: FigureEight | None = None
     random: RandomWaypoints | None = None
+    closed: bool = False
+    laps: Annotated[int, Field(ge=1, le=LAPS_MAX)] | None = None
     times_s: tuple[float, ...] | None = None
     total_time_s: Positive | None = None
     yaw: YawProfile = YawProfile()
@@ -46,16 +51,48 @@ class RouteFile(Strict):
             raise ValueError("give exactly one of waypoints_m, [figure_eight] and [random]")
         return self
 
+    @model_validator(mode="after")
+    def _closes_where_it_may(self) -> Self:
+        if not self.closed:
+            if self.laps is not None:
+                raise ValueError("laps: only a closed route has laps, add closed = true or leave laps out")
+            return self
+        if self.figure_eight is not None:
+            raise ValueError("closed: a figure eight is closed as it is, leave closed out and give it turns")
+        for name in ("start_velocity_m_s", "end_velocity_m_s"):
+            if getattr(self, name) is not None:
+                raise ValueError(f"{name}: a closed route starts and ends at rest, leave it out")
+        points = self.waypoints_m or ()
+        if points and math.dist(points[0], points[-1]) < LEG_MIN_M:
+            raise ValueError(
+                "waypoints_m: the last is the first, to which closed returns; leave the last out"
+            )
+        if points and self.times_s is not None and len(self.times_s) != len(points) + 1:
+            raise ValueError(
+                f"times_s: {len(self.times_s)} for a lap through {len(points)} waypoints_m, give "
+                f"{len(points) + 1}: one each, and that of the return to the first"
+            )
+        return self
+
     def expanded(self, source: str) -> Route:
-        """The route with its waypoints listed. Raises ConfigurationError."""
+        """The route with its waypoints listed, lap after lap. Raises ConfigurationError."""
         fields = {name: getattr(self, name) for name in Route.model_fields}
         if self.figure_eight is not None:
             fields["waypoints_m"] = self.figure_eight.waypoints()
         if self.random is not None:
             fields["waypoints_m"] = self.random.waypoints()
-            if self.times_s is None and self.total_time_s is None:
-                fields["total_time_s"] = self.random.total_time_s()
-        return validate(fields, source, Route)
+        if not self.closed:
+            return validate(fields | self._drawn_time(fields["waypoints_m"]), source, Route)
+        lap, laps = fields["waypoints_m"], self.laps or 1
+        fields["waypoints_m"] = (*lap, lap[0])
+        whole = self._drawn_time((*lap * laps, lap[0]))
+        return flown(validate(fields | whole, source, Route), laps)
+
+    def _drawn_time(self, waypoints_m: Sequence[Vector3]) -> dict[str, float]:
+        """The total time through drawn waypoints where none is given."""
+        if self.random is None or self.times_s is not None or self.total_time_s is not None:
+            return {}
+        return {"total_time_s": self.random.total_time_s(waypoints_m)}
 
 
 def parse_route(text: str, source: str, vehicle: Vehicle | None = None) -> Route:

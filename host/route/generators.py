@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from typing import Annotated, Self
 
 import numpy as np
@@ -72,9 +73,8 @@ class RandomWaypoints(Strict):
                 return tuple(points)
         raise ConfigurationError([f"random.leg_min_m: {self.leg_min_m:g} leaves no room in box_m, lower it"])
 
-    def total_time_s(self) -> float:
-        """Straight length at the mean speed, and 1 s to start and stop; to the hundredth."""
-        points = self.waypoints()
+    def total_time_s(self, points: Sequence[Vector3]) -> float:
+        """Straight length through `points` at the mean speed, and 1 s to start and stop; to the hundredth."""
         length = sum(math.dist(a, b) for a, b in itertools.pairwise(points))
         return round(length / self.mean_speed_m_s + 1.0, 2)
 
@@ -97,9 +97,10 @@ def random_route(
     drawn = RandomWaypoints(
         seed=seed, count=count, box_m=box_m, leg_min_m=leg_min_m, mean_speed_m_s=mean_speed_m_s
     )
+    points = drawn.waypoints()
     return Route(
         name=name or f"random-{seed}",
-        waypoints_m=drawn.waypoints(),
-        total_time_s=total_time_s or drawn.total_time_s(),
+        waypoints_m=points,
+        total_time_s=total_time_s or drawn.total_time_s(points),
         yaw=yaw or YawProfile(),
     )

@@ -16,6 +16,9 @@ from host.vehicle.files import write_toml
 from host.vehicle.model import Interval, Limits, Name, Positive, Positive3, Vector3
 from host.vehicle.strict_toml import Strict
 
+LEG_MIN_M = 1e-3
+"""Waypoints nearer to each other are one."""
+
 
 def _increasing(values: Sequence[float]) -> bool:
     """Whether each value is above the one before."""
@@ -99,7 +102,7 @@ class Route(Strict):
     @classmethod
     def _legs_have_length(cls, value: tuple[Vector3, ...]) -> tuple[Vector3, ...]:
         for k in range(1, len(value)):
-            if math.dist(value[k - 1], value[k]) < 1e-3:
+            if math.dist(value[k - 1], value[k]) < LEG_MIN_M:
                 raise ValueError(f"waypoints {k - 1} and {k} are the same point, leave one out")
         return value
 

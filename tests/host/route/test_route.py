@@ -29,6 +29,7 @@ from host.vehicle import ConfigurationError, Vehicle, load_vehicle
 from protocol.blobs import BLOB_BYTES_MAX, HEADER_BYTES, NODE_BYTES
 
 SHIPPED = (
+    "circuit",
     "climbs-descents",
     "doublets",
     "fast-lemniscate",
@@ -277,7 +278,7 @@ def test_workspace_route_is_found_by_name(tmp_path: Path) -> None:
     (tmp_path / "routes").mkdir()
     (tmp_path / "routes" / "mine.toml").write_text(GOOD)
     assert load_route("mine", tmp_path).name == "good"
-    with pytest.raises(ConfigurationError, match="mine: no such route, known: climbs-descents, doublets"):
+    with pytest.raises(ConfigurationError, match="mine: no such route, known: circuit, climbs-descents"):
         load_route("mine")
 
 
