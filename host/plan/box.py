@@ -24,13 +24,16 @@ _STEP = 0.002  # and share of the bound besides
 _REGION_MARGIN = 1.1  # how far beyond the trained region a network is trusted
 KEEP_OUT = "keep_out_m"
 GATES = "gates_m"
-"""Names of the margins to keep-out shapes and gates' edges, beside those of `firmware_model.law.checks`."""
+YAW_RATE = "yaw_rate_rad_s"
+"""Names of the margins to keep-out shapes, gates' edges and a free heading's greatest rate, beside those of
+`firmware_model.law.checks`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SolverBox:
     """Bounds at the nodes. thrust_share: of thrust_max_n, low and high; fence_m: how far inside the geofence;
-    floor_m: least height; keep_out_m: least distance from keep-out shapes.
+    floor_m: least height; keep_out_m: least distance from keep-out shapes; yaw_rate_rad_s: of a free heading,
+    infinite where it is given.
     """
 
     thrust_share: tuple[float, float]
@@ -41,10 +44,11 @@ class SolverBox:
     fence_m: float
     floor_m: float
     keep_out_m: float
+    yaw_rate_rad_s: float
 
     @classmethod
-    def inside(cls, limits: Limits) -> SolverBox:
-        """A box just inside the limits."""
+    def inside(cls, limits: Limits, yaw_rate_max_rad_s: float | None = None) -> SolverBox:
+        """A box just inside the limits, and inside the greatest rate of a free heading."""
         low, high = limits.thrust_headroom
         inset = _INSET_THRUST * (high - low)
         x, y, z = (bound * (1.0 - _INSET_RATE) for bound in limits.body_rate_max_rad_s)
@@ -57,6 +61,7 @@ class SolverBox:
             fence_m=0.01,
             floor_m=-math.inf,
             keep_out_m=0.03,
+            yaw_rate_rad_s=(1.0 - _INSET) * (math.inf if yaw_rate_max_rad_s is None else yaw_rate_max_rad_s),
         )
 
     def excess(self, margins: Mapping[str, float]) -> float:
@@ -69,6 +74,7 @@ class SolverBox:
             "tilt_deg": self.tilt_deg,
             "speed_m_s": self.speed_m_s,
             "jerk_m_s3": self.jerk_m_s3,
+            YAW_RATE: self.yaw_rate_rad_s,
         }
         return max((-margin / scale.get(name, 1.0) for name, margin in margins.items()), default=0.0)
 
@@ -97,6 +103,7 @@ class SolverBox:
             fence_m=self.fence_m + excess("geofence_m", 1.0, 0.3),
             floor_m=max(self.floor_m + sunk, 0.0) if sunk > 0.0 else self.floor_m,
             keep_out_m=self.keep_out_m + excess(KEEP_OUT, 1.0, 0.3),
+            yaw_rate_rad_s=lower(YAW_RATE, self.yaw_rate_rad_s),
         )
 
 

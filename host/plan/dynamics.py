@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_model.law.constants import GRAVITY
+from firmware_model.law.rotations import euler_rates, euler_to_matrix, mat_vec
 from host.codegen import CASADI, NUMPY
 from host.effects import Effect
 from host.models.dynamics import RATE, THETA, THRUST, Part, V, residual_acceleration_ned, rigid_body
@@ -38,7 +39,8 @@ _STEP = 1e-6
 """Of slopes by differences."""
 TILT_ROW, SPEED_ROW, JERK_ROW = 0, 1, 2
 PATH_ROWS = 3
-"""Path rows: cos tilt; squared speed and squared jerk as shares of their squared limits."""
+"""Path rows: cos tilt; squared speed and squared jerk as shares of their squared limits. Where the heading is
+free its rate in rad/s is one more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,10 +144,16 @@ class Dynamics:
         parts = self._parts(p) if self.augmented else ()
         return ca.vertcat(*rigid_body(CASADI, self.vehicle, parts, self._scalars(x)), u)
 
-    def residual(self, x: ca.SX, p: ca.SX) -> ca.SX:
-        """(3,) the residual acceleration d(x), NED, without the network, less what it is at rest."""
+    def residual(self, x: ca.SX, p: ca.SX, *, free_yaw: bool = False) -> ca.SX:
+        """(3,) the residual acceleration d(x), NED, without the network, less what it is at rest.
+
+        What it is at rest is NED; where the heading is free it turns along, and is that at heading 0.
+        """
         d = residual_acceleration_ned(CASADI, self.vehicle, self._parts(p), self._scalars(x))
-        return ca.vertcat(*d) - p[REST]
+        rest = ca.vertsplit(p[REST])
+        if free_yaw:
+            rest = mat_vec(euler_to_matrix(CASADI, (0.0, 0.0, x[THETA.stop - 1])), rest)
+        return ca.vertcat(*d) - ca.vertcat(*rest)
 
     def parameters(
         self,
@@ -215,12 +223,15 @@ class Dynamics:
             raise ValueError(f"the model has no steady flight at {list(v_ned)} m/s near level flight")
         raise ValueError("the model has no state of rest near level flight: its values cannot be right")
 
-    def stage_model(self, *, minimise_residual: bool, weigh_time: bool) -> StageModel:
-        """The interval's model; path rows as TILT_ROW and so on; weights, limits, values are parameters."""
+    def stage_model(self, *, minimise_residual: bool, weigh_time: bool, free_yaw: bool = False) -> StageModel:
+        """The interval's model; path rows as TILT_ROW and so on; weights, limits, values are parameters.
+
+        free_yaw: no heading is asked for, and its rate is a path row.
+        """
 
         def effort(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
             thrust = x[THRUST]
-            turn = x[THETA.stop - 1] - p[YAW]
+            turn = 0.0 if free_yaw else x[THETA.stop - 1] - p[YAW]
             return (
                 p[CONTROL] * ca.dot(thrust, thrust)
                 + p[SMOOTHING] * p[THRUST_RATE] * ca.dot(u, u)
@@ -229,18 +240,24 @@ class Dynamics:
             )
 
         def path(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-            return ca.vertcat(
+            rows = [
                 ca.cos(x[6]) * ca.cos(x[7]),
                 ca.dot(x[V], x[V]) / p[SPEED_MAX] ** 2,
                 self.jerk_squared(x, u) / p[JERK_MAX] ** 2,
-            )
+            ]
+            if free_yaw:
+                rows.append(euler_rates(CASADI, ca.vertsplit(x[THETA]), ca.vertsplit(x[RATE]))[2])
+            return ca.vertcat(*rows)
+
+        def residual(x: ca.SX, p: ca.SX) -> ca.SX:
+            return self.residual(x, p, free_yaw=free_yaw)
 
         return StageModel(
             nx=STATES,
             nu=INPUTS,
             np=EFFECTS + len(self.theta),
             derivative=self.derivative,
-            residual=self.residual if minimise_residual else None,
+            residual=residual if minimise_residual else None,
             effort=effort,
             path=path,
             network=self.model.network,

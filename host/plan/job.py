@@ -71,6 +71,11 @@ class Job:
             YawNode(round(t_s * scale * 1e6), yaw, rate / scale) for t_s, yaw, rate in self.route.yaw.nodes()
         )
 
+    @property
+    def yaw_rate_max_rad_s(self) -> float | None:
+        """Of a heading that the solver chooses; None where it is given, as min-snap takes it."""
+        return None if self.kind == "min-snap" else self.route.yaw.rate_max_rad_s
+
     def passed(self, p_ned: Array) -> Array:
         """(K, 3) where a path that solves the waypoints at p_ned (K, 3) is to pass them exactly."""
         out = self.waypoints_ned
@@ -81,7 +86,8 @@ class Job:
     def judge(self, table: Table, yaws: tuple[YawNode, ...], waypoint_times_s: Array) -> Judged:
         """The verdict on a table."""
         route, gates = self.route, passings(self.route, waypoint_times_s)
-        return judge(table, yaws, self.dynamics.vehicle, self.limits, route.keep_out, gates)
+        vehicle, yaw_rate = self.dynamics.vehicle, self.yaw_rate_max_rad_s
+        return judge(table, yaws, vehicle, self.limits, route.keep_out, gates, yaw_rate)
 
     def finish(self, judged: Judged, waypoint_times_s: Array, effort: Effort) -> Plan:
         """The plan. Raises UsageError where the vehicle has no room for its reference."""

@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from firmware_model.law.checks import Verdict, check_reference, from_parameters
 from host.codegen import NUMPY
-from host.plan.box import GATES, KEEP_OUT, checked
+from host.plan.box import GATES, KEEP_OUT, YAW_RATE, checked
 from host.plan.dynamics import ResidualModel
+from host.plan.heading import fastest_turn
 from host.plan.profile import profile, sample_times
 from host.plan.table import Table, evaluate, from_reference, round_times, to_reference
 from host.route import Gate, Route
@@ -69,8 +70,12 @@ def judge(
     limits: Limits,
     keep_out: Sequence[Shape],
     gates: Sequence[Passing] = (),
+    yaw_rate_max_rad_s: float | None = None,
 ) -> Judged:
-    """The verdict on a table as the vehicle will read it, within these limits and those on board."""
+    """The verdict on a table as the vehicle will read it, within these limits and those on board.
+
+    yaw_rate_max_rad_s: of a free heading.
+    """
     reference = to_reference(table, yaws, vehicle.id)
     airframe, on_board = from_parameters(to_parameters(vehicle))
     verdict = check_reference(
@@ -88,6 +93,8 @@ def judge(
         found.append((KEEP_OUT, *_keep_out(flown, keep_out)))
     if gates:
         found.append((GATES, *_gates(flown, gates)))
+    if yaw_rate_max_rad_s is not None:
+        found.append((YAW_RATE, *_turning(flown, reference.yaw_nodes(), yaw_rate_max_rad_s)))
     for name, margin, where in found:
         margins[name] = margin
         if ok and margin < 0.0:
@@ -140,3 +147,13 @@ def _gates(table: Table, gates: Sequence[Passing]) -> tuple[float, str]:
     t_us = gates[k].t_us
     node = int(np.searchsorted(table.times_us, t_us, side="right")) - 1
     return float(inside[k]), f"node {node} at {t_us * 1e-6:.3f} s: {-inside[k]:.3g} m outside gates[{k}]"
+
+
+def _turning(table: Table, yaws: Sequence[YawNode], bound: float) -> tuple[float, str]:
+    """Distance of the greatest yaw rate from its bound, and a sentence on where that is."""
+    rate, t_us = fastest_turn(yaws)
+    node = int(np.searchsorted(table.times_us, t_us, side="right")) - 1
+    return bound - rate, (
+        f"node {node} at {table.times_us[node] * 1e-6:.3f} s: yaw rate {rate:.4g} above {bound:g} rad/s, "
+        f"at {t_us * 1e-6:.3f} s"
+    )

@@ -25,6 +25,7 @@ from host.errors import UsageError
 from host.models.model import Model
 from host.plan.box import within_region
 from host.plan.dynamics import Dynamics, ResidualModel
+from host.plan.heading import check_turnable
 from host.plan.job import Job
 from host.plan.result import Kind, Plan, Settings, parse_kind
 from host.plan.rounds import plan_shooting
@@ -105,6 +106,8 @@ def make_job(
     dynamics = Dynamics(
         vehicle=vehicle, model=_residual_model(model, effects, vehicle, name, augmented), augmented=augmented
     )
+    if route.yaw.free and (name == "min-residual" or augmented):
+        check_turnable(dynamics, source or route.name)
     if augmented:
         _check_steady(dynamics, route)
     if dynamics.model.network is not None and dynamics.model.region is not None and name == "min-residual":

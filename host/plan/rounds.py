@@ -20,6 +20,7 @@ from host.models.dynamics import P
 from host.plan.box import SolverBox
 from host.plan.dynamics import YAW
 from host.plan.fatrop import Enough
+from host.plan.heading import yaw_nodes
 from host.plan.intervals import Engine
 from host.plan.job import Effort, Job
 from host.plan.judge import Judged, measure
@@ -39,6 +40,7 @@ from host.plan.shooting import (
     yaw_profile,
 )
 from host.plan.solver import solve
+from protocol.blobs import YawNode
 
 Array = NDArray[np.float64]
 
@@ -121,18 +123,21 @@ class _Run:
 
     def __init__(self, job: Job, grid: Grid) -> None:
         self.job, self.grid = job, grid
-        self.box = SolverBox.inside(job.limits)
+        self.free_yaw = job.yaw_rate_max_rad_s is not None
+        self.box = SolverBox.inside(job.limits, job.yaw_rate_max_rad_s)
         settings = job.settings
         self.engine = Engine(
             job.dynamics.stage_model(
-                minimise_residual=job.kind == "min-residual", weigh_time=settings.weigh_time
+                minimise_residual=job.kind == "min-residual",
+                weigh_time=settings.weigh_time,
+                free_yaw=self.free_yaw,
             )
         )
         self._yaws = job.yaws()
         self._weights = settings.weights.scaled(_scale(job, grid))
         self._rest = np.zeros(3)
         if job.kind == "min-residual" and not settings.count_bias:
-            self._rest = job.dynamics.rest_residual(self._yaws[0].yaw)
+            self._rest = job.dynamics.rest_residual(0.0 if self.free_yaw else self._yaws[0].yaw)
         self.problem: Problem
         self.rounds = self.iterations = 0
         self.first_solve_s = 0.0
@@ -161,7 +166,7 @@ class _Run:
         job = self.job
         passed, passed_s = job.passed(solution.x[P, grid.waypoints].T), solution.t_s[grid.waypoints]
         table = smooth(self.engine, self.problem, solution, grid, passed)
-        return job.judge(table, job.yaws(solution.t_s[-1] / job.route.duration_s), passed_s)
+        return job.judge(table, self.heading(solution), passed_s)
 
     def _solve_on(self, grid: Grid, before: tuple[Problem, Solution, Grid] | None) -> Solution:
         """The last iterate on a grid, from a coarser one's solution where there is one."""
@@ -183,12 +188,20 @@ class _Run:
             self.first_solve_s += solution.solve_s
         return solution
 
+    def heading(self, solution: Solution) -> tuple[YawNode, ...]:
+        """The yaw nodes of a solution: its own, or the route's in its time."""
+        if self.free_yaw:
+            return yaw_nodes(solution)
+        return self.job.yaws(solution.t_s[-1] / self.job.route.duration_s)
+
     def settled(self, solution: Solution, judged: Judged) -> bool:
         """Whether this is the plan; else what the next round does differently is set."""
         asked = self.problem.parameters[YAW]
         self._last, self._near = solution, judged
-        self._yaws = judged.reference.yaw_nodes()
-        moved = np.abs(yaw_profile(self._yaws, solution.t_s)[:-1] - asked).max()
+        moved = 0.0
+        if not self.free_yaw:
+            self._yaws = judged.reference.yaw_nodes()
+            moved = np.abs(yaw_profile(self._yaws, solution.t_s)[:-1] - asked).max()
         if judged.ok and (moved <= _YAW_SETTLED or self.rounds >= _PATIENCE):
             return True
         if not judged.ok:
@@ -260,6 +273,7 @@ class _Run:
             end_velocities_ned=job.route.end_velocities_ned,
             gates=job.route.gates or (),
             shapes=len(job.route.keep_out),
+            free_yaw=self.free_yaw,
         )
         if last is None:
             return problem

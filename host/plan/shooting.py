@@ -158,8 +158,10 @@ def make_problem(
     end_velocities_ned: Sequence[Sequence[float]],
     gates: Sequence[Gate],
     shapes: int,
+    free_yaw: bool = False,
 ) -> Problem:
-    """The problem in this box. yaw: (N + 1,) heading asked for at the nodes; smoothing: factor
+    """The problem in this box. yaw: (N + 1,) heading asked for at the nodes, with free_yaw only at the
+    first, and at rest at both ends; smoothing: factor
     on the weight of the thrust rates; unavoidable: (3,) residual left out of the cost;
     end_velocities_ned: at the start and at the end, where nothing accelerates; gates: of the waypoints that
     need not be met exactly; shapes: how many.
@@ -181,8 +183,11 @@ def make_problem(
     for node, velocity in zip((0, count), end_velocities_ned, strict=True):
         steady = dynamics.steady(float(yaw[node]), velocity)
         low[P.stop :, node] = high[P.stop :, node] = steady[P.stop :]
+    if free_yaw:
+        low[THETA.stop - 1, 1:], high[THETA.stop - 1, 1:] = -np.inf, np.inf
 
-    first_shape = PATH_ROWS + (GATE_ROWS if gates else 0)
+    first_gate = PATH_ROWS + free_yaw
+    first_shape = first_gate + (GATE_ROWS if gates else 0)
     rows = first_shape + shapes
     path_low, path_high = np.full((rows, count), -np.inf), np.full((rows, count), np.inf)
     path_low[TILT_ROW] = np.cos(tilt)
@@ -190,10 +195,12 @@ def make_problem(
     if any(end_velocities_ned[0]):
         path_high[SPEED_ROW, 0] = np.inf  # given, and perhaps beyond the box
     path_high[JERK_ROW] = (box.jerk_m_s3 / limits.jerk_max_m_s3) ** 2
+    path_low[PATH_ROWS:first_gate] = -box.yaw_rate_rad_s
+    path_high[PATH_ROWS:first_gate] = box.yaw_rate_rad_s
     path_low[first_shape:] = box.keep_out_m
     for gate in gates:
         node = grid.waypoints[gate.waypoint]
-        _bound_by(gate, path_low[PATH_ROWS:first_shape, node], path_high[PATH_ROWS:first_shape, node])
+        _bound_by(gate, path_low[first_gate:first_shape, node], path_high[first_gate:first_shape, node])
 
     # The reference starts and ends with no jerk: the first and the last interval change no thrust.
     change = np.full((INPUTS, count), np.inf)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from host.plan.box import GATES, KEEP_OUT
+from host.plan.box import GATES, KEEP_OUT, YAW_RATE
 from host.plan.dynamics import ResidualModel
 from host.plan.files import figures
 from host.plan.judge import Passing, inside_gates, passings
@@ -37,6 +37,7 @@ _LIMITS = {
     "thrust_high": ("greatest rotor thrust", "of greatest"),
     KEEP_OUT: ("keep-out shapes", "m"),
     GATES: ("edges of gates", "m"),
+    YAW_RATE: ("yaw rate of a free heading", "rad/s"),
 }
 """Name for people and unit by a margin's name."""
 
@@ -162,11 +163,11 @@ def _margins(
         elif name == GATES:  # they count only where they are passed, which is at nodes
             t_us = gates[int(np.argmin(inside))].t_us
             at = (str(bisect_right(nodes_us, t_us) - 1), f"{t_us * 1e-6:.2f}")
-        rows.append((title, _bound(name, plan.limits), f"{value:.3g}", unit, *at))
+        rows.append((title, _bound(name, plan.limits, route), f"{value:.3g}", unit, *at))
     return rows
 
 
-def _bound(name: str, limits: Limits) -> str:
+def _bound(name: str, limits: Limits, route: Route) -> str:
     low, high = limits.thrust_headroom
     told = {
         "geofence_m": " x ".join(f"[{a:g}, {b:g}]" for a, b in limits.geofence_m),
@@ -177,6 +178,7 @@ def _bound(name: str, limits: Limits) -> str:
         "jerk_m_s3": f"{limits.jerk_max_m_s3:g}",
         "thrust_low": f"{low:.3g}",
         "thrust_high": f"{high:.3g}",
+        YAW_RATE: "" if route.yaw.rate_max_rad_s is None else f"{route.yaw.rate_max_rad_s:g}",
     }
     return told.get(name, "")
 

@@ -116,5 +116,8 @@ def _too_fast(route: Route, limits: Limits) -> Iterator[str]:
     if yaw_end_s > route.duration_s:
         yield f"yaw.times_s: ends at {yaw_end_s:g} s, the route at {route.duration_s:g} s; shorten it"
     rate, bound = route.yaw.rate_max(), limits.body_rate_max_rad_s[2]
+    if route.yaw.rate_max_rad_s is not None and route.yaw.rate_max_rad_s > bound:
+        given = route.yaw.rate_max_rad_s
+        yield f"yaw.rate_max_rad_s: {given:g} is above the limit of the body rate, {bound:g}; lower it"
     if rate > bound:
         yield f"yaw.yaw_deg: turns at {rate:.2f} rad/s, the limit is {bound:g}; give the turn more time"

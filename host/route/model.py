@@ -26,10 +26,15 @@ def _increasing(values: Sequence[float]) -> bool:
 
 
 class YawProfile(Strict):
-    """Heading over time: one value, or values at given times with a smooth turn between them."""
+    """Heading over time: one value, or values at given times with a smooth turn between them.
+
+    free: a plan by shooting chooses the heading, from yaw_deg on, turning by rate_max_rad_s at most.
+    """
 
     yaw_deg: Annotated[tuple[float, ...], Field(min_length=1)] = (0.0,)
     times_s: Annotated[tuple[float, ...], Field(min_length=1)] = (0.0,)
+    free: bool | None = None
+    rate_max_rad_s: Positive | None = None
 
     @model_validator(mode="after")
     def _one_time_each(self) -> Self:
@@ -39,6 +44,18 @@ class YawProfile(Strict):
             )
         if self.times_s[0] != 0.0 or not _increasing(self.times_s):
             raise ValueError("times_s must start at 0 and increase, mend them")
+        return self
+
+    @model_validator(mode="after")
+    def _free_or_given(self) -> Self:
+        if self.free and self.rate_max_rad_s is None:
+            raise ValueError("free: a free heading needs rate_max_rad_s, add it")
+        if not self.free and self.rate_max_rad_s is not None:
+            raise ValueError("rate_max_rad_s: only a free heading has it, add free = true or leave it out")
+        if self.free and len(self.yaw_deg) > 1:
+            raise ValueError(
+                f"yaw_deg: {len(self.yaw_deg)} headings, but free; give the one it starts with, or no free"
+            )
         return self
 
     def nodes(self) -> tuple[tuple[float, float, float], ...]:

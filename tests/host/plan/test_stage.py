@@ -33,8 +33,12 @@ def _dynamics(augmented: bool, frame: Frame | None) -> Dynamics:
     return Dynamics(vehicle=_VEHICLE, model=ResidualModel(parts=parts, network=learned), augmented=augmented)
 
 
-def _stage_model(augmented: bool, frame: Frame | None, minimise: bool, weigh_time: bool) -> StageModel:
-    return _dynamics(augmented, frame).stage_model(minimise_residual=minimise, weigh_time=weigh_time)
+def _stage_model(
+    augmented: bool, frame: Frame | None, minimise: bool, weigh_time: bool, free_yaw: bool = False
+) -> StageModel:
+    return _dynamics(augmented, frame).stage_model(
+        minimise_residual=minimise, weigh_time=weigh_time, free_yaw=free_yaw
+    )
 
 
 def _network(network: Network, state: ca.SX) -> ca.SX:
@@ -103,7 +107,21 @@ def test_derivatives_of_intervals_equal_those_of_the_unrolled_step(
 ) -> None:
     if engine == "c":
         require("compiler")
-    model = _stage_model(augmented, frame, minimise, weigh_time)
+    _check_derivatives(_stage_model(augmented, frame, minimise, weigh_time), engine)
+
+
+@pytest.mark.parametrize("engine", ["vm", "c"])
+def test_derivatives_of_intervals_with_a_free_heading_equal_those_of_the_unrolled_step(
+    engine: str, require
+) -> None:
+    if engine == "c":
+        require("compiler")
+    model = _stage_model(True, "body", True, True, free_yaw=True)
+    assert model.path(*(ca.SX.zeros(n) for n in (model.nx, model.nu, model.np))).numel() == PATH_ROWS + 1
+    _check_derivatives(model, engine)
+
+
+def _check_derivatives(model: StageModel, engine: str) -> None:
     assert (model.nx, model.nu, model.np) == (STATES, INPUTS, EFFECTS + 6)
     arguments, x_next, cost, path = _unrolled(model)
     z, xu = ca.vertcat(*arguments[:3]), ca.vertcat(*arguments[:2])
@@ -124,7 +142,7 @@ def test_derivatives_of_intervals_equal_those_of_the_unrolled_step(
     weights = rng.standard_normal((count, model.nx)), rng.standard_normal((count, rows))
     made = Engine(model, engine)
     assert made.compiled == (engine == "c")
-    found = _evaluated(made.over(h0_s, p), (x.T, u.T, h), weights)
+    found = _evaluated(made.over(h0_s, p), rows, (x.T, u.T, h), weights)
     for k in range(count):
         expected = oracle(x[:, k], u[:, k], h[k], h0_s[k], p[:, k], 1.3, *(part[k] for part in weights))
         for value, wanted in zip(found, (np.array(part) for part in expected), strict=True):
@@ -133,9 +151,9 @@ def test_derivatives_of_intervals_equal_those_of_the_unrolled_step(
 
 
 def _evaluated(
-    intervals: Intervals, where: tuple[np.ndarray, ...], weights: tuple[np.ndarray, ...]
+    intervals: Intervals, rows: int, where: tuple[np.ndarray, ...], weights: tuple[np.ndarray, ...]
 ) -> list[np.ndarray]:
-    """All outputs, (N, height, width) each."""
+    """All outputs, (N, height, width) each; rows: of the path."""
     intervals.set(*where)
     intervals.values()
     intervals.slopes()
@@ -147,10 +165,10 @@ def _evaluated(
     return [
         intervals.x_next.dense(STATES),
         intervals.cost.dense(1),
-        intervals.path.dense(PATH_ROWS),
+        intervals.path.dense(rows),
         gradient,
         intervals.x_slope.dense(STATES, nz),
-        intervals.path_slope.dense(PATH_ROWS, nz - 1),
+        intervals.path_slope.dense(rows, nz - 1),
         intervals.hessian.dense(nz, nz),
     ]
 

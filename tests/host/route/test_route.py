@@ -298,6 +298,36 @@ def test_yaw_profile_passes_its_values_without_overshoot() -> None:
     assert profile.rate_max() == pytest.approx(1.5 * math.radians(45.0))
 
 
+@pytest.mark.parametrize(
+    ("yaw", "line"),
+    [
+        ("free = true", "yaw: free: a free heading needs rate_max_rad_s, add it"),
+        ("rate_max_rad_s = 1.0", "yaw: rate_max_rad_s: only a free heading has it, add free = true"),
+        ("free = false\nrate_max_rad_s = 1.0", "yaw: rate_max_rad_s: only a free heading has it"),
+        (
+            "free = true\nrate_max_rad_s = 1.0\nyaw_deg = [0, 90]\ntimes_s = [0, 2]",
+            "yaw: yaw_deg: 2 headings, but free; give the one it starts with",
+        ),
+        ("free = true\nrate_max_rad_s = 0.0", "yaw.rate_max_rad_s: 0.0 is out of range"),
+        (
+            "free = true\nrate_max_rad_s = 9.0",
+            "yaw.rate_max_rad_s: 9 is above the limit of the body rate, 3; lower it",
+        ),
+    ],
+)
+def test_free_heading_that_contradicts_itself_is_one_line(yaw: str, line: str, research: Vehicle) -> None:
+    (told,) = problems(f"{GOOD}[yaw]\n{yaw}\n", research)
+    assert line in told
+    assert told.startswith("bad.toml: " if "above" not in line else "good: ")
+
+
+def test_free_heading_is_read_and_left_out_of_routes_that_give_theirs() -> None:
+    free = parse_route(GOOD + "[yaw]\nyaw_deg = [90]\nfree = true\nrate_max_rad_s = 1.5\n", "r")
+    assert parse_route(free.to_toml(), "again") == free
+    assert free.yaw.nodes() == ((0.0, math.radians(90.0), 0.0),)
+    assert "free" not in parse_route(GOOD, "r").to_toml()
+
+
 def test_constant_yaw_is_one_node_at_rest() -> None:
     assert YawProfile(yaw_deg=(90.0,)).nodes() == ((0.0, math.radians(90.0), 0.0),)
     assert (
