@@ -33,8 +33,7 @@ EFFECT = Effect(
     observable="changes of thrust, as in climbs and fast turns; in hover it is a torque bias",
     closing=Closing(
         model="a torque in proportion to the collective thrust",
-        planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "
-        "vehicle",
+        planner="plans a path of less change of thrust, with which the torque changes; hover's is left out",
         law=None,
     ),
     torque_frd=_torque,

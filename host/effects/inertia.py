@@ -32,8 +32,7 @@ EFFECT = Effect(
     observable="quick turns; only thrust times arm over inertia shows, swing the vehicle for more",
     closing=Closing(
         model="the principal moments times constants",
-        planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "
-        "vehicle",
+        planner="plans a path of gentler turns, for which less torque is missing",
         law=None,
     ),
     inertia_factors=_factors,

@@ -34,8 +34,8 @@ EFFECT = Effect(
     observable="never apart from thrust in flight; weigh the vehicle",
     closing=Closing(
         model="the mass times a constant",
-        planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "
-        "vehicle",
+        planner="plans a path of less acceleration, of which a share is missing; what hover lacks is "
+        "left out",
         law="the commanded thrust is multiplied by the factor",
     ),
     mass_factor=_factor,

@@ -42,8 +42,8 @@ EFFECT = Effect(
     observable="any flight; from mass only by weighing",
     closing=Closing(
         model="every rotor's thrust times a constant",
-        planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "
-        "vehicle",
+        planner="plans a path of less acceleration, of which a share is missing; what hover lacks is "
+        "left out",
         law="the commanded thrust is divided by the gain",
     ),
     thrust_factor=_factor,

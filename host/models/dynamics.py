@@ -6,6 +6,7 @@ before any thrust factor). The same source runs on floats, CasADi scalars and nu
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import Any, Protocol
 
@@ -13,6 +14,7 @@ from firmware_model.law.constants import GRAVITY
 from firmware_model.law.ops import Ops
 from firmware_model.law.rotations import euler_rates, euler_to_matrix, mat_t_vec, mat_vec
 from host.effects import Context, Effect
+from host.effects.effect import SLOTS
 
 Scalar = Any
 Part = tuple[Effect, Sequence[Scalar]]  # an effect and its parameter values
@@ -129,10 +131,48 @@ def residual_acceleration_ned(
     voltage_ratio: Scalar = 1.0,
     t_s: Scalar = 0.0,
 ) -> Sequence[Scalar]:
-    """The effects' state-only force as acceleration in the world: the part of d(x) a planner minimises."""
+    """The effects' specific force as acceleration in the world."""
     R = euler_to_matrix(ops, x[6:9])
     force = _loads(ops, vehicle, effects, x, R, x[12:16], voltage_ratio, t_s, ())[3]
     return (0.0, 0.0, 0.0) if force is None else mat_vec(R, force)
+
+
+_PUSHES = ("mass_factor", "thrust_factor", "rotor_factors", "gravity_ned")
+_TURNS = ("thrust_factor", "rotor_factors", "inertia_factors", "torque_frd")
+
+
+def residual_loads(
+    ops: Ops, vehicle: Airframe, effects: Sequence[Part], known: Sequence[Part], x: Sequence[Scalar]
+) -> tuple[list[Scalar] | None, list[Scalar] | None]:
+    """What effects on mass, thrust, gravity, inertia and torque change at x against `known`, some of them.
+
+    The acceleration (3), m/s^2 NED, and the moments of inertia of the vehicle file times the angular
+    acceleration (3), N m FRD: of `rigid_body` with all the effects less with those known, both without
+    specific force, which `residual_acceleration_ned` has. None where no effect beyond those known fills a
+    slot that could change it.
+    """
+    names = {effect.name for effect, _ in known}
+    beyond = [effect for effect, _ in effects if effect.name not in names]
+    pushes, turns = (
+        any(getattr(effect, slot) is not None for effect in beyond for slot in slots)
+        for slots in (_PUSHES, _TURNS)
+    )
+    if not pushes and not turns:
+        return None, None
+    all_of, part_of = (rigid_body(ops, vehicle, _forceless(parts), x) for parts in (effects, known))
+    change = [a - b for a, b in zip(all_of, part_of, strict=True)]
+    torque = [j * alpha for j, alpha in zip(vehicle.inertia_kg_m2, change[RATE], strict=True)]
+    return change[V] if pushes else None, torque if turns else None
+
+
+def _forceless(effects: Sequence[Part]) -> list[Part]:
+    """The effects without their specific force."""
+    rest = [
+        (effect, theta)
+        for effect, theta in effects
+        if any(getattr(effect, slot) is not None for slot in SLOTS if slot != "specific_force_frd")
+    ]
+    return [(dataclasses.replace(effect, specific_force_frd=None), theta) for effect, theta in rest]
 
 
 def rotor_torque(vehicle: Airframe, thrust: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar]:

@@ -16,10 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_model.law.constants import GRAVITY
+from firmware_model.law.ops import Ops
 from firmware_model.law.rotations import euler_rates, euler_to_matrix, mat_vec
 from host.codegen import CASADI, NUMPY
 from host.effects import Effect
-from host.models.dynamics import RATE, THETA, THRUST, Part, V, residual_acceleration_ned, rigid_body
+from host.models.dynamics import (
+    RATE,
+    THETA,
+    THRUST,
+    P,
+    Part,
+    V,
+    residual_acceleration_ned,
+    residual_loads,
+    rigid_body,
+)
 from host.models.model import Model
 from host.models.network import Network
 from host.models.region import Region
@@ -31,12 +42,16 @@ Array = NDArray[np.float64]
 STATES, INPUTS = 16, 4
 YAW, SMOOTHING, CONTROL, THRUST_RATE, YAW_WEIGHT, TIME, SPEED_MAX, JERK_MAX = range(8)
 """An interval's parameters: the heading asked for, a factor on the weight of the thrust rates, the weights,
-the limits. Behind them the residual at rest (3) and the effects' values: all that may change without a
+the limits. Behind them the residual at rest (6) and the effects' values: all that may change without a
 rebuild."""
-REST = slice(8, 11)
+REST = slice(8, 14)
 EFFECTS = REST.stop
 _STEP = 1e-6
 """Of slopes by differences."""
+_AWAY_M = 100.0
+"""Height of what counts as rest: out of reach of the floor, whose effect a path can avoid."""
+_NIL = 1e-6
+"""m/s^2 by which a residual that is constant may vary for rounding."""
 TILT_ROW, SPEED_ROW, JERK_ROW = 0, 1, 2
 PATH_ROWS = 3
 """Path rows: cos tilt; squared speed and squared jerk as shares of their squared limits. Where the heading is
@@ -48,7 +63,9 @@ class ResidualModel:
     """What is known beyond the nominal vehicle: effects with values, a network on top, where they hold.
 
     adjusted: those of the effects that only moved within their tolerance. They are part of every prediction,
-    but give no plan something to avoid.
+    but give no plan something to avoid: what they change of thrust, mass and torque counts as known. So do,
+    beside a network or a drag, all effects without specific force, unless `count_loads`: counted beside a
+    drag, they made no plan fly closer (docs/planning.md).
     """
 
     parts: tuple[Part, ...] = ()
@@ -56,6 +73,7 @@ class ResidualModel:
     network: Network | None = None
     region: Region | None = None
     id: str | None = None
+    count_loads: bool = False
 
     @classmethod
     def of(cls, model: Model, effects: Mapping[str, Effect]) -> ResidualModel:
@@ -69,10 +87,84 @@ class ResidualModel:
         )
 
     @property
-    def has_residual(self) -> bool:
-        """Whether it predicts a residual acceleration worth a plan: a network, or a drag beyond tolerance."""
-        forces = {effect.name for effect, _ in self.parts if effect.specific_force_frd}
-        return self.network is not None or bool(forces - self.adjusted)
+    def _known(self) -> frozenset[str]:
+        """Names of the effects whose loads are nothing to avoid."""
+        named = [effect for effect, _ in self.parts if effect.name not in self.adjusted]
+        forced = self.network is not None or any(effect.specific_force_frd for effect in named)
+        if self.count_loads or not forced:
+            return self.adjusted
+        return self.adjusted | {effect.name for effect in named if effect.specific_force_frd is None}
+
+    def has_residual(self, vehicle: Vehicle) -> bool:
+        """Whether it predicts a residual that a path can change: a network, or effects beyond tolerance whose
+        residual is not the same in every state.
+        """
+        if self.network is not None:
+            return True
+        named = ResidualModel(parts=tuple(part for part in self.parts if part[0].name not in self.adjusted))
+        return bool(np.ptp(named._values(vehicle, _states(vehicle)), axis=1).max() > _NIL)
+
+    def rows(
+        self, ops: Ops, vehicle: Vehicle, x: Sequence[Any], parts: Sequence[Part] | None = None
+    ) -> list[Any]:
+        """The effects' residual, m/s^2: what they change of the nominal vehicle's acceleration at x.
+
+        3 rows NED, and where an effect beyond tolerance can change the torque 3 more about the body axes:
+        that torque over arm length and mass, the acceleration by a force that gives it at an arm's end. One
+        arm for all axes, the rotors' mean distance from the z axis: what counts is how far the vehicle is
+        turned, not how hard its rotors find it to turn back about that axis. x: as in `host.models`, thrusts
+        in N. parts: in place of the model's, the same effects with other arithmetic's values.
+        """
+        parts = self.parts if parts is None else parts
+        d = residual_acceleration_ned(ops, vehicle, parts, x)
+        known = [part for part in parts if part[0].name in self._known]
+        push, torque = residual_loads(ops, vehicle, parts, known, x)
+        if push is not None:
+            d = [a + b for a, b in zip(d, push, strict=True)]
+        arm_m = float(np.mean([np.hypot(*rotor.position_m[:2]) for rotor in vehicle.rotors]))
+        return [*d, *(tau / (arm_m * vehicle.mass_kg) for tau in torque or ())]
+
+    def along(self, vehicle: Vehicle, x: Array) -> Array:
+        """(3 or 6, n) rows of the residual with the network's at states (16, n), for figures.
+
+        Thrust, mass and torque count by what they change from hover on, where the law's trim holds them.
+        """
+        hover = _hover(vehicle, 0.0)[:, None]
+        trim = self._values(vehicle, hover)
+        trim[:3] -= np.array(residual_acceleration_ned(NUMPY, vehicle, self.parts, list(hover))).reshape(3, 1)
+        d = self._values(vehicle, x) - trim
+        if self.network is not None:
+            d[:3] += self.network.acceleration_ned(x[V], x[THETA])
+        return d
+
+    def at_rest(self, vehicle: Vehicle, yaw: float) -> Array:
+        """(6,) rows of the residual with the network's, of the nominal vehicle at rest: no plan avoids it."""
+        x = _hover(vehicle, yaw)[:, None]
+        d = self._values(vehicle, x)[:, 0]
+        if self.network is not None:
+            d[:3] += self.network.acceleration_ned(x[V], x[THETA])[:, 0]
+        return np.concatenate([d, np.zeros(6 - len(d))])
+
+    def _values(self, vehicle: Vehicle, x: Array) -> Array:
+        """(3 or 6, n) rows without the network at states (16, n)."""
+        rows = self.rows(NUMPY, vehicle, list(x))
+        return np.array([np.broadcast_to(row, x.shape[1:]) for row in rows], dtype=float)
+
+
+def _hover(vehicle: Vehicle, yaw: float) -> Array:
+    """(16,) the nominal vehicle at rest, thrusts in N."""
+    x = np.zeros(STATES)
+    x[P.stop - 1], x[THETA.stop - 1], x[THRUST] = -_AWAY_M, yaw, vehicle.mass_kg * GRAVITY / 4.0
+    return x
+
+
+def _states(vehicle: Vehicle) -> Array:
+    """(16, n) some states of flight, high and low, thrusts in N."""
+    away = np.random.default_rng(0).uniform(-1.0, 1.0, (STATES, 16))
+    x = _hover(vehicle, 0.0)[:, None] * (1.0 + 0.5 * away)
+    x[P], x[V] = away[P] - 1.5 * np.array([[0.0], [0.0], [1.0]]), 3.0 * away[V]
+    x[THETA], x[RATE] = 0.5 * away[THETA], away[RATE]
+    return x
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,15 +237,16 @@ class Dynamics:
         return ca.vertcat(*rigid_body(CASADI, self.vehicle, parts, self._scalars(x)), u)
 
     def residual(self, x: ca.SX, p: ca.SX, *, free_yaw: bool = False) -> ca.SX:
-        """(3,) the residual acceleration d(x), NED, without the network, less what it is at rest.
+        """(3 or 6,) rows of the residual as of `ResidualModel.rows`, less what they are at rest.
 
-        What it is at rest is NED; where the heading is free it turns along, and is that at heading 0.
+        The acceleration at rest is NED; where the heading is free it turns along, and is that at heading 0.
         """
-        d = residual_acceleration_ned(CASADI, self.vehicle, self._parts(p), self._scalars(x))
+        d = ca.vertcat(*self.model.rows(CASADI, self.vehicle, self._scalars(x), self._parts(p)))
         rest = ca.vertsplit(p[REST])
         if free_yaw:
-            rest = mat_vec(euler_to_matrix(CASADI, (0.0, 0.0, x[THETA.stop - 1])), rest)
-        return ca.vertcat(*d) - ca.vertcat(*rest)
+            turn = euler_to_matrix(CASADI, (0.0, 0.0, x[THETA.stop - 1]))
+            rest = [*mat_vec(turn, rest[:3]), *rest[3:]]
+        return d - ca.vertcat(*rest[: d.shape[0]])
 
     def parameters(
         self,
@@ -167,7 +260,7 @@ class Dynamics:
         """(np, n): an interval's parameters, for n headings; what is not given is the default."""
         weights, limits = weights or Weights(), limits or self.vehicle.limits
         shared = [smoothing, weights.control, weights.thrust_rate, weights.yaw, weights.time]
-        shared += [limits.speed_max_m_s, limits.jerk_max_m_s3, *(np.zeros(3) if rest is None else rest)]
+        shared += [limits.speed_max_m_s, limits.jerk_max_m_s3, *(np.zeros(6) if rest is None else rest)]
         rows = np.concatenate([[0.0], shared, self.theta])
         out = np.repeat(rows[:, None], len(yaw), axis=1)
         out[YAW] = yaw
@@ -184,15 +277,6 @@ class Dynamics:
         if self.augmented and self.model.network is not None:
             found[:3] += self.model.network.acceleration_ned(np.array(x[V]), np.array(x[THETA]))
         return found
-
-    def rest_residual(self, yaw: float) -> Array:
-        """(3,) the residual acceleration, NED, of the nominal vehicle at rest: what no plan can avoid."""
-        x = np.array([0.0] * 8 + [yaw] + [0.0] * 3 + [self.hover_n] * 4)
-        d = residual_acceleration_ned(NUMPY, self.vehicle, self.model.parts, list(x))
-        rest = np.array([float(row) for row in d])
-        if self.model.network is not None:
-            rest += self.model.network.acceleration_ned(x[V, None], x[THETA, None])[:, 0]
-        return rest
 
     def jerk_squared(self, x: ca.SX, u: ca.SX) -> ca.SX:
         """The nominal vehicle's squared jerk: thrust changes along z_frd, and z_frd turns."""

@@ -2,7 +2,7 @@
 
    A lane is an interval, z = (x, u, h). Behind simd.h and layers.h, the functions f, df, ddf (dynamics), own, down
    and ddown (cost and path at the interval's start), with a network seen, dseen, ddseen, given, dgiven and ddgiven;
-   the sizes NX, NU, NP, ROWS; the patterns A (d f/dx), B (d f/du), BEND (Hessian of f), PATH (d path/d(x, u)), OWN
+   the sizes NX, NU, NP, ROWS, D_ROWS (of the residual); the patterns A (d f/dx), B (d f/du), BEND (Hessian of f), PATH (d path/d(x, u)), OWN
    (Hessian at the start), each as NAME_NNZ, NAME_ROW and NAME_COL. NETWORK, AUGMENTED, RESIDUAL and WEIGH_TIME are 0
    or 1; with a network SEEN, UNITS, LAST (widest layer) and the calls FORWARD, SLOPES and BENDS. */
 
@@ -143,7 +143,7 @@ INLINE const Net *start_net(const double *xi, Interval at, int slopes, const Eva
 
 static void value_of(const double *xi, Interval at, V *x_next, V *cost, V *path) {
     Evaluation e[4];
-    V step = *at.h * *at.h0, d[3], effort;
+    V step = *at.h * *at.h0, d[D_ROWS], effort;
     integrate(xi, at, 0, e);
     for (int r = 0; r < NX; ++r) {
         V total = splat(0.0);
@@ -155,18 +155,16 @@ static void value_of(const double *xi, Interval at, V *x_next, V *cost, V *path)
     const Net *n = start_net(xi, at, 0, e, &net);
     (void)n;
 #if RESIDUAL
-    for (int i = 0; i < 3; ++i) {
 #if NETWORK
-        d[i] += n->d[i];
+    for (int i = 0; i < 3; ++i) d[i] += n->d[i];
 #endif
-        effort += d[i] * d[i];
-    }
+    for (int i = 0; i < D_ROWS; ++i) effort += d[i] * d[i];
 #endif
     *cost = WEIGH_TIME ? effort * step : effort;
 }
 
-/* Running cost, its slope by (x, u), residual d and its slope (3, NX), path slopes. */
-typedef struct { V cost, slope[NXU], d[3], jacobian[3 * NX], path[PATH_NNZ]; } Start;
+/* Running cost, its slope by (x, u), residual d and its slope (D_ROWS, NX), path slopes. */
+typedef struct { V cost, slope[NXU], d[D_ROWS], jacobian[D_ROWS * NX], path[PATH_NNZ]; } Start;
 
 INLINE void start_of(const double *xi, Interval at, const Evaluation *e, Start *s, Net *net) {
     down(at.x, at.u, at.p, &s->cost, s->slope, s->d, s->jacobian, s->path);
@@ -179,7 +177,7 @@ INLINE void start_of(const double *xi, Interval at, const Evaluation *e, Start *
         for (int q = 0; q < 6; ++q) s->jacobian[i * NX + 3 + q] += n->jacobian[i * 6 + q];
     }
 #endif
-    for (int i = 0; i < 3; ++i) {
+    for (int i = 0; i < D_ROWS; ++i) {
         s->cost += s->d[i] * s->d[i];
         for (int c = 0; c < NX; ++c) s->slope[c] += 2.0 * s->d[i] * s->jacobian[i * NX + c];
     }
@@ -270,13 +268,13 @@ static void hessian_of(const double *xi, Interval at, const V *sigma, const V *l
         H[c * NZ + NXU] += (c == NXU ? 2.0 : 1.0) * *at.h0 * cross;
     }
 
-    V block[OWN_NNZ], mu[3];
-    for (int i = 0; i < 3; ++i) mu[i] = 2.0 * scale * s.d[i];
+    V block[OWN_NNZ], mu[D_ROWS];
+    for (int i = 0; i < D_ROWS; ++i) mu[i] = 2.0 * scale * s.d[i];
     ddown(at.x, at.u, at.p, &scale, mu, path_lam, block);
     for (int n = 0; n < OWN_NNZ; ++n) H[OWN_ROW[n] * NZ + OWN_COL[n]] += block[n];
 #if RESIDUAL
     for (int p = 0; p < NX; ++p) for (int q = p; q < NX; ++q)
-        for (int i = 0; i < 3; ++i)
+        for (int i = 0; i < D_ROWS; ++i)
             H[p * NZ + q] += 2.0 * scale * s.jacobian[i * NX + p] * s.jacobian[i * NX + q];
 #if NETWORK
     V bend[36];

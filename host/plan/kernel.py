@@ -97,7 +97,9 @@ class _Parts:
         effort, path = model.effort(x, u, p), ca.densify(model.path(x, u, p))
         self.rows = path.shape[0]
         d = ca.SX(3, 1) if model.residual is None else model.residual(x, p)
-        sigma, mu, lam = ca.SX.sym("sigma"), ca.SX.sym("mu", 3), ca.SX.sym("lam", self.rows)
+        self.residual_rows = d.shape[0]
+        sigma, mu = ca.SX.sym("sigma"), ca.SX.sym("mu", self.residual_rows)
+        lam = ca.SX.sym("lam", self.rows)
         own = ca.triu(ca.hessian(sigma * effort + ca.dot(mu, d) + ca.dot(lam, path), xu)[0])
         by_path = ca.jacobian(path, xu)
         self.path, self.own = by_path.sparsity(), own.sparsity()
@@ -165,6 +167,7 @@ class _Parts:
             "NETWORK": int(network is not None),
             "AUGMENTED": int(model.augmented),
             "RESIDUAL": int(model.residual is not None),
+            "D_ROWS": self.residual_rows,
             "WEIGH_TIME": int(model.weigh_time),
         }
         defines: list[str] = []

@@ -137,8 +137,10 @@ def _residual_model(
         if kind == "min-residual" or augmented:
             raise UsageError(f"{kind}{'*' if augmented else ''} needs a model, give --model")
         return ResidualModel()
-    if kind == "min-residual" and not model.has_residual:
-        raise UsageError("the model names no drag and has no network: no residual acceleration to minimise")
+    if kind == "min-residual" and not model.has_residual(vehicle):
+        raise UsageError(
+            "the model has no network and names no effect that depends on the path: no residual to minimise"
+        )
     return model
 
 

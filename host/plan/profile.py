@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from host.codegen import NUMPY
-from host.models.dynamics import RATE, THETA, THRUST, P, V, residual_acceleration_ned
+from host.models.dynamics import RATE, THETA, THRUST, P, V
 from host.plan.box import KEEP_OUT
 from host.plan.dynamics import ResidualModel
 from host.plan.table import Table, evaluate, flat_states
@@ -27,8 +27,9 @@ class Profile:
     """n samples along a table.
 
     t_s: (n,). node: (n,) the one before. x: (16, n) as of `flat_states`. jerk_m_s3: (n,) norm. thrust_share:
-    (4, n) of a rotor's greatest. residual_ned: (3, n) m/s^2 as predicted, None without a model that predicts
-    any. outside: (n,) whether beyond the region that the model's data covers, None where that is not known.
+    (4, n) of a rotor's greatest. residual: (3 or 6, n) m/s^2 as of `ResidualModel.along`, acceleration NED
+    and torque about the body axes, None without a model that predicts any. outside: (n,) whether beyond the
+    region that the model's data covers, None where that is not known.
     """
 
     t_s: Array
@@ -36,7 +37,7 @@ class Profile:
     x: Array
     jerk_m_s3: Array
     thrust_share: Array
-    residual_ned: Array | None
+    residual: Array | None
     outside: NDArray[np.bool_] | None
 
     @property
@@ -62,8 +63,8 @@ class Profile:
 
     @property
     def residual_m_s2(self) -> Array | None:
-        """(n,) norm."""
-        return None if self.residual_ned is None else np.linalg.norm(self.residual_ned, axis=0)
+        """(n,) norm, torque included."""
+        return None if self.residual is None else np.linalg.norm(self.residual, axis=0)
 
     def margins(self, limits: Limits, keep_out: Sequence[Shape] = ()) -> dict[str, Array]:
         """(n,) distance to each limit by the names of `firmware_model.law.checks`, negative beyond it."""
@@ -112,12 +113,6 @@ def profile(
     """The profile of the nominal vehicle at these times, every 10 ms by default."""
     at = sample_times(table) if times_us is None else times_us
     x = flat_states(vehicle, table, yaws, at)
-    residual: Array | None = None
-    if model.has_residual:
-        parts = residual_acceleration_ned(NUMPY, vehicle, model.parts, list(x))
-        residual = np.array([np.broadcast_to(row, at.shape) for row in parts], dtype=float)
-        if model.network is not None:
-            residual += model.network.acceleration_ned(x[V], x[THETA])
     outside = None if model.region is None else model.region.outside(x.T, x[THRUST].sum(axis=0))
     node = np.searchsorted(table.times_us, at, side="right") - 1
     return Profile(
@@ -126,7 +121,7 @@ def profile(
         x=x,
         jerk_m_s3=np.linalg.norm(evaluate(table, at)[3], axis=0),
         thrust_share=x[THRUST] / vehicle.thrust_max_n,
-        residual_ned=residual,
+        residual=model.along(vehicle, x) if model.has_residual(vehicle) else None,
         outside=outside,
     )
 

@@ -135,9 +135,10 @@ class _Run:
         )
         self._yaws = job.yaws()
         self._weights = settings.weights.scaled(_scale(job, grid))
-        self._rest = np.zeros(3)
+        self._rest = np.zeros(6)
         if job.kind == "min-residual" and not settings.count_bias:
-            self._rest = job.dynamics.rest_residual(0.0 if self.free_yaw else self._yaws[0].yaw)
+            heading = 0.0 if self.free_yaw else self._yaws[0].yaw
+            self._rest = job.dynamics.model.at_rest(job.dynamics.vehicle, heading)
         self.problem: Problem
         self.rounds = self.iterations = 0
         self.first_solve_s = 0.0

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from firmware_model.law.rotations import euler_rates
 from host.codegen import CASADI
-from host.models.dynamics import STATE_SIZE, THETA, V, residual_acceleration_ned
+from host.models.dynamics import STATE_SIZE, THETA, V
 from host.plan.dynamics import ResidualModel
 from host.plan.table import Table, flat_states
 from host.vehicle import Vehicle
@@ -68,11 +68,11 @@ def sensitivity(
     vehicle: Vehicle, model: ResidualModel, table: Table, yaws: Sequence[YawNode]
 ) -> Sensitivity | None:
     """Sensitivity of the prediction along a reference, by exact derivatives; None where there is none."""
-    if not model.has_residual:
+    if not model.has_residual(vehicle):
         return None
     x = flat_states(vehicle, table, yaws, table.times_us)
     n = x.shape[1]
-    found = np.array(_slopes(vehicle, model).map(n)(x)).reshape(3, n, 6).transpose(1, 0, 2)
+    found = np.array(_slopes(vehicle, model).map(n)(x)).reshape(-1, n, 6).transpose(1, 0, 2)
     return Sensitivity(
         t_s=table.times_us.astype(float) * 1e-6,
         velocity=_greatest(found[:, :, :3]),
@@ -81,19 +81,19 @@ def sensitivity(
 
 
 def _greatest(slopes: Array) -> Array:
-    """(n,) greatest singular values of (n, 3, 3), nan where one is not finite."""
+    """(n,) greatest singular values of (n, rows, 3), nan where one is not finite."""
     out, known = np.full(len(slopes), np.nan), np.isfinite(slopes).all(axis=(1, 2))
     out[known] = np.linalg.norm(slopes[known], 2, axis=(1, 2))
     return out
 
 
 def _slopes(vehicle: Vehicle, model: ResidualModel) -> ca.Function:
-    """x (16) -> (3, 6) d(residual)/d(v_ned, rotation vector in FRD)."""
+    """x (16) -> (3 or 6, 6) d(residual)/d(v_ned, rotation vector in FRD)."""
     x, turn = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("turn", 3)
-    residual = ca.vertcat(*residual_acceleration_ned(CASADI, vehicle, model.parts, ca.vertsplit(x)))
+    residual = ca.vertcat(*model.rows(CASADI, vehicle, ca.vertsplit(x)))
     if model.network is not None:
         seen = ca.vertcat(x[V], x[THETA])
-        residual += model.network.layout.matrices(ca.SX(model.network.xi), seen)
+        residual[:3] += model.network.layout.matrices(ca.SX(model.network.xi), seen)
     # a small rotation moves the Euler angles as a body rate of it does in unit time
     angles = ca.vertcat(*euler_rates(CASADI, ca.vertsplit(x[THETA]), ca.vertsplit(turn)))
     slope = ca.jacobian(residual, x)

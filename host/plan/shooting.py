@@ -161,8 +161,8 @@ def make_problem(
     free_yaw: bool = False,
 ) -> Problem:
     """The problem in this box. yaw: (N + 1,) heading asked for at the nodes, with free_yaw only at the
-    first, and at rest at both ends; smoothing: factor
-    on the weight of the thrust rates; unavoidable: (3,) residual left out of the cost;
+    first, and at rest at both ends; smoothing: factor on the weight of the thrust rates; unavoidable: (6,)
+    residual left out of the cost;
     end_velocities_ned: at the start and at the end, where nothing accelerates; gates: of the waypoints that
     need not be met exactly; shapes: how many.
     """

@@ -32,10 +32,11 @@ _WEIGHT = (1 / 6, 2 / 6, 2 / 6, 1 / 6)
 class StageModel:
     """What an interval integrates, costs and bounds. p: the interval's parameters besides its nominal step.
 
-    derivative(x, u, p): (nx,) continuous dynamics without the network. residual(x, p): (3,) m/s^2, the part
-    of the cost |residual|^2 that is not the network's, or None for no such cost. effort(x, u, p): scalar,
-    already weighted. path(x, u, p): rows bounded at every node. network: added to the residual, and where
-    `augmented` to rows 3:6 of the dynamics. weigh_time: cost per second of the interval, else per interval.
+    derivative(x, u, p): (nx,) continuous dynamics without the network. residual(x, p): 3 rows or more, m/s^2,
+    the part of the cost |residual|^2 that is not the network's, or None for no such cost. effort(x, u, p):
+    scalar, already weighted. path(x, u, p): rows bounded at every node. network: added to the residual's
+    first 3 rows, and where `augmented` to rows 3:6 of the dynamics. weigh_time: cost per second of the
+    interval, else per interval.
     """
 
     nx: int
@@ -237,16 +238,17 @@ class _Builder:
         if model.residual is not None:
             d = model.residual(self.x, self.p)
             jacobian = ca.jacobian(d, self.x)
-            mu = ca.SX.sym("mu", 3)
+            rows = d.shape[0]
+            mu = ca.SX.sym("mu", rows)
             bend = ca.hessian(ca.dot(mu, d), self.x)[0]
             self._d_bend = ca.Function("d_bend", [self.x, self.p, mu], [bend])
             pulled = jacobian.T @ d
             if model.network is not None:
                 terms = self.evaluations[0].network or _network(model.network, self.x[NETWORK_INPUTS])
-                d = d + terms.value
-                back = terms.jacobian.T @ d if model.augmented else terms.pull(d)
+                d = d + _embed(terms.value, slice(0, 3), slice(0, 1), (rows, 1))
+                back = terms.jacobian.T @ d[:3] if model.augmented else terms.pull(d[:3])
                 pulled = jacobian.T @ d + _embed(back, NETWORK_INPUTS, slice(0, 1), (nx, 1))
-                jacobian = jacobian + _embed(terms.jacobian, slice(0, 3), NETWORK_INPUTS, (3, nx))
+                jacobian = jacobian + _embed(terms.jacobian, slice(0, 3), NETWORK_INPUTS, (rows, nx))
                 self._d_network_bend = terms.bend
             self.residual, self.residual_jacobian = d, jacobian
             running = running + ca.dot(d, d)
@@ -327,7 +329,8 @@ class _Builder:
             bend = self._d_bend(self.x, self.p, mu) + 2 * sigma * weight * (jacobian.T @ jacobian)
             total = total + _embed(bend, states, states, (nz, nz))
             if model.network is not None:
-                total = total + _embed(self._d_network_bend(mu), NETWORK_INPUTS, NETWORK_INPUTS, (nz, nz))
+                learned = self._d_network_bend(mu[:3])
+                total = total + _embed(learned, NETWORK_INPUTS, NETWORK_INPUTS, (nz, nz))
         if model.weigh_time:
             mixed = sigma * (ca.vertcat(self.running_gradient, ca.SX(1, 1)) @ self.dh)
             total = total + mixed + mixed.T

@@ -48,7 +48,7 @@ def per_node(
     with rc_context(STYLE):
         canvas, axes = plt.subplots(rows, 1, figsize=(9.6, 1.3 + 1.9 * rows), sharex=True)
         rest = list(axes)
-        if off is not None and along.residual_ned is not None:
+        if off is not None and along.residual is not None:
             norm = _residual(rest[0], along, keep)
             rest.pop(0).plot(along.t_s[nodes], norm[nodes], color=NEUTRAL, **dots)
             _sensitivities(rest.pop(0), off, dots)
@@ -91,10 +91,12 @@ def _kept(along: Profile) -> np.ndarray:
 
 def _residual(ax: Any, along: Profile, keep: np.ndarray) -> np.ndarray:
     """Components and norm of the predicted residual; the norm at all samples."""
-    assert along.residual_ned is not None
-    norm = np.linalg.norm(along.residual_ned, axis=0)
-    for values, name, colour in zip(along.residual_ned, ("north", "east", "down"), _COLOURS, strict=False):
-        ax.plot(along.t_s[keep], values[keep], color=colour, linewidth=1.1, label=name)
+    assert along.residual is not None
+    norm = np.linalg.norm(along.residual, axis=0)
+    names = ("north", "east", "down", "roll torque", "pitch torque", "yaw torque")
+    for row, (values, name) in enumerate(zip(along.residual, names, strict=False)):
+        colour, dash = _COLOURS[row % 3], "-" if row < 3 else ":"
+        ax.plot(along.t_s[keep], values[keep], dash, color=colour, linewidth=1.1, label=name)
     ax.plot(along.t_s[keep], norm[keep], color=NEUTRAL, linewidth=1.6, label="norm")
     ax.set(ylabel="residual, m/s$^2$")
     _legend(ax)

@@ -111,13 +111,13 @@ def _planned(
     except (Refused, SolverError) as error:
         return {"failed": str(error)}, None
     along = profile(vehicle, model, from_reference(made.reference), made.reference.yaw_nodes())
-    d = along.residual_ned
-    assert d is not None
+    assert along.residual is not None
+    d = along.residual
     norm = np.linalg.norm(d - d[:, :1], axis=0)
     flat = reference_at(made.reference, np.arange(0, made.reference.duration_us, 10_000))
     return {
         "residual_mean_m_s2": float(norm.mean()),
-        "drag_mean_n": float(vehicle.mass_kg * np.linalg.norm(d, axis=0).mean()),
+        "drag_mean_n": float(vehicle.mass_kg * np.linalg.norm(d[:3], axis=0).mean()),
         "solve_s": made.solve_s,
         "iterations": made.iterations,
         "rounds": made.rounds,

@@ -6,7 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from host.codegen import NUMPY
 from host.effects import load_effects
+from host.models.dynamics import Part, rigid_body
 from host.models.model import Model, Values
 from host.models.network import Layout, Network
 from host.plan.dynamics import Dynamics, ResidualModel, Weights
@@ -64,8 +66,11 @@ def test_planner_sentence_of_an_effect_says_nothing_exactly_where_plans_do_not_c
         seen = []
         for parts in (beside, (*beside, (effect, theta))):
             dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts), augmented=augmented)
-            p = ca.SX(dynamics.parameters(np.zeros(1)))
-            seen.append(_evaluate(ca.vertcat(dynamics.derivative(x, u, p), dynamics.residual(x, p)), *at))
+            rest = dynamics.model.at_rest(VEHICLE, 0.0)
+            p = ca.SX(dynamics.parameters(np.zeros(1), rest=rest))
+            d = dynamics.residual(x, p)
+            d = ca.vertcat(d, ca.SX(6 - d.shape[0], 1))
+            seen.append(_evaluate(ca.vertcat(dynamics.derivative(x, u, p), d), *at))
         return bool(np.abs(seen[1] - seen[0]).max() > 1e-9)
 
     said = effect.closing.planner
@@ -96,8 +101,32 @@ def test_jerk_equals_the_acceleration_s_finite_difference() -> None:
 
 
 def test_residual_of_a_model_without_a_force_is_nothing_to_minimise() -> None:
-    assert not ResidualModel(parts=((EFFECTS["motor-lag"], (0.01,)),)).has_residual
-    assert ResidualModel(parts=((EFFECTS["quadratic-drag"], (0.02,)),)).has_residual
+    assert not ResidualModel(parts=((EFFECTS["motor-lag"], (0.01,)),)).has_residual(VEHICLE)
+    assert ResidualModel(parts=((EFFECTS["quadratic-drag"], (0.02,)),)).has_residual(VEHICLE)
+
+
+@pytest.mark.parametrize(
+    ("name", "theta", "varies"),
+    [
+        ("torque-bias", (2.0, 1.0, 0.5), False),
+        ("frame-tilt", (0.02, 0.01), False),
+        ("battery-sag", (1.7,), False),
+        ("com-offset", (0.0, 0.0), False),
+        ("com-offset", (0.004, 0.0), True),
+        ("thrust-gain", (0.9,), True),
+        ("mass", (1.1,), True),
+        ("inertia", (1.2, 1.0, 1.0), True),
+        ("gyroscopic", (4.0,), True),
+        ("ground-effect", (0.012,), True),
+        ("rotor-loss", (0.1, 0.0, 0.0, 0.0), True),
+    ],
+)
+def test_residual_that_is_the_same_in_every_state_is_nothing_to_minimise(
+    name: str, theta: tuple[float, ...], varies: bool
+) -> None:
+    parts = ((EFFECTS[name], theta),)
+    assert ResidualModel(parts=parts).has_residual(VEHICLE) is varies
+    assert not ResidualModel(parts=parts, adjusted=frozenset({name})).has_residual(VEHICLE)
 
 
 def test_residual_of_a_drag_that_only_moved_within_tolerance_is_nothing_to_minimise() -> None:
@@ -107,9 +136,9 @@ def test_residual_of_a_drag_that_only_moved_within_tolerance_is_nothing_to_minim
         model = Model(
             vehicle_id=VEHICLE.id, vehicle_name=VEHICLE.name, effects=effects, adjustments=adjustments
         )
-        return ResidualModel.of(model, EFFECTS).has_residual
+        return ResidualModel.of(model, EFFECTS).has_residual(VEHICLE)
 
-    assert not has_residual({"thrust-gain": {"gain": 0.9}}, drag)
+    assert not has_residual({"motor-lag": {"extra_s": 0.01}}, drag)
     assert has_residual(drag, {})
 
 
@@ -139,7 +168,7 @@ def test_residual_at_rest_is_left_out_of_the_cost() -> None:
     network = Network(layout=layout, xi=np.random.default_rng(0).standard_normal(layout.size))
     parts = ((EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["wind"], (2.0, -1.0)))
     dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts, network=network))
-    rest = dynamics.rest_residual(0.7)
+    rest = dynamics.model.at_rest(VEHICLE, 0.7)
     x = ca.SX.sym("x", 16)
     p = ca.SX(dynamics.parameters(np.array([0.7]), rest=rest))
     state = dynamics.steady(0.7)
@@ -147,3 +176,86 @@ def test_residual_at_rest_is_left_out_of_the_cost() -> None:
     d += network.acceleration_ned(state[3:6, None], state[6:9, None])[:, 0]
     assert np.abs(rest).max() > 0.3
     np.testing.assert_allclose(d, 0.0, atol=1e-12)
+
+
+def _flight(count: int) -> np.ndarray:
+    """(16, n) states of flight well over the floor, thrusts in N."""
+    rng = np.random.default_rng(4)
+    x = np.concatenate([0.4 * rng.standard_normal((12, count)), rng.uniform(0.5, 1.5, (4, count))])
+    x[2] -= 2.5
+    x[12:] *= VEHICLE.mass_kg * 9.80665 / 4.0
+    return x
+
+
+def _acceleration(x: np.ndarray, parts: tuple[Part, ...]) -> np.ndarray:
+    """(6, n) acceleration NED and angular acceleration."""
+    rows = rigid_body(NUMPY, VEHICLE, parts, list(x))
+    return np.array([np.broadcast_to(row, x.shape[1:]) for row in [*rows[3:6], *rows[9:12]]])
+
+
+def test_residual_is_the_augmented_less_the_nominal_acceleration_with_torque_by_arm_and_mass() -> None:
+    parts = (
+        (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)),
+        (EFFECTS["mass"], (1.1,)),
+        (EFFECTS["inertia"], (1.2, 0.9, 1.1)),
+        (EFFECTS["rotor-loss"], (0.1, 0.0, 0.0, 0.0)),
+        (EFFECTS["com-offset"], (0.004, -0.002)),
+    )
+    x = _flight(5)
+    change = _acceleration(x, parts) - _acceleration(x, ())
+    arm_m = 0.088 * np.sqrt(2.0)
+    change[3:] *= np.array(VEHICLE.inertia_kg_m2)[:, None] / (arm_m * VEHICLE.mass_kg)
+    found = ResidualModel(parts=parts, count_loads=True).rows(NUMPY, VEHICLE, list(x))
+    np.testing.assert_allclose(np.array(found), change, atol=1e-12)
+
+
+def test_residual_beside_a_drag_is_the_drags_unless_loads_count_too() -> None:
+    drag, offset = (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["com-offset"], (0.004, -0.002))
+    x = _flight(5)
+    alone = ResidualModel(parts=(drag,)).rows(NUMPY, VEHICLE, list(x))
+    np.testing.assert_array_equal(ResidualModel(parts=(drag, offset)).rows(NUMPY, VEHICLE, list(x)), alone)
+    both = ResidualModel(parts=(drag, offset), count_loads=True)
+    assert len(both.rows(NUMPY, VEHICLE, list(x))) == 6
+    assert len(ResidualModel(parts=(offset,)).rows(NUMPY, VEHICLE, list(x))) == 6
+
+
+def test_residual_of_effects_within_tolerance_counts_their_force_alone() -> None:
+    drag, gain = (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["thrust-gain"], (1.005,))
+    offset = (EFFECTS["com-offset"], (0.004, -0.002))
+    x = _flight(5)
+
+    def rows(*parts: Part) -> np.ndarray:
+        model = ResidualModel(parts=parts, adjusted=frozenset({"thrust-gain"}), count_loads=True)
+        return np.array(model.rows(NUMPY, VEHICLE, list(x)))
+
+    np.testing.assert_array_equal(rows(drag, gain), rows(drag))
+    np.testing.assert_allclose(rows(drag, offset, gain)[:3], rows(drag), atol=1e-12)
+    np.testing.assert_allclose(rows(drag, offset, gain)[3:], 1.005 * rows(drag, offset)[3:], atol=1e-12)
+
+
+def test_constant_bias_leaves_the_cost_and_the_figures_unchanged() -> None:
+    own = ((EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["com-offset"], (0.004, -0.002)))
+    bias = ((EFFECTS["torque-bias"], (2.0, -1.0, 0.5)), (EFFECTS["frame-tilt"], (0.02, 0.01)))
+    x, found, figures = _flight(1)[:, 0], [], []
+    for parts in (own, own + bias):
+        dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts, count_loads=True))
+        state, rest = ca.SX.sym("x", 16), dynamics.model.at_rest(VEHICLE, 0.3)
+        p = ca.SX(dynamics.parameters(np.zeros(1), rest=rest))
+        found.append(_evaluate(dynamics.residual(state, p), (state, x)))
+        figures.append(dynamics.model.along(VEHICLE, x[:, None]))
+    assert np.abs(rest).max() > 0.1
+    np.testing.assert_allclose(found[1], found[0], atol=1e-12)
+    np.testing.assert_allclose(figures[1], figures[0], atol=1e-12)
+
+
+def test_figures_count_what_the_cost_counts_without_wind_or_a_network() -> None:
+    parts = ((EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["rotor-loss"], (0.1, 0.0, 0.0, 0.0)))
+    dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts, count_loads=True))
+    x = _flight(1)[:, 0]
+    symbol, p = (
+        ca.SX.sym("x", 16),
+        dynamics.parameters(np.zeros(1), rest=dynamics.model.at_rest(VEHICLE, 0.0)),
+    )
+    scaled = x / np.array([1.0] * 12 + [dynamics.hover_n] * 4)
+    counted = _evaluate(dynamics.residual(symbol, ca.SX(p)), (symbol, scaled))
+    np.testing.assert_allclose(dynamics.model.along(VEHICLE, x[:, None])[:, 0], counted, atol=1e-12)

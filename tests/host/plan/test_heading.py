@@ -142,8 +142,8 @@ def test_residual_at_rest_turns_with_a_free_heading() -> None:
     xi = layout.initial(np.random.default_rng(3))
     xi[[-11, -6, -1]] = 0.5, -0.2, 0.1  # the last layer's biases
     dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(network=Network(layout=layout, xi=xi)))
-    rest = dynamics.rest_residual(0.0)
-    assert rest == pytest.approx([0.5, -0.2, 0.1])
+    rest = dynamics.model.at_rest(VEHICLE, 0.0)
+    assert rest == pytest.approx([0.5, -0.2, 0.1, 0.0, 0.0, 0.0])
     value = build_stage(dynamics.stage_model(minimise_residual=True, weigh_time=False, free_yaw=True)).value
     p = dynamics.parameters(np.zeros(1), rest=rest)[:, 0]
     costs = []

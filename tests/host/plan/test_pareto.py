@@ -112,7 +112,7 @@ def test_pareto_of_another_kind_is_refused(kind: str) -> None:
 
 
 def test_pareto_without_a_residual_to_minimise_is_refused() -> None:
-    with pytest.raises(UsageError, match="no residual acceleration"):
+    with pytest.raises(UsageError, match="no residual to minimise"):
         pareto(ROUTE, VEHICLE, ResidualModel())
 
 

@@ -312,7 +312,7 @@ def test_judge_names_the_gate_that_is_missed() -> None:
         ({"kind": "min-snap*"}, "no such kind"),
         ({"kind": "min-residual"}, "needs a model"),
         ({"kind": "min-control*"}, "needs a model"),
-        ({"kind": "min-residual", "model": ResidualModel()}, "no drag and has no network"),
+        ({"kind": "min-residual", "model": ResidualModel()}, "no network and names no effect"),
         ({"kind": "min-control", "nodes": 5}, "--nodes 5: give"),
         ({"total_time_s": -1.0}, "--time-s -1: give a time above 0"),
         ({"total_time_s": float("nan")}, "--time-s nan: give"),

@@ -74,7 +74,7 @@ def test_profile_figures_are_those_of_the_plan(made: Plan) -> None:
 def test_profile_without_a_model_has_no_residual_and_no_region(made: Plan) -> None:
     table = from_reference(made.reference)
     along = profile(VEHICLE, ResidualModel(), table, made.reference.yaw_nodes())
-    assert along.residual_ned is along.residual_m_s2 is along.outside is None
+    assert along.residual is along.residual_m_s2 is along.outside is None
 
 
 def test_sample_times_with_nodes_hold_both_sides_of_every_node(made: Plan) -> None:

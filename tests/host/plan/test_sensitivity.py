@@ -90,8 +90,8 @@ def test_equal_drag_on_all_axes_does_not_depend_on_attitude() -> None:
 
 def test_sensitivity_without_a_predicted_residual_is_none() -> None:
     assert sensitivity(VEHICLE, ResidualModel(), TABLE, YAWS) is None
-    mass = ResidualModel(parts=((EFFECTS["mass"], (1.02,)),))
-    assert sensitivity(VEHICLE, mass, TABLE, YAWS) is None
+    bias = ResidualModel(parts=((EFFECTS["torque-bias"], (2.0, 1.0, -0.5)),))
+    assert sensitivity(VEHICLE, bias, TABLE, YAWS) is None
 
 
 def test_sensitivity_is_nan_only_where_an_effect_has_no_slope() -> None:

@@ -8,8 +8,9 @@ import pytest
 
 from host.codegen import CASADI
 from host.effects import load_effects
+from host.models.dynamics import THRUST, Part
 from host.models.network import Frame, Layout, Network
-from host.plan.dynamics import EFFECTS, INPUTS, PATH_ROWS, STATES, Dynamics, ResidualModel, Weights
+from host.plan.dynamics import INPUTS, PATH_ROWS, STATES, Dynamics, ResidualModel, Weights
 from host.plan.intervals import Engine, Intervals
 from host.plan.kernel import kernel_source
 from host.plan.stage import NETWORK_INPUTS, StageModel, build_stage
@@ -18,19 +19,38 @@ from host.vehicle import load_vehicle
 _EFFECTS = load_effects()
 _VEHICLE = load_vehicle("research")
 _FRAMES = (None, "world", "body")
+_KNOWN = frozenset({"thrust-gain"})
+_DRAG = (
+    (_EFFECTS["linear-drag"], (0.5, 0.4, 0.1)),
+    (_EFFECTS["wind"], (1.0, -0.5)),
+    (_EFFECTS["thrust-gain"], (0.95,)),
+)
+_LOADS = {
+    "mass": (*_DRAG[:2], (_EFFECTS["mass"], (1.1,)), (_EFFECTS["frame-tilt"], (0.02, -0.01))),
+    "thrust": (
+        (_EFFECTS["ground-effect"], (0.02,)),
+        (_EFFECTS["rotor-loss"], (0.1, 0.0, -0.05, 0.0)),
+        (_EFFECTS["slung-payload"], (0.1, 0.4, 0.05)),
+    ),
+    "torque": (
+        (_EFFECTS["com-offset"], (0.004, -0.006)),
+        (_EFFECTS["gyroscopic"], (6.0,)),
+        (_EFFECTS["inertia"], (1.2, 0.9, 1.1)),
+        (_EFFECTS["thrust-inflow"], (0.5,)),
+        (_EFFECTS["torque-bias"], (2.0, 1.0, -0.5)),
+    ),
+}
 
 
-def _dynamics(augmented: bool, frame: Frame | None) -> Dynamics:
-    parts = (
-        (_EFFECTS["linear-drag"], (0.5, 0.4, 0.1)),
-        (_EFFECTS["wind"], (1.0, -0.5)),
-        (_EFFECTS["thrust-gain"], (0.95,)),
-    )
+def _dynamics(
+    augmented: bool, frame: Frame | None, parts: tuple[Part, ...] = _DRAG, adjusted: frozenset[str] = _KNOWN
+) -> Dynamics:
     learned = None
     if frame is not None:
         layout = Layout(hidden=(8, 5), frame=frame)
         learned = Network(layout=layout, xi=0.4 * np.random.default_rng(0).standard_normal(layout.size))
-    return Dynamics(vehicle=_VEHICLE, model=ResidualModel(parts=parts, network=learned), augmented=augmented)
+    model = ResidualModel(parts=parts, adjusted=adjusted, network=learned, count_loads=True)
+    return Dynamics(vehicle=_VEHICLE, model=model, augmented=augmented)
 
 
 def _stage_model(
@@ -71,13 +91,16 @@ def _unrolled(model: StageModel) -> tuple[list[ca.SX], ca.SX, ca.SX, ca.SX]:
     k4 = f(x + step * k3)
     cost = model.effort(x, u, p)
     if model.residual is not None:
-        d = model.residual(x, p) + learned(x)
+        d = model.residual(x, p)
+        d = d + ca.vertcat(learned(x), ca.SX(d.shape[0] - 3, 1))
         cost = cost + ca.dot(d, d)
     cost = cost * step if model.weigh_time else cost
     return [x, u, h, h0, p], x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4), cost, model.path(x, u, p)
 
 
-def _points(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _points(
+    dynamics: Dynamics, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """x, u, h, h0_s and parameters of intervals, one a column."""
     rng = np.random.default_rng(7)
     x = np.concatenate(
@@ -87,11 +110,11 @@ def _points(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray,
             rng.uniform(0.5, 1.5, (4, count)),
         ]
     )
-    p = _dynamics(True, None).parameters(
+    p = dynamics.parameters(
         rng.uniform(-0.2, 0.2, count),
         smoothing=2.0,
         weights=Weights(control=0.3, thrust_rate=0.02, yaw=10.0, time=0.7),
-        rest=np.array([0.2, -0.1, 0.3]),
+        rest=np.array([0.2, -0.1, 0.3, 0.1, -0.3, 0.2]),
     )
     steps = rng.uniform(0.05, 0.1, count)
     return x, rng.standard_normal((INPUTS, count)), rng.uniform(0.8, 1.2, count), steps, p
@@ -107,7 +130,10 @@ def test_derivatives_of_intervals_equal_those_of_the_unrolled_step(
 ) -> None:
     if engine == "c":
         require("compiler")
-    _check_derivatives(_stage_model(augmented, frame, minimise, weigh_time), engine)
+    dynamics = _dynamics(augmented, frame)
+    _check_derivatives(
+        dynamics, dynamics.stage_model(minimise_residual=minimise, weigh_time=weigh_time), engine
+    )
 
 
 @pytest.mark.parametrize("engine", ["vm", "c"])
@@ -118,11 +144,29 @@ def test_derivatives_of_intervals_with_a_free_heading_equal_those_of_the_unrolle
         require("compiler")
     model = _stage_model(True, "body", True, True, free_yaw=True)
     assert model.path(*(ca.SX.zeros(n) for n in (model.nx, model.nu, model.np))).numel() == PATH_ROWS + 1
-    _check_derivatives(model, engine)
+    _check_derivatives(_dynamics(True, "body"), model, engine)
 
 
-def _check_derivatives(model: StageModel, engine: str) -> None:
-    assert (model.nx, model.nu, model.np) == (STATES, INPUTS, EFFECTS + 6)
+@pytest.mark.parametrize("engine", ["vm", "c"])
+@pytest.mark.parametrize("frame", [None, "body"])
+@pytest.mark.parametrize("augmented", [True, False])
+@pytest.mark.parametrize(("loads", "rows"), [("mass", 3), ("thrust", 6), ("torque", 6)])
+def test_derivatives_with_a_residual_of_thrust_and_torque_equal_those_of_the_unrolled_step(
+    loads: str, rows: int, augmented: bool, frame: Frame | None, engine: str, require
+) -> None:
+    if engine == "c":
+        require("compiler")
+    dynamics = _dynamics(augmented, frame, _LOADS[loads], frozenset())
+    x = ca.SX.sym("x", STATES)
+    d = dynamics.residual(x, ca.SX(dynamics.parameters(np.zeros(1))))
+    assert d.shape == (rows, 1)
+    assert ca.jacobian(d, x[THRUST]).nnz() > 0
+    model = dynamics.stage_model(minimise_residual=True, weigh_time=True)
+    _check_derivatives(dynamics, model, engine)
+
+
+def _check_derivatives(dynamics: Dynamics, model: StageModel, engine: str) -> None:
+    assert (model.nx, model.nu) == (STATES, INPUTS)
     arguments, x_next, cost, path = _unrolled(model)
     z, xu = ca.vertcat(*arguments[:3]), ca.vertcat(*arguments[:2])
     rows = path.shape[0]
@@ -137,7 +181,7 @@ def _check_derivatives(model: StageModel, engine: str) -> None:
         ],
     )  # fmt: skip
     count = 11  # no multiple of the lanes
-    x, u, h, h0_s, p = _points(count)
+    x, u, h, h0_s, p = _points(dynamics, count)
     rng = np.random.default_rng(5)
     weights = rng.standard_normal((count, model.nx)), rng.standard_normal((count, rows))
     made = Engine(model, engine)
@@ -174,11 +218,13 @@ def _evaluated(
 
 
 def test_other_weights_limits_and_values_need_no_other_kernel() -> None:
-    first = _dynamics(True, "world")
+    first = _dynamics(True, "world", (*_DRAG, *_LOADS["torque"]))
     layout = Layout(hidden=(8, 5))
     other = ResidualModel(
         parts=tuple((effect, tuple(0.5 * value for value in theta)) for effect, theta in first.model.parts),
+        adjusted=first.model.adjusted,
         network=Network(layout=layout, xi=np.ones(layout.size)),
+        count_loads=True,
     )
     models = [
         Dynamics(vehicle=_VEHICLE, model=model, augmented=True).stage_model(

@@ -14,6 +14,7 @@ from host.effects import load_effects
 from host.models.region import Region
 from host.plan import Plan, ResidualModel, plan
 from host.plan.pareto import Point
+from host.plan.problem import SolveStatus
 from host.plan.profile import profile
 from host.plan.sensitivity import sensitivity
 from host.plan.table import from_reference
@@ -88,7 +89,7 @@ def test_plan_page_of_the_same_plan_is_the_same_bytes(made: Plan) -> None:
 def test_plan_page_says_the_solvers_status_in_words() -> None:
     shot = plan(ROUTE, VEHICLE, kind="min-residual", model=MODEL)
     html = page(shot, ROUTE, VEHICLE, MODEL, {})
-    assert f"the solver converged: {shot.iterations} iterations in" in html
+    assert f"{SolveStatus[shot.status.upper()].value}: {shot.iterations} iterations in" in html
     assert "greatest distance from the solver&#39;s path" in html
 
 
