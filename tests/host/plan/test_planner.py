@@ -100,6 +100,35 @@ def test_min_residual_predicts_less_residual_than_the_others() -> None:
     assert rms["min-residual"] < rms["min-control"]
 
 
+@pytest.mark.parametrize(
+    ("name", "theta", "share"),
+    [
+        ("thrust-gain", (0.8,), 0.97),
+        ("ground-effect", (0.05,), 0.9),
+        ("thrust-inflow", (0.5,), 0.8),
+        ("com-offset", (0.03, 0.02), 0.93),
+        ("gyroscopic", (40.0,), 0.8),
+    ],
+)
+def test_min_residual_under_a_thrust_or_torque_effect_has_less_of_it(
+    name: str, theta: tuple[float, ...], share: float
+) -> None:
+    model = ResidualModel(parts=((EFFECTS[name], theta),))
+    made = {kind: plan(ROUTE, VEHICLE, kind=kind, model=model) for kind in ("min-control", "min-residual")}
+    _assert_flyable(made["min-residual"])
+    rms = {kind: one.residual_rms_m_s2 or math.inf for kind, one in made.items()}
+    assert rms["min-residual"] < share * rms["min-control"]
+
+
+def test_constant_bias_leaves_the_plan_as_it_is() -> None:
+    bias = ((EFFECTS["torque-bias"], (2.0, 1.0, 0.5)), (EFFECTS["frame-tilt"], (0.02, 0.01)))
+    made = plan(ROUTE, VEHICLE, kind="min-residual", model=ResidualModel(parts=(*DRAG.parts, *bias)))
+    before = _planned("min-residual")
+    assert made.residual_rms_m_s2 == pytest.approx(before.residual_rms_m_s2, rel=1e-6)
+    found, wanted = (np.array([node.state[:3] for node in one.reference.nodes]) for one in (made, before))
+    np.testing.assert_allclose(found, wanted, atol=1e-3)
+
+
 @pytest.mark.parametrize("seed", [3, 4])
 def test_min_residual_is_tracked_better_under_drag_than_min_snap(seed: int) -> None:
     # The closed loop of the nominal law with drag, integrated: whole flights in phi.
