@@ -42,8 +42,8 @@ Array = NDArray[np.float64]
 STATES, INPUTS = 16, 4
 YAW, SMOOTHING, CONTROL, THRUST_RATE, YAW_WEIGHT, TIME, SPEED_MAX, JERK_MAX = range(8)
 """An interval's parameters: the heading asked for, a factor on the weight of the thrust rates, the weights,
-the limits. Behind them the residual at rest (6) and the effects' values: all that may change without a
-rebuild."""
+the limits. Behind them the residual at rest (6), the effects' values, and where a path is tracked the weight
+of that and the position (3) on it: all that may change without a rebuild."""
 REST = slice(8, 14)
 EFFECTS = REST.stop
 _STEP = 1e-6
@@ -174,13 +174,15 @@ class Weights:
     control: of the squared rotor thrusts in units of hover thrust (the paper's lambda_r = 0.1 per N^2 on its
     0.752 kg vehicle is 0.34). thrust_rate: of their squared rates in 1/s: without it the plan ripples as fast
     as its nodes allow. yaw: of the squared deviation from the heading asked for, in radians; large, because
-    the flat reference has no other heading. time: per second, where the total time is free.
+    the flat reference has no other heading. time: per second, where the total time is free. tracking: of the
+    squared distance in m from the path to track, where there is one.
     """
 
     control: float = 0.04
     thrust_rate: float = 0.004
     yaw: float = 1e4
     time: float = 0.0
+    tracking: float = 100.0
 
     def scaled(self, factor: float) -> Weights:
         """All weights times the factor."""
@@ -189,10 +191,11 @@ class Weights:
             thrust_rate=factor * self.thrust_rate,
             yaw=factor * self.yaw,
             time=factor * self.time,
+            tracking=factor * self.tracking,
         )
 
     def __post_init__(self) -> None:
-        for name in ("control", "thrust_rate", "yaw", "time"):
+        for name in ("control", "thrust_rate", "yaw", "time", "tracking"):
             value = getattr(self, name)
             if not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and name == "time"))):
                 raise ValueError(f"weight {name} must be positive, not {value!r}")
@@ -256,15 +259,21 @@ class Dynamics:
         weights: Weights | None = None,
         limits: Limits | None = None,
         rest: Array | None = None,
+        tracked_ned: Array | None = None,
     ) -> Array:
-        """(np, n): an interval's parameters, for n headings; what is not given is the default."""
+        """(np, n): an interval's parameters, for n headings; what is not given is the default.
+
+        tracked_ned: (3, n) where the path to track is at the interval's start; None for no such rows.
+        """
         weights, limits = weights or Weights(), limits or self.vehicle.limits
         shared = [smoothing, weights.control, weights.thrust_rate, weights.yaw, weights.time]
         shared += [limits.speed_max_m_s, limits.jerk_max_m_s3, *(np.zeros(6) if rest is None else rest)]
         rows = np.concatenate([[0.0], shared, self.theta])
         out = np.repeat(rows[:, None], len(yaw), axis=1)
         out[YAW] = yaw
-        return out
+        if tracked_ned is None:
+            return out
+        return np.vstack([out, np.full(len(yaw), weights.tracking), tracked_ned])
 
     def _unrest(self, unknown: Array, yaw: float, v_ned: Sequence[float]) -> Array:
         """(6, n) acceleration and angular acceleration without turning, at roll, pitch and thrusts (6, n)."""
@@ -307,21 +316,28 @@ class Dynamics:
             raise ValueError(f"the model has no steady flight at {list(v_ned)} m/s near level flight")
         raise ValueError("the model has no state of rest near level flight: its values cannot be right")
 
-    def stage_model(self, *, minimise_residual: bool, weigh_time: bool, free_yaw: bool = False) -> StageModel:
+    def stage_model(
+        self, *, minimise_residual: bool, weigh_time: bool, free_yaw: bool = False, track_path: bool = False
+    ) -> StageModel:
         """The interval's model; path rows as TILT_ROW and so on; weights, limits, values are parameters.
 
-        free_yaw: no heading is asked for, and its rate is a path row.
+        free_yaw: no heading is asked for, and its rate is a path row. track_path: the cost counts the squared
+        distance from a path too, the parameters' last four rows.
         """
+        tracking = EFFECTS + len(self.theta)
 
         def effort(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
             thrust = x[THRUST]
             turn = 0.0 if free_yaw else x[THETA.stop - 1] - p[YAW]
-            return (
+            total = (
                 p[CONTROL] * ca.dot(thrust, thrust)
                 + p[SMOOTHING] * p[THRUST_RATE] * ca.dot(u, u)
                 + p[YAW_WEIGHT] * turn * turn
                 + p[TIME]
             )
+            if track_path:
+                total += p[tracking] * ca.sumsqr(x[P] - p[tracking + 1 : tracking + 4])
+            return total
 
         def path(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
             rows = [
@@ -339,7 +355,7 @@ class Dynamics:
         return StageModel(
             nx=STATES,
             nu=INPUTS,
-            np=EFFECTS + len(self.theta),
+            np=tracking + (4 if track_path else 0),
             derivative=self.derivative,
             residual=residual if minimise_residual else None,
             effort=effort,

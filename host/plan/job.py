@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from host.errors import UsageError
 from host.plan.dynamics import Dynamics
 from host.plan.judge import Judged, judge, measure, passings
-from host.plan.result import Kind, Plan, Settings
+from host.plan.result import Kind, Plan, Settings, label
 from host.plan.snap import optimise_durations
 from host.plan.table import Table, snap_table
 from host.route import Route
@@ -47,7 +47,7 @@ class Job:
     @property
     def label(self) -> str:
         """The kind as the paper writes it, with a star for augmented dynamics."""
-        return f"{self.kind}{'*' if self.dynamics.augmented else ''}"
+        return label(self.kind, self.dynamics.augmented)
 
     @property
     def waypoints_ned(self) -> Array:

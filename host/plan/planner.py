@@ -1,13 +1,14 @@
 """`plan`: from a route to a checked reference.
 
-Three kinds. min-snap: the minimum-snap spline with optimised leg times; it knows no limits, so it is refused,
+Kinds. min-snap: the minimum-snap spline with optimised leg times; it knows no limits, so it is refused,
 or stretched in time where allowed, if it breaks one. min-control and min-residual: paper eqs. 10-11 by
 multiple shooting within the vehicle's limits. With nominal dynamics the reference is feasible for the nominal
 vehicle, which is what a flatness-based law assumes (paper section IV-C.4). With augmented dynamics (`*` in
 the paper) the path is feasible for the vehicle *with* its effects: the reference holds that path's position,
 velocity, acceleration and jerk; the law's flat attitude and thrust for it lack what the effects add, and only
 a law that feeds the effects forward, or an MPC with the same model, asks for the planned attitude and thrust.
-Either way the limits are judged on the flat reference, as on board.
+Either way the limits are judged on the flat reference, as on board. min-control-r is the paper's baseline
+(section V-B.1): min-control with nominal dynamics, then the path nearest to it with augmented dynamics.
 
 The shooting problem starts on the straight lines between the waypoints; where that fails, along the min-snap
 spline. A finished reference that leaves the limits between nodes is solved again in a box tightened by the
@@ -27,7 +28,7 @@ from host.plan.box import within_region
 from host.plan.dynamics import Dynamics, ResidualModel
 from host.plan.heading import check_turnable
 from host.plan.job import Job
-from host.plan.result import Kind, Plan, Settings, parse_kind
+from host.plan.result import Kind, Plan, Settings, label, parse_kind
 from host.plan.rounds import plan_shooting
 from host.plan.shooting import NODES_MAX
 from host.plan.stretch import plan_snap
@@ -53,12 +54,12 @@ def plan(
 ) -> Plan:
     """A checked plan for the route. The same arguments give the same reference.
 
-    kind: one of KINDS; a `*` behind it plans with the model in the dynamics. model: needed by min-residual
-    and `*`; `effects` are those its names refer to, the shipped ones by default. headroom: limits tighter
-    than the route's. total_time_s: instead of the route's. time_box: the total time is free within these
-    shares of it, at the price of time_weight (1 by default) a second, in the unit of the weights. stretch: a
-    min-snap plan that breaks a limit takes more time. nodes: about how many shooting intervals, None for one
-    about every 70 ms. source: names the route in errors, its name by default.
+    kind: one of KINDS; a `*` behind it has the model in the dynamics. model: needed by all but min-snap
+    and min-control; `effects` are those its names refer to, the shipped ones by default. headroom: limits
+    tighter than the route's. total_time_s: instead of the route's. time_box: the total time is free within
+    these shares of it, at the price of time_weight (1 by default) a second, in the unit of the weights.
+    stretch: a min-snap plan that breaks a limit takes more time. nodes: about how many shooting intervals,
+    None for one about every 70 ms. source: names the route in errors, its name by default.
 
     Raises ConfigurationError or UsageError (exit code 2) for what contradicts itself before solving,
     PlanRefused (1) with node and reason, PlanUnsolved (4).
@@ -106,6 +107,11 @@ def make_job(
     dynamics = Dynamics(
         vehicle=vehicle, model=_residual_model(model, effects, vehicle, name, augmented), augmented=augmented
     )
+    if route.yaw.free and name == "min-control-r":
+        raise UsageError(
+            f"{source or route.name}: yaw.free: min-control-r tracks a path with its heading; give the "
+            "heading, or plan min-control"
+        )
     if route.yaw.free and (name == "min-residual" or augmented):
         check_turnable(dynamics, source or route.name)
     if augmented:
@@ -135,7 +141,7 @@ def _residual_model(
             raise UsageError(str(error)) from None
     if model is None:
         if kind == "min-residual" or augmented:
-            raise UsageError(f"{kind}{'*' if augmented else ''} needs a model, give --model")
+            raise UsageError(f"{label(kind, augmented)} needs a model, give --model")
         return ResidualModel()
     if kind == "min-residual" and not model.has_residual(vehicle):
         raise UsageError(

@@ -14,18 +14,28 @@ from host.plan.problem import SolveStatus
 from host.vehicle import Limits
 from protocol.blobs import Reference
 
-Kind = Literal["min-snap", "min-control", "min-residual"]
-KINDS: tuple[Kind, ...] = ("min-snap", "min-control", "min-residual")
+Kind = Literal["min-snap", "min-control", "min-residual", "min-control-r"]
+KINDS: Mapping[str, tuple[Kind, bool]] = {
+    "min-snap": ("min-snap", False),
+    "min-control": ("min-control", False),
+    "min-residual": ("min-residual", False),
+    "min-control*": ("min-control", True),
+    "min-residual*": ("min-residual", True),
+    "min-control-r": ("min-control-r", True),
+}
+"""Kind and whether its dynamics are augmented, by the name that the paper gives it."""
 
 
 def parse_kind(text: str) -> tuple[Kind, bool]:
-    """The kind, and whether its dynamics are augmented: `min-residual*`. Raises UsageError."""
-    star = text.endswith("*")
-    for kind in KINDS:
-        if text.removesuffix("*") == kind and not (star and kind == "min-snap"):
-            return kind, star
-    known = ", ".join([*KINDS, *(f"{kind}*" for kind in KINDS[1:])])
-    raise UsageError(f"{text}: no such kind of plan, known: {known}")
+    """The kind, and whether its dynamics are augmented, of a name in KINDS. Raises UsageError."""
+    if text not in KINDS:
+        raise UsageError(f"{text}: no such kind of plan, known: {', '.join(KINDS)}")
+    return KINDS[text]
+
+
+def label(kind: Kind, augmented: bool) -> str:
+    """The name in KINDS."""
+    return next(text for text, known in KINDS.items() if known == (kind, augmented))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,12 +82,13 @@ class Settings:
 class Plan:
     """A checked reference and what is known about it.
 
-    limits: those it was judged by, of vehicle, route and headroom together. margins: least distance to each
-    limit over the whole reference. residual_rms_m_s2: predicted along it, None without a model.
-    outside_region: share of it beyond the region that the model's data covers, None where that is not known.
-    deviation_m: largest distance from the solver's path, None for min-snap. stretch: of the route's time.
-    intervals: of the shooting problem; rounds: solves. solve_s: processor time; first_solve_s: of the first
-    round's solver alone, on all its grids, None for min-snap. These two vary from run to run, nothing else.
+    kind, augmented: as of `parse_kind`. limits: those it was judged by, of vehicle, route and headroom
+    together. margins: least distance to each limit over the whole reference. residual_rms_m_s2: predicted
+    along it, None without a model. outside_region: share of it beyond the region that the model's data
+    covers, None where that is not known. deviation_m: largest distance from the solver's path, None for
+    min-snap. stretch: of the route's time. intervals: of the shooting problem; rounds: solves. solve_s:
+    processor time; first_solve_s: of the first round's solver alone, on all its grids, None for min-snap.
+    These two vary from run to run, nothing else.
     """
 
     reference: Reference
@@ -99,6 +110,11 @@ class Plan:
     iterations: int
     solve_s: float
     first_solve_s: float | None
+
+    @property
+    def label(self) -> str:
+        """The kind as the paper writes it, with a star for augmented dynamics."""
+        return label(self.kind, self.augmented)
 
 
 class PlanRefused(Refused):

@@ -4,7 +4,7 @@ Coarser grids are solved first, for a start and for the first tightening of the 
 the limits between nodes is solved again, warm, in a box tightened by the excess.
 Where it leaves them by much, or the solver keeps wandering, the path ripples as fast as its nodes allow: then
 the weight of the thrust rates doubles too. A solve that fails starts anew: on the straight lines, then along
-the min-snap path.
+the min-snap path. A refinement has one start, the path of the plan that it tracks.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from host.plan.result import Plan, PlanRefused, PlanUnsolved
 from host.plan.shooting import (
     NODE_S,
     Grid,
+    along,
     coarser,
     deviation_m,
     linear_start,
@@ -40,6 +41,7 @@ from host.plan.shooting import (
     yaw_profile,
 )
 from host.plan.solver import solve
+from host.plan.table import from_reference
 from protocol.blobs import YawNode
 
 Array = NDArray[np.float64]
@@ -57,19 +59,21 @@ _NEARLY_FEASIBLE = 0.05
 """Constraint violation up to which an unfinished iterate is worth going on from."""
 _COARSE_GAP = 10.0
 """How many tolerances the rows of a grid may miss by that only gives a start."""
+_TRACKABLE = 0.95
+"""Share of the limits of tilt and jerk that a path to track may use: what tracks it sways around it."""
 _REMEDY = "give it more time, headroom or nodes"
 _NO_WAY = (SolveStatus.INFEASIBLE, SolveStatus.RESTORATION)
 
 
 def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
-    """The min-control or min-residual plan.
+    """The plan of a kind other than min-snap.
 
     Raises PlanRefused where the limits leave no way, with node and reason where a reference came close, and
     PlanUnsolved where the solver gave up otherwise.
     """
     started = time.process_time()
-    grid = make_grid(job.durations(), nodes, times_fixed=job.route.times_s is not None)
-    run = _Run(job, grid)
+    run = _begin(job, nodes)
+    grid = run.grid
     while run.rounds < job.settings.rounds:
         solution = run.solve()
         if not solution.status.usable:
@@ -81,7 +85,7 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
                 status=solution.status.name.lower(),
                 solve_s=time.process_time() - started,
                 first_solve_s=run.first_solve_s,
-                rounds=run.rounds,
+                rounds=run.rounds + run.rounds_before,
                 iterations=run.iterations,
                 intervals=len(solution.t_s) - 1,
                 deviation_m=deviation_m(run.engine, run.problem, solution, judged.table),
@@ -95,11 +99,25 @@ def first_round(job: Job, *, nodes: int | None) -> tuple[Engine, Problem, Soluti
 
     The solution's time is that of the solver on all grids.
     """
-    grid = make_grid(job.durations(), nodes, times_fixed=job.route.times_s is not None)
-    run = _Run(job, grid)
-    problem = run.make_problem(grid)
+    run = _begin(job, nodes)
+    problem = run.make_problem(run.grid)
     solution = run.solve()
     return run.engine, problem, replace(solution, solve_s=run.first_solve_s)
+
+
+def _begin(job: Job, nodes: int | None) -> _Run:
+    """The run before its first round; of min-control-r, after the plan that it refines."""
+    grid = make_grid(job.durations(), nodes, times_fixed=job.route.times_s is not None)
+    if job.kind != "min-control-r":
+        return _Run(job, grid)
+    nominal = replace(job.dynamics, augmented=False)
+    within = job.limits.model_copy(
+        update={name: _TRACKABLE * getattr(job.limits, name) for name in ("tilt_max_deg", "jerk_max_m_s3")}
+    )
+    first = plan_shooting(replace(job, kind="min-control", dynamics=nominal, limits=within), nodes=nodes)
+    # The same nodes, at the times of that plan.
+    h0_s = np.diff(first.waypoint_times_s) / grid.counts
+    return _Run(job, replace(grid, h0_s=h0_s, times_fixed=True), first)
 
 
 def _scale(job: Job, grid: Grid) -> float:
@@ -115,15 +133,16 @@ class _Start(IntEnum):
     """Where a solve without a predecessor begins, in the order they are tried."""
 
     LINEAR = 0
-    SNAP = 1
+    PATH = 1
 
 
 class _Run:
-    """What lasts from round to round."""
+    """What lasts from round to round. first: the plan whose path is tracked, in a refinement."""
 
-    def __init__(self, job: Job, grid: Grid) -> None:
+    def __init__(self, job: Job, grid: Grid, first: Plan | None = None) -> None:
         self.job, self.grid = job, grid
         self.free_yaw = job.yaw_rate_max_rad_s is not None
+        self._tracked = None if first is None else from_reference(first.reference)
         self.box = SolverBox.inside(job.limits, job.yaw_rate_max_rad_s)
         settings = job.settings
         self.engine = Engine(
@@ -131,26 +150,29 @@ class _Run:
                 minimise_residual=job.kind == "min-residual",
                 weigh_time=settings.weigh_time,
                 free_yaw=self.free_yaw,
+                track_path=first is not None,
             )
         )
-        self._yaws = job.yaws()
+        self._yaws = self._path_yaws = job.yaws() if first is None else first.reference.yaw_nodes()
         self._weights = settings.weights.scaled(_scale(job, grid))
         self._rest = np.zeros(6)
         if job.kind == "min-residual" and not settings.count_bias:
             heading = 0.0 if self.free_yaw else self._yaws[0].yaw
             self._rest = job.dynamics.model.at_rest(job.dynamics.vehicle, heading)
         self.problem: Problem
-        self.rounds = self.iterations = 0
-        self.first_solve_s = 0.0
+        self.rounds = 0
+        self.rounds_before = 0 if first is None else first.rounds
+        self.iterations = 0 if first is None else first.iterations
+        self.first_solve_s = 0.0 if first is None else first.first_solve_s or 0.0
         self._smoothing = 1.0
-        self._start = _Start.LINEAR
+        self._start = _Start.LINEAR if first is None else _Start.PATH
         self._last: Solution | None = None
         self._near: Judged | None = None
 
     def solve(self) -> Solution:
-        """The round's last iterate. Without one to begin with, coarser grids are solved first."""
+        """The round's last iterate. Without a path or one to begin with, coarser grids are solved first."""
         grids = [self.grid]
-        while self._last is None and (half := coarser(grids[-1])) is not None:
+        while self._last is None and self._tracked is None and (half := coarser(grids[-1])) is not None:
             grids.append(half)
         before: tuple[Problem, Solution, Grid] | None = None
         for grid in reversed(grids):
@@ -220,7 +242,7 @@ class _Run:
         elif self._last is not None:
             self._last = None
         elif self._start is _Start.LINEAR:
-            self._start = _Start.SNAP
+            self._start = _Start.PATH
         else:
             raise self.failure(solution)
 
@@ -247,9 +269,9 @@ class _Run:
             start = self._last.x, self._last.u
         elif before is not None:
             start = on_grid(self.engine, *before, grid)
-        elif self._start is _Start.SNAP:
-            path = job.snap(grid.counts * grid.h0_s)
-            start = table_start(job.dynamics, path, grid, job.yaws())
+        elif self._start is _Start.PATH:
+            path = self._tracked or job.snap(grid.counts * grid.h0_s)
+            start = table_start(job.dynamics, path, grid, self._path_yaws)
         else:
             start = linear_start(job.dynamics, job.waypoints_ned, grid, yaw)
         low, high = settings.total_time_box
@@ -275,6 +297,7 @@ class _Run:
             gates=job.route.gates or (),
             shapes=len(job.route.keep_out),
             free_yaw=self.free_yaw,
+            tracked_ned=None if self._tracked is None else along(self._tracked, grid.times_s),
         )
         if last is None:
             return problem

@@ -139,6 +139,11 @@ def table_start(dynamics: Dynamics, table: Table, grid: Grid, yaws: Sequence[Yaw
     return x, u
 
 
+def along(table: Table, times_s: Array) -> Array:
+    """(3, n) position on a table at these times."""
+    return evaluate(table, np.minimum(times_s * 1e6, float(table.times_us[-1])))[0]
+
+
 def make_problem(
     dynamics: Dynamics,
     waypoints_ned: Array,
@@ -159,12 +164,13 @@ def make_problem(
     gates: Sequence[Gate],
     shapes: int,
     free_yaw: bool = False,
+    tracked_ned: Array | None = None,
 ) -> Problem:
     """The problem in this box. yaw: (N + 1,) heading asked for at the nodes, with free_yaw only at the
     first, and at rest at both ends; smoothing: factor on the weight of the thrust rates; unavoidable: (6,)
     residual left out of the cost;
     end_velocities_ned: at the start and at the end, where nothing accelerates; gates: of the waypoints that
-    need not be met exactly; shapes: how many.
+    need not be met exactly; shapes: how many; tracked_ned: (3, N + 1) positions to stay close to.
     """
     count = int(grid.counts.sum())
     low, high = np.full((STATES, count + 1), -np.inf), np.full((STATES, count + 1), np.inf)
@@ -211,7 +217,12 @@ def make_problem(
         shared_steps=shared_steps,
         h0_s=grid.h0_s[grid.leg_of],
         parameters=dynamics.parameters(
-            yaw[:-1], smoothing=smoothing, weights=weights, limits=limits, rest=unavoidable
+            yaw[:-1],
+            smoothing=smoothing,
+            weights=weights,
+            limits=limits,
+            rest=unavoidable,
+            tracked_ned=None if tracked_ned is None else tracked_ned[:, :-1],
         ),
         x_bounds=(low, high),
         u_bounds=(-change, change),
@@ -259,8 +270,7 @@ def smooth(engine: Engine, problem: Problem, solution: Solution, grid: Grid, way
 def deviation_m(engine: Engine, problem: Problem, solution: Solution, table: Table) -> float:
     """Largest distance of the table from the solution, at eight points an interval."""
     times_s, x = _within(engine, problem, solution, tuple(k / 8 for k in range(8)))
-    path = evaluate(table, np.minimum(times_s * 1e6, float(table.times_us[-1])))[0]
-    return float(np.linalg.norm(path - x[P], axis=0).max())
+    return float(np.linalg.norm(along(table, times_s) - x[P], axis=0).max())
 
 
 def _within(

@@ -19,7 +19,7 @@ _MEASURES = {
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
     """The study's picture by file stem."""
-    others = [kind for kind in KINDS if kind not in ("min-snap", "min-control*")]
+    others = [kind for kind in KINDS if kind not in ("min-snap", "min-control*", "min-control-r")]
     ratios = {
         title: {kind: [_over(course["kinds"], kind, key) for course in outcome["courses"]] for kind in others}
         for title, key in _MEASURES.items()

@@ -53,7 +53,7 @@ def page(
     inside = inside_gates(table, gates)
     return render(
         "plan.html.j2",
-        title=f"{route.name}: {_label(plan)}",
+        title=f"{route.name}: {plan.label}",
         sentence=_sentence(plan),
         figures=[
             path(route, along),
@@ -79,10 +79,6 @@ def _timeless(plan: Plan) -> dict[str, Any]:
     return {name: value for name, value in figures(plan).items() if name != "solve_s"}
 
 
-def _label(plan: Plan) -> str:
-    return f"{plan.kind}{'*' if plan.augmented else ''}"
-
-
 def _sentence(plan: Plan) -> str:
     text = (
         f"{plan.path_length_m:.1f} m in {plan.duration_s:.2f} s, {plan.mean_speed_m_s:.2f} m/s in the mean, "
@@ -96,7 +92,7 @@ def _sentence(plan: Plan) -> str:
 def _facts(plan: Plan, off: Sensitivity | None) -> list[tuple[str, str]]:
     """Names and values of what holds for the plan as a whole."""
     dynamics = "with the model in the dynamics" if plan.augmented else "with nominal dynamics"
-    rows = [("kind", f"{_label(plan)}, {dynamics}"), ("status", status_words(plan))]
+    rows = [("kind", f"{plan.label}, {dynamics}"), ("status", status_words(plan))]
     time_s = f"{plan.duration_s:.3f} s"
     if plan.stretch > 1.0:
         time_s += f", {plan.stretch:.3f} times the route's"

@@ -47,7 +47,8 @@ def command(
     model
         Model of what the nominal vehicle lacks, a .model.toml file.
     kind
-        min-snap, min-control or min-residual; with a star behind it the model is part of the dynamics.
+        min-snap, min-control or min-residual; with a star behind the latter two the model is part of the
+        dynamics. min-control-r: min-control, then its path tracked with the model in the dynamics.
         By default min-residual where a model is given that predicts a residual, else min-snap.
     nodes
         About how many shooting intervals, 20 to 1600; one about every 70 ms by default.
@@ -179,9 +180,8 @@ def _headroom(low: float, high: float) -> LimitsOverride:
 
 def _lines(plan: Plan, target: Path, report: Path | None) -> list[str]:
     """The plan for people."""
-    star = "*" if plan.augmented else ""
     first = (
-        f"{target}: {plan.kind}{star}, {plan.duration_s:.2f} s, {plan.path_length_m:.1f} m, "
+        f"{target}: {plan.label}, {plan.duration_s:.2f} s, {plan.path_length_m:.1f} m, "
         f"{plan.mean_speed_m_s:.2f} m/s in the mean, {len(plan.reference.nodes)} nodes"
     )
     if plan.stretch > 1.0:

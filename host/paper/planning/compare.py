@@ -30,7 +30,7 @@ from host.vehicle import Vehicle
 WORLD = "paper-drag"
 DRAG = (0.5, 0.5, 0.1)
 """1/s along FRD, the paper's simulation."""
-KINDS = ("min-snap", "min-control", "min-control*", "min-residual", "min-residual*")
+KINDS = ("min-snap", "min-control", "min-control*", "min-control-r", "min-residual", "min-residual*")
 NODES = 400
 _TRAINING = 6
 _PACES = (1.0, 0.75)

@@ -151,3 +151,8 @@ def test_residual_at_rest_turns_with_a_free_heading() -> None:
         x = dynamics.steady(yaw)
         costs.append(float(ca.DM(value(x, np.zeros(4), 1.0, 0.05, p)[1])))
     assert costs == pytest.approx([0.04 * 4.0] * 3, abs=1e-9)
+
+
+def test_min_control_r_with_a_free_heading_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"yaw\.free: min-control-r tracks a path with its heading"):
+        plan(FREE, VEHICLE, kind="min-control-r", model=ROUND)

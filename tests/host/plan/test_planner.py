@@ -32,7 +32,7 @@ ROUTE = Route(
     waypoints_m=((-1.6, -0.9, -1.2), (1.7, 1.2, -1.6), (0.0, 2.4, -2.0), (-2.0, 0.0, -1.4)),
     total_time_s=4.6,
 )
-ALL_KINDS = ("min-snap", "min-control", "min-control*", "min-residual", "min-residual*")
+ALL_KINDS = ("min-snap", "min-control", "min-control*", "min-control-r", "min-residual", "min-residual*")
 
 
 @functools.cache
@@ -57,7 +57,7 @@ def test_plan_of_any_kind_is_within_limits_and_passes_its_waypoints(kind: str) -
     made = _planned(kind)
     _assert_flyable(made)
     assert made.duration_s == pytest.approx(4.6, abs=2e-6)
-    assert (made.kind, made.augmented) == (kind.removesuffix("*"), kind.endswith("*"))
+    assert (made.label, made.augmented) == (kind, kind.endswith(("*", "-r")))
     table = from_reference(made.reference)
     at = np.rint(np.array(made.waypoint_times_s) * 1e6)
     np.testing.assert_allclose(evaluate(table, at)[0].T, ROUTE.waypoints_m, atol=2e-5)
@@ -127,6 +127,27 @@ def test_constant_bias_leaves_the_plan_as_it_is() -> None:
     assert made.residual_rms_m_s2 == pytest.approx(before.residual_rms_m_s2, rel=1e-6)
     found, wanted = (np.array([node.state[:3] for node in one.reference.nodes]) for one in (made, before))
     np.testing.assert_allclose(found, wanted, atol=1e-3)
+
+
+def test_min_control_r_tracks_the_min_control_path_with_the_model_in_its_dynamics() -> None:
+    first, refined = _planned("min-control"), _planned("min-control-r")
+    assert refined.waypoint_times_s == pytest.approx(first.waypoint_times_s, abs=1e-3)
+    assert refined.rounds > first.rounds
+    loose = plan(
+        ROUTE,
+        VEHICLE,
+        kind="min-control-r",
+        model=DRAG,
+        settings=Settings(weights=Weights(tracking=1e-3, thrust_rate=0.04)),
+    )
+    at = np.linspace(0.0, 4.6e6, 500)
+    path = evaluate(from_reference(first.reference), at)[0]
+    off, far = (
+        float(np.linalg.norm(evaluate(from_reference(made.reference), at)[0] - path, axis=0).max())
+        for made in (refined, loose)
+    )
+    assert off < 0.02
+    assert far > 2.0 * off
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -341,6 +362,8 @@ def test_judge_names_the_gate_that_is_missed() -> None:
         ({"kind": "min-snap*"}, "no such kind"),
         ({"kind": "min-residual"}, "needs a model"),
         ({"kind": "min-control*"}, "needs a model"),
+        ({"kind": "min-control-r"}, "min-control-r needs a model"),
+        ({"kind": "min-control-r*"}, "no such kind"),
         ({"kind": "min-residual", "model": ResidualModel()}, "no network and names no effect"),
         ({"kind": "min-control", "nodes": 5}, "--nodes 5: give"),
         ({"total_time_s": -1.0}, "--time-s -1: give a time above 0"),

@@ -235,6 +235,24 @@ def test_other_weights_limits_and_values_need_no_other_kernel() -> None:
     assert kernel_source(models[0]) == kernel_source(models[1])
 
 
+def test_cost_of_a_tracked_path_is_its_weight_times_the_squared_distance() -> None:
+    dynamics = _dynamics(True, None)
+    tracked = np.array([[1.0], [2.0], [-1.5]])
+    p = dynamics.parameters(np.zeros(1), weights=Weights(tracking=7.0), tracked_ned=tracked)
+    plain, tracking = (
+        dynamics.stage_model(minimise_residual=False, weigh_time=True, track_path=track)
+        for track in (False, True)
+    )
+    x = dynamics.steady(0.0)
+    x[:3] = (1.5, 2.0, -1.0)
+    cost = [
+        float(model.effort(ca.SX(x), ca.SX(INPUTS, 1), ca.SX(p[: model.np, 0])))
+        for model in (plain, tracking)
+    ]
+    assert cost[1] - cost[0] == pytest.approx(7.0 * 0.5)
+    assert p.shape[0] == tracking.np
+
+
 def test_stage_functions_of_the_same_model_have_the_same_instructions() -> None:
     first, second = (build_stage(_stage_model(True, "world", True, True)) for _ in range(2))
     assert first.hessian.serialize() == second.hessian.serialize()
