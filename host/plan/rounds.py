@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from host.models.dynamics import P
 from host.plan.box import SolverBox
-from host.plan.dynamics import YAW
+from host.plan.dynamics import YAW, ResidualModel
 from host.plan.fatrop import Enough
 from host.plan.heading import yaw_nodes
 from host.plan.intervals import Engine
 from host.plan.job import Effort, Job
 from host.plan.judge import Judged, measure
 from host.plan.problem import Problem, Solution, SolveStatus
+from host.plan.profile import profile
 from host.plan.result import Plan, PlanRefused, PlanUnsolved
 from host.plan.shooting import (
     NODE_S,
@@ -73,7 +74,6 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
     """
     started = time.process_time()
     run = _begin(job, nodes)
-    grid = run.grid
     while run.rounds < job.settings.rounds:
         solution = run.solve()
         if not solution.status.usable:
@@ -257,8 +257,23 @@ class _Run:
         tries = f"{self.iterations} iterations in {self.rounds} rounds"
         status = SolveStatus.ITERATIONS if solution is None else solution.status
         if status in _NO_WAY or (solution is not None and solution.violation > _NEARLY_FEASIBLE):
-            return PlanRefused(f"no {label} plan: no way within the limits was found ({tries}); {_REMEDY}")
+            return PlanRefused(
+                f"no {label} plan: no way within the limits was found ({tries}){self._broken()}; {_REMEDY}"
+            )
         return PlanUnsolved(f"no {label} plan: {status.value} ({tries}); {_REMEDY}", status)
+
+    def _broken(self) -> str:
+        """What the min-snap path breaks most, as a share of the limit, and where: a hint at what binds."""
+        job = self.job
+        path = job.snap(self.grid.counts * self.grid.h0_s)
+        seen = profile(job.dynamics.vehicle, ResidualModel(), path, self._path_yaws)
+        margins = seen.margins(job.limits, job.route.keep_out)
+        name = max(margins, key=lambda each: self.box.excess({each: float(margins[each].min())}))
+        k = int(margins[name].argmin())
+        by, node, t_s = -margins[name][k], seen.node[k], seen.t_s[k]
+        return (
+            f", the min-snap path breaks {name} by {by:.3g} at node {node}, {t_s:.2f} s" if by > 0.0 else ""
+        )
 
     def make_problem(self, grid: Grid, before: tuple[Problem, Solution, Grid] | None = None) -> Problem:
         """The next round's problem on a grid: from the last round's end, or a coarser grid's solution."""

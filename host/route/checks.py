@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from itertools import pairwise
 
+from firmware_model.law.constants import GRAVITY
 from firmware_model.law.ops import FLOAT
 from host.route.model import Route
 from host.vehicle import ConfigurationError, Limits, Vehicle
@@ -26,6 +27,7 @@ def check_route(route: Route, vehicle: Vehicle, source: str | None = None) -> Li
     limits = route.limits.applied_to(vehicle.limits)
     problems = [
         *_loosened(route, vehicle.limits),
+        *_hoverless(limits, vehicle),
         *_misplaced(route, limits),
         *_too_fast(route, limits),
     ]
@@ -57,6 +59,14 @@ def _loosened(route: Route, limits: Limits) -> Iterator[str]:
     for name, value, bound in intervals:
         if value[0] < bound[0] or value[1] > bound[1]:
             yield f"limits.{name}: {list(value)} leaves the vehicle's {list(bound)}, stay inside it"
+
+
+def _hoverless(limits: Limits, vehicle: Vehicle) -> Iterator[str]:
+    """A headroom that the thrust to hover is outside of."""
+    low, high = limits.thrust_headroom
+    hover = vehicle.mass_kg * GRAVITY / (len(vehicle.rotors) * vehicle.thrust_max_n)
+    if not low < hover < high:
+        yield f"limits.thrust_headroom: [{low:g}, {high:g}] is without hover, {hover:.3f}; take that in"
 
 
 def _misplaced(route: Route, limits: Limits) -> Iterator[str]:

@@ -196,6 +196,7 @@ def route(tmp_path: Path, waypoints: str, total_time_s: float, more: str = "") -
     return "r.toml"
 
 
+@pytest.mark.parametrize("kind", ["min-snap", "min-control", "min-control-r", "min-residual"])
 @pytest.mark.parametrize(
     ("waypoints", "time_s", "more", "parts"),
     [
@@ -213,13 +214,27 @@ def route(tmp_path: Path, waypoints: str, total_time_s: float, more: str = "") -
             "[[gates]]\nwaypoint = 5\nradius_m = 0.3\n",
             ["r.toml", "gates[0].waypoint: 5 is no waypoint between", "give one of 1 to 1"],
         ),
+        (
+            "[[0.0, 0.0, -1.0], [3.0, 0.0, -1.0]]",
+            5.0,
+            "[limits]\nthrust_headroom = [0.1, 0.2]\n",
+            ["r.toml", "limits.thrust_headroom: [0.1, 0.2] is without hover, 0.217"],
+        ),
     ],
-    ids=["outside the fence", "too fast", "inside a shape", "gate for no waypoint"],
+    ids=["outside the fence", "too fast", "inside a shape", "gate for no waypoint", "headroom below hover"],
 )
 def test_route_that_contradicts_itself_is_refused_before_solving(
-    refused: Refused, tmp_path: Path, waypoints: str, time_s: float, more: str, parts: list[str]
+    refused: Refused,
+    tmp_path: Path,
+    drag_model: str,
+    waypoints: str,
+    time_s: float,
+    more: str,
+    parts: list[str],
+    kind: str,
 ) -> None:
-    refused("plan", route(tmp_path, waypoints, time_s, more), code=2, parts=parts)
+    words = ("plan", route(tmp_path, waypoints, time_s, more), "--kind", kind, "--model", drag_model)
+    refused(*words, code=2, parts=parts)
 
 
 def test_waypoints_out_of_reach_in_time_name_node_and_reason(refused: Refused, tmp_path: Path) -> None:

@@ -119,6 +119,12 @@ def test_verb_with_a_model_of_drag_plans_min_residual(
         (["hop", "--time-s", "1e9"], 2, "--time-s 1e+09: give a time above 0 and at most 500 s"),
         (["hop", "--headroom", "0.9", "0.1"], 2, "--headroom 0.9 0.1: give two shares"),
         (["hop", "--headroom", "nan", "nan"], 2, "--headroom nan nan: give two shares"),
+        (
+            ["hop", "--headroom", "0.3", "0.6"],
+            2,
+            "--headroom: limits.thrust_headroom: [0.3, 0.6] is without hover",
+        ),
+        (["hop", "--headroom", "0.1", "0.2"], 2, "is without hover, 0.217; take that in"),
         (["hop", "--headroom", "0.0", "0.9"], 2, "--headroom: limits.thrust_headroom: [0.0, 0.9] leaves"),
         (["hop", "--model", "missing.model.toml"], 2, "cannot be read"),
         (["hop", "-o", "hop.txt"], 2, "ends in .ref"),

@@ -261,7 +261,8 @@ def test_min_snap_too_fast_may_stretch_by_what_it_needs() -> None:
 
 def test_min_control_without_a_way_is_refused() -> None:
     settings = Settings(iterations_max=40)
-    with pytest.raises(PlanRefused, match="no way within the limits was found") as caught:
+    named = r"no way within the limits was found \(.*\), the min-snap path breaks \w+ by \S+ at node \d+, "
+    with pytest.raises(PlanRefused, match=named) as caught:
         plan(ROUTE, VEHICLE, kind="min-control", total_time_s=1.4, nodes=30, settings=settings)
     assert caught.value.exit_code == 1
 
