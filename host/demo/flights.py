@@ -29,7 +29,7 @@ TRUTH_SUFFIX = ".truth.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Airfield:
-    """Where the demo flies: vehicle, name and seed of the world, and what logs may say of the session."""
+    """Where plans are flown: vehicle, name and seed of the world, and what logs may say of the session."""
 
     vehicle: Vehicle
     world: str
@@ -96,7 +96,7 @@ class Airfield:
         try:
             return fly_lockstep(order, simulated)
         except FlightEnded as ended:
-            raise FlightFailed(f"flight {flight} of the demo: {ended}") from ended
+            raise FlightFailed(f"flight {flight}: {ended}") from ended
         finally:
             if _file_number(log) not in (None, before):
                 _seal(simulated.truth(), log)

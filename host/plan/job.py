@@ -22,7 +22,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """What a plan took. deviation_m: of the table from the solver's path. intervals: of the problem."""
+    """What a plan took. deviation_m: of the table from the solver's path. intervals: of the problem.
+
+    lambda_r: as of `Plan`.
+    """
 
     status: str
     solve_s: float
@@ -32,6 +35,7 @@ class Effort:
     intervals: int = 0
     stretch: float = 1.0
     deviation_m: float | None = None
+    lambda_r: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +118,7 @@ class Job:
             mean_speed_m_s=figures.mean_speed_m_s,
             deviation_m=effort.deviation_m,
             stretch=effort.stretch,
+            lambda_r=effort.lambda_r,
             intervals=effort.intervals,
             rounds=effort.rounds,
             iterations=effort.iterations,

@@ -13,6 +13,7 @@ from host.effects import Effect
 from host.errors import UsageError
 from host.models.model import Model
 from host.plan.dynamics import ResidualModel
+from host.plan.flown import Flown
 from host.plan.planner import plan
 from host.plan.profile import profile
 from host.plan.result import Plan, PlanRefused, PlanUnsolved, Settings
@@ -23,14 +24,17 @@ from host.vehicle import Vehicle
 FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0)
 """On the weights of thrusts and their rates, from wild to tame."""
 COLUMNS: Mapping[str, str] = {
+    "lambda_r": "m^2/s^4/N^2",
     "residual": "m/s^2 RMS",
     "jerk": "m/s^3 RMS",
     "tilt": "deg max",
     "thrust": "share max",
     "length": "m",
+    "flown": "mm mean",
+    "clipped": "%",
     "solve": "s",
 }
-"""Of a table for people: unit by title."""
+"""Of a table for people: unit by title. lambda_r: the paper's weight of control effort, there 0.1."""
 REFUSED, UNSOLVED = "refused", "unsolved"
 
 
@@ -41,6 +45,7 @@ class Point:
     kind: with its star. factor: on the default weights; None for the kinds that stand beside. status: of the
     plan, `refused` or `unsolved`; reason: None where there is a plan. jerk_rms_m_s3, tilt_max_deg,
     thrust_share_max (of a rotor's greatest): along the reference, None without one. solve_s: processor time.
+    flown: None where it was not.
     """
 
     kind: str
@@ -52,6 +57,7 @@ class Point:
     tilt_max_deg: float | None
     thrust_share_max: float | None
     solve_s: float
+    flown: Flown | None = None
 
     @property
     def label(self) -> str:
@@ -64,18 +70,42 @@ class Point:
         return None if self.plan is None else self.plan.residual_rms_m_s2
 
     @property
+    def lambda_r(self) -> float | None:
+        """The paper's weight of control effort, as of `Plan`."""
+        return None if self.plan is None else self.plan.lambda_r
+
+    @property
+    def error_mean_m(self) -> float | None:
+        """Mean tracking error of the flight."""
+        return None if self.flown is None else self.flown.error_mean_m
+
+    @property
+    def clipped_share(self) -> float | None:
+        """Share of the flight's ticks with motors at their limits."""
+        return None if self.flown is None else self.flown.clipped_share
+
+    @property
+    def why_not(self) -> str | None:
+        """Why there is no plan, or why it was not flown to its end."""
+        return self.reason if self.flown is None else self.flown.failure
+
+    @property
     def path_length_m(self) -> float | None:
         """Of the reference."""
         return None if self.plan is None else self.plan.path_length_m
 
     def cells(self) -> tuple[str, ...]:
         """The numbers of COLUMNS for people."""
+        error_m, clipped = self.error_mean_m, self.clipped_share
         numbers = (
+            (self.lambda_r, ".3g"),
             (self.residual_rms_m_s2, ".3f"),
             (self.jerk_rms_m_s3, ".2f"),
             (self.tilt_max_deg, ".1f"),
             (self.thrust_share_max, ".3f"),
             (self.path_length_m, ".2f"),
+            (None if error_m is None else 1e3 * error_m, ".1f"),
+            (None if clipped is None else 1e2 * clipped, ".2f"),
             (self.solve_s, ".2f"),
         )
         return tuple("-" if number is None else format(number, form) for number, form in numbers)
@@ -85,6 +115,7 @@ class Point:
         return {
             "kind": self.kind,
             "factor": self.factor,
+            "lambda_r": self.lambda_r,
             "status": self.status,
             "reason": self.reason,
             "residual_rms_m_s2": self.residual_rms_m_s2,
@@ -93,7 +124,21 @@ class Point:
             "thrust_share_max": self.thrust_share_max,
             "path_length_m": self.path_length_m,
             "solve_s": self.solve_s,
+            "error_mean_m": self.error_mean_m,
+            "error_rmse_m": None if self.flown is None else self.flown.error_rmse_m,
+            "error_max_m": None if self.flown is None else self.flown.error_max_m,
+            "clipped_share": self.clipped_share,
+            "flight_failed": None if self.flown is None else self.flown.failure,
+            "log": None if self.flown is None else str(self.flown.log),
         }
+
+
+def tabulate(points: Sequence[Point]) -> tuple[dict[str, str], list[tuple[str, ...]]]:
+    """Units by title, and a row of cells a point: of COLUMNS those that tell anything."""
+    rows = [point.cells() for point in points]
+    told = [any(row[k] != "-" for row in rows) for k in range(len(COLUMNS))]
+    units = {title: unit for (title, unit), keep in zip(COLUMNS.items(), told, strict=True) if keep}
+    return units, [tuple(cell for cell, keep in zip(row, told, strict=True) if keep) for row in rows]
 
 
 def pareto(

@@ -86,9 +86,10 @@ class Plan:
     together. margins: least distance to each limit over the whole reference. residual_rms_m_s2: predicted
     along it, None without a model. outside_region: share of it beyond the region that the model's data
     covers, None where that is not known. deviation_m: largest distance from the solver's path, None for
-    min-snap. stretch: of the route's time. intervals: of the shooting problem; rounds: solves. solve_s:
-    processor time; first_solve_s: of the first round's solver alone, on all its grids, None for min-snap.
-    These two vary from run to run, nothing else.
+    min-snap. stretch: of the route's time. lambda_r: the paper's weight of control effort (eq. 10), of the
+    squared rotor thrusts in N^2 beside the squared residual in m^2/s^4; None where no residual is minimised.
+    intervals: of the shooting problem; rounds: solves. solve_s: processor time; first_solve_s: of the first
+    round's solver alone, on all its grids, None for min-snap. These two vary from run to run, nothing else.
     """
 
     reference: Reference
@@ -105,6 +106,7 @@ class Plan:
     mean_speed_m_s: float
     deviation_m: float | None
     stretch: float
+    lambda_r: float | None
     intervals: int
     rounds: int
     iterations: int

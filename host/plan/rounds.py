@@ -79,7 +79,7 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
         if not solution.status.usable:
             run.recover(solution)
             continue
-        judged = run.judged(solution, grid)
+        judged = run.judged(solution, run.grid)
         if run.settled(solution, judged):
             effort = Effort(
                 status=solution.status.name.lower(),
@@ -89,8 +89,9 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
                 iterations=run.iterations,
                 intervals=len(solution.t_s) - 1,
                 deviation_m=deviation_m(run.engine, run.problem, solution, judged.table),
+                lambda_r=run.lambda_r,
             )
-            return job.finish(judged, solution.t_s[grid.waypoints], effort)
+            return job.finish(judged, solution.t_s[run.grid.waypoints], effort)
     raise run.failure()
 
 
@@ -168,6 +169,13 @@ class _Run:
         self._start = _Start.LINEAR if first is None else _Start.PATH
         self._last: Solution | None = None
         self._near: Judged | None = None
+
+    @property
+    def lambda_r(self) -> float | None:
+        """As of `Plan`."""
+        if self.job.kind != "min-residual":
+            return None
+        return self._weights.control / self.job.dynamics.hover_n**2
 
     def solve(self) -> Solution:
         """The round's last iterate. Without a path or one to begin with, coarser grids are solved first."""

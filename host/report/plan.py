@@ -14,13 +14,13 @@ from host.plan.box import GATES, KEEP_OUT, YAW_RATE
 from host.plan.dynamics import ResidualModel
 from host.plan.files import figures
 from host.plan.judge import Passing, inside_gates, passings
-from host.plan.pareto import COLUMNS, Point
+from host.plan.pareto import Point, tabulate
 from host.plan.problem import SolveStatus
 from host.plan.profile import Profile, profile, with_nodes
 from host.plan.result import Plan
 from host.plan.sensitivity import Sensitivity, sensitivity
 from host.plan.table import from_reference
-from host.report import plan_figures
+from host.report import plan_figures, trade_figures
 from host.report.html import render, script_data
 from host.report.plan_path import path
 from host.route import Route
@@ -185,17 +185,22 @@ def _or_dash(value: float | None, form: str, otherwise: str) -> str:
 
 def trade_page(points: Sequence[Point], route: Route, provenance: Mapping[str, object]) -> str:
     """The HTML of a trade between residual and jerk; offline, one file."""
-    head = ("plan", *(f"{name}, {unit}" for name, unit in COLUMNS.items()), "status")
-    rows = [(point.label, *point.cells(), point.status) for point in points]
-    refused: Any = [(point.label, point.reason) for point in points if point.reason is not None]
+    flown = any(point.flown is not None for point in points)
+    units, cells = tabulate(points)
+    head = ("plan", *(f"{name}, {unit}" for name, unit in units.items()), "status")
+    rows = [(point.label, *row, point.status) for point, row in zip(points, cells, strict=True)]
+    missing: Any = [(point.label, point.why_not) for point in points if point.why_not is not None]
     parts = [{"title": "The plans", "head": head, "numbers": head[1:-1], "rows": rows}]
-    if refused:
-        parts.append({"title": "No plan", "head": ("plan", "why"), "numbers": (), "rows": refused})
+    if missing:
+        parts.append(
+            {"title": "No plan, or no flight", "head": ("plan", "why"), "numbers": (), "rows": missing}
+        )
     return render(
         "plan.html.j2",
         title=f"{route.name}: residual against jerk",
-        sentence="The same route and time, planned with other weights and by other kinds.",
-        figures=[plan_figures.trade(points)],
+        sentence="The same route and time, planned with other weights and by other kinds"
+        + (", each flown once in the same simulated world." if flown else "."),
+        figures=[trade_figures.trade(points)],
         parts=parts,
         provenance=json.dumps(dict(provenance), indent=1, default=str),
         data=script_data({"points": [point.to_json() for point in points]}),

@@ -1,4 +1,4 @@
-"""Pictures of plans over time: node by node, along the reference; and the trade between plans."""
+"""Pictures of plans over time: node by node, and along the reference."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike
 
 from host.plan.box import KEEP_OUT
-from host.plan.pareto import Point
 from host.plan.profile import Profile
 from host.plan.result import Plan
 from host.plan.sensitivity import Sensitivity
@@ -265,34 +264,3 @@ def _spans(ax: Any, t_s: np.ndarray, inside: np.ndarray) -> None:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         ax.axvspan(t_s[start], t_s[stop - 1], color=FLOOR, alpha=0.22, linewidth=0, zorder=0)
-
-
-def trade(points: Sequence[Point]) -> Figure:
-    """Predicted residual over jerk, a point a plan; plans with scaled weights are joined in their order."""
-    known = [
-        (point, point.jerk_rms_m_s3, point.residual_rms_m_s2)
-        for point in points
-        if point.jerk_rms_m_s3 is not None and point.residual_rms_m_s2 is not None
-    ]
-    with rc_context(STYLE):
-        canvas, ax = plt.subplots(figsize=(7.2, 4.6))
-        scaled = [(x, y) for point, x, y in known if point.factor is not None]
-        if scaled:
-            ax.plot(*zip(*scaled, strict=True), "o-", color=AFTER, linewidth=1.2, markersize=6.0)
-        places = np.array([(x, y) for _, x, y in known])
-        reach = np.ptp(places, axis=0) + 1e-9 if known else np.ones(2)
-        for k, (point, x, y) in enumerate(known):
-            told = point.kind if point.factor is None else f"x {point.factor:g}"
-            if point.factor is None:
-                ax.plot(x, y, "s", color=BEFORE, markersize=6.5)
-            crowded = (np.abs((places[:k] - places[k]) / reach) < (0.12, 0.12)).all(axis=1).any()
-            offset, side = ((-7, -12), "right") if crowded else ((7, 6), "left")
-            ax.annotate(told, (x, y), xytext=offset, ha=side, textcoords="offset points", fontsize=9)
-        ax.margins(0.16)
-        ax.set(xlabel="jerk, RMS, m/s$^3$", ylabel="predicted residual, RMS, m/s$^2$")
-    told = "; ".join(f"{point.label} {y:.2f} at {x:.1f}" for point, x, y in known)
-    return finish(
-        canvas,
-        "What a smaller residual costs: numbers are factors on the weights of thrusts and their rates.",
-        f"Predicted residual in m/s^2 at jerk in m/s^3: {told or 'no plan was found'}.",
-    )

@@ -10,9 +10,6 @@ from cyclopts import Parameter
 from host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from host.plan.pareto import Point
     from host.plan.result import Plan
     from host.route import LimitsOverride
 
@@ -33,6 +30,8 @@ def command(
     headroom: tuple[float, float] | None = None,
     report: Path | None = None,
     pareto: Annotated[bool, Parameter(negative="")] = False,
+    world: str | None = None,
+    world_seed: int = 0,
     output: Output = None,
     force: Force = False,
     json: Json = False,
@@ -68,29 +67,32 @@ def command(
     pareto
         Compare in place of writing a reference: min-snap, min-control, and min-residual with the weights of
         thrusts and their rates scaled from 0.1 to 10 times. Needs --model; --report writes that page.
+    world
+        With --pareto: world, by name or path, in which a simulated vehicle flies every plan.
+    world_seed
+        Seed of that world; logs do not hold it.
     output
-        Reference to write; NAME.ref by default, with the route's name.
+        Reference to write; NAME.ref by default, with the route's name. With --world the folder for all
+        references and logs, NAME-pareto by default.
     """
     from host import artefacts
     from host.effects import load_effects
-    from host.errors import Refused, UsageError
+    from host.errors import UsageError
     from host.models.file import read_model
     from host.output import emit, say
     from host.plan import plan as make_plan
     from host.plan.dynamics import ResidualModel
     from host.plan.files import check_name, figures, write_plan
-    from host.plan.pareto import FACTORS
-    from host.plan.pareto import pareto as trade
     from host.plan.sensitivity import sensitivity
     from host.plan.table import from_reference
     from host.progress import Progress
     from host.route import route_file
+    from host.verbs import plan_pareto
     from host.workspace import open_workspace
 
-    if pareto and (model is None or output is not None or stretch):
-        raise UsageError(
-            "--pareto needs --model, and goes without --output and --stretch: it writes no reference"
-        )
+    if pareto and (model is None or stretch):
+        raise UsageError("--pareto needs --model, and goes without --stretch")
+    plan_pareto.check_options(world, world_seed, output, pareto=pareto)
     if report is not None:
         _check_report(report, force)
     place = open_workspace(workspace)
@@ -104,27 +106,32 @@ def command(
         parents["model"] = known.id
     origin = artefacts.provenance(parents=parents)
     if pareto and known is not None:
-        with Progress(f"planning {way.name}", len(FACTORS) + 2) as progress:
-            points = trade(
-                way,
-                airframe,
-                known,
-                kind=kind or "min-residual",
-                effects=effects,
-                headroom=within,
-                total_time_s=time_s,
-                nodes=nodes,
-                source=route_file(route, place.root),
-                on_point=lambda point: progress.advance(1.0, point.label),
-            )
-        if report is not None:
-            from host.report.plan import trade_page
-
-            artefacts.write_atomic(report, trade_page(points, way, origin), force)
-        say(*_trade_lines(points, report))
-        emit({"points": [point.to_json() for point in points], "report": report}, json)
-        if all(point.plan is None for point in points):
-            raise Refused(f"{way.name}: none of the plans was found, give it more time or headroom")
+        options = {
+            "kind": kind or "min-residual",
+            "effects": effects,
+            "headroom": within,
+            "total_time_s": time_s,
+            "nodes": nodes,
+            "source": route_file(route, place.root),
+        }
+        plan_pareto.trade(
+            way,
+            airframe,
+            known,
+            options=options,
+            hangar=None
+            if world is None
+            else plan_pareto.Hangar(
+                world=world,
+                world_seed=world_seed,
+                folder=output or Path(f"{way.name}-pareto"),
+                force=force,
+            ),
+            origin=origin,
+            report=report,
+            force=force,
+            json=json,
+        )
         return
     if kind is None:
         kind = "min-snap"
@@ -204,21 +211,3 @@ def _lines(plan: Plan, target: Path, report: Path | None) -> list[str]:
     if report is not None:
         lines.append(f"  the report is {report}")
     return lines
-
-
-def _trade_lines(points: Sequence[Point], report: Path | None) -> list[str]:
-    """The trade for people: a table, then why plans are missing."""
-    from host.plan.pareto import COLUMNS
-
-    rows = [("plan", *COLUMNS, "status"), ("", *COLUMNS.values(), "")]
-    rows += [(point.label, *point.cells(), point.status) for point in points]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if k in (0, len(row) - 1) else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
-    lines += [f"{point.label}: {point.reason}" for point in points if point.reason is not None]
-    return lines if report is None else [*lines, f"the report is {report}"]

@@ -401,8 +401,15 @@ def test_time_given_two_ways_is_refused(refused: Refused) -> None:
     [
         (("--report", "p.ref"), "p.ref: a report's name ends in .html"),
         (("--pareto",), "--pareto needs --model"),
-        (("--pareto", "--model", "drag.model.toml", "-o", "x.ref"), "goes without --output"),
-        (("--pareto", "--model", "drag.model.toml", "--stretch"), "and --stretch"),
+        (("--pareto", "--model", "drag.model.toml", "-o", "x.ref"), "goes without --output where no --world"),
+        (("--pareto", "--model", "drag.model.toml", "--stretch"), "goes without --stretch"),
+        (("--world", "quiet"), "--world goes with --pareto"),
+        (("--pareto", "--model", "drag.model.toml", "--world-seed", "3"), "--world-seed goes with --world"),
+        (("--pareto", "--model", "drag.model.toml", "--world", "nosuch"), "nosuch: no such world"),
+        (
+            ("--pareto", "--model", "drag.model.toml", "--world", "quiet", "-o", "drag.model.toml"),
+            "drag.model.toml: is a file",
+        ),
         (
             ("--pareto", "--model", "drag.model.toml", "--kind", "min-snap"),
             "the trade is that of min-residual",

@@ -86,21 +86,31 @@ def test_page_has_a_table_for_every_verb() -> None:
     assert set(titles) == {verb.name for verb in cli.present_verbs()}
 
 
-def test_plan_and_fly_print_what_the_page_says(
-    trimtab: Callable[..., dict[str, Any]], tmp_path: Path, drag_model: str
-) -> None:
+@pytest.fixture
+def hop(tmp_path: Path) -> str:
     (tmp_path / "hop.toml").write_text(
         'name = "hop"\ntotal_time_s = 2.0\nwaypoints_m = [[0.0, 0.0, -1.0], [1.0, 0.0, -1.2]]\n'
     )
+    return "hop.toml"
+
+
+def test_plan_and_fly_print_what_the_page_says(
+    trimtab: Callable[..., dict[str, Any]], hop: str, drag_model: str
+) -> None:
     known = ("--model", drag_model, "--kind", "min-snap")
-    check("plan", trimtab("plan", "hop.toml", *known, "-o", "hop.ref", "--report", "hop.html"))
+    check("plan", trimtab("plan", hop, *known, "-o", "hop.ref", "--report", "hop.html"))
     check("fly", trimtab("fly", "hop.ref", "-o", "hop.mcap"))
 
 
 def test_plan_pareto_prints_what_the_page_says(
-    trimtab: Callable[..., dict[str, Any]], drag_model: str
+    trimtab: Callable[..., dict[str, Any]], drag_model: str, hop: str
 ) -> None:
-    check("plan --pareto", trimtab("plan", "hover-turns", "--model", drag_model, "--pareto"))
+    words = ("plan", "hop.toml", "--model", drag_model, "--pareto")
+    check("plan --pareto", trimtab(*words))
+    flown = trimtab(*words, "--world", "quiet")
+    check("plan --pareto", flown)
+    assert flown["folder"] == "hop-pareto"
+    assert all(point["error_mean_m"] > 0.0 for point in flown["points"])
 
 
 def test_log_prints_what_the_page_says(

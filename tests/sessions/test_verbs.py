@@ -220,6 +220,31 @@ def test_plan_pareto_writes_a_page_and_no_reference(trimtab: Any, drag_model: st
     assert "the min-snap plan is refused" in (tmp_path / "x.html").read_text(encoding="utf-8")
 
 
+def test_plan_pareto_with_a_world_flies_every_plan_as_fly_does(
+    trimtab: Any, drag_model: str, tmp_path: Path
+) -> None:
+    (tmp_path / "hop.toml").write_text(
+        'name = "hop"\ntotal_time_s = 2.0\nwaypoints_m = [[0.0, 0.0, -1.0], [1.0, 0.0, -1.2]]\n'
+    )
+    place = ("--world", "paper-drag", "--world-seed", "8123")
+    trade = ("plan", "hop.toml", "--model", drag_model, "--pareto")
+    words = (*trade, *place, "-o", "flown", "--report", "x.html")
+    code, told, _ = trimtab(*words, "--json")
+    assert code == 0
+    point = told["points"][-1]
+    assert (point["kind"], point["factor"]) == ("min-residual", 10.0)
+    assert point["log"] == "flown/min-residual-x10.mcap"
+    _, again, _ = trimtab("fly", "flown/min-residual-x10.ref", *place, "-o", "again.mcap", "--json")
+    assert point["error_rmse_m"] == again["tracking_rmse_m"]
+    assert point["error_max_m"] == again["tracking_max_m"]
+    assert point["clipped_share"] == again["clipped_share"]
+    for path in [tmp_path / "x.html", *(tmp_path / "flown").glob("*.json")]:
+        if not path.name.endswith(".truth.json"):
+            text = path.read_text(encoding="utf-8")
+            assert "paper-drag" not in text
+            assert "8123" not in text
+
+
 def test_plan_pareto_without_any_plan_tells_why_and_exits_with_1(trimtab: Any, drag_model: str) -> None:
     words = ("plan", "pretzel", "--model", drag_model, "--pareto", "--time-s", "3.0")
     code, told, complaint = trimtab(*words, "--json")

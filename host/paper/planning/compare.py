@@ -17,12 +17,13 @@ import numpy as np
 from firmware_model.law.constants import GRAVITY
 from host.demo.flights import Airfield
 from host.effects import load_effects
-from host.errors import FlightFailed, Refused, SolverError
+from host.errors import Refused, SolverError
 from host.learn import DEFAULT_FORMS, CondensedSettings, learn
 from host.log import read_flight
-from host.log.tracking import reference_at, tracking_error
+from host.log.tracking import reference_at
 from host.paper.planning.courses import Course, draw, draw_course
 from host.plan import Plan, ResidualModel, Settings, Weights, plan
+from host.plan.flown import fly_plan
 from host.plan.profile import profile
 from host.plan.table import from_reference
 from host.vehicle import Vehicle
@@ -132,15 +133,12 @@ def _planned(
 
 def _flight(field: Airfield, made: Plan, number: int, log: Path) -> Mapping[str, Any]:
     """Tracking error of one flight, m, mean and greatest, and the share of clipped ticks."""
-    try:
-        result = field.fly(made.reference, number, log)
-    except FlightFailed as error:
-        return {"flight_failed": str(error)}
-    off = tracking_error(read_flight(log))
-    assert off is not None
+    flight = fly_plan(made, field, flight=number, log=log)
+    if flight.failure is not None:
+        return {"flight_failed": flight.failure}
     return {
-        "error_mean_m": off.mean_m,
-        "error_rmse_m": off.rmse_m,
-        "error_max_m": off.max_m,
-        "clipped_share": result.clipped_share,
+        "error_mean_m": flight.error_mean_m,
+        "error_rmse_m": flight.error_rmse_m,
+        "error_max_m": flight.error_max_m,
+        "clipped_share": flight.clipped_share,
     }

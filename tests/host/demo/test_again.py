@@ -120,7 +120,7 @@ def test_demo_verb_after_a_second_flight_that_failed_answers_and_ends_with_its_e
     def failed(*_: Any, **__: Any) -> Outcome:
         nothing: Any = None
         told: Any = Told()
-        error = FlightFailed("flight 11 of the demo: the flight ended in failsafe: tilt")
+        error = FlightFailed("flight 11: the flight ended in failsafe: tilt")
         return Outcome(result=told, comparison=nothing, answer=answer, steps=(), failure=error)
 
     monkeypatch.chdir(tmp_path)

@@ -84,7 +84,7 @@ def test_flight_that_ends_in_failsafe_says_which_and_leaves_a_readable_log(
     world.write_text(GAPS, encoding="utf-8")
     field = dataclasses.replace(airfield, world=str(world))
     log = tmp_path / "a.mcap"
-    with pytest.raises(FlightFailed, match=r"flight 2 of the demo: .*mocap lost.*a\.mcap") as caught:
+    with pytest.raises(FlightFailed, match=r"flight 2: .*mocap lost.*a\.mcap") as caught:
         field.fly(hop, 2, log)
     assert caught.value.exit_code == 1
     assert read_flight(log).failsafe == "mocap-lost"

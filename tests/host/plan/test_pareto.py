@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from firmware_model.law.constants import GRAVITY
 from host.effects import load_effects
 from host.errors import UsageError
 from host.plan import PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
-from host.plan.pareto import COLUMNS, Point, pareto
+from host.plan.flown import Flown
+from host.plan.pareto import COLUMNS, Point, pareto, tabulate
 from host.plan.problem import SolveStatus
 from host.plan.table import evaluate, from_reference
 from host.route import Route
@@ -60,6 +64,34 @@ def test_pareto_point_of_factor_one_is_the_plan_by_default(points: list[Point]) 
     assert point.tilt_max_deg == pytest.approx(60.0 - made.margins["tilt_deg"], abs=0.2)
     most = VEHICLE.limits.thrust_headroom[1] - made.margins["thrust_high"]
     assert point.thrust_share_max == pytest.approx(most, abs=5e-3)
+
+
+def test_pareto_tells_the_papers_lambda_r_of_the_plans_that_minimise_a_residual(points: list[Point]) -> None:
+    least, middle, most = (point.lambda_r for point in points[2:])
+    assert points[0].lambda_r is points[1].lambda_r is None
+    assert least is not None
+    assert (middle, most) == (pytest.approx(10.0 * least), pytest.approx(100.0 * least))
+    hover_n = VEHICLE.mass_kg * GRAVITY / 4.0
+    paper = Settings(weights=Weights(control=0.1 * hover_n**2), relative_weights=False)
+    assert pareto(ROUTE, VEHICLE, DRAG, factors=(1.0,), settings=paper)[-1].lambda_r == pytest.approx(0.1)
+
+
+def test_pareto_table_has_the_columns_of_flights_only_where_there_are_some(points: list[Point]) -> None:
+    planned, _ = tabulate(points)
+    assert set(COLUMNS) - set(planned) == {"flown", "clipped"}
+    flown = Flown(log=Path("x.mcap"), error_mean_m=0.0517, clipped_share=0.002)
+    units, rows = tabulate([points[0], replace(points[2], flown=flown)])
+    assert tuple(units) == tuple(COLUMNS)
+    told = [dict(zip(units, row, strict=True)) for row in rows]
+    assert [(row["flown"], row["clipped"]) for row in told] == [("-", "-"), ("51.7", "0.20")]
+
+
+def test_pareto_point_whose_flight_failed_tells_why(points: list[Point]) -> None:
+    point = replace(points[2], flown=Flown(log=Path("x.mcap"), failure="too far"))
+    assert point.why_not == "too far"
+    assert point.to_json()["flight_failed"] == "too far"
+    assert point.to_json()["error_mean_m"] is None
+    assert points[2].why_not is None
 
 
 def test_pareto_scales_thrusts_and_their_rates_alone(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -13,12 +16,13 @@ from matplotlib.patches import Circle, Polygon
 from host.effects import load_effects
 from host.models.region import Region
 from host.plan import Plan, ResidualModel, plan
+from host.plan.flown import Flown
 from host.plan.pareto import Point
 from host.plan.problem import SolveStatus
 from host.plan.profile import profile
 from host.plan.sensitivity import sensitivity
 from host.plan.table import from_reference
-from host.report import plan_figures, plan_path
+from host.report import plan_figures, plan_path, trade_figures
 from host.report.plan import page, trade_page
 from host.report.plan_path import path
 from host.route import Gate, Route
@@ -124,7 +128,26 @@ def test_trade_page_has_a_row_for_every_plan_and_the_reason_of_one_that_failed(m
 
 def test_trade_without_any_plan_is_drawn_empty() -> None:
     point = Point(status="refused", reason="no way", **SNAP, **BARE)
-    assert "no plan was found" in plan_figures.trade([point]).alt
+    assert "no plan was found" in trade_figures.trade([point]).alt
+
+
+def test_trade_page_tells_and_draws_what_flights_came_to(made: Plan, tmp_path: Path) -> None:
+    point: Any = partial(
+        Point, kind="min-residual", status="solved", reason=None, plan=made, jerk_rms_m_s3=9.0
+    )
+    rest = {"tilt_max_deg": 30.0, "thrust_share_max": 0.3, "solve_s": 0.5}
+    log = tmp_path / "x.mcap"
+    points = [
+        point(factor=0.3, flown=Flown(log=log, error_mean_m=0.0612, clipped_share=0.0), **rest),
+        point(factor=1.0, flown=Flown(log=log, failure="flight 0: tilt"), **rest),
+    ]
+    html = trade_page(points, ROUTE, {})
+    assert "flown once in the same simulated world" in html
+    assert ">61.2<" in html
+    assert "flight 0: tilt" in html
+    picture = trade_figures.trade(points)
+    assert picture.alt.endswith("Mean error of the flights in mm: min-residual x 0.3 61.2.")
+    assert picture.height > trade_figures.trade([replace(p, flown=None) for p in points]).height
 
 
 def test_pictures_without_a_model_leave_residual_and_sensitivity_out(made: Plan) -> None:

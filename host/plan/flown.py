@@ -1,0 +1,49 @@
+"""A plan flown by a simulated vehicle: how closely it was followed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from host.demo.flights import Airfield
+from host.errors import FlightFailed
+from host.log import read_flight
+from host.log.tracking import tracking_error
+from host.plan.result import Plan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flown:
+    """One flight of a plan.
+
+    error_mean_m, error_rmse_m, error_max_m: distance between camera poses and reference over the tracking
+    phase. clipped_share: of the ticks in flight, those on which the motors could not give what was commanded.
+    failure: why the reference was not flown to its end, None where it was; with it the numbers are None.
+    """
+
+    log: Path
+    error_mean_m: float | None = None
+    error_rmse_m: float | None = None
+    error_max_m: float | None = None
+    clipped_share: float | None = None
+    failure: str | None = None
+
+
+def fly_plan(plan: Plan, field: Airfield, *, flight: int, log: Path, model_id: str | None = None) -> Flown:
+    """What came of the plan's reference, uploaded and flown; log and sealed truth stay.
+
+    flight: index of the flight in its world. A flight that ends in failsafe or early is told, not raised.
+    """
+    try:
+        result = field.fly(plan.reference, flight, log, model_id=model_id)
+    except FlightFailed as error:
+        return Flown(log=log, failure=str(error))
+    off = tracking_error(read_flight(log))
+    assert off is not None  # a reference flown to its end has a tracking phase
+    return Flown(
+        log=log,
+        error_mean_m=off.mean_m,
+        error_rmse_m=off.rmse_m,
+        error_max_m=off.max_m,
+        clipped_share=result.clipped_share,
+    )
