@@ -23,7 +23,7 @@ from host.demo.compare import Comparison
 from host.link.upload import UploadResult
 from host.paper.learning import noise
 from host.paper.learning.summary import summary as paper_summary
-from host.paper.planning.compare import KINDS
+from host.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS
 from host.paper.planning.summary import summary as planning_summary
 from host.vehicle import load_vehicle
 from protocol.blobs import Reference
@@ -249,12 +249,14 @@ def test_study_paper_learning_prints_what_the_page_says() -> None:
 
 def test_study_paper_planning_prints_what_the_page_says() -> None:
     keys = (
-        "residual_mean_m_s2", "drag_mean_n", "solve_s", "iterations", "path_length_m", "mean_speed_m_s",
-        "jerk_max_m_s3", "outside_region", "error_mean_m", "error_max_m", "clipped_share",
+        "residual_mean_m_s2", "drag_mean_n", "first_solve_s", "solve_s", "iterations", "path_length_m",
+        "mean_speed_m_s", "jerk_max_m_s3", "outside_region", "error_mean_m", "error_max_m", "clipped_share",
     )  # fmt: skip
     course = {"course": "c", "kinds": {kind: dict.fromkeys(keys, 1.0) for kind in KINDS}}
     refused = {**course, "kinds": {**course["kinds"], "min-control": {"failed": "no way"}}}
-    pieces = {"planned-00": course, "planned-01": refused, "world-00": {"courses": [course]}}
+    either = {what: {kind: dict.fromkeys(keys, 1.0) for kind in KINDS} for what in (CLOSED_FORM, *NETWORKS)}
+    flown = {**course, "residuals": either}
+    pieces = {"planned-00": course, "planned-01": refused, "world-00": {"courses": [flown]}}
     told = {"study": "paper-planning", "seed": 1, "worlds": 1, "quick": False, "folder": "f"}
     outcome = planning_summary(told, {name: {"result": piece} for name, piece in pieces.items()})
     check("study paper-planning", {**outcome["answer"], "report": "f/report.html"})

@@ -2,7 +2,9 @@
 
 Planned: the paper's drag, diag(0.5, 0.5, 0.1) 1/s in the body's frame, is the model itself. Flown: a model is
 learned from flights of the sealed world, on courses of their own; the compared courses are flown by the DFBC
-without feed-forward, through firmware and radio.
+without feed-forward, through firmware and radio. From the same flights more are learned, to be compared with
+each other: with a closed form of the drag, and with a network in its place, in the world's frame as the
+paper's and in the body's.
 """
 
 from __future__ import annotations
@@ -16,11 +18,12 @@ import numpy as np
 
 from firmware_model.law.constants import GRAVITY
 from host.demo.flights import Airfield
-from host.effects import load_effects
+from host.effects import Effect, load_effects
 from host.errors import Refused, SolverError
 from host.learn import DEFAULT_FORMS, CondensedSettings, learn
-from host.log import read_flight
+from host.log import Flight, read_flight
 from host.log.tracking import reference_at
+from host.models.network import Frame, Layout
 from host.paper.planning.courses import Course, draw, draw_course
 from host.plan import Plan, ResidualModel, Settings, Weights, plan
 from host.plan.flown import fly_plan
@@ -29,10 +32,15 @@ from host.plan.table import from_reference
 from host.vehicle import Vehicle
 
 WORLD = "paper-drag"
+DRAG_FORM = "linear-drag"
 DRAG = (0.5, 0.5, 0.1)
 """1/s along FRD, the paper's simulation."""
 KINDS = ("min-snap", "min-control", "min-control*", "min-control-r", "min-residual", "min-residual*")
 NODES = 400
+CLOSED_FORM = "closed-form"
+NETWORKS: Mapping[str, Frame] = {"network-body": "body", "network-world": "world"}
+RESIDUAL_KINDS = ("min-residual", "min-residual*")
+"""What is planned with the closed form and with each network."""
 _TRAINING = 6
 _PACES = (1.0, 0.75)
 
@@ -40,7 +48,7 @@ _PACES = (1.0, 0.75)
 def planned(vehicle: Vehicle, seed: int, index: int) -> dict[str, Any]:
     """One course planned in every kind with the paper's nodes and its weight of control effort."""
     course = draw_course(vehicle, seed, index, "planned")
-    known = ResidualModel(parts=((load_effects()["linear-drag"], DRAG),))
+    known = ResidualModel(parts=((load_effects()[DRAG_FORM], DRAG),))
     hover_n = vehicle.mass_kg * GRAVITY / 4.0
     paper = Settings(weights=Weights(control=0.1 * hover_n**2), relative_weights=False)
     return {
@@ -58,11 +66,13 @@ def flown(
     courses: int,
     *,
     kinds: Sequence[str] = KINDS,
+    residuals: bool = True,
     hear: Callable[[str], None] = lambda step: None,
 ) -> dict[str, Any]:
     """One world: a model learned from flights of its own, then the kinds flown on held-out courses.
 
-    Logs stay in `folder`. hear: told `courses` + 1 times what begins.
+    residuals: RESIDUAL_KINDS with the closed form and with networks in its place too. Logs stay in `folder`.
+    hear: told `courses` + 1 times what begins.
     """
     hear(f"world {world}: flights to learn from")
     shutil.rmtree(folder, ignore_errors=True)
@@ -85,19 +95,52 @@ def flown(
     effects = load_effects()
     learned = learn(flights, effects=effects, settings=CondensedSettings(), forms=DEFAULT_FORMS, hold_out=())
     model = ResidualModel.of(learned.model, effects)
+    others = residual_models(flights, effects) if residuals else {}
     rows = []
     for k in range(courses):
         course = draw_course(vehicle, seed, k, f"flown-{world}")
         hear(f"world {world}: {course.route.name}")
-        found = {}
-        for kind in kinds:
-            row, made = _planned(course, vehicle, model, kind, Settings(), None)
+        asked = [(kind, "", model) for kind in kinds]
+        asked += [(kind, what, other) for what, other in others.items() for kind in RESIDUAL_KINDS]
+        found: dict[str, dict[str, Any]] = {}
+        for kind, what, known in asked:
+            row, made = _planned(course, vehicle, known, kind, Settings(), None)
             if made is not None:
                 number += 1
-                row |= _flight(field, made, number, folder / f"course-{k}-{kind.replace('*', 's')}.mcap")
-            found[kind] = row
-        rows.append({"course": course.route.name, "duration_s": course.route.duration_s, "kinds": found})
+                name = "-".join(part for part in (f"course-{k}", kind.replace("*", "s"), what) if part)
+                row |= _flight(field, made, number, folder / f"{name}.mcap")
+            found.setdefault(what, {})[kind] = row
+        rows.append(
+            {
+                "course": course.route.name,
+                "duration_s": course.route.duration_s,
+                "kinds": found.pop(""),
+                "residuals": found,
+            }
+        )
     return {"world": world, "kept": learned.kept.what, "courses": rows}
+
+
+def residual_models(flights: Sequence[Flight], effects: Mapping[str, Effect]) -> dict[str, ResidualModel]:
+    """The residual acceleration as a closed form, and as networks; the torque is a closed form in all."""
+    torque = tuple(name for name in DEFAULT_FORMS if name != DRAG_FORM)
+    asked: dict[str, tuple[Layout | None, tuple[str, ...]]] = {CLOSED_FORM: (None, DEFAULT_FORMS)}
+    for what, frame in NETWORKS.items():
+        asked[what] = (Layout(hidden=(32, 32), frame=frame), torque)
+    return {
+        what: ResidualModel.of(
+            learn(
+                flights,
+                effects=effects,
+                settings=CondensedSettings(layout=layout),
+                forms=forms,
+                hold_out=(),
+                as_asked=True,
+            ).model,
+            effects,
+        )
+        for what, (layout, forms) in asked.items()
+    }
 
 
 def _planned(
@@ -120,6 +163,7 @@ def _planned(
         "residual_mean_m_s2": float(norm.mean()),
         "drag_mean_n": float(vehicle.mass_kg * np.linalg.norm(d[:3], axis=0).mean()),
         "solve_s": made.solve_s,
+        "first_solve_s": made.first_solve_s,
         "iterations": made.iterations,
         "rounds": made.rounds,
         "path_length_m": made.path_length_m,

@@ -50,7 +50,7 @@ def plan_pieces(worlds: int, courses: int, planned: int) -> list[Piece]:
     for world in range(worlds):
         arguments = {"world": world, "courses": courses}
         pieces.append(
-            Piece(name=f"world-{world:02d}", kind="world", arguments=arguments, weight=5.0 + 2.0 * courses)
+            Piece(name=f"world-{world:02d}", kind="world", arguments=arguments, weight=8.0 + 5.0 * courses)
         )
     return pieces
 

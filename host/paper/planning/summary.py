@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from host.paper.planning.compare import KINDS
+from host.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS, RESIDUAL_KINDS
 from host.paper.text import text
 
 Row = dict[str, Any]
@@ -42,6 +42,7 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -
         "planned": {kind: _planned(planned, kind) for kind in KINDS},
         "flown": {kind: medians(courses, kind) for kind in KINDS},
         "ratios": ratios,
+        "closed_form": {kind: _side_by_side(courses, kind) for kind in RESIDUAL_KINDS},
         "failed": failures([*planned, *courses]),
     }
     tables = {
@@ -50,6 +51,9 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -
         ),
         "Flown by the DFBC without feed-forward, held-out courses": _flown_table(figures["flown"]),
         "Flown over min-snap and min-control: medians of ratios, 95 % of bootstraps": _ratio_table(ratios),
+        "Closed form in place of the network, the same held-out courses": _residual_table(
+            figures["closed_form"]
+        ),
         "The paper's claims": _claims(figures),
     }
     return {
@@ -65,9 +69,32 @@ def failures(courses: Sequence[Mapping[str, Any]]) -> list[Row]:
     return [
         {"course": course["course"], "kind": kind, "why": row.get("failed") or row["flight_failed"]}
         for course in courses
-        for kind, row in course["kinds"].items()
+        for kind, row in _all_rows(course)
         if "failed" in row or "flight_failed" in row
     ]
+
+
+def _all_rows(course: Mapping[str, Any]) -> list[tuple[str, Row]]:
+    """Name and figures of everything that was planned on a course."""
+    rows = list(course["kinds"].items())
+    for what, kinds in course.get("residuals", {}).items():
+        rows += [(f"{kind}, {what}", row) for kind, row in kinds.items()]
+    return rows
+
+
+def _side_by_side(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
+    """Medians of each residual on the same courses, and of the closed form's figures over each network's."""
+    pairs = [{"kinds": {what: kinds[kind] for what, kinds in c["residuals"].items()}} for c in courses]
+    return {
+        "flown": {what: medians(pairs, what) for what in (CLOSED_FORM, *NETWORKS)},
+        "ratios": {
+            what: {
+                name: ratio(pairs, CLOSED_FORM, what, key)
+                for name, key in (("solve", "first_solve_s"), ("plan", "solve_s"), ("error", "error_mean_m"))
+            }
+            for what in NETWORKS
+        },
+    }
 
 
 def _rows(courses: Sequence[Mapping[str, Any]], kind: str, key: str) -> list[float]:
@@ -92,7 +119,7 @@ def _planned(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
 def medians(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
     """Medians over the flown courses."""
     keys = ("residual_mean_m_s2", "error_mean_m", "error_max_m", "clipped_share", "path_length_m")
-    keys += ("mean_speed_m_s", "jerk_max_m_s3", "solve_s", "outside_region")
+    keys += ("mean_speed_m_s", "jerk_max_m_s3", "first_solve_s", "solve_s", "outside_region")
     found: Row = {key: _middle(_rows(courses, kind, key)) for key in keys}
     return {"flights": len(_rows(courses, kind, "error_mean_m")), **found}
 
@@ -150,6 +177,42 @@ def _flown_table(flown: Mapping[str, Row]) -> list[Row]:
     ]
 
 
+def _residual_table(kinds: Mapping[str, Row]) -> list[Row]:
+    rows = []
+    for kind, found in kinds.items():
+        rows += [
+            {
+                "kind": kind,
+                "residual": what,
+                "flights": str(row["flights"]),
+                "solve, s": _number(row["first_solve_s"], ".3f"),
+                "plan, s": _number(row["solve_s"], ".2f"),
+                "mean error, mm": _number(_thousand(row["error_mean_m"]), ".1f"),
+                "clipped, %": _number(_hundred(row["clipped_share"]), ".2f"),
+            }
+            for what, row in found["flown"].items()
+        ]
+        rows += [
+            {
+                "kind": kind,
+                "residual": f"{CLOSED_FORM} over {what}",
+                "flights": str(ratios["error"]["courses"]),
+                "solve, s": _interval(ratios["solve"]),
+                "plan, s": _interval(ratios["plan"]),
+                "mean error, mm": _interval(ratios["error"]),
+                "clipped, %": "",
+            }
+            for what, ratios in found["ratios"].items()
+        ]
+    return rows
+
+
+def _interval(ratio: Row) -> str:
+    """Median and 95 % of bootstraps."""
+    ci = ratio["ci95"]
+    return "" if ci is None else f"{ratio['median']:.2f} ({ci[0]:.2f}-{ci[1]:.2f})"
+
+
 def _thousand(value: float | None) -> float | None:
     return None if value is None else 1e3 * value
 
@@ -164,10 +227,7 @@ def _ratio_table(ratios: Mapping[str, Mapping[str, Mapping[str, Row]]]) -> list[
         for kind, measures in kinds.items():
             row = {"over": base, "kind": kind}
             for name, found in measures.items():
-                ci = found["ci95"]
-                row[name.replace("_", ", ")] = (
-                    "" if ci is None else f"{found['median']:.2f} ({ci[0]:.2f}-{ci[1]:.2f})"
-                )
+                row[name.replace("_", ", ")] = _interval(found)
             rows.append(row)
     return rows
 

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from host.cli import main
+from host.effects import load_effects
+from host.log import read_flight
 from host.paper.planning import compare
 from host.paper.planning.courses import draw_course
 from host.paper.planning.study import COURSES, PLANNED, WORLDS, plan_pieces
 from host.paper.planning.summary import summary
 from host.vehicle import load_vehicle
 
+DATA = Path(__file__).parent.parent.parent / "data"
 VEHICLE = load_vehicle("research")
 
 
@@ -23,6 +27,7 @@ def made_up_row(factor: float) -> dict:
         "residual_mean_m_s2": 1.5 * factor,
         "drag_mean_n": 1.4 * factor,
         "solve_s": 0.2,
+        "first_solve_s": 0.1 / factor,
         "iterations": 30,
         "rounds": 2,
         "path_length_m": 36.0,
@@ -43,8 +48,13 @@ FACTORS = dict(zip(compare.KINDS, (1.0, 0.95, 0.95, 0.9, 0.6, 0.7), strict=True)
 
 def made_up_pieces() -> dict:
     course = {"course": "c", "duration_s": 10.0, "kinds": {k: made_up_row(f) for k, f in FACTORS.items()}}
+    residuals = {
+        what: {kind: made_up_row(factor) for kind in compare.RESIDUAL_KINDS}
+        for what, factor in ((compare.CLOSED_FORM, 0.6), ("network-body", 0.5), ("network-world", 0.8))
+    }
+    flown = {**course, "residuals": residuals}
     pieces = {f"planned-{k:02d}": {"result": course} for k in range(2)}
-    pieces["world-00"] = {"result": {"world": 0, "kept": "effects", "courses": [course, course]}}
+    pieces["world-00"] = {"result": {"world": 0, "kept": "effects", "courses": [flown, flown]}}
     return pieces
 
 
@@ -64,6 +74,17 @@ def test_planned_course_has_every_kind_and_less_drag_with_min_residual(monkeypat
     assert drag["min-residual"] < 0.9 * drag["min-snap"]
 
 
+def test_residual_models_hold_the_drag_as_a_closed_form_or_a_network_and_the_torque_alike():
+    found = compare.residual_models([read_flight(DATA / "a1.mcap")], load_effects())
+    assert set(found) == {compare.CLOSED_FORM, *compare.NETWORKS}
+    names = {what: [effect.name for effect, _ in model.parts] for what, model in found.items()}
+    assert sorted(names.pop(compare.CLOSED_FORM)) == ["com-offset", "linear-drag"]
+    assert all(each == ["com-offset"] for each in names.values())
+    assert found[compare.CLOSED_FORM].network is None
+    frames = {what: found[what].network.layout.frame for what in compare.NETWORKS}
+    assert frames == {"network-body": "body", "network-world": "world"}
+
+
 def test_summary_gives_ratios_with_bootstraps_and_the_paper_s_claims():
     outcome = summary({"study": "paper-planning"}, made_up_pieces())
     ratio = outcome["answer"]["ratios"]["min-snap"]["min-residual"]
@@ -73,6 +94,29 @@ def test_summary_gives_ratios_with_bootstraps_and_the_paper_s_claims():
     said = [row[""] for row in outcome["tables"]["The paper's claims"]]
     assert said == ["not confirmed", "not confirmed", "confirmed", "not confirmed", "confirmed"]
     assert outcome["answer"]["failed"] == []
+
+
+def test_summary_sets_the_closed_form_beside_each_network_on_the_same_courses():
+    outcome = summary({}, made_up_pieces())
+    found = outcome["answer"]["closed_form"]["min-residual"]
+    assert found["flown"]["closed-form"]["error_mean_m"] == pytest.approx(0.036)
+    assert found["ratios"]["network-body"]["error"]["median"] == pytest.approx(1.44)
+    assert found["ratios"]["network-world"]["error"]["median"] == pytest.approx(0.5625)
+    assert found["ratios"]["network-world"]["solve"]["median"] == pytest.approx(0.8 / 0.6)
+    rows = outcome["tables"]["Closed form in place of the network, the same held-out courses"]
+    assert [row["flights"] for row in rows] == ["2"] * 10
+    assert rows[3]["mean error, mm"] == "1.44 (1.44-1.44)"
+
+
+def test_summary_names_what_failed_with_a_network():
+    pieces = made_up_pieces()
+    course = pieces["world-00"]["result"]["courses"][0]
+    row = {"flight_failed": "tilt"}
+    residuals = {**course["residuals"], "network-body": {kind: row for kind in compare.RESIDUAL_KINDS}}
+    pieces["world-00"]["result"]["courses"][0] = {**course, "residuals": residuals}
+    answer = summary({}, pieces)["answer"]
+    assert {"course": "c", "kind": "min-residual*, network-body", "why": "tilt"} in answer["failed"]
+    assert answer["closed_form"]["min-residual"]["ratios"]["network-body"]["error"]["courses"] == 1
 
 
 def test_summary_names_what_failed():
