@@ -274,8 +274,8 @@ class _Demo:
     ) -> tuple[Planned | None, str]:
         """The route's second plan and nothing, or None and the reason why."""
         with self._step("plan again") as (_, done):
-            if not ResidualModel.of(model, self._effects).has_residual(self._order.vehicle):
-                why = f"{', '.join(model.effects)}: nothing that another path could avoid"
+            if not ResidualModel.of(model, self._effects).has_force:
+                why = f"{', '.join(model.effects)}: not a drag that another path could avoid"
                 done(f"no new plan: {why}")
                 return None, why
             try:

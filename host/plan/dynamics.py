@@ -89,11 +89,15 @@ class ResidualModel:
     @property
     def _known(self) -> frozenset[str]:
         """Names of the effects whose loads are nothing to avoid."""
-        named = [effect for effect, _ in self.parts if effect.name not in self.adjusted]
-        forced = self.network is not None or any(effect.specific_force_frd for effect in named)
-        if self.count_loads or not forced:
+        if self.count_loads or not self.has_force:
             return self.adjusted
-        return self.adjusted | {effect.name for effect in named if effect.specific_force_frd is None}
+        return self.adjusted | {part[0].name for part in self.parts if part[0].specific_force_frd is None}
+
+    @property
+    def has_force(self) -> bool:
+        """Whether it predicts a force beyond tolerance, by an effect such as a drag or by a network."""
+        forces = {effect.name for effect, _ in self.parts if effect.specific_force_frd}
+        return self.network is not None or bool(forces - self.adjusted)
 
     def has_residual(self, vehicle: Vehicle) -> bool:
         """Whether it predicts a residual that a path can change: a network, or effects beyond tolerance whose
@@ -131,19 +135,29 @@ class ResidualModel:
         """
         hover = _hover(vehicle, 0.0)[:, None]
         trim = self._values(vehicle, hover)
-        trim[:3] -= np.array(residual_acceleration_ned(NUMPY, vehicle, self.parts, list(hover))).reshape(3, 1)
+        trim[:3] -= self._force(vehicle, hover)
         d = self._values(vehicle, x) - trim
         if self.network is not None:
             d[:3] += self.network.acceleration_ned(x[V], x[THETA])
         return d
 
     def at_rest(self, vehicle: Vehicle, yaw: float) -> Array:
-        """(6,) rows of the residual with the network's, of the nominal vehicle at rest: no plan avoids it."""
-        x = _hover(vehicle, yaw)[:, None]
-        d = self._values(vehicle, x)[:, 0]
+        """(6,) rows of the residual with the network's, of the nominal vehicle at rest: no plan avoids it.
+
+        Forces are those at the world's origin, loads those far from the floor.
+        """
+        high = _hover(vehicle, yaw)[:, None]
+        origin = high.copy()
+        origin[P] = 0.0
+        d = self._values(vehicle, high)
+        d[:3] += self._force(vehicle, origin) - self._force(vehicle, high)
         if self.network is not None:
-            d[:3] += self.network.acceleration_ned(x[V], x[THETA])[:, 0]
-        return np.concatenate([d, np.zeros(6 - len(d))])
+            d[:3] += self.network.acceleration_ned(high[V], high[THETA])
+        return np.concatenate([d[:, 0], np.zeros(6 - len(d))])
+
+    def _force(self, vehicle: Vehicle, x: Array) -> Array:
+        """(3, 1) the acceleration by the effects' forces at a state (16, 1)."""
+        return np.array(residual_acceleration_ned(NUMPY, vehicle, self.parts, list(x))).reshape(3, 1)
 
     def _values(self, vehicle: Vehicle, x: Array) -> Array:
         """(3 or 6, n) rows without the network at states (16, n)."""

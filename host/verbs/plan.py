@@ -135,7 +135,7 @@ def command(
         return
     if kind is None:
         kind = "min-snap"
-        if known is not None and ResidualModel.of(known, effects).has_residual(airframe):
+        if known is not None and ResidualModel.of(known, effects).has_force:
             kind = "min-residual"
     target = check_name(output or Path(f"{way.name}.ref"), force)
     with Progress(f"planning {way.name}"):
