@@ -33,7 +33,8 @@ EFFECT = Effect(
     observable="changes of thrust, as in climbs and fast turns; in hover it is a torque bias",
     closing=Closing(
         model="a torque in proportion to the collective thrust",
-        planner="plans a path of less change of thrust, with which the torque changes; hover's is left out",
+        planner="without a drag beside it, plans a path of less change of thrust, with which the "
+        "torque changes; hover's is left out",
         law=None,
     ),
     torque_frd=_torque,

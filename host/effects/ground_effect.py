@@ -35,7 +35,7 @@ EFFECT = Effect(
     observable="a flight that goes low, below some 0.8 m, and high; at one height it is a thrust gain",
     closing=Closing(
         model="every rotor's thrust rises towards the floor",
-        planner="plans a path that keeps off the floor where its waypoints let it",
+        planner="without a drag beside it, plans a path that keeps off the floor where its waypoints let it",
         law=None,
     ),
     thrust_factor=_factor,

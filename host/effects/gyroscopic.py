@@ -39,7 +39,7 @@ EFFECT = Effect(
     observable="turns about roll and pitch while the heading is being turned hard; hardly at all otherwise",
     closing=Closing(
         model="a torque across the body rate in proportion to the surplus of rotor speed of one spin",
-        planner="plans a path of less body rate where the rotors' speeds differ",
+        planner="without a drag beside it, plans a path of less body rate where the rotors' speeds differ",
         law=None,
     ),
     torque_frd=_torque,

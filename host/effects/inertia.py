@@ -32,7 +32,7 @@ EFFECT = Effect(
     observable="quick turns; only thrust times arm over inertia shows, swing the vehicle for more",
     closing=Closing(
         model="the principal moments times constants",
-        planner="plans a path of gentler turns, for which less torque is missing",
+        planner="without a drag beside it, plans a path of gentler turns, for which less torque is missing",
         law=None,
     ),
     inertia_factors=_factors,

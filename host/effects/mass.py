@@ -34,7 +34,8 @@ EFFECT = Effect(
     observable="never apart from thrust in flight; weigh the vehicle",
     closing=Closing(
         model="the mass times a constant",
-        planner="plans a path of less acceleration, of which a share is missing; what hover lacks is "
+        planner="without a drag beside it, plans a path of less acceleration, of which a share "
+        "is missing; what hover lacks is "
         "left out",
         law="the commanded thrust is multiplied by the factor",
     ),

@@ -36,7 +36,8 @@ EFFECT = Effect(
     observable="roll, pitch and yaw torque in one fixed ratio; a centre of mass that is off does not yaw",
     closing=Closing(
         model="the thrust of one rotor times a constant",
-        planner="plans a path of less change of thrust, with which the lost share changes; what hover "
+        planner="without a drag beside it, plans a path of less change of thrust, with which the "
+        "lost share changes; what hover "
         "lacks is left out",
         law="the commanded thrust is divided by the mean of the four; the rate integral holds the torque",
     ),

@@ -42,7 +42,8 @@ EFFECT = Effect(
     observable="any flight; from mass only by weighing",
     closing=Closing(
         model="every rotor's thrust times a constant",
-        planner="plans a path of less acceleration, of which a share is missing; what hover lacks is "
+        planner="without a drag beside it, plans a path of less acceleration, of which a share "
+        "is missing; what hover lacks is "
         "left out",
         law="the commanded thrust is divided by the gain",
     ),
