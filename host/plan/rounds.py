@@ -183,11 +183,12 @@ class _Run:
         while self._last is None and self._tracked is None and (half := coarser(grids[-1])) is not None:
             grids.append(half)
         before: tuple[Problem, Solution, Grid] | None = None
-        for grid in reversed(grids):
+        for finer in reversed(range(len(grids))):
+            grid = grids[finer]
             solution = self._solve_on(grid, before)
             before = (self.problem, solution, grid) if solution.status.usable else None
-            if before is not None and len(grids) > 1 and grid is grids[1]:
-                # What sticks out on the next coarser grid would on the finest.
+            if before is not None and 1 <= finer <= 2:
+                # What sticks out on a grid nearly as fine would on the finest.
                 self.box = self.box.tightened(self.judged(solution, grid).margins)
         self.rounds += 1
         return solution
