@@ -183,13 +183,15 @@ class _Run:
         while self._last is None and self._tracked is None and (half := coarser(grids[-1])) is not None:
             grids.append(half)
         before: tuple[Problem, Solution, Grid] | None = None
-        for finer in reversed(range(len(grids))):
-            grid = grids[finer]
+        for grid in reversed(grids):
             solution = self._solve_on(grid, before)
             before = (self.problem, solution, grid) if solution.status.usable else None
-            if before is not None and 1 <= finer <= 2:
-                # What sticks out on a grid nearly as fine would on the finest.
-                self.box = self.box.tightened(self.judged(solution, grid).margins)
+            if before is not None and grid is not self.grid and grid.step_s <= NODE_S:
+                judged = self.judged(solution, grid)
+                if not judged.ok:  # so would it on finer grids, where another round takes longer
+                    self.box = self.box.tightened(judged.margins)
+                    solution = self._solve_on(grid, before)
+                    before = (self.problem, solution, grid) if solution.status.usable else None
         self.rounds += 1
         return solution
 
@@ -300,7 +302,6 @@ class _Run:
             start = linear_start(job.dynamics, job.waypoints_ned, grid, yaw)
         low, high = settings.total_time_box
         total_s = job.route.duration_s
-        step_s = float(grid.times_s[-1]) / len(grid.leg_of)
         problem = make_problem(
             job.dynamics,
             job.waypoints_ned,
@@ -309,7 +310,7 @@ class _Run:
             self.box,
             yaw=yaw,
             # A coarse grid lets faster ripples through its spline's knots.
-            smoothing=self._smoothing * max(1.0, step_s / NODE_S) ** 2,
+            smoothing=self._smoothing * max(1.0, grid.step_s / NODE_S) ** 2,
             weights=self._weights,
             unavoidable=self._rest,
             start=start,

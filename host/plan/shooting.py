@@ -65,6 +65,11 @@ class Grid:
         return np.repeat(np.arange(len(self.counts)), self.counts)
 
     @property
+    def step_s(self) -> float:
+        """The mean nominal step."""
+        return float(self.counts @ self.h0_s) / float(self.counts.sum())
+
+    @property
     def times_s(self) -> Array:
         """(N + 1,) nominal times of the nodes."""
         return np.concatenate([[0.0], np.cumsum(self.h0_s[self.leg_of])])
