@@ -192,8 +192,8 @@ class Weights:
     squared distance in m from the path to track, where there is one.
     """
 
-    control: float = 0.04
-    thrust_rate: float = 0.004
+    control: float = 0.02
+    thrust_rate: float = 0.002
     yaw: float = 1e4
     time: float = 0.0
     tracking: float = 100.0

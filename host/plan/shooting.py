@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 NODES_MAX = 1600
 NODE_S = 0.07
-COARSE = 50
+COARSE = 100
 """Intervals of the coarsest grid; finer ones begin at the solution of one half as fine."""
 _DATA_S = 0.1
 _LEG_NODES_MIN = 4

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from host.bench import naive, planning, rockit_ocp, snap_peer
-from host.plan import Plan, PlanRefused, ResidualModel, plan
+from host.plan import Plan, PlanRefused, ResidualModel, Weights, plan
 from host.plan.dynamics import Dynamics
 from host.plan.planner import make_job
 from host.plan.rounds import first_round
@@ -82,7 +82,8 @@ def test_naive_problem_has_our_optimum(model: ResidualModel, courses: list[Route
 def test_naive_problem_with_free_steps_and_time_has_our_optimum(
     model: ResidualModel, courses: list[Route]
 ) -> None:
-    settings = replace(planning.FREE_TIME, shared_steps=False, step_penalty=0.1)
+    weights = Weights(control=0.04, thrust_rate=0.004, time=1.0)
+    settings = replace(planning.FREE_TIME, weights=weights, shared_steps=False, step_penalty=0.1)
     job = make_job(courses[0], VEHICLE, kind="min-residual", model=model, settings=settings)
     engine, problem, _ = first_round(job, nodes=20)
     ours = solve(engine, problem, tolerance=1e-7, max_iterations=300)

@@ -150,7 +150,7 @@ def test_residual_at_rest_turns_with_a_free_heading() -> None:
     for yaw in (0.0, 1.2, -2.9):
         x = dynamics.steady(yaw)
         costs.append(float(ca.DM(value(x, np.zeros(4), 1.0, 0.05, p)[1])))
-    assert costs == pytest.approx([0.04 * 4.0] * 3, abs=1e-9)
+    assert costs == pytest.approx([0.02 * 4.0] * 3, abs=1e-9)
 
 
 def test_min_control_r_with_a_free_heading_is_refused() -> None:
