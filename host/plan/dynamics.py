@@ -289,11 +289,11 @@ class Dynamics:
             return out
         return np.vstack([out, np.full(len(yaw), weights.tracking), tracked_ned])
 
-    def _unrest(self, unknown: Array, yaw: float, v_ned: Sequence[float]) -> Array:
+    def _unrest(self, unknown: Array, yaw: float, v_ned: Sequence[float], p_ned: Sequence[float]) -> Array:
         """(6, n) acceleration and angular acceleration without turning, at roll, pitch and thrusts (6, n)."""
         zero = np.zeros(unknown.shape[1])
-        moving = [zero + v for v in v_ned]
-        x = [*[zero] * 3, *moving, unknown[0], unknown[1], zero + yaw, *[zero] * 3, *unknown[2:]]
+        moving = [zero + value for value in (*p_ned, *v_ned)]
+        x = [*moving, unknown[0], unknown[1], zero + yaw, *[zero] * 3, *unknown[2:]]
         parts = self.model.parts if self.augmented else ()
         rows = rigid_body(NUMPY, self.vehicle, parts, self.newtons(x))
         found = np.array([zero + row for row in [*rows[V], *rows[RATE]]])
@@ -308,8 +308,13 @@ class Dynamics:
         rate = x[RATE]
         return change**2 + force**2 * (rate[0] ** 2 + rate[1] ** 2)
 
-    def steady(self, yaw: float, v_ned: Sequence[float] = (0.0, 0.0, 0.0)) -> Array:
-        """(16,) the state at the origin, at rest or at v_ned (m/s), in which nothing accelerates, in the
+    def steady(
+        self,
+        yaw: float,
+        v_ned: Sequence[float] = (0.0, 0.0, 0.0),
+        p_ned: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> Array:
+        """(16,) the state at p_ned (m), at rest or at v_ned (m/s), in which nothing accelerates, in the
         planner's units.
 
         Newton's method on attitude and thrusts, with slopes by differences; differs from level only where the
@@ -319,12 +324,12 @@ class Dynamics:
         away = _STEP * np.eye(6)
         for _ in range(20):
             lanes = value[:, None] + np.hstack([np.zeros((6, 1)), away, -away])
-            found = self._unrest(lanes, yaw, v_ned)
+            found = self._unrest(lanes, yaw, v_ned, p_ned)
             error, slope = found[:, 0], (found[:, 1:7] - found[:, 7:]) / (2.0 * _STEP)
             if not np.isfinite(slope).all():
                 break
             if np.abs(error).max() < 1e-10:
-                return np.concatenate([np.zeros(3), v_ned, value[:2], [yaw], np.zeros(3), value[2:]])
+                return np.concatenate([p_ned, v_ned, value[:2], [yaw], np.zeros(3), value[2:]])
             value = value - np.linalg.lstsq(slope, error, rcond=None)[0]
         if any(v_ned):
             raise ValueError(f"the model has no steady flight at {list(v_ned)} m/s near level flight")

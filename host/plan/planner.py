@@ -153,8 +153,9 @@ def _residual_model(
 def _check_steady(dynamics: Dynamics, route: Route) -> None:
     """Raises UsageError for a model under which the vehicle cannot hover, or fly as the path's ends do."""
     try:
-        for v_ned in ((0.0, 0.0, 0.0), *route.end_velocities_ned):
-            dynamics.steady(0.0, v_ned)
+        for p_ned in (route.waypoints_m[0], route.waypoints_m[-1]):
+            for v_ned in ((0.0, 0.0, 0.0), *route.end_velocities_ned):
+                dynamics.steady(0.0, v_ned, p_ned)
     except (ValueError, ArithmeticError) as error:
         raise UsageError(f"{error}; plan without the star") from None
 

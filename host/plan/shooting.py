@@ -128,7 +128,8 @@ def _share(grid: Grid) -> Array:
 def linear_start(dynamics: Dynamics, waypoints_ned: Array, grid: Grid, yaw: Array) -> tuple[Array, Array]:
     """States and inputs at rest on the straight lines between waypoints, as in the paper's section IV-C.3."""
     count = int(grid.counts.sum())
-    x = np.repeat(dynamics.steady(float(yaw[0]))[:, None], count + 1, axis=1)
+    steady = dynamics.steady(float(yaw[0]), p_ned=waypoints_ned[0])
+    x = np.repeat(steady[:, None], count + 1, axis=1)
     x[THETA.stop - 1] = yaw
     for axis in range(3):
         x[axis] = np.interp(np.arange(count + 1), grid.waypoints, waypoints_ned[:, axis])
@@ -192,7 +193,8 @@ def make_problem(
     met = np.setdiff1d(np.arange(len(waypoints_ned)), [gate.waypoint for gate in gates])
     low[P, grid.waypoints[met]] = high[P, grid.waypoints[met]] = waypoints_ned[met].T
     for node, velocity in zip((0, count), end_velocities_ned, strict=True):
-        steady = dynamics.steady(float(yaw[node]), velocity)
+        place = waypoints_ned[0 if node == 0 else -1]
+        steady = dynamics.steady(float(yaw[node]), velocity, place)
         low[P.stop :, node] = high[P.stop :, node] = steady[P.stop :]
     if free_yaw:
         low[THETA.stop - 1, 1:], high[THETA.stop - 1, 1:] = -np.inf, np.inf

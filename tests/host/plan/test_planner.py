@@ -506,3 +506,9 @@ def test_plan_with_a_network_is_the_same_in_c_and_in_the_virtual_machine(
             )
         )  # fmt: skip
     assert made[0].residual_rms_m_s2 == pytest.approx(made[1].residual_rms_m_s2, rel=0.01)
+
+
+def test_star_with_an_effect_of_the_floor_starts_at_rest_where_the_route_does() -> None:
+    floor = ResidualModel(parts=((EFFECTS["ground-effect"], (0.03,)),))
+    made = plan(ROUTE, VEHICLE, kind="min-residual*", model=floor)
+    _assert_flyable(made)
