@@ -100,6 +100,10 @@ def command(
     way = place.route(route, airframe)
     known = None if model is None else read_model(model, vehicle_id=airframe.id)
     effects = load_effects(place.root)
+    try:
+        residual = ResidualModel() if known is None else ResidualModel.of(known, effects)
+    except ValueError as error:
+        raise UsageError(f"{model}: {error}") from None
     within = None if headroom is None else _headroom(*headroom)
     parents = {"vehicle": airframe.id, "route": way.id}
     if known is not None:
@@ -134,9 +138,7 @@ def command(
         )
         return
     if kind is None:
-        kind = "min-snap"
-        if known is not None and ResidualModel.of(known, effects).has_force:
-            kind = "min-residual"
+        kind = "min-residual" if residual.has_force else "min-snap"
     target = check_name(output or Path(f"{way.name}.ref"), force)
     with Progress(f"planning {way.name}"):
         made = make_plan(
@@ -153,7 +155,6 @@ def command(
             nodes=nodes,
             source=route_file(route, place.root),
         )
-    residual = ResidualModel() if known is None else ResidualModel.of(known, effects)
     if report is not None:
         from host.report.plan import page
 

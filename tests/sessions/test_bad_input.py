@@ -306,6 +306,15 @@ def test_reference_and_model_of_another_vehicle_are_refused(
     refused("plan", "figure-eight", "--model", "m.model.toml", code=2, parts=["m.model.toml", nano.id])
 
 
+def test_model_with_a_parameter_its_effect_lacks_is_refused(
+    refused: Refused, vehicle: Vehicle, tmp_path: Path
+) -> None:
+    wrong = Model(vehicle_id=vehicle.id, vehicle_name=vehicle.name, effects={"linear-drag": {"dq": 0.4}})
+    write_model(wrong, tmp_path / "m.model.toml")
+    parts = ["m.model.toml: linear-drag has no parameter dq; it has dx, dy, dz"]
+    refused("plan", "figure-eight", "--model", "m.model.toml", code=2, parts=parts)
+
+
 def test_logs_of_several_vehicles_are_refused_together(
     refused: Refused, log: str, foreign: Callable[..., str]
 ) -> None:
