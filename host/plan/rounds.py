@@ -250,8 +250,10 @@ class _Run:
         if solution.status is SolveStatus.ITERATIONS and solution.violation <= _NEARLY_FEASIBLE:
             self._last = solution
             self._smoothing *= 2.0
-        elif self._last is not None:
+        elif self._last is not None:  # a box tightened for ripples may leave no way: smoother, in the whole one
             self._last = None
+            self.box = SolverBox.inside(self.job.limits, self.job.yaw_rate_max_rad_s)
+            self._smoothing *= 2.0
         elif self._start is _Start.LINEAR:
             self._start = _Start.PATH
         else:
