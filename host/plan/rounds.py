@@ -96,13 +96,14 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
 
 
 def first_round(job: Job, *, nodes: int | None) -> tuple[Engine, Problem, Solution]:
-    """What evaluates the problem, the problem from the straight lines, and where the first round ends.
+    """What evaluates the problem, the problem from the straight lines in the box that coarser grids left, and
+    where the first round ends.
 
     The solution's time is that of the solver on all grids.
     """
     run = _begin(job, nodes)
-    problem = run.make_problem(run.grid)
     solution = run.solve()
+    problem = run.make_problem(run.grid)
     return run.engine, problem, replace(solution, solve_s=run.first_solve_s)
 
 
@@ -250,7 +251,7 @@ class _Run:
         if solution.status is SolveStatus.ITERATIONS and solution.violation <= _NEARLY_FEASIBLE:
             self._last = solution
             self._smoothing *= 2.0
-        elif self._last is not None:  # a box tightened for ripples may leave no way: smoother, in the whole one
+        elif self._last is not None:  # tightened for ripples the box may leave no way: smoother, in the whole
             self._last = None
             self.box = SolverBox.inside(self.job.limits, self.job.yaw_rate_max_rad_s)
             self._smoothing *= 2.0
