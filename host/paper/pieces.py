@@ -76,33 +76,47 @@ def run_pieces(
     return {piece.name: json.loads(_file(folder, piece).read_text("utf-8")) for piece in pieces}
 
 
-def run_study(
+def study_of(
     name: str,
-    pieces: Sequence[Piece],
+    pieces: Callable[[int, int, bool], Sequence[Piece]],
     do: Callable[..., Any],
     summary: Callable[[Mapping[str, Any], Mapping[str, Any]], dict[str, Any]],
     *,
-    folder: Path,
-    seed: int,
-    vehicle: str,
     worlds: int,
-    quick: bool,
-    jobs: int,
-    report: Report,
-) -> dict[str, Any]:
-    """The outcome of a study of these pieces: what `summary` makes of its answer and them, and `scores`.
+) -> Callable[..., dict[str, Any]]:
+    """A study of pieces, as `host.studies` asks for one: what `summary` makes of its answer and its pieces.
 
-    do(piece, folder, vehicle=, seed=): what a piece comes to. Raises UsageError without a world, and where
-    the folder holds another study.
+    pieces(seed, worlds, quick): what it consists of. do(piece, folder, vehicle=, seed=): what a piece comes
+    to. worlds: by default.
     """
-    if worlds < 1:
-        raise UsageError(f"--worlds {worlds}: give 1 or more")
-    folder = folder.absolute()
-    order = {"study": name, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick}
-    work = partial(do, vehicle=vehicle, seed=seed)
-    found = run_pieces(pieces, work, folder=folder, order=order, jobs=jobs, report=report)
-    answer = {"study": name, "seed": seed, "worlds": worlds, "quick": quick, "folder": str(folder)}
-    return {**summary(answer, found), "scores": found}
+    by_default = worlds
+
+    def run(
+        *,
+        folder: Path,
+        seed: int,
+        vehicle: str,
+        jobs: int,
+        worlds: int = by_default,
+        quick: bool = False,
+        report: Report = lambda done, total, detail: None,
+    ) -> dict[str, Any]:
+        """The study's outcome: `answer` (the machine's object), `lines` (for people), `scores` (all pieces).
+
+        quick: a small one, to see that everything works. Raises UsageError without a world, and where the
+        folder holds another study.
+        """
+        if worlds < 1:
+            raise UsageError(f"--worlds {worlds}: give 1 or more")
+        folder = folder.absolute()
+        order = {"study": name, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick}
+        work = partial(do, vehicle=vehicle, seed=seed)
+        wanted = pieces(seed, worlds, quick)
+        found = run_pieces(wanted, work, folder=folder, order=order, jobs=jobs, report=report)
+        answer = {"study": name, "seed": seed, "worlds": worlds, "quick": quick, "folder": str(folder)}
+        return {**summary(answer, found), "scores": found}
+
+    return run
 
 
 def _leave(work: Work, piece: Piece, folder: str) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from host.codegen.compiler import Compiler, shared_library
-from host.plan.problem import SolveStatus
+from host.plan.problem import Enough, SolveStatus
 from host.plan.transcription import Assembly, ranks
 
 Array = NDArray[np.float64]
@@ -78,16 +78,6 @@ class Found:
     w: Array
     status: SolveStatus
     iterations: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class Enough:
-    """When a point is acceptable: in two iterations running the cost changed by less than the share `change`,
-    with every row met within `gap`.
-    """
-
-    change: float
-    gap: float
 
 
 def usable() -> bool:

@@ -81,6 +81,16 @@ class Problem:
         return self.h_bounds != (1.0, 1.0)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Enough:
+    """When a point is acceptable: in two iterations running the cost changed by less than the share `change`,
+    with every row met within `gap`.
+    """
+
+    change: float
+    gap: float
+
+
 class SolveStatus(Enum):
     """How a solve ended; the value is a sentence for a person."""
 

@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from host.models.dynamics import P
 from host.plan.box import SolverBox
 from host.plan.dynamics import YAW, ResidualModel
-from host.plan.fatrop import Enough
 from host.plan.heading import yaw_nodes
 from host.plan.intervals import Engine
 from host.plan.job import Effort, Job
 from host.plan.judge import Judged, measure
-from host.plan.problem import Problem, Solution, SolveStatus
+from host.plan.problem import Enough, Problem, Solution, SolveStatus
 from host.plan.profile import profile
 from host.plan.result import Plan, PlanRefused, PlanUnsolved
 from host.plan.shooting import (
@@ -186,13 +185,12 @@ class _Run:
         before: tuple[Problem, Solution, Grid] | None = None
         for grid in reversed(grids):
             solution = self._solve_on(grid, before)
-            before = (self.problem, solution, grid) if solution.status.usable else None
-            if before is not None and grid is not self.grid and grid.step_s <= NODE_S:
+            if solution.status.usable and grid is not self.grid and grid.step_s <= NODE_S:
                 judged = self.judged(solution, grid)
-                if not judged.ok:  # so would it on finer grids, where another round takes longer
+                if not judged.ok:  # nor would it be on finer grids, where another round takes longer
                     self.box = self.box.tightened(judged.margins)
-                    solution = self._solve_on(grid, before)
-                    before = (self.problem, solution, grid) if solution.status.usable else None
+                    solution = self._solve_on(grid, (self.problem, solution, grid))
+            before = (self.problem, solution, grid) if solution.status.usable else None
         self.rounds += 1
         return solution
 

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from host.codegen.compiler import wanted_compiler
 from host.plan import fatrop
-from host.plan.fatrop import Enough
 from host.plan.intervals import Engine
-from host.plan.problem import Multipliers, Problem, Solution, SolveStatus
+from host.plan.problem import Enough, Multipliers, Problem, Solution, SolveStatus
 from host.plan.transcription import Assembly
 from host.route.shapes import Shape
 

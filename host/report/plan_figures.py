@@ -90,8 +90,9 @@ def _kept(along: Profile) -> np.ndarray:
 
 def _residual(ax: Any, along: Profile, keep: np.ndarray) -> np.ndarray:
     """Components and norm of the predicted residual; the norm at all samples."""
+    norm = along.residual_m_s2
     assert along.residual is not None
-    norm = np.linalg.norm(along.residual, axis=0)
+    assert norm is not None
     names = ("north", "east", "down", "roll torque", "pitch torque", "yaw torque")
     for row, (values, name) in enumerate(zip(along.residual, names, strict=False)):
         colour, dash = _COLOURS[row % 3], "-" if row < 3 else ":"

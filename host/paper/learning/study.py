@@ -12,7 +12,7 @@ from host.paper.learning.flights import Flights, make_flights
 from host.paper.learning.measure import acceleration_error
 from host.paper.learning.methods import BODY, CLOSED, LONG, REGRESSORS, SHORT, WORLD, learn_exact
 from host.paper.learning.summary import summary
-from host.paper.pieces import Piece, Report, run_study
+from host.paper.pieces import Piece, study_of
 from host.vehicle import load_vehicle
 
 NAME = "paper-learning"
@@ -44,35 +44,6 @@ FULL = Scope(
 QUICK = Scope(
     trials=2, epochs=20, seeds=1, iterations=(60,), scales=(1.0, 5.0), noisy=(CLOSED.name, BODY.name)
 )
-
-
-def run(
-    *,
-    folder: Path,
-    seed: int,
-    vehicle: str,
-    jobs: int,
-    worlds: int = WORLDS,
-    quick: bool = False,
-    report: Report = lambda done, total, detail: None,
-) -> dict[str, Any]:
-    """The study's outcome: `answer` (the machine's object), `lines` (for people), `scores` (all pieces).
-
-    quick: a small one, to see that everything works. Raises UsageError where the folder holds another study.
-    """
-    return run_study(
-        NAME,
-        plan(seed, 1 if quick else worlds, QUICK if quick else FULL),
-        do,
-        summary,
-        folder=folder,
-        seed=seed,
-        vehicle=vehicle,
-        worlds=worlds,
-        quick=quick,
-        jobs=jobs,
-        report=report,
-    )
 
 
 def plan(seed: int, worlds: int, scope: Scope) -> list[Piece]:
@@ -156,3 +127,12 @@ _KINDS: Mapping[str, Callable[..., Any]] = {
 
 def _slug(name: str) -> str:
     return "".join(c if c.isalnum() else "-" for c in name.lower()).replace("--", "-").strip("-")
+
+
+run = study_of(
+    NAME,
+    lambda seed, worlds, quick: plan(seed, 1 if quick else worlds, QUICK if quick else FULL),
+    do,
+    summary,
+    worlds=WORLDS,
+)

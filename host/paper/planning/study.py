@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from host.paper.pieces import Piece, Report, run_study
+from host.paper.pieces import Piece, study_of
 from host.paper.planning import compare
 from host.paper.planning.summary import summary
 from host.vehicle import load_vehicle
@@ -13,35 +13,6 @@ from host.vehicle import load_vehicle
 NAME = "paper-planning"
 WORLDS, COURSES, PLANNED = 5, 4, 20
 """Sealed worlds, held-out courses flown in each, courses planned under the paper's drag."""
-
-
-def run(
-    *,
-    folder: Path,
-    seed: int,
-    vehicle: str,
-    jobs: int,
-    worlds: int = WORLDS,
-    quick: bool = False,
-    report: Report = lambda done, total, detail: None,
-) -> dict[str, Any]:
-    """The study's outcome: `answer` (the machine's object), `lines` (for people), `scores` (all pieces).
-
-    quick: a small one, to see that everything works. Raises UsageError where the folder holds another study.
-    """
-    return run_study(
-        NAME,
-        plan_pieces(1 if quick else worlds, 1 if quick else COURSES, 2 if quick else PLANNED),
-        do,
-        summary,
-        folder=folder,
-        seed=seed,
-        vehicle=vehicle,
-        worlds=worlds,
-        quick=quick,
-        jobs=jobs,
-        report=report,
-    )
 
 
 def plan_pieces(worlds: int, courses: int, planned: int) -> list[Piece]:
@@ -62,3 +33,14 @@ def do(piece: Piece, folder: str, *, vehicle: str, seed: int) -> Any:
         return compare.planned(craft, seed, **piece.arguments)
     place = Path(folder) / "worlds" / f"{piece.arguments['world']:02d}"
     return compare.flown(place, craft, seed, **piece.arguments)
+
+
+run = study_of(
+    NAME,
+    lambda seed, worlds, quick: plan_pieces(
+        1 if quick else worlds, 1 if quick else COURSES, 2 if quick else PLANNED
+    ),
+    do,
+    summary,
+    worlds=WORLDS,
+)

@@ -13,6 +13,7 @@ import pytest
 from host.bench import naive, planning, rockit_ocp, snap_peer
 from host.plan import Plan, PlanRefused, ResidualModel, Weights, plan
 from host.plan.dynamics import Dynamics
+from host.plan.job import Job
 from host.plan.planner import make_job
 from host.plan.rounds import first_round
 from host.plan.snap import optimise_durations, solve_snap
@@ -69,14 +70,18 @@ def test_network_of_a_seed_is_the_same_and_near_the_drag() -> None:
     np.testing.assert_allclose(level, [-1.5, 1.5, 0.0], atol=0.5)
 
 
-def test_naive_problem_has_our_optimum(model: ResidualModel, courses: list[Route]) -> None:
-    job = make_job(courses[0], VEHICLE, kind=planning.KIND, model=model)
+def _assert_same_optimum(solve_too: Callable[..., naive.Ended], job: Job, *, rel: float) -> None:
     engine, problem, _ = first_round(job, nodes=20)
     ours = solve(engine, problem, tolerance=1e-7, max_iterations=300)
-    other = naive.solve(engine.model, problem, tolerance=1e-7, most_s=60.0)
+    other = solve_too(engine.model, problem, tolerance=1e-7, most_s=60.0)
     assert ours.status.usable
     assert other.solved
-    assert other.cost == pytest.approx(ours.cost, rel=1e-5)
+    assert other.cost == pytest.approx(ours.cost, rel=rel)
+
+
+def test_naive_problem_has_our_optimum(model: ResidualModel, courses: list[Route]) -> None:
+    job = make_job(courses[0], VEHICLE, kind=planning.KIND, model=model)
+    _assert_same_optimum(naive.solve, job, rel=1e-5)
 
 
 def test_naive_problem_with_free_steps_and_time_has_our_optimum(
@@ -85,11 +90,7 @@ def test_naive_problem_with_free_steps_and_time_has_our_optimum(
     weights = Weights(control=0.04, thrust_rate=0.004, time=1.0)
     settings = replace(planning.FREE_TIME, weights=weights, shared_steps=False, step_penalty=0.1)
     job = make_job(courses[0], VEHICLE, kind="min-residual", model=model, settings=settings)
-    engine, problem, _ = first_round(job, nodes=20)
-    ours = solve(engine, problem, tolerance=1e-7, max_iterations=300)
-    other = naive.solve(engine.model, problem, tolerance=1e-7, most_s=60.0)
-    assert other.solved
-    assert other.cost == pytest.approx(ours.cost, rel=1e-5)
+    _assert_same_optimum(naive.solve, job, rel=1e-5)
 
 
 def test_naive_solve_without_time_says_it_did_not_arrive(model: ResidualModel, courses: list[Route]) -> None:
@@ -105,12 +106,7 @@ def test_rockit_problem_has_our_optimum(
     require("rockit")
     for kind, settings in ((planning.KIND, planning.Settings()), ("min-residual", planning.FREE_TIME)):
         job = make_job(courses[0], VEHICLE, kind=kind, model=model, settings=settings)
-        engine, problem, _ = first_round(job, nodes=20)
-        ours = solve(engine, problem, tolerance=1e-7, max_iterations=300)
-        other = rockit_ocp.solve(engine.model, problem, tolerance=1e-7, most_s=60.0)
-        assert ours.status.usable
-        assert other.solved
-        assert other.cost == pytest.approx(ours.cost, rel=1e-6)
+        _assert_same_optimum(rockit_ocp.solve, job, rel=1e-6)
 
 
 def test_rockit_solve_without_time_says_it_did_not_arrive(

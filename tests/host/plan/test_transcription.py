@@ -8,10 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from host.plan.fatrop import Enough
 from host.plan.intervals import Engine
 from host.plan.planner import make_job
-from host.plan.problem import Problem, SolveStatus
+from host.plan.problem import Enough, Problem, SolveStatus
 from host.plan.rounds import first_round
 from host.plan.solver import Solver, solve
 from host.plan.stage import StageModel
