@@ -36,6 +36,11 @@ class Failsafe(IntEnum):
     MOCAP_LOST = 1
     LINK_LOST = 2
     TILT = 3
+    BATTERY_LOW = 4
+    SATURATED = 5
+    IMU_STUCK = 6
+    LOOP_OVERRUN = 7
+    GEOFENCE = 8
 
 
 @dataclass(frozen=True, kw_only=True)

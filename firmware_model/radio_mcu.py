@@ -108,6 +108,7 @@ class RadioMcu:
                 self.packer.packed & 0xFFFF_FFFF,
                 self.packer.refused & 0xFFFF,
                 self.packer.replaced & 0xFFFF,
+                0,
                 (self.uart.overruns + self.air_overruns) & 0xFFFF,
                 self._splitter.bad_bytes & 0xFFFF,
             )

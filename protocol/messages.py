@@ -19,7 +19,25 @@ ParamRequestRead = mavlink.MAVLink_param_request_read_message
 ParamRequestList = mavlink.MAVLink_param_request_list_message
 ParamValue = mavlink.MAVLink_param_value_message
 ParamSet = mavlink.MAVLink_param_set_message
+SysStatus = mavlink.MAVLink_sys_status_message
+Attitude = mavlink.MAVLink_attitude_message
+AttitudeQuaternion = mavlink.MAVLink_attitude_quaternion_message
+LocalPositionNed = mavlink.MAVLink_local_position_ned_message
+Odometry = mavlink.MAVLink_odometry_message
+BatteryStatus = mavlink.MAVLink_battery_status_message
+ExtendedSysState = mavlink.MAVLink_extended_sys_state_message
+HomePosition = mavlink.MAVLink_home_position_message
+MessageInterval = mavlink.MAVLink_message_interval_message
+RequestDataStream = mavlink.MAVLink_request_data_stream_message
+MissionRequestList = mavlink.MAVLink_mission_request_list_message
+MissionCount = mavlink.MAVLink_mission_count_message
+MissionClearAll = mavlink.MAVLink_mission_clear_all_message
+MissionAck = mavlink.MAVLink_mission_ack_message
+FileTransfer = mavlink.MAVLink_file_transfer_protocol_message
+SetPositionTarget = mavlink.MAVLink_set_position_target_local_ned_message
+SetAttitudeTarget = mavlink.MAVLink_set_attitude_target_message
 CommandLong = mavlink.MAVLink_command_long_message
+CommandInt = mavlink.MAVLink_command_int_message
 CommandAck = mavlink.MAVLink_command_ack_message
 Timesync = mavlink.MAVLink_timesync_message
 AttPosMocap = mavlink.MAVLink_att_pos_mocap_message
@@ -46,7 +64,9 @@ CAMERAS = (254, 1)
 """The motion capture system, which sends poses to the host."""
 
 NO_TICK = 0xFFFF_FFFF
-"""FC_STATUS.reference_tick before it is known."""
+"""FC_STATUS.reference_tick before it is known, swap_tick where none is agreed, UPLOAD_COMMIT.at_tick at
+once.
+"""
 NO_NODE = 0xFFFF
 """UPLOAD_VERDICT.node where none is concerned."""
 FORCE = 21196.0
@@ -65,6 +85,7 @@ class UploadState(IntEnum):
     STAGED = mavlink.TRIMTAB_UPLOAD_STAGED
     REFUSED = mavlink.TRIMTAB_UPLOAD_REFUSED
     LIVE = mavlink.TRIMTAB_UPLOAD_LIVE
+    SCHEDULED = mavlink.TRIMTAB_UPLOAD_SCHEDULED
 
 
 class UploadResult(IntEnum):
@@ -78,6 +99,8 @@ class UploadResult(IntEnum):
     UNKNOWN = mavlink.TRIMTAB_UPLOAD_RESULT_UNKNOWN
     BUSY = mavlink.TRIMTAB_UPLOAD_RESULT_BUSY
     REFUSED = mavlink.TRIMTAB_UPLOAD_RESULT_REFUSED
+    NOT_CONTINUOUS = mavlink.TRIMTAB_UPLOAD_RESULT_NOT_CONTINUOUS
+    TOO_LATE = mavlink.TRIMTAB_UPLOAD_RESULT_TOO_LATE
 
 
 def vehicle_heartbeat(state: int, *, armed: bool, failsafe: bool = False) -> Heartbeat:

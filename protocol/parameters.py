@@ -1,6 +1,6 @@
 """The parameter table: everything that can be set on board, with type, default, unit and bounds.
 
-Every parameter is a float; float32 on the wire and on board. Names have at most 16 characters. Defaults
+Every parameter is float32 on board; those that are whole numbers travel as int32. Names have at most 16 characters. Defaults
 describe the 0.752 kg research quadrotor. In a name X, Y, Z are axes of body FRD, N, E, D those of world NED.
 
 Values are compared after rounding to float32 (`equal`): a host that holds 0.1 and a vehicle that answers
@@ -37,7 +37,10 @@ def equal(a: float, b: float) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One row: `min` and `max` are allowed themselves; `unit` is empty for a pure number."""
+    """One row: `min` and `max` are allowed themselves; `unit` is empty for a pure number.
+
+    `integer`: a whole number, below 2^24 in size, which travels as an int32.
+    """
 
     name: str
     default: float
@@ -45,6 +48,7 @@ class Parameter:
     min: float
     max: float
     description: str
+    integer: bool = False
 
     def __post_init__(self) -> None:
         if not 0 < len(self.name) <= NAME_MAX or not self.name.isascii():
@@ -61,11 +65,17 @@ class Parameter:
         if not (self.min <= value <= self.max or float32(self.min) <= rounded <= float32(self.max)):
             bounds = f"{self.min:g}..{self.max:g} {self.unit}".rstrip()
             raise ValueError(f"{self.name}: {value:g} is outside {bounds}")
+        if self.integer and not rounded.is_integer():
+            raise ValueError(f"{self.name}: {value:g} is no whole number")
         return rounded
 
 
-def _row(name: str, default: float, unit: str, low: float, high: float, description: str) -> Parameter:
-    return Parameter(name=name, default=default, unit=unit, min=low, max=high, description=description)
+def _row(
+    name: str, default: float, unit: str, low: float, high: float, description: str, *, integer: bool = False
+) -> Parameter:
+    return Parameter(
+        name=name, default=default, unit=unit, min=low, max=high, description=description, integer=integer
+    )
 
 
 def _axes(
@@ -95,6 +105,9 @@ PARAMETERS: tuple[Parameter, ...] = (
     _row("THRUST_C1", 0.0, "", 0.0, 1.0, "linear part of the thrust curve T/T_max = c1 u + c2 u^2"),
     _row("THRUST_C2", 1.0, "", 0.0, 1.0, "quadratic part of the thrust curve"),
     _row("THRUST_MIN", 0.05, "N", 0.0, 50.0, "least thrust of a rotor while armed"),
+    _row("BAT_CELLS", 4, "", 1, 24, "battery cells in series", integer=True),
+    _row("BAT_FULL_V", 16.8, "V", 0.5, 120.0, "voltage of the full battery"),
+    _row("BAT_EMPTY_V", 13.2, "V", 0.5, 120.0, "voltage of the empty battery"),
     # The law.
     *_axes("POS_P", "NED", (6.0, 6.0, 10.0), "1/s^2", 0.0, 100.0, "gain of the position error"),
     *_axes("VEL_D", "NED", (4.0, 4.0, 6.0), "1/s", 0.0, 50.0, "gain of the velocity error"),

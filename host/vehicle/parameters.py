@@ -63,6 +63,9 @@ def _places() -> Iterator[tuple[str, tuple[str | int, ...]]]:
     yield "THRUST_C2", ("thrust_curve", 1)
     yield "THRUST_MIN", ("thrust_max_n",)
     yield "MOTOR_LAG", ("motor_lag_s",)
+    yield "BAT_CELLS", ("battery", "cells")
+    yield "BAT_FULL_V", ("battery", "full_v")
+    yield "BAT_EMPTY_V", ("battery", "empty_v")
 
     yield from _axes("POS_P", "NED", "gains", "position_p")
     yield from _axes("VEL_D", "NED", "gains", "velocity_d")

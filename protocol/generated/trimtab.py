@@ -444,6 +444,24 @@ enums["MAV_CMD"][21].param[4] = """Reserved (default:0)"""
 enums["MAV_CMD"][21].param[5] = """Reserved (default:0)"""
 enums["MAV_CMD"][21].param[6] = """Reserved (default:0)"""
 enums["MAV_CMD"][21].param[7] = """Reserved (default:0)"""
+MAV_CMD_NAV_TAKEOFF = 22
+enums["MAV_CMD"][22] = EnumEntry("MAV_CMD_NAV_TAKEOFF", """Climbs from the floor and hovers until told otherwise.""")
+enums["MAV_CMD"][22].param[1] = """Reserved (default:0)"""
+enums["MAV_CMD"][22].param[2] = """Reserved (default:0)"""
+enums["MAV_CMD"][22].param[3] = """Reserved (default:0)"""
+enums["MAV_CMD"][22].param[4] = """Reserved (default:0)"""
+enums["MAV_CMD"][22].param[5] = """Reserved (default:0)"""
+enums["MAV_CMD"][22].param[6] = """Reserved (default:0)"""
+enums["MAV_CMD"][22].param[7] = """Height in m above the floor; NaN or 0: TAKEOFF_HEIGHT."""
+MAV_CMD_DO_SET_MODE = 176
+enums["MAV_CMD"][176] = EnumEntry("MAV_CMD_DO_SET_MODE", """Changes what is done in the air.""")
+enums["MAV_CMD"][176].param[1] = """MAV_MODE_FLAG; 1 reads the next ones."""
+enums["MAV_CMD"][176].param[2] = """Main mode as PX4 counts them: 6 follows setpoints, 4 holds or lands."""
+enums["MAV_CMD"][176].param[3] = """Sub mode of 4: 3 holds, 6 lands."""
+enums["MAV_CMD"][176].param[4] = """Reserved (default:0)"""
+enums["MAV_CMD"][176].param[5] = """Reserved (default:0)"""
+enums["MAV_CMD"][176].param[6] = """Reserved (default:0)"""
+enums["MAV_CMD"][176].param[7] = """Reserved (default:0)"""
 MAV_CMD_DO_FLIGHTTERMINATION = 185
 enums["MAV_CMD"][185] = EnumEntry("MAV_CMD_DO_FLIGHTTERMINATION", """Motors off at once.""")
 enums["MAV_CMD"][185].param[1] = """Acts where above 0.5."""
@@ -453,6 +471,15 @@ enums["MAV_CMD"][185].param[4] = """Reserved (default:0)"""
 enums["MAV_CMD"][185].param[5] = """Reserved (default:0)"""
 enums["MAV_CMD"][185].param[6] = """Reserved (default:0)"""
 enums["MAV_CMD"][185].param[7] = """Reserved (default:0)"""
+MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN = 246
+enums["MAV_CMD"][246] = EnumEntry("MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN", """Restarts the flight processor, on the floor only.""")
+enums["MAV_CMD"][246].param[1] = """1 restarts."""
+enums["MAV_CMD"][246].param[2] = """Reserved (default:0)"""
+enums["MAV_CMD"][246].param[3] = """Reserved (default:0)"""
+enums["MAV_CMD"][246].param[4] = """Reserved (default:0)"""
+enums["MAV_CMD"][246].param[5] = """Reserved (default:0)"""
+enums["MAV_CMD"][246].param[6] = """Reserved (default:0)"""
+enums["MAV_CMD"][246].param[7] = """Reserved (default:0)"""
 MAV_CMD_MISSION_START = 300
 enums["MAV_CMD"][300] = EnumEntry("MAV_CMD_MISSION_START", """Starts the flight: climb, hover, track the live reference, hold, land.""")
 enums["MAV_CMD"][300].param[1] = """Reserved (default:0)"""
@@ -471,6 +498,33 @@ enums["MAV_CMD"][400].param[4] = """Reserved (default:0)"""
 enums["MAV_CMD"][400].param[5] = """Reserved (default:0)"""
 enums["MAV_CMD"][400].param[6] = """Reserved (default:0)"""
 enums["MAV_CMD"][400].param[7] = """Reserved (default:0)"""
+MAV_CMD_RUN_PREARM_CHECKS = 401
+enums["MAV_CMD"][401] = EnumEntry("MAV_CMD_RUN_PREARM_CHECKS", """Says in texts why arming would be refused; accepted where it would not.""")
+enums["MAV_CMD"][401].param[1] = """Reserved (default:0)"""
+enums["MAV_CMD"][401].param[2] = """Reserved (default:0)"""
+enums["MAV_CMD"][401].param[3] = """Reserved (default:0)"""
+enums["MAV_CMD"][401].param[4] = """Reserved (default:0)"""
+enums["MAV_CMD"][401].param[5] = """Reserved (default:0)"""
+enums["MAV_CMD"][401].param[6] = """Reserved (default:0)"""
+enums["MAV_CMD"][401].param[7] = """Reserved (default:0)"""
+MAV_CMD_GET_HOME_POSITION = 410
+enums["MAV_CMD"][410] = EnumEntry("MAV_CMD_GET_HOME_POSITION", """Asks for HOME_POSITION.""")
+enums["MAV_CMD"][410].param[1] = """Reserved (default:0)"""
+enums["MAV_CMD"][410].param[2] = """Reserved (default:0)"""
+enums["MAV_CMD"][410].param[3] = """Reserved (default:0)"""
+enums["MAV_CMD"][410].param[4] = """Reserved (default:0)"""
+enums["MAV_CMD"][410].param[5] = """Reserved (default:0)"""
+enums["MAV_CMD"][410].param[6] = """Reserved (default:0)"""
+enums["MAV_CMD"][410].param[7] = """Reserved (default:0)"""
+MAV_CMD_GET_MESSAGE_INTERVAL = 510
+enums["MAV_CMD"][510] = EnumEntry("MAV_CMD_GET_MESSAGE_INTERVAL", """Asks for MESSAGE_INTERVAL.""")
+enums["MAV_CMD"][510].param[1] = """Message id."""
+enums["MAV_CMD"][510].param[2] = """Reserved (default:0)"""
+enums["MAV_CMD"][510].param[3] = """Reserved (default:0)"""
+enums["MAV_CMD"][510].param[4] = """Reserved (default:0)"""
+enums["MAV_CMD"][510].param[5] = """Reserved (default:0)"""
+enums["MAV_CMD"][510].param[6] = """Reserved (default:0)"""
+enums["MAV_CMD"][510].param[7] = """Reserved (default:0)"""
 MAV_CMD_SET_MESSAGE_INTERVAL = 511
 enums["MAV_CMD"][511] = EnumEntry("MAV_CMD_SET_MESSAGE_INTERVAL", """Sets the interval of a message.""")
 enums["MAV_CMD"][511].param[1] = """Message id."""
@@ -531,6 +585,8 @@ enums["MAV_RESULT"][6] = EnumEntry("MAV_RESULT_ENUM_END", """""")
 # MAV_PARAM_TYPE
 enums["MAV_PARAM_TYPE"] = Enum()
 enums["MAV_PARAM_TYPE"].bitmask = False
+MAV_PARAM_TYPE_INT32 = 6
+enums["MAV_PARAM_TYPE"][6] = EnumEntry("MAV_PARAM_TYPE_INT32", """""")
 MAV_PARAM_TYPE_REAL32 = 9
 enums["MAV_PARAM_TYPE"][9] = EnumEntry("MAV_PARAM_TYPE_REAL32", """""")
 MAV_PARAM_TYPE_ENUM_END = 10
@@ -541,12 +597,22 @@ enums["MAV_PROTOCOL_CAPABILITY"] = Enum()
 enums["MAV_PROTOCOL_CAPABILITY"].bitmask = True
 MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT = 2
 enums["MAV_PROTOCOL_CAPABILITY"][2] = EnumEntry("MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT", """""")
+MAV_PROTOCOL_CAPABILITY_COMMAND_INT = 8
+enums["MAV_PROTOCOL_CAPABILITY"][8] = EnumEntry("MAV_PROTOCOL_CAPABILITY_COMMAND_INT", """""")
+MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE = 16
+enums["MAV_PROTOCOL_CAPABILITY"][16] = EnumEntry("MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE", """""")
+MAV_PROTOCOL_CAPABILITY_FTP = 32
+enums["MAV_PROTOCOL_CAPABILITY"][32] = EnumEntry("MAV_PROTOCOL_CAPABILITY_FTP", """""")
+MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET = 64
+enums["MAV_PROTOCOL_CAPABILITY"][64] = EnumEntry("MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET", """""")
+MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED = 128
+enums["MAV_PROTOCOL_CAPABILITY"][128] = EnumEntry("MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED", """""")
+MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION = 2048
+enums["MAV_PROTOCOL_CAPABILITY"][2048] = EnumEntry("MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION", """""")
 MAV_PROTOCOL_CAPABILITY_MAVLINK2 = 8192
 enums["MAV_PROTOCOL_CAPABILITY"][8192] = EnumEntry("MAV_PROTOCOL_CAPABILITY_MAVLINK2", """""")
-MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST = 131072
-enums["MAV_PROTOCOL_CAPABILITY"][131072] = EnumEntry("MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST", """""")
-MAV_PROTOCOL_CAPABILITY_ENUM_END = 131073
-enums["MAV_PROTOCOL_CAPABILITY"][131073] = EnumEntry("MAV_PROTOCOL_CAPABILITY_ENUM_END", """""")
+MAV_PROTOCOL_CAPABILITY_ENUM_END = 8193
+enums["MAV_PROTOCOL_CAPABILITY"][8193] = EnumEntry("MAV_PROTOCOL_CAPABILITY_ENUM_END", """""")
 
 # MAV_SEVERITY
 enums["MAV_SEVERITY"] = Enum()
@@ -570,6 +636,170 @@ enums["MAV_SEVERITY"][7] = EnumEntry("MAV_SEVERITY_DEBUG", """""")
 MAV_SEVERITY_ENUM_END = 8
 enums["MAV_SEVERITY"][8] = EnumEntry("MAV_SEVERITY_ENUM_END", """""")
 
+# MAV_FRAME
+enums["MAV_FRAME"] = Enum()
+enums["MAV_FRAME"].bitmask = False
+MAV_FRAME_LOCAL_NED = 1
+enums["MAV_FRAME"][1] = EnumEntry("MAV_FRAME_LOCAL_NED", """""")
+MAV_FRAME_LOCAL_OFFSET_NED = 7
+enums["MAV_FRAME"][7] = EnumEntry("MAV_FRAME_LOCAL_OFFSET_NED", """""")
+MAV_FRAME_BODY_NED = 8
+enums["MAV_FRAME"][8] = EnumEntry("MAV_FRAME_BODY_NED", """""")
+MAV_FRAME_ENUM_END = 9
+enums["MAV_FRAME"][9] = EnumEntry("MAV_FRAME_ENUM_END", """""")
+
+# POSITION_TARGET_TYPEMASK
+enums["POSITION_TARGET_TYPEMASK"] = Enum()
+enums["POSITION_TARGET_TYPEMASK"].bitmask = True
+POSITION_TARGET_TYPEMASK_X_IGNORE = 1
+enums["POSITION_TARGET_TYPEMASK"][1] = EnumEntry("POSITION_TARGET_TYPEMASK_X_IGNORE", """""")
+POSITION_TARGET_TYPEMASK_Y_IGNORE = 2
+enums["POSITION_TARGET_TYPEMASK"][2] = EnumEntry("POSITION_TARGET_TYPEMASK_Y_IGNORE", """""")
+POSITION_TARGET_TYPEMASK_Z_IGNORE = 4
+enums["POSITION_TARGET_TYPEMASK"][4] = EnumEntry("POSITION_TARGET_TYPEMASK_Z_IGNORE", """""")
+POSITION_TARGET_TYPEMASK_VX_IGNORE = 8
+enums["POSITION_TARGET_TYPEMASK"][8] = EnumEntry("POSITION_TARGET_TYPEMASK_VX_IGNORE", """""")
+POSITION_TARGET_TYPEMASK_VY_IGNORE = 16
+enums["POSITION_TARGET_TYPEMASK"][16] = EnumEntry("POSITION_TARGET_TYPEMASK_VY_IGNORE", """""")
+POSITION_TARGET_TYPEMASK_VZ_IGNORE = 32
+enums["POSITION_TARGET_TYPEMASK"][32] = EnumEntry("POSITION_TARGET_TYPEMASK_VZ_IGNORE", """""")
+POSITION_TARGET_TYPEMASK_AX_IGNORE = 64
+enums["POSITION_TARGET_TYPEMASK"][64] = EnumEntry("POSITION_TARGET_TYPEMASK_AX_IGNORE", """""")
+POSITION_TARGET_TYPEMASK_AY_IGNORE = 128
+enums["POSITION_TARGET_TYPEMASK"][128] = EnumEntry("POSITION_TARGET_TYPEMASK_AY_IGNORE", """""")
+POSITION_TARGET_TYPEMASK_AZ_IGNORE = 256
+enums["POSITION_TARGET_TYPEMASK"][256] = EnumEntry("POSITION_TARGET_TYPEMASK_AZ_IGNORE", """""")
+POSITION_TARGET_TYPEMASK_FORCE_SET = 512
+enums["POSITION_TARGET_TYPEMASK"][512] = EnumEntry("POSITION_TARGET_TYPEMASK_FORCE_SET", """""")
+POSITION_TARGET_TYPEMASK_YAW_IGNORE = 1024
+enums["POSITION_TARGET_TYPEMASK"][1024] = EnumEntry("POSITION_TARGET_TYPEMASK_YAW_IGNORE", """""")
+POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE = 2048
+enums["POSITION_TARGET_TYPEMASK"][2048] = EnumEntry("POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE", """""")
+POSITION_TARGET_TYPEMASK_ENUM_END = 2049
+enums["POSITION_TARGET_TYPEMASK"][2049] = EnumEntry("POSITION_TARGET_TYPEMASK_ENUM_END", """""")
+
+# ATTITUDE_TARGET_TYPEMASK
+enums["ATTITUDE_TARGET_TYPEMASK"] = Enum()
+enums["ATTITUDE_TARGET_TYPEMASK"].bitmask = True
+ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE = 1
+enums["ATTITUDE_TARGET_TYPEMASK"][1] = EnumEntry("ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE", """""")
+ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE = 2
+enums["ATTITUDE_TARGET_TYPEMASK"][2] = EnumEntry("ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE", """""")
+ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE = 4
+enums["ATTITUDE_TARGET_TYPEMASK"][4] = EnumEntry("ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE", """""")
+ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE = 64
+enums["ATTITUDE_TARGET_TYPEMASK"][64] = EnumEntry("ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE", """""")
+ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE = 128
+enums["ATTITUDE_TARGET_TYPEMASK"][128] = EnumEntry("ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE", """""")
+ATTITUDE_TARGET_TYPEMASK_ENUM_END = 129
+enums["ATTITUDE_TARGET_TYPEMASK"][129] = EnumEntry("ATTITUDE_TARGET_TYPEMASK_ENUM_END", """""")
+
+# MAV_LANDED_STATE
+enums["MAV_LANDED_STATE"] = Enum()
+enums["MAV_LANDED_STATE"].bitmask = False
+MAV_LANDED_STATE_UNDEFINED = 0
+enums["MAV_LANDED_STATE"][0] = EnumEntry("MAV_LANDED_STATE_UNDEFINED", """""")
+MAV_LANDED_STATE_ON_GROUND = 1
+enums["MAV_LANDED_STATE"][1] = EnumEntry("MAV_LANDED_STATE_ON_GROUND", """""")
+MAV_LANDED_STATE_IN_AIR = 2
+enums["MAV_LANDED_STATE"][2] = EnumEntry("MAV_LANDED_STATE_IN_AIR", """""")
+MAV_LANDED_STATE_TAKEOFF = 3
+enums["MAV_LANDED_STATE"][3] = EnumEntry("MAV_LANDED_STATE_TAKEOFF", """""")
+MAV_LANDED_STATE_LANDING = 4
+enums["MAV_LANDED_STATE"][4] = EnumEntry("MAV_LANDED_STATE_LANDING", """""")
+MAV_LANDED_STATE_ENUM_END = 5
+enums["MAV_LANDED_STATE"][5] = EnumEntry("MAV_LANDED_STATE_ENUM_END", """""")
+
+# MAV_VTOL_STATE
+enums["MAV_VTOL_STATE"] = Enum()
+enums["MAV_VTOL_STATE"].bitmask = False
+MAV_VTOL_STATE_UNDEFINED = 0
+enums["MAV_VTOL_STATE"][0] = EnumEntry("MAV_VTOL_STATE_UNDEFINED", """""")
+MAV_VTOL_STATE_ENUM_END = 1
+enums["MAV_VTOL_STATE"][1] = EnumEntry("MAV_VTOL_STATE_ENUM_END", """""")
+
+# MAV_SYS_STATUS_SENSOR
+enums["MAV_SYS_STATUS_SENSOR"] = Enum()
+enums["MAV_SYS_STATUS_SENSOR"].bitmask = True
+MAV_SYS_STATUS_SENSOR_3D_GYRO = 1
+enums["MAV_SYS_STATUS_SENSOR"][1] = EnumEntry("MAV_SYS_STATUS_SENSOR_3D_GYRO", """""")
+MAV_SYS_STATUS_SENSOR_3D_ACCEL = 2
+enums["MAV_SYS_STATUS_SENSOR"][2] = EnumEntry("MAV_SYS_STATUS_SENSOR_3D_ACCEL", """""")
+MAV_SYS_STATUS_SENSOR_VISION_POSITION = 128
+enums["MAV_SYS_STATUS_SENSOR"][128] = EnumEntry("MAV_SYS_STATUS_SENSOR_VISION_POSITION", """""")
+MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL = 1024
+enums["MAV_SYS_STATUS_SENSOR"][1024] = EnumEntry("MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL", """""")
+MAV_SYS_STATUS_SENSOR_ATTITUDE_STABILIZATION = 2048
+enums["MAV_SYS_STATUS_SENSOR"][2048] = EnumEntry("MAV_SYS_STATUS_SENSOR_ATTITUDE_STABILIZATION", """""")
+MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS = 32768
+enums["MAV_SYS_STATUS_SENSOR"][32768] = EnumEntry("MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS", """""")
+MAV_SYS_STATUS_GEOFENCE = 1048576
+enums["MAV_SYS_STATUS_SENSOR"][1048576] = EnumEntry("MAV_SYS_STATUS_GEOFENCE", """""")
+MAV_SYS_STATUS_SENSOR_BATTERY = 33554432
+enums["MAV_SYS_STATUS_SENSOR"][33554432] = EnumEntry("MAV_SYS_STATUS_SENSOR_BATTERY", """""")
+MAV_SYS_STATUS_PREARM_CHECK = 268435456
+enums["MAV_SYS_STATUS_SENSOR"][268435456] = EnumEntry("MAV_SYS_STATUS_PREARM_CHECK", """""")
+MAV_SYS_STATUS_SENSOR_ENUM_END = 268435457
+enums["MAV_SYS_STATUS_SENSOR"][268435457] = EnumEntry("MAV_SYS_STATUS_SENSOR_ENUM_END", """""")
+
+# MAV_BATTERY_FUNCTION
+enums["MAV_BATTERY_FUNCTION"] = Enum()
+enums["MAV_BATTERY_FUNCTION"].bitmask = False
+MAV_BATTERY_FUNCTION_ALL = 1
+enums["MAV_BATTERY_FUNCTION"][1] = EnumEntry("MAV_BATTERY_FUNCTION_ALL", """""")
+MAV_BATTERY_FUNCTION_ENUM_END = 2
+enums["MAV_BATTERY_FUNCTION"][2] = EnumEntry("MAV_BATTERY_FUNCTION_ENUM_END", """""")
+
+# MAV_BATTERY_TYPE
+enums["MAV_BATTERY_TYPE"] = Enum()
+enums["MAV_BATTERY_TYPE"].bitmask = False
+MAV_BATTERY_TYPE_LIPO = 1
+enums["MAV_BATTERY_TYPE"][1] = EnumEntry("MAV_BATTERY_TYPE_LIPO", """""")
+MAV_BATTERY_TYPE_ENUM_END = 2
+enums["MAV_BATTERY_TYPE"][2] = EnumEntry("MAV_BATTERY_TYPE_ENUM_END", """""")
+
+# MAV_BATTERY_CHARGE_STATE
+enums["MAV_BATTERY_CHARGE_STATE"] = Enum()
+enums["MAV_BATTERY_CHARGE_STATE"].bitmask = False
+MAV_BATTERY_CHARGE_STATE_OK = 1
+enums["MAV_BATTERY_CHARGE_STATE"][1] = EnumEntry("MAV_BATTERY_CHARGE_STATE_OK", """""")
+MAV_BATTERY_CHARGE_STATE_LOW = 2
+enums["MAV_BATTERY_CHARGE_STATE"][2] = EnumEntry("MAV_BATTERY_CHARGE_STATE_LOW", """""")
+MAV_BATTERY_CHARGE_STATE_ENUM_END = 3
+enums["MAV_BATTERY_CHARGE_STATE"][3] = EnumEntry("MAV_BATTERY_CHARGE_STATE_ENUM_END", """""")
+
+# MAV_DATA_STREAM
+enums["MAV_DATA_STREAM"] = Enum()
+enums["MAV_DATA_STREAM"].bitmask = False
+MAV_DATA_STREAM_ALL = 0
+enums["MAV_DATA_STREAM"][0] = EnumEntry("MAV_DATA_STREAM_ALL", """""")
+MAV_DATA_STREAM_EXTENDED_STATUS = 2
+enums["MAV_DATA_STREAM"][2] = EnumEntry("MAV_DATA_STREAM_EXTENDED_STATUS", """""")
+MAV_DATA_STREAM_POSITION = 6
+enums["MAV_DATA_STREAM"][6] = EnumEntry("MAV_DATA_STREAM_POSITION", """""")
+MAV_DATA_STREAM_EXTRA1 = 10
+enums["MAV_DATA_STREAM"][10] = EnumEntry("MAV_DATA_STREAM_EXTRA1", """""")
+MAV_DATA_STREAM_ENUM_END = 11
+enums["MAV_DATA_STREAM"][11] = EnumEntry("MAV_DATA_STREAM_ENUM_END", """""")
+
+# MAV_MISSION_RESULT
+enums["MAV_MISSION_RESULT"] = Enum()
+enums["MAV_MISSION_RESULT"].bitmask = False
+MAV_MISSION_ACCEPTED = 0
+enums["MAV_MISSION_RESULT"][0] = EnumEntry("MAV_MISSION_ACCEPTED", """""")
+MAV_MISSION_UNSUPPORTED = 3
+enums["MAV_MISSION_RESULT"][3] = EnumEntry("MAV_MISSION_UNSUPPORTED", """""")
+MAV_MISSION_RESULT_ENUM_END = 4
+enums["MAV_MISSION_RESULT"][4] = EnumEntry("MAV_MISSION_RESULT_ENUM_END", """""")
+
+# MAV_MISSION_TYPE
+enums["MAV_MISSION_TYPE"] = Enum()
+enums["MAV_MISSION_TYPE"].bitmask = False
+MAV_MISSION_TYPE_MISSION = 0
+enums["MAV_MISSION_TYPE"][0] = EnumEntry("MAV_MISSION_TYPE_MISSION", """""")
+MAV_MISSION_TYPE_ENUM_END = 1
+enums["MAV_MISSION_TYPE"][1] = EnumEntry("MAV_MISSION_TYPE_ENUM_END", """""")
+
 # TRIMTAB_STATE
 enums["TRIMTAB_STATE"] = Enum()
 enums["TRIMTAB_STATE"].bitmask = False
@@ -589,8 +819,10 @@ TRIMTAB_STATE_LANDING = 6
 enums["TRIMTAB_STATE"][6] = EnumEntry("TRIMTAB_STATE_LANDING", """""")
 TRIMTAB_STATE_FAILSAFE = 7
 enums["TRIMTAB_STATE"][7] = EnumEntry("TRIMTAB_STATE_FAILSAFE", """""")
-TRIMTAB_STATE_ENUM_END = 8
-enums["TRIMTAB_STATE"][8] = EnumEntry("TRIMTAB_STATE_ENUM_END", """""")
+TRIMTAB_STATE_OFFBOARD = 8
+enums["TRIMTAB_STATE"][8] = EnumEntry("TRIMTAB_STATE_OFFBOARD", """""")
+TRIMTAB_STATE_ENUM_END = 9
+enums["TRIMTAB_STATE"][9] = EnumEntry("TRIMTAB_STATE_ENUM_END", """""")
 
 # TRIMTAB_FAILSAFE
 enums["TRIMTAB_FAILSAFE"] = Enum()
@@ -603,8 +835,18 @@ TRIMTAB_FAILSAFE_LINK_LOST = 2
 enums["TRIMTAB_FAILSAFE"][2] = EnumEntry("TRIMTAB_FAILSAFE_LINK_LOST", """""")
 TRIMTAB_FAILSAFE_TILT = 3
 enums["TRIMTAB_FAILSAFE"][3] = EnumEntry("TRIMTAB_FAILSAFE_TILT", """""")
-TRIMTAB_FAILSAFE_ENUM_END = 4
-enums["TRIMTAB_FAILSAFE"][4] = EnumEntry("TRIMTAB_FAILSAFE_ENUM_END", """""")
+TRIMTAB_FAILSAFE_BATTERY_LOW = 4
+enums["TRIMTAB_FAILSAFE"][4] = EnumEntry("TRIMTAB_FAILSAFE_BATTERY_LOW", """""")
+TRIMTAB_FAILSAFE_SATURATED = 5
+enums["TRIMTAB_FAILSAFE"][5] = EnumEntry("TRIMTAB_FAILSAFE_SATURATED", """""")
+TRIMTAB_FAILSAFE_IMU_STUCK = 6
+enums["TRIMTAB_FAILSAFE"][6] = EnumEntry("TRIMTAB_FAILSAFE_IMU_STUCK", """""")
+TRIMTAB_FAILSAFE_LOOP_OVERRUN = 7
+enums["TRIMTAB_FAILSAFE"][7] = EnumEntry("TRIMTAB_FAILSAFE_LOOP_OVERRUN", """""")
+TRIMTAB_FAILSAFE_GEOFENCE = 8
+enums["TRIMTAB_FAILSAFE"][8] = EnumEntry("TRIMTAB_FAILSAFE_GEOFENCE", """""")
+TRIMTAB_FAILSAFE_ENUM_END = 9
+enums["TRIMTAB_FAILSAFE"][9] = EnumEntry("TRIMTAB_FAILSAFE_ENUM_END", """""")
 
 # TRIMTAB_BLOB
 enums["TRIMTAB_BLOB"] = Enum()
@@ -631,8 +873,10 @@ TRIMTAB_UPLOAD_REFUSED = 3
 enums["TRIMTAB_UPLOAD_STATE"][3] = EnumEntry("TRIMTAB_UPLOAD_REFUSED", """All of it, checked and refused.""")
 TRIMTAB_UPLOAD_LIVE = 4
 enums["TRIMTAB_UPLOAD_STATE"][4] = EnumEntry("TRIMTAB_UPLOAD_LIVE", """It is the one in use.""")
-TRIMTAB_UPLOAD_STATE_ENUM_END = 5
-enums["TRIMTAB_UPLOAD_STATE"][5] = EnumEntry("TRIMTAB_UPLOAD_STATE_ENUM_END", """""")
+TRIMTAB_UPLOAD_SCHEDULED = 5
+enums["TRIMTAB_UPLOAD_STATE"][5] = EnumEntry("TRIMTAB_UPLOAD_SCHEDULED", """It takes over at the agreed time.""")
+TRIMTAB_UPLOAD_STATE_ENUM_END = 6
+enums["TRIMTAB_UPLOAD_STATE"][6] = EnumEntry("TRIMTAB_UPLOAD_STATE_ENUM_END", """""")
 
 # TRIMTAB_UPLOAD_RESULT
 enums["TRIMTAB_UPLOAD_RESULT"] = Enum()
@@ -653,24 +897,46 @@ TRIMTAB_UPLOAD_RESULT_BUSY = 6
 enums["TRIMTAB_UPLOAD_RESULT"][6] = EnumEntry("TRIMTAB_UPLOAD_RESULT_BUSY", """""")
 TRIMTAB_UPLOAD_RESULT_REFUSED = 7
 enums["TRIMTAB_UPLOAD_RESULT"][7] = EnumEntry("TRIMTAB_UPLOAD_RESULT_REFUSED", """""")
-TRIMTAB_UPLOAD_RESULT_ENUM_END = 8
-enums["TRIMTAB_UPLOAD_RESULT"][8] = EnumEntry("TRIMTAB_UPLOAD_RESULT_ENUM_END", """""")
+TRIMTAB_UPLOAD_RESULT_NOT_CONTINUOUS = 8
+enums["TRIMTAB_UPLOAD_RESULT"][8] = EnumEntry("TRIMTAB_UPLOAD_RESULT_NOT_CONTINUOUS", """""")
+TRIMTAB_UPLOAD_RESULT_TOO_LATE = 9
+enums["TRIMTAB_UPLOAD_RESULT"][9] = EnumEntry("TRIMTAB_UPLOAD_RESULT_TOO_LATE", """""")
+TRIMTAB_UPLOAD_RESULT_ENUM_END = 10
+enums["TRIMTAB_UPLOAD_RESULT"][10] = EnumEntry("TRIMTAB_UPLOAD_RESULT_ENUM_END", """""")
 
 # message IDs
 MAVLINK_MSG_ID_BAD_DATA = -1
 MAVLINK_MSG_ID_UNKNOWN = -2
 MAVLINK_MSG_ID_HEARTBEAT = 0
+MAVLINK_MSG_ID_SYS_STATUS = 1
 MAVLINK_MSG_ID_PING = 4
 MAVLINK_MSG_ID_PARAM_REQUEST_READ = 20
 MAVLINK_MSG_ID_PARAM_REQUEST_LIST = 21
 MAVLINK_MSG_ID_PARAM_VALUE = 22
 MAVLINK_MSG_ID_PARAM_SET = 23
+MAVLINK_MSG_ID_ATTITUDE = 30
+MAVLINK_MSG_ID_ATTITUDE_QUATERNION = 31
+MAVLINK_MSG_ID_LOCAL_POSITION_NED = 32
+MAVLINK_MSG_ID_MISSION_REQUEST_LIST = 43
+MAVLINK_MSG_ID_MISSION_COUNT = 44
+MAVLINK_MSG_ID_MISSION_CLEAR_ALL = 45
+MAVLINK_MSG_ID_MISSION_ACK = 47
+MAVLINK_MSG_ID_REQUEST_DATA_STREAM = 66
+MAVLINK_MSG_ID_COMMAND_INT = 75
 MAVLINK_MSG_ID_COMMAND_LONG = 76
 MAVLINK_MSG_ID_COMMAND_ACK = 77
+MAVLINK_MSG_ID_SET_ATTITUDE_TARGET = 82
+MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED = 84
+MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL = 110
 MAVLINK_MSG_ID_TIMESYNC = 111
 MAVLINK_MSG_ID_ATT_POS_MOCAP = 138
+MAVLINK_MSG_ID_BATTERY_STATUS = 147
 MAVLINK_MSG_ID_AUTOPILOT_VERSION = 148
+MAVLINK_MSG_ID_HOME_POSITION = 242
+MAVLINK_MSG_ID_MESSAGE_INTERVAL = 244
+MAVLINK_MSG_ID_EXTENDED_SYS_STATE = 245
 MAVLINK_MSG_ID_STATUSTEXT = 253
+MAVLINK_MSG_ID_ODOMETRY = 331
 MAVLINK_MSG_ID_FC_CONTROL = 52100
 MAVLINK_MSG_ID_FC_ESTIMATE = 52101
 MAVLINK_MSG_ID_FC_STATUS = 52102
@@ -727,6 +993,59 @@ class MAVLink_heartbeat_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_heartbeat_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_sys_status_message(MAVLink_message):
+    """
+    General state of the vehicle's parts.
+    """
+
+    id = MAVLINK_MSG_ID_SYS_STATUS
+    msgname = "SYS_STATUS"
+    fieldnames = ["onboard_control_sensors_present", "onboard_control_sensors_enabled", "onboard_control_sensors_health", "load", "voltage_battery", "current_battery", "battery_remaining", "drop_rate_comm", "errors_comm", "errors_count1", "errors_count2", "errors_count3", "errors_count4", "onboard_control_sensors_present_extended", "onboard_control_sensors_enabled_extended", "onboard_control_sensors_health_extended"]
+    ordered_fieldnames = ["onboard_control_sensors_present", "onboard_control_sensors_enabled", "onboard_control_sensors_health", "load", "voltage_battery", "current_battery", "drop_rate_comm", "errors_comm", "errors_count1", "errors_count2", "errors_count3", "errors_count4", "battery_remaining", "onboard_control_sensors_present_extended", "onboard_control_sensors_enabled_extended", "onboard_control_sensors_health_extended"]
+    fieldtypes = ["uint32_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "int16_t", "int8_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint32_t", "uint32_t", "uint32_t"]
+    fielddisplays_by_name: Dict[str, str] = {"onboard_control_sensors_present": "bitmask", "onboard_control_sensors_enabled": "bitmask", "onboard_control_sensors_health": "bitmask"}
+    fieldenums_by_name: Dict[str, str] = {"onboard_control_sensors_present": "MAV_SYS_STATUS_SENSOR", "onboard_control_sensors_enabled": "MAV_SYS_STATUS_SENSOR", "onboard_control_sensors_health": "MAV_SYS_STATUS_SENSOR"}
+    fieldunits_by_name: Dict[str, str] = {"load": "d%", "voltage_battery": "mV", "current_battery": "cA", "battery_remaining": "%", "drop_rate_comm": "c%"}
+    native_format = bytearray(b"<IIIHHhHHHHHHbIII")
+    orders = [0, 1, 2, 3, 4, 5, 12, 6, 7, 8, 9, 10, 11, 13, 14, 15]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 124
+    unpacker = struct.Struct("<IIIHHhHHHHHHbIII")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, onboard_control_sensors_present: int, onboard_control_sensors_enabled: int, onboard_control_sensors_health: int, load: int, voltage_battery: int, current_battery: int, battery_remaining: int, drop_rate_comm: int, errors_comm: int, errors_count1: int, errors_count2: int, errors_count3: int, errors_count4: int, onboard_control_sensors_present_extended: int = 0, onboard_control_sensors_enabled_extended: int = 0, onboard_control_sensors_health_extended: int = 0):
+        MAVLink_message.__init__(self, MAVLink_sys_status_message.id, MAVLink_sys_status_message.msgname)
+        self._fieldnames = MAVLink_sys_status_message.fieldnames
+        self._instance_field = MAVLink_sys_status_message.instance_field
+        self._instance_offset = MAVLink_sys_status_message.instance_offset
+        self.onboard_control_sensors_present = onboard_control_sensors_present
+        self.onboard_control_sensors_enabled = onboard_control_sensors_enabled
+        self.onboard_control_sensors_health = onboard_control_sensors_health
+        self.load = load
+        self.voltage_battery = voltage_battery
+        self.current_battery = current_battery
+        self.battery_remaining = battery_remaining
+        self.drop_rate_comm = drop_rate_comm
+        self.errors_comm = errors_comm
+        self.errors_count1 = errors_count1
+        self.errors_count2 = errors_count2
+        self.errors_count3 = errors_count3
+        self.errors_count4 = errors_count4
+        self.onboard_control_sensors_present_extended = onboard_control_sensors_present_extended
+        self.onboard_control_sensors_enabled_extended = onboard_control_sensors_enabled_extended
+        self.onboard_control_sensors_health_extended = onboard_control_sensors_health_extended
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.onboard_control_sensors_present, self.onboard_control_sensors_enabled, self.onboard_control_sensors_health, self.load, self.voltage_battery, self.current_battery, self.drop_rate_comm, self.errors_comm, self.errors_count1, self.errors_count2, self.errors_count3, self.errors_count4, self.battery_remaining, self.onboard_control_sensors_present_extended, self.onboard_control_sensors_enabled_extended, self.onboard_control_sensors_health_extended), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_sys_status_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_ping_message(MAVLink_message):
@@ -937,6 +1256,395 @@ class MAVLink_param_set_message(MAVLink_message):
 setattr(MAVLink_param_set_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_attitude_message(MAVLink_message):
+    """
+    Attitude as roll, pitch, yaw; body FRD in NED.
+    """
+
+    id = MAVLINK_MSG_ID_ATTITUDE
+    msgname = "ATTITUDE"
+    fieldnames = ["time_boot_ms", "roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"]
+    ordered_fieldnames = ["time_boot_ms", "roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"]
+    fieldtypes = ["uint32_t", "float", "float", "float", "float", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "roll": "rad", "pitch": "rad", "yaw": "rad", "rollspeed": "rad/s", "pitchspeed": "rad/s", "yawspeed": "rad/s"}
+    native_format = bytearray(b"<Iffffff")
+    orders = [0, 1, 2, 3, 4, 5, 6]
+    lengths = [1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 39
+    unpacker = struct.Struct("<Iffffff")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, roll: float, pitch: float, yaw: float, rollspeed: float, pitchspeed: float, yawspeed: float):
+        MAVLink_message.__init__(self, MAVLink_attitude_message.id, MAVLink_attitude_message.msgname)
+        self._fieldnames = MAVLink_attitude_message.fieldnames
+        self._instance_field = MAVLink_attitude_message.instance_field
+        self._instance_offset = MAVLink_attitude_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self.roll = roll
+        self.pitch = pitch
+        self.yaw = yaw
+        self.rollspeed = rollspeed
+        self.pitchspeed = pitchspeed
+        self.yawspeed = yawspeed
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.roll, self.pitch, self.yaw, self.rollspeed, self.pitchspeed, self.yawspeed), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_attitude_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_attitude_quaternion_message(MAVLink_message):
+    """
+    Attitude as a quaternion; body FRD in NED.
+    """
+
+    id = MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+    msgname = "ATTITUDE_QUATERNION"
+    fieldnames = ["time_boot_ms", "q1", "q2", "q3", "q4", "rollspeed", "pitchspeed", "yawspeed", "repr_offset_q"]
+    ordered_fieldnames = ["time_boot_ms", "q1", "q2", "q3", "q4", "rollspeed", "pitchspeed", "yawspeed", "repr_offset_q"]
+    fieldtypes = ["uint32_t", "float", "float", "float", "float", "float", "float", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "rollspeed": "rad/s", "pitchspeed": "rad/s", "yawspeed": "rad/s"}
+    native_format = bytearray(b"<Iffffffff")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 4]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 4]
+    crc_extra = 246
+    unpacker = struct.Struct("<Ifffffff4f")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, q1: float, q2: float, q3: float, q4: float, rollspeed: float, pitchspeed: float, yawspeed: float, repr_offset_q: Sequence[float] = (0, 0, 0, 0)):
+        MAVLink_message.__init__(self, MAVLink_attitude_quaternion_message.id, MAVLink_attitude_quaternion_message.msgname)
+        self._fieldnames = MAVLink_attitude_quaternion_message.fieldnames
+        self._instance_field = MAVLink_attitude_quaternion_message.instance_field
+        self._instance_offset = MAVLink_attitude_quaternion_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self.q1 = q1
+        self.q2 = q2
+        self.q3 = q3
+        self.q4 = q4
+        self.rollspeed = rollspeed
+        self.pitchspeed = pitchspeed
+        self.yawspeed = yawspeed
+        self.repr_offset_q = repr_offset_q
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.q1, self.q2, self.q3, self.q4, self.rollspeed, self.pitchspeed, self.yawspeed, self.repr_offset_q[0], self.repr_offset_q[1], self.repr_offset_q[2], self.repr_offset_q[3]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_attitude_quaternion_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_local_position_ned_message(MAVLink_message):
+    """
+    Estimated position and velocity, NED.
+    """
+
+    id = MAVLINK_MSG_ID_LOCAL_POSITION_NED
+    msgname = "LOCAL_POSITION_NED"
+    fieldnames = ["time_boot_ms", "x", "y", "z", "vx", "vy", "vz"]
+    ordered_fieldnames = ["time_boot_ms", "x", "y", "z", "vx", "vy", "vz"]
+    fieldtypes = ["uint32_t", "float", "float", "float", "float", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "x": "m", "y": "m", "z": "m", "vx": "m/s", "vy": "m/s", "vz": "m/s"}
+    native_format = bytearray(b"<Iffffff")
+    orders = [0, 1, 2, 3, 4, 5, 6]
+    lengths = [1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 185
+    unpacker = struct.Struct("<Iffffff")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, x: float, y: float, z: float, vx: float, vy: float, vz: float):
+        MAVLink_message.__init__(self, MAVLink_local_position_ned_message.id, MAVLink_local_position_ned_message.msgname)
+        self._fieldnames = MAVLink_local_position_ned_message.fieldnames
+        self._instance_field = MAVLink_local_position_ned_message.instance_field
+        self._instance_offset = MAVLink_local_position_ned_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self.x = x
+        self.y = y
+        self.z = z
+        self.vx = vx
+        self.vy = vy
+        self.vz = vz
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.x, self.y, self.z, self.vx, self.vy, self.vz), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_local_position_ned_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_mission_request_list_message(MAVLink_message):
+    """
+    Asks for the list of mission items; there are none here.
+    """
+
+    id = MAVLINK_MSG_ID_MISSION_REQUEST_LIST
+    msgname = "MISSION_REQUEST_LIST"
+    fieldnames = ["target_system", "target_component", "mission_type"]
+    ordered_fieldnames = ["target_system", "target_component", "mission_type"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {"mission_type": "MAV_MISSION_TYPE"}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<BBB")
+    orders = [0, 1, 2]
+    lengths = [1, 1, 1]
+    array_lengths = [0, 0, 0]
+    crc_extra = 132
+    unpacker = struct.Struct("<BBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, mission_type: int = 0):
+        MAVLink_message.__init__(self, MAVLink_mission_request_list_message.id, MAVLink_mission_request_list_message.msgname)
+        self._fieldnames = MAVLink_mission_request_list_message.fieldnames
+        self._instance_field = MAVLink_mission_request_list_message.instance_field
+        self._instance_offset = MAVLink_mission_request_list_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.mission_type = mission_type
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_system, self.target_component, self.mission_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_mission_request_list_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_mission_count_message(MAVLink_message):
+    """
+    Number of mission items.
+    """
+
+    id = MAVLINK_MSG_ID_MISSION_COUNT
+    msgname = "MISSION_COUNT"
+    fieldnames = ["target_system", "target_component", "count", "mission_type"]
+    ordered_fieldnames = ["count", "target_system", "target_component", "mission_type"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {"mission_type": "MAV_MISSION_TYPE"}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<HBBB")
+    orders = [1, 2, 0, 3]
+    lengths = [1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0]
+    crc_extra = 221
+    unpacker = struct.Struct("<HBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, count: int, mission_type: int = 0):
+        MAVLink_message.__init__(self, MAVLink_mission_count_message.id, MAVLink_mission_count_message.msgname)
+        self._fieldnames = MAVLink_mission_count_message.fieldnames
+        self._instance_field = MAVLink_mission_count_message.instance_field
+        self._instance_offset = MAVLink_mission_count_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.count = count
+        self.mission_type = mission_type
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.count, self.target_system, self.target_component, self.mission_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_mission_count_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_mission_clear_all_message(MAVLink_message):
+    """
+    Asks to delete all mission items.
+    """
+
+    id = MAVLINK_MSG_ID_MISSION_CLEAR_ALL
+    msgname = "MISSION_CLEAR_ALL"
+    fieldnames = ["target_system", "target_component", "mission_type"]
+    ordered_fieldnames = ["target_system", "target_component", "mission_type"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {"mission_type": "MAV_MISSION_TYPE"}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<BBB")
+    orders = [0, 1, 2]
+    lengths = [1, 1, 1]
+    array_lengths = [0, 0, 0]
+    crc_extra = 232
+    unpacker = struct.Struct("<BBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, mission_type: int = 0):
+        MAVLink_message.__init__(self, MAVLink_mission_clear_all_message.id, MAVLink_mission_clear_all_message.msgname)
+        self._fieldnames = MAVLink_mission_clear_all_message.fieldnames
+        self._instance_field = MAVLink_mission_clear_all_message.instance_field
+        self._instance_offset = MAVLink_mission_clear_all_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.mission_type = mission_type
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_system, self.target_component, self.mission_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_mission_clear_all_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_mission_ack_message(MAVLink_message):
+    """
+    Ends a transaction about missions.
+    """
+
+    id = MAVLINK_MSG_ID_MISSION_ACK
+    msgname = "MISSION_ACK"
+    fieldnames = ["target_system", "target_component", "type", "mission_type"]
+    ordered_fieldnames = ["target_system", "target_component", "type", "mission_type"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {"type": "MAV_MISSION_RESULT", "mission_type": "MAV_MISSION_TYPE"}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<BBBB")
+    orders = [0, 1, 2, 3]
+    lengths = [1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0]
+    crc_extra = 153
+    unpacker = struct.Struct("<BBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, type: int, mission_type: int = 0):
+        MAVLink_message.__init__(self, MAVLink_mission_ack_message.id, MAVLink_mission_ack_message.msgname)
+        self._fieldnames = MAVLink_mission_ack_message.fieldnames
+        self._instance_field = MAVLink_mission_ack_message.instance_field
+        self._instance_offset = MAVLink_mission_ack_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.type = type
+        self.mission_type = mission_type
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_system, self.target_component, self.type, self.mission_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_mission_ack_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_request_data_stream_message(MAVLink_message):
+    """
+    Asks for groups of messages at a rate, as older ground stations
+    do.
+    """
+
+    id = MAVLINK_MSG_ID_REQUEST_DATA_STREAM
+    msgname = "REQUEST_DATA_STREAM"
+    fieldnames = ["target_system", "target_component", "req_stream_id", "req_message_rate", "start_stop"]
+    ordered_fieldnames = ["req_message_rate", "target_system", "target_component", "req_stream_id", "start_stop"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint16_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {"req_stream_id": "MAV_DATA_STREAM"}
+    fieldunits_by_name: Dict[str, str] = {"req_message_rate": "Hz"}
+    native_format = bytearray(b"<HBBBB")
+    orders = [1, 2, 3, 0, 4]
+    lengths = [1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0]
+    crc_extra = 148
+    unpacker = struct.Struct("<HBBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, req_stream_id: int, req_message_rate: int, start_stop: int):
+        MAVLink_message.__init__(self, MAVLink_request_data_stream_message.id, MAVLink_request_data_stream_message.msgname)
+        self._fieldnames = MAVLink_request_data_stream_message.fieldnames
+        self._instance_field = MAVLink_request_data_stream_message.instance_field
+        self._instance_offset = MAVLink_request_data_stream_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.req_stream_id = req_stream_id
+        self.req_message_rate = req_message_rate
+        self.start_stop = start_stop
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.req_message_rate, self.target_system, self.target_component, self.req_stream_id, self.start_stop), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_request_data_stream_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_command_int_message(MAVLink_message):
+    """
+    A command whose place is given as integers.
+    """
+
+    id = MAVLINK_MSG_ID_COMMAND_INT
+    msgname = "COMMAND_INT"
+    fieldnames = ["target_system", "target_component", "frame", "command", "current", "autocontinue", "param1", "param2", "param3", "param4", "x", "y", "z"]
+    ordered_fieldnames = ["param1", "param2", "param3", "param4", "x", "y", "z", "command", "target_system", "target_component", "frame", "current", "autocontinue"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint16_t", "uint8_t", "uint8_t", "float", "float", "float", "float", "int32_t", "int32_t", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {"frame": "MAV_FRAME", "command": "MAV_CMD"}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<ffffiifHBBBBB")
+    orders = [8, 9, 10, 7, 11, 12, 0, 1, 2, 3, 4, 5, 6]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 158
+    unpacker = struct.Struct("<ffffiifHBBBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, frame: int, command: int, current: int, autocontinue: int, param1: float, param2: float, param3: float, param4: float, x: int, y: int, z: float):
+        MAVLink_message.__init__(self, MAVLink_command_int_message.id, MAVLink_command_int_message.msgname)
+        self._fieldnames = MAVLink_command_int_message.fieldnames
+        self._instance_field = MAVLink_command_int_message.instance_field
+        self._instance_offset = MAVLink_command_int_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.frame = frame
+        self.command = command
+        self.current = current
+        self.autocontinue = autocontinue
+        self.param1 = param1
+        self.param2 = param2
+        self.param3 = param3
+        self.param4 = param4
+        self.x = x
+        self.y = y
+        self.z = z
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.param1, self.param2, self.param3, self.param4, self.x, self.y, self.z, self.command, self.target_system, self.target_component, self.frame, self.current, self.autocontinue), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_command_int_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_command_long_message(MAVLink_message):
     """
     A command with up to seven parameters.
@@ -1028,6 +1736,146 @@ class MAVLink_command_ack_message(MAVLink_message):
 setattr(MAVLink_command_ack_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_set_attitude_target_message(MAVLink_message):
+    """
+    A setpoint of attitude or body rate, and of thrust.
+    """
+
+    id = MAVLINK_MSG_ID_SET_ATTITUDE_TARGET
+    msgname = "SET_ATTITUDE_TARGET"
+    fieldnames = ["time_boot_ms", "target_system", "target_component", "type_mask", "q", "body_roll_rate", "body_pitch_rate", "body_yaw_rate", "thrust"]
+    ordered_fieldnames = ["time_boot_ms", "q", "body_roll_rate", "body_pitch_rate", "body_yaw_rate", "thrust", "target_system", "target_component", "type_mask"]
+    fieldtypes = ["uint32_t", "uint8_t", "uint8_t", "uint8_t", "float", "float", "float", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {"type_mask": "bitmask"}
+    fieldenums_by_name: Dict[str, str] = {"type_mask": "ATTITUDE_TARGET_TYPEMASK"}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "body_roll_rate": "rad/s", "body_pitch_rate": "rad/s", "body_yaw_rate": "rad/s"}
+    native_format = bytearray(b"<IfffffBBB")
+    orders = [0, 6, 7, 8, 1, 2, 3, 4, 5]
+    lengths = [1, 4, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 4, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 49
+    unpacker = struct.Struct("<I4fffffBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, target_system: int, target_component: int, type_mask: int, q: Sequence[float], body_roll_rate: float, body_pitch_rate: float, body_yaw_rate: float, thrust: float):
+        MAVLink_message.__init__(self, MAVLink_set_attitude_target_message.id, MAVLink_set_attitude_target_message.msgname)
+        self._fieldnames = MAVLink_set_attitude_target_message.fieldnames
+        self._instance_field = MAVLink_set_attitude_target_message.instance_field
+        self._instance_offset = MAVLink_set_attitude_target_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self.target_system = target_system
+        self.target_component = target_component
+        self.type_mask = type_mask
+        self.q = q
+        self.body_roll_rate = body_roll_rate
+        self.body_pitch_rate = body_pitch_rate
+        self.body_yaw_rate = body_yaw_rate
+        self.thrust = thrust
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.q[0], self.q[1], self.q[2], self.q[3], self.body_roll_rate, self.body_pitch_rate, self.body_yaw_rate, self.thrust, self.target_system, self.target_component, self.type_mask), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_set_attitude_target_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_set_position_target_local_ned_message(MAVLink_message):
+    """
+    A setpoint of position, velocity and acceleration.
+    """
+
+    id = MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+    msgname = "SET_POSITION_TARGET_LOCAL_NED"
+    fieldnames = ["time_boot_ms", "target_system", "target_component", "coordinate_frame", "type_mask", "x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate"]
+    ordered_fieldnames = ["time_boot_ms", "x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz", "yaw", "yaw_rate", "type_mask", "target_system", "target_component", "coordinate_frame"]
+    fieldtypes = ["uint32_t", "uint8_t", "uint8_t", "uint8_t", "uint16_t", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {"type_mask": "bitmask"}
+    fieldenums_by_name: Dict[str, str] = {"coordinate_frame": "MAV_FRAME", "type_mask": "POSITION_TARGET_TYPEMASK"}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "x": "m", "y": "m", "z": "m", "vx": "m/s", "vy": "m/s", "vz": "m/s", "afx": "m/s/s", "afy": "m/s/s", "afz": "m/s/s", "yaw": "rad", "yaw_rate": "rad/s"}
+    native_format = bytearray(b"<IfffffffffffHBBB")
+    orders = [0, 13, 14, 15, 12, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 143
+    unpacker = struct.Struct("<IfffffffffffHBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, target_system: int, target_component: int, coordinate_frame: int, type_mask: int, x: float, y: float, z: float, vx: float, vy: float, vz: float, afx: float, afy: float, afz: float, yaw: float, yaw_rate: float):
+        MAVLink_message.__init__(self, MAVLink_set_position_target_local_ned_message.id, MAVLink_set_position_target_local_ned_message.msgname)
+        self._fieldnames = MAVLink_set_position_target_local_ned_message.fieldnames
+        self._instance_field = MAVLink_set_position_target_local_ned_message.instance_field
+        self._instance_offset = MAVLink_set_position_target_local_ned_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self.target_system = target_system
+        self.target_component = target_component
+        self.coordinate_frame = coordinate_frame
+        self.type_mask = type_mask
+        self.x = x
+        self.y = y
+        self.z = z
+        self.vx = vx
+        self.vy = vy
+        self.vz = vz
+        self.afx = afx
+        self.afy = afy
+        self.afz = afz
+        self.yaw = yaw
+        self.yaw_rate = yaw_rate
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.x, self.y, self.z, self.vx, self.vy, self.vz, self.afx, self.afy, self.afz, self.yaw, self.yaw_rate, self.type_mask, self.target_system, self.target_component, self.coordinate_frame), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_set_position_target_local_ned_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_file_transfer_protocol_message(MAVLink_message):
+    """
+    One request or answer of MAVLink FTP.
+    """
+
+    id = MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
+    msgname = "FILE_TRANSFER_PROTOCOL"
+    fieldnames = ["target_network", "target_system", "target_component", "payload"]
+    ordered_fieldnames = ["target_network", "target_system", "target_component", "payload"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<BBBB")
+    orders = [0, 1, 2, 3]
+    lengths = [1, 1, 1, 251]
+    array_lengths = [0, 0, 0, 251]
+    crc_extra = 84
+    unpacker = struct.Struct("<BBB251B")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_network: int, target_system: int, target_component: int, payload: Sequence[int]):
+        MAVLink_message.__init__(self, MAVLink_file_transfer_protocol_message.id, MAVLink_file_transfer_protocol_message.msgname)
+        self._fieldnames = MAVLink_file_transfer_protocol_message.fieldnames
+        self._instance_field = MAVLink_file_transfer_protocol_message.instance_field
+        self._instance_offset = MAVLink_file_transfer_protocol_message.instance_offset
+        self.target_network = target_network
+        self.target_system = target_system
+        self.target_component = target_component
+        self.payload = payload
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_network, self.target_system, self.target_component, self.payload[0], self.payload[1], self.payload[2], self.payload[3], self.payload[4], self.payload[5], self.payload[6], self.payload[7], self.payload[8], self.payload[9], self.payload[10], self.payload[11], self.payload[12], self.payload[13], self.payload[14], self.payload[15], self.payload[16], self.payload[17], self.payload[18], self.payload[19], self.payload[20], self.payload[21], self.payload[22], self.payload[23], self.payload[24], self.payload[25], self.payload[26], self.payload[27], self.payload[28], self.payload[29], self.payload[30], self.payload[31], self.payload[32], self.payload[33], self.payload[34], self.payload[35], self.payload[36], self.payload[37], self.payload[38], self.payload[39], self.payload[40], self.payload[41], self.payload[42], self.payload[43], self.payload[44], self.payload[45], self.payload[46], self.payload[47], self.payload[48], self.payload[49], self.payload[50], self.payload[51], self.payload[52], self.payload[53], self.payload[54], self.payload[55], self.payload[56], self.payload[57], self.payload[58], self.payload[59], self.payload[60], self.payload[61], self.payload[62], self.payload[63], self.payload[64], self.payload[65], self.payload[66], self.payload[67], self.payload[68], self.payload[69], self.payload[70], self.payload[71], self.payload[72], self.payload[73], self.payload[74], self.payload[75], self.payload[76], self.payload[77], self.payload[78], self.payload[79], self.payload[80], self.payload[81], self.payload[82], self.payload[83], self.payload[84], self.payload[85], self.payload[86], self.payload[87], self.payload[88], self.payload[89], self.payload[90], self.payload[91], self.payload[92], self.payload[93], self.payload[94], self.payload[95], self.payload[96], self.payload[97], self.payload[98], self.payload[99], self.payload[100], self.payload[101], self.payload[102], self.payload[103], self.payload[104], self.payload[105], self.payload[106], self.payload[107], self.payload[108], self.payload[109], self.payload[110], self.payload[111], self.payload[112], self.payload[113], self.payload[114], self.payload[115], self.payload[116], self.payload[117], self.payload[118], self.payload[119], self.payload[120], self.payload[121], self.payload[122], self.payload[123], self.payload[124], self.payload[125], self.payload[126], self.payload[127], self.payload[128], self.payload[129], self.payload[130], self.payload[131], self.payload[132], self.payload[133], self.payload[134], self.payload[135], self.payload[136], self.payload[137], self.payload[138], self.payload[139], self.payload[140], self.payload[141], self.payload[142], self.payload[143], self.payload[144], self.payload[145], self.payload[146], self.payload[147], self.payload[148], self.payload[149], self.payload[150], self.payload[151], self.payload[152], self.payload[153], self.payload[154], self.payload[155], self.payload[156], self.payload[157], self.payload[158], self.payload[159], self.payload[160], self.payload[161], self.payload[162], self.payload[163], self.payload[164], self.payload[165], self.payload[166], self.payload[167], self.payload[168], self.payload[169], self.payload[170], self.payload[171], self.payload[172], self.payload[173], self.payload[174], self.payload[175], self.payload[176], self.payload[177], self.payload[178], self.payload[179], self.payload[180], self.payload[181], self.payload[182], self.payload[183], self.payload[184], self.payload[185], self.payload[186], self.payload[187], self.payload[188], self.payload[189], self.payload[190], self.payload[191], self.payload[192], self.payload[193], self.payload[194], self.payload[195], self.payload[196], self.payload[197], self.payload[198], self.payload[199], self.payload[200], self.payload[201], self.payload[202], self.payload[203], self.payload[204], self.payload[205], self.payload[206], self.payload[207], self.payload[208], self.payload[209], self.payload[210], self.payload[211], self.payload[212], self.payload[213], self.payload[214], self.payload[215], self.payload[216], self.payload[217], self.payload[218], self.payload[219], self.payload[220], self.payload[221], self.payload[222], self.payload[223], self.payload[224], self.payload[225], self.payload[226], self.payload[227], self.payload[228], self.payload[229], self.payload[230], self.payload[231], self.payload[232], self.payload[233], self.payload[234], self.payload[235], self.payload[236], self.payload[237], self.payload[238], self.payload[239], self.payload[240], self.payload[241], self.payload[242], self.payload[243], self.payload[244], self.payload[245], self.payload[246], self.payload[247], self.payload[248], self.payload[249], self.payload[250]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_file_transfer_protocol_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_timesync_message(MAVLink_message):
     """
     Clock comparison: a question has tc1 = 0, its answer repeats ts1.
@@ -1110,6 +1958,57 @@ class MAVLink_att_pos_mocap_message(MAVLink_message):
 setattr(MAVLink_att_pos_mocap_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_battery_status_message(MAVLink_message):
+    """
+    The battery.
+    """
+
+    id = MAVLINK_MSG_ID_BATTERY_STATUS
+    msgname = "BATTERY_STATUS"
+    fieldnames = ["id", "battery_function", "type", "temperature", "voltages", "current_battery", "current_consumed", "energy_consumed", "battery_remaining", "time_remaining", "charge_state", "voltages_ext", "mode", "fault_bitmask"]
+    ordered_fieldnames = ["current_consumed", "energy_consumed", "temperature", "voltages", "current_battery", "id", "battery_function", "type", "battery_remaining", "time_remaining", "charge_state", "voltages_ext", "mode", "fault_bitmask"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "int16_t", "uint16_t", "int16_t", "int32_t", "int32_t", "int8_t", "int32_t", "uint8_t", "uint16_t", "uint8_t", "uint32_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {"battery_function": "MAV_BATTERY_FUNCTION", "type": "MAV_BATTERY_TYPE", "charge_state": "MAV_BATTERY_CHARGE_STATE"}
+    fieldunits_by_name: Dict[str, str] = {"temperature": "cdegC", "voltages": "mV", "current_battery": "cA", "current_consumed": "mAh", "energy_consumed": "hJ", "battery_remaining": "%", "time_remaining": "s", "voltages_ext": "mV"}
+    native_format = bytearray(b"<iihHhBBBbiBHBI")
+    orders = [5, 6, 7, 2, 3, 4, 0, 1, 8, 9, 10, 11, 12, 13]
+    lengths = [1, 1, 1, 10, 1, 1, 1, 1, 1, 1, 1, 4, 1, 1]
+    array_lengths = [0, 0, 0, 10, 0, 0, 0, 0, 0, 0, 0, 4, 0, 0]
+    crc_extra = 154
+    unpacker = struct.Struct("<iih10HhBBBbiB4HBI")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, id: int, battery_function: int, type: int, temperature: int, voltages: Sequence[int], current_battery: int, current_consumed: int, energy_consumed: int, battery_remaining: int, time_remaining: int = 0, charge_state: int = 0, voltages_ext: Sequence[int] = (0, 0, 0, 0), mode: int = 0, fault_bitmask: int = 0):
+        MAVLink_message.__init__(self, MAVLink_battery_status_message.id, MAVLink_battery_status_message.msgname)
+        self._fieldnames = MAVLink_battery_status_message.fieldnames
+        self._instance_field = MAVLink_battery_status_message.instance_field
+        self._instance_offset = MAVLink_battery_status_message.instance_offset
+        self.id = id
+        self.battery_function = battery_function
+        self.type = type
+        self.temperature = temperature
+        self.voltages = voltages
+        self.current_battery = current_battery
+        self.current_consumed = current_consumed
+        self.energy_consumed = energy_consumed
+        self.battery_remaining = battery_remaining
+        self.time_remaining = time_remaining
+        self.charge_state = charge_state
+        self.voltages_ext = voltages_ext
+        self.mode = mode
+        self.fault_bitmask = fault_bitmask
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.current_consumed, self.energy_consumed, self.temperature, self.voltages[0], self.voltages[1], self.voltages[2], self.voltages[3], self.voltages[4], self.voltages[5], self.voltages[6], self.voltages[7], self.voltages[8], self.voltages[9], self.current_battery, self.id, self.battery_function, self.type, self.battery_remaining, self.time_remaining, self.charge_state, self.voltages_ext[0], self.voltages_ext[1], self.voltages_ext[2], self.voltages_ext[3], self.mode, self.fault_bitmask), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_battery_status_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_autopilot_version_message(MAVLink_message):
     """
     Version and capability. vendor_id 0x5454 and product_id = version
@@ -1161,6 +2060,133 @@ class MAVLink_autopilot_version_message(MAVLink_message):
 setattr(MAVLink_autopilot_version_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_home_position_message(MAVLink_message):
+    """
+    Where the last flight began, in the local frame.
+    """
+
+    id = MAVLINK_MSG_ID_HOME_POSITION
+    msgname = "HOME_POSITION"
+    fieldnames = ["latitude", "longitude", "altitude", "x", "y", "z", "q", "approach_x", "approach_y", "approach_z", "time_usec"]
+    ordered_fieldnames = ["latitude", "longitude", "altitude", "x", "y", "z", "q", "approach_x", "approach_y", "approach_z", "time_usec"]
+    fieldtypes = ["int32_t", "int32_t", "int32_t", "float", "float", "float", "float", "float", "float", "float", "uint64_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"latitude": "degE7", "longitude": "degE7", "altitude": "mm", "x": "m", "y": "m", "z": "m", "approach_x": "m", "approach_y": "m", "approach_z": "m", "time_usec": "us"}
+    native_format = bytearray(b"<iiifffffffQ")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]
+    lengths = [1, 1, 1, 1, 1, 1, 4, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 4, 0, 0, 0, 0]
+    crc_extra = 104
+    unpacker = struct.Struct("<iiifff4ffffQ")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, latitude: int, longitude: int, altitude: int, x: float, y: float, z: float, q: Sequence[float], approach_x: float, approach_y: float, approach_z: float, time_usec: int = 0):
+        MAVLink_message.__init__(self, MAVLink_home_position_message.id, MAVLink_home_position_message.msgname)
+        self._fieldnames = MAVLink_home_position_message.fieldnames
+        self._instance_field = MAVLink_home_position_message.instance_field
+        self._instance_offset = MAVLink_home_position_message.instance_offset
+        self.latitude = latitude
+        self.longitude = longitude
+        self.altitude = altitude
+        self.x = x
+        self.y = y
+        self.z = z
+        self.q = q
+        self.approach_x = approach_x
+        self.approach_y = approach_y
+        self.approach_z = approach_z
+        self.time_usec = time_usec
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.latitude, self.longitude, self.altitude, self.x, self.y, self.z, self.q[0], self.q[1], self.q[2], self.q[3], self.approach_x, self.approach_y, self.approach_z, self.time_usec), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_home_position_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_message_interval_message(MAVLink_message):
+    """
+    Interval at which a message is sent; -1: not sent, 0: not known
+    here.
+    """
+
+    id = MAVLINK_MSG_ID_MESSAGE_INTERVAL
+    msgname = "MESSAGE_INTERVAL"
+    fieldnames = ["message_id", "interval_us"]
+    ordered_fieldnames = ["interval_us", "message_id"]
+    fieldtypes = ["uint16_t", "int32_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"interval_us": "us"}
+    native_format = bytearray(b"<iH")
+    orders = [1, 0]
+    lengths = [1, 1]
+    array_lengths = [0, 0]
+    crc_extra = 95
+    unpacker = struct.Struct("<iH")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, message_id: int, interval_us: int):
+        MAVLink_message.__init__(self, MAVLink_message_interval_message.id, MAVLink_message_interval_message.msgname)
+        self._fieldnames = MAVLink_message_interval_message.fieldnames
+        self._instance_field = MAVLink_message_interval_message.instance_field
+        self._instance_offset = MAVLink_message_interval_message.instance_offset
+        self.message_id = message_id
+        self.interval_us = interval_us
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.interval_us, self.message_id), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_message_interval_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_extended_sys_state_message(MAVLink_message):
+    """
+    Whether it flies.
+    """
+
+    id = MAVLINK_MSG_ID_EXTENDED_SYS_STATE
+    msgname = "EXTENDED_SYS_STATE"
+    fieldnames = ["vtol_state", "landed_state"]
+    ordered_fieldnames = ["vtol_state", "landed_state"]
+    fieldtypes = ["uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {"vtol_state": "MAV_VTOL_STATE", "landed_state": "MAV_LANDED_STATE"}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<BB")
+    orders = [0, 1]
+    lengths = [1, 1]
+    array_lengths = [0, 0]
+    crc_extra = 130
+    unpacker = struct.Struct("<BB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, vtol_state: int, landed_state: int):
+        MAVLink_message.__init__(self, MAVLink_extended_sys_state_message.id, MAVLink_extended_sys_state_message.msgname)
+        self._fieldnames = MAVLink_extended_sys_state_message.fieldnames
+        self._instance_field = MAVLink_extended_sys_state_message.instance_field
+        self._instance_offset = MAVLink_extended_sys_state_message.instance_offset
+        self.vtol_state = vtol_state
+        self.landed_state = landed_state
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.vtol_state, self.landed_state), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_extended_sys_state_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_statustext_message(MAVLink_message):
     """
     A line of text for people.
@@ -1201,6 +2227,61 @@ class MAVLink_statustext_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_statustext_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_odometry_message(MAVLink_message):
+    """
+    Estimated pose in frame_id, velocity in child_frame_id.
+    """
+
+    id = MAVLINK_MSG_ID_ODOMETRY
+    msgname = "ODOMETRY"
+    fieldnames = ["time_usec", "frame_id", "child_frame_id", "x", "y", "z", "q", "vx", "vy", "vz", "rollspeed", "pitchspeed", "yawspeed", "pose_covariance", "velocity_covariance", "reset_counter", "estimator_type", "quality"]
+    ordered_fieldnames = ["time_usec", "x", "y", "z", "q", "vx", "vy", "vz", "rollspeed", "pitchspeed", "yawspeed", "pose_covariance", "velocity_covariance", "frame_id", "child_frame_id", "reset_counter", "estimator_type", "quality"]
+    fieldtypes = ["uint64_t", "uint8_t", "uint8_t", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "float", "uint8_t", "uint8_t", "int8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {"frame_id": "MAV_FRAME", "child_frame_id": "MAV_FRAME"}
+    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "x": "m", "y": "m", "z": "m", "vx": "m/s", "vy": "m/s", "vz": "m/s", "rollspeed": "rad/s", "pitchspeed": "rad/s", "yawspeed": "rad/s", "quality": "%"}
+    native_format = bytearray(b"<QffffffffffffBBBBb")
+    orders = [0, 13, 14, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 15, 16, 17]
+    lengths = [1, 1, 1, 1, 4, 1, 1, 1, 1, 1, 1, 21, 21, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 4, 0, 0, 0, 0, 0, 0, 21, 21, 0, 0, 0, 0, 0]
+    crc_extra = 91
+    unpacker = struct.Struct("<Qfff4fffffff21f21fBBBBb")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_usec: int, frame_id: int, child_frame_id: int, x: float, y: float, z: float, q: Sequence[float], vx: float, vy: float, vz: float, rollspeed: float, pitchspeed: float, yawspeed: float, pose_covariance: Sequence[float], velocity_covariance: Sequence[float], reset_counter: int = 0, estimator_type: int = 0, quality: int = 0):
+        MAVLink_message.__init__(self, MAVLink_odometry_message.id, MAVLink_odometry_message.msgname)
+        self._fieldnames = MAVLink_odometry_message.fieldnames
+        self._instance_field = MAVLink_odometry_message.instance_field
+        self._instance_offset = MAVLink_odometry_message.instance_offset
+        self.time_usec = time_usec
+        self.frame_id = frame_id
+        self.child_frame_id = child_frame_id
+        self.x = x
+        self.y = y
+        self.z = z
+        self.q = q
+        self.vx = vx
+        self.vy = vy
+        self.vz = vz
+        self.rollspeed = rollspeed
+        self.pitchspeed = pitchspeed
+        self.yawspeed = yawspeed
+        self.pose_covariance = pose_covariance
+        self.velocity_covariance = velocity_covariance
+        self.reset_counter = reset_counter
+        self.estimator_type = estimator_type
+        self.quality = quality
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.x, self.y, self.z, self.q[0], self.q[1], self.q[2], self.q[3], self.vx, self.vy, self.vz, self.rollspeed, self.pitchspeed, self.yawspeed, self.pose_covariance[0], self.pose_covariance[1], self.pose_covariance[2], self.pose_covariance[3], self.pose_covariance[4], self.pose_covariance[5], self.pose_covariance[6], self.pose_covariance[7], self.pose_covariance[8], self.pose_covariance[9], self.pose_covariance[10], self.pose_covariance[11], self.pose_covariance[12], self.pose_covariance[13], self.pose_covariance[14], self.pose_covariance[15], self.pose_covariance[16], self.pose_covariance[17], self.pose_covariance[18], self.pose_covariance[19], self.pose_covariance[20], self.velocity_covariance[0], self.velocity_covariance[1], self.velocity_covariance[2], self.velocity_covariance[3], self.velocity_covariance[4], self.velocity_covariance[5], self.velocity_covariance[6], self.velocity_covariance[7], self.velocity_covariance[8], self.velocity_covariance[9], self.velocity_covariance[10], self.velocity_covariance[11], self.velocity_covariance[12], self.velocity_covariance[13], self.velocity_covariance[14], self.velocity_covariance[15], self.velocity_covariance[16], self.velocity_covariance[17], self.velocity_covariance[18], self.velocity_covariance[19], self.velocity_covariance[20], self.frame_id, self.child_frame_id, self.reset_counter, self.estimator_type, self.quality), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_odometry_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_fc_control_message(MAVLink_message):
@@ -1303,22 +2384,22 @@ class MAVLink_fc_status_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_FC_STATUS
     msgname = "FC_STATUS"
-    fieldnames = ["tick", "state_tick", "reference_tick", "saturated_ticks", "flight_ticks", "poses_used", "battery_mv", "loop_us", "loop_overruns", "uart_overruns", "bad_bytes", "state", "failsafe", "staged_kind", "staged_id", "reference_id", "feedforward_id", "vehicle_id"]
-    ordered_fieldnames = ["tick", "state_tick", "reference_tick", "saturated_ticks", "flight_ticks", "poses_used", "battery_mv", "loop_us", "loop_overruns", "uart_overruns", "bad_bytes", "state", "failsafe", "staged_kind", "staged_id", "reference_id", "feedforward_id", "vehicle_id"]
-    fieldtypes = ["uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fieldnames = ["tick", "state_tick", "reference_tick", "saturated_ticks", "flight_ticks", "poses_used", "battery_mv", "swap_tick", "conditions", "loop_us", "loop_mean_us", "jitter_us", "mocap_age_max", "loop_overruns", "uart_overruns", "bad_bytes", "state", "failsafe", "action", "staged_kind", "staged_id", "reference_id", "feedforward_id", "vehicle_id"]
+    ordered_fieldnames = ["tick", "state_tick", "reference_tick", "saturated_ticks", "flight_ticks", "poses_used", "swap_tick", "conditions", "battery_mv", "loop_us", "loop_mean_us", "jitter_us", "mocap_age_max", "loop_overruns", "uart_overruns", "bad_bytes", "state", "failsafe", "action", "staged_kind", "staged_id", "reference_id", "feedforward_id", "vehicle_id"]
+    fieldtypes = ["uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint16_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {"state": "TRIMTAB_STATE", "failsafe": "TRIMTAB_FAILSAFE", "staged_kind": "TRIMTAB_BLOB"}
-    fieldunits_by_name: Dict[str, str] = {"tick": "ms", "state_tick": "ms", "reference_tick": "ms", "battery_mv": "mV", "loop_us": "us"}
-    native_format = bytearray(b"<IIIIIIHHHHHBBBBBBB")
-    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 6, 6, 6, 6]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 6, 6, 6, 6]
-    crc_extra = 103
-    unpacker = struct.Struct("<IIIIIIHHHHHBBB6B6B6B6B")
+    fieldunits_by_name: Dict[str, str] = {"tick": "ms", "state_tick": "ms", "reference_tick": "ms", "battery_mv": "mV", "swap_tick": "ms", "loop_us": "us", "loop_mean_us": "us", "jitter_us": "us"}
+    native_format = bytearray(b"<IIIIIIIIHHHHHHHHBBBBBBBB")
+    orders = [0, 1, 2, 3, 4, 5, 8, 6, 7, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 6, 6, 6, 6]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 6, 6, 6, 6]
+    crc_extra = 142
+    unpacker = struct.Struct("<IIIIIIIIHHHHHHHHBBBB6B6B6B6B")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, loop_us: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int]):
+    def __init__(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int]):
         MAVLink_message.__init__(self, MAVLink_fc_status_message.id, MAVLink_fc_status_message.msgname)
         self._fieldnames = MAVLink_fc_status_message.fieldnames
         self._instance_field = MAVLink_fc_status_message.instance_field
@@ -1330,12 +2411,18 @@ class MAVLink_fc_status_message(MAVLink_message):
         self.flight_ticks = flight_ticks
         self.poses_used = poses_used
         self.battery_mv = battery_mv
+        self.swap_tick = swap_tick
+        self.conditions = conditions
         self.loop_us = loop_us
+        self.loop_mean_us = loop_mean_us
+        self.jitter_us = jitter_us
+        self.mocap_age_max = mocap_age_max
         self.loop_overruns = loop_overruns
         self.uart_overruns = uart_overruns
         self.bad_bytes = bad_bytes
         self.state = state
         self.failsafe = failsafe
+        self.action = action
         self.staged_kind = staged_kind
         self.staged_id = staged_id
         self.reference_id = reference_id
@@ -1343,7 +2430,7 @@ class MAVLink_fc_status_message(MAVLink_message):
         self.vehicle_id = vehicle_id
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.tick, self.state_tick, self.reference_tick, self.saturated_ticks, self.flight_ticks, self.poses_used, self.battery_mv, self.loop_us, self.loop_overruns, self.uart_overruns, self.bad_bytes, self.state, self.failsafe, self.staged_kind, self.staged_id[0], self.staged_id[1], self.staged_id[2], self.staged_id[3], self.staged_id[4], self.staged_id[5], self.reference_id[0], self.reference_id[1], self.reference_id[2], self.reference_id[3], self.reference_id[4], self.reference_id[5], self.feedforward_id[0], self.feedforward_id[1], self.feedforward_id[2], self.feedforward_id[3], self.feedforward_id[4], self.feedforward_id[5], self.vehicle_id[0], self.vehicle_id[1], self.vehicle_id[2], self.vehicle_id[3], self.vehicle_id[4], self.vehicle_id[5]), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.tick, self.state_tick, self.reference_tick, self.saturated_ticks, self.flight_ticks, self.poses_used, self.swap_tick, self.conditions, self.battery_mv, self.loop_us, self.loop_mean_us, self.jitter_us, self.mocap_age_max, self.loop_overruns, self.uart_overruns, self.bad_bytes, self.state, self.failsafe, self.action, self.staged_kind, self.staged_id[0], self.staged_id[1], self.staged_id[2], self.staged_id[3], self.staged_id[4], self.staged_id[5], self.reference_id[0], self.reference_id[1], self.reference_id[2], self.reference_id[3], self.reference_id[4], self.reference_id[5], self.feedforward_id[0], self.feedforward_id[1], self.feedforward_id[2], self.feedforward_id[3], self.feedforward_id[4], self.feedforward_id[5], self.vehicle_id[0], self.vehicle_id[1], self.vehicle_id[2], self.vehicle_id[3], self.vehicle_id[4], self.vehicle_id[5]), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -1358,22 +2445,22 @@ class MAVLink_radio_stats_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_RADIO_STATS
     msgname = "RADIO_STATS"
-    fieldnames = ["frames_sent", "frames_received", "messages_sent", "refused", "replaced", "uart_overruns", "bad_bytes"]
-    ordered_fieldnames = ["frames_sent", "frames_received", "messages_sent", "refused", "replaced", "uart_overruns", "bad_bytes"]
-    fieldtypes = ["uint32_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t"]
+    fieldnames = ["frames_sent", "frames_received", "messages_sent", "refused", "replaced", "broken", "uart_overruns", "bad_bytes"]
+    ordered_fieldnames = ["frames_sent", "frames_received", "messages_sent", "refused", "replaced", "broken", "uart_overruns", "bad_bytes"]
+    fieldtypes = ["uint32_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {}
     fieldunits_by_name: Dict[str, str] = {}
-    native_format = bytearray(b"<IIIHHHH")
-    orders = [0, 1, 2, 3, 4, 5, 6]
-    lengths = [1, 1, 1, 1, 1, 1, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0]
-    crc_extra = 151
-    unpacker = struct.Struct("<IIIHHHH")
+    native_format = bytearray(b"<IIIHHHHH")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 200
+    unpacker = struct.Struct("<IIIHHHHH")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, frames_sent: int, frames_received: int, messages_sent: int, refused: int, replaced: int, uart_overruns: int, bad_bytes: int):
+    def __init__(self, frames_sent: int, frames_received: int, messages_sent: int, refused: int, replaced: int, broken: int, uart_overruns: int, bad_bytes: int):
         MAVLink_message.__init__(self, MAVLink_radio_stats_message.id, MAVLink_radio_stats_message.msgname)
         self._fieldnames = MAVLink_radio_stats_message.fieldnames
         self._instance_field = MAVLink_radio_stats_message.instance_field
@@ -1383,11 +2470,12 @@ class MAVLink_radio_stats_message(MAVLink_message):
         self.messages_sent = messages_sent
         self.refused = refused
         self.replaced = replaced
+        self.broken = broken
         self.uart_overruns = uart_overruns
         self.bad_bytes = bad_bytes
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.frames_sent, self.frames_received, self.messages_sent, self.refused, self.replaced, self.uart_overruns, self.bad_bytes), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.frames_sent, self.frames_received, self.messages_sent, self.refused, self.replaced, self.broken, self.uart_overruns, self.bad_bytes), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -1616,32 +2704,33 @@ class MAVLink_upload_commit_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_UPLOAD_COMMIT
     msgname = "UPLOAD_COMMIT"
-    fieldnames = ["target_system", "kind", "digest"]
-    ordered_fieldnames = ["target_system", "kind", "digest"]
-    fieldtypes = ["uint8_t", "uint8_t", "uint8_t"]
+    fieldnames = ["at_tick", "target_system", "kind", "digest"]
+    ordered_fieldnames = ["at_tick", "target_system", "kind", "digest"]
+    fieldtypes = ["uint32_t", "uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {"kind": "TRIMTAB_BLOB"}
-    fieldunits_by_name: Dict[str, str] = {}
-    native_format = bytearray(b"<BBB")
-    orders = [0, 1, 2]
-    lengths = [1, 1, 32]
-    array_lengths = [0, 0, 32]
-    crc_extra = 157
-    unpacker = struct.Struct("<BB32B")
+    fieldunits_by_name: Dict[str, str] = {"at_tick": "ms"}
+    native_format = bytearray(b"<IBBB")
+    orders = [0, 1, 2, 3]
+    lengths = [1, 1, 1, 32]
+    array_lengths = [0, 0, 0, 32]
+    crc_extra = 99
+    unpacker = struct.Struct("<IBB32B")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, target_system: int, kind: int, digest: Sequence[int]):
+    def __init__(self, at_tick: int, target_system: int, kind: int, digest: Sequence[int]):
         MAVLink_message.__init__(self, MAVLink_upload_commit_message.id, MAVLink_upload_commit_message.msgname)
         self._fieldnames = MAVLink_upload_commit_message.fieldnames
         self._instance_field = MAVLink_upload_commit_message.instance_field
         self._instance_offset = MAVLink_upload_commit_message.instance_offset
+        self.at_tick = at_tick
         self.target_system = target_system
         self.kind = kind
         self.digest = digest
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_system, self.kind, self.digest[0], self.digest[1], self.digest[2], self.digest[3], self.digest[4], self.digest[5], self.digest[6], self.digest[7], self.digest[8], self.digest[9], self.digest[10], self.digest[11], self.digest[12], self.digest[13], self.digest[14], self.digest[15], self.digest[16], self.digest[17], self.digest[18], self.digest[19], self.digest[20], self.digest[21], self.digest[22], self.digest[23], self.digest[24], self.digest[25], self.digest[26], self.digest[27], self.digest[28], self.digest[29], self.digest[30], self.digest[31]), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.at_tick, self.target_system, self.kind, self.digest[0], self.digest[1], self.digest[2], self.digest[3], self.digest[4], self.digest[5], self.digest[6], self.digest[7], self.digest[8], self.digest[9], self.digest[10], self.digest[11], self.digest[12], self.digest[13], self.digest[14], self.digest[15], self.digest[16], self.digest[17], self.digest[18], self.digest[19], self.digest[20], self.digest[21], self.digest[22], self.digest[23], self.digest[24], self.digest[25], self.digest[26], self.digest[27], self.digest[28], self.digest[29], self.digest[30], self.digest[31]), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -1690,17 +2779,35 @@ setattr(MAVLink_upload_abort_message, "name", mavlink_msg_deprecated_name_proper
 
 mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_HEARTBEAT: MAVLink_heartbeat_message,
+    MAVLINK_MSG_ID_SYS_STATUS: MAVLink_sys_status_message,
     MAVLINK_MSG_ID_PING: MAVLink_ping_message,
     MAVLINK_MSG_ID_PARAM_REQUEST_READ: MAVLink_param_request_read_message,
     MAVLINK_MSG_ID_PARAM_REQUEST_LIST: MAVLink_param_request_list_message,
     MAVLINK_MSG_ID_PARAM_VALUE: MAVLink_param_value_message,
     MAVLINK_MSG_ID_PARAM_SET: MAVLink_param_set_message,
+    MAVLINK_MSG_ID_ATTITUDE: MAVLink_attitude_message,
+    MAVLINK_MSG_ID_ATTITUDE_QUATERNION: MAVLink_attitude_quaternion_message,
+    MAVLINK_MSG_ID_LOCAL_POSITION_NED: MAVLink_local_position_ned_message,
+    MAVLINK_MSG_ID_MISSION_REQUEST_LIST: MAVLink_mission_request_list_message,
+    MAVLINK_MSG_ID_MISSION_COUNT: MAVLink_mission_count_message,
+    MAVLINK_MSG_ID_MISSION_CLEAR_ALL: MAVLink_mission_clear_all_message,
+    MAVLINK_MSG_ID_MISSION_ACK: MAVLink_mission_ack_message,
+    MAVLINK_MSG_ID_REQUEST_DATA_STREAM: MAVLink_request_data_stream_message,
+    MAVLINK_MSG_ID_COMMAND_INT: MAVLink_command_int_message,
     MAVLINK_MSG_ID_COMMAND_LONG: MAVLink_command_long_message,
     MAVLINK_MSG_ID_COMMAND_ACK: MAVLink_command_ack_message,
+    MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: MAVLink_set_attitude_target_message,
+    MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: MAVLink_set_position_target_local_ned_message,
+    MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: MAVLink_file_transfer_protocol_message,
     MAVLINK_MSG_ID_TIMESYNC: MAVLink_timesync_message,
     MAVLINK_MSG_ID_ATT_POS_MOCAP: MAVLink_att_pos_mocap_message,
+    MAVLINK_MSG_ID_BATTERY_STATUS: MAVLink_battery_status_message,
     MAVLINK_MSG_ID_AUTOPILOT_VERSION: MAVLink_autopilot_version_message,
+    MAVLINK_MSG_ID_HOME_POSITION: MAVLink_home_position_message,
+    MAVLINK_MSG_ID_MESSAGE_INTERVAL: MAVLink_message_interval_message,
+    MAVLINK_MSG_ID_EXTENDED_SYS_STATE: MAVLink_extended_sys_state_message,
     MAVLINK_MSG_ID_STATUSTEXT: MAVLink_statustext_message,
+    MAVLINK_MSG_ID_ODOMETRY: MAVLink_odometry_message,
     MAVLINK_MSG_ID_FC_CONTROL: MAVLink_fc_control_message,
     MAVLINK_MSG_ID_FC_ESTIMATE: MAVLink_fc_estimate_message,
     MAVLINK_MSG_ID_FC_STATUS: MAVLink_fc_status_message,
@@ -2140,6 +3247,54 @@ class MAVLink(object):
         """
         self.send(self.heartbeat_encode(type, autopilot, base_mode, custom_mode, system_status, mavlink_version), force_mavlink1=force_mavlink1)
 
+    def sys_status_encode(self, onboard_control_sensors_present: int, onboard_control_sensors_enabled: int, onboard_control_sensors_health: int, load: int, voltage_battery: int, current_battery: int, battery_remaining: int, drop_rate_comm: int, errors_comm: int, errors_count1: int, errors_count2: int, errors_count3: int, errors_count4: int, onboard_control_sensors_present_extended: int = 0, onboard_control_sensors_enabled_extended: int = 0, onboard_control_sensors_health_extended: int = 0) -> MAVLink_sys_status_message:
+        """
+        General state of the vehicle's parts.
+
+        onboard_control_sensors_present        : Bitmap of parts that are present. (type:uint32_t, values:MAV_SYS_STATUS_SENSOR)
+        onboard_control_sensors_enabled        : Bitmap of parts that are enabled. (type:uint32_t, values:MAV_SYS_STATUS_SENSOR)
+        onboard_control_sensors_health        : Bitmap of parts that are health. (type:uint32_t, values:MAV_SYS_STATUS_SENSOR)
+        load                      : Share of the main loop's time that is used, below 1000. [d%] (type:uint16_t)
+        voltage_battery           : Battery voltage. [mV] (type:uint16_t)
+        current_battery           : Battery current, -1: not measured. [cA] (type:int16_t)
+        battery_remaining         : Charge left, -1: not known. [%] (type:int8_t)
+        drop_rate_comm            : Share of messages lost on the way here. [c%] (type:uint16_t)
+        errors_comm               : Bytes and messages lost on the way here. (type:uint16_t)
+        errors_count1             : Autopilot-specific errors. (type:uint16_t)
+        errors_count2             : Autopilot-specific errors. (type:uint16_t)
+        errors_count3             : Autopilot-specific errors. (type:uint16_t)
+        errors_count4             : Autopilot-specific errors. (type:uint16_t)
+        onboard_control_sensors_present_extended        : Unused. (type:uint32_t)
+        onboard_control_sensors_enabled_extended        : Unused. (type:uint32_t)
+        onboard_control_sensors_health_extended        : Unused. (type:uint32_t)
+
+        """
+        return MAVLink_sys_status_message(onboard_control_sensors_present, onboard_control_sensors_enabled, onboard_control_sensors_health, load, voltage_battery, current_battery, battery_remaining, drop_rate_comm, errors_comm, errors_count1, errors_count2, errors_count3, errors_count4, onboard_control_sensors_present_extended, onboard_control_sensors_enabled_extended, onboard_control_sensors_health_extended)
+
+    def sys_status_send(self, onboard_control_sensors_present: int, onboard_control_sensors_enabled: int, onboard_control_sensors_health: int, load: int, voltage_battery: int, current_battery: int, battery_remaining: int, drop_rate_comm: int, errors_comm: int, errors_count1: int, errors_count2: int, errors_count3: int, errors_count4: int, onboard_control_sensors_present_extended: int = 0, onboard_control_sensors_enabled_extended: int = 0, onboard_control_sensors_health_extended: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        General state of the vehicle's parts.
+
+        onboard_control_sensors_present        : Bitmap of parts that are present. (type:uint32_t, values:MAV_SYS_STATUS_SENSOR)
+        onboard_control_sensors_enabled        : Bitmap of parts that are enabled. (type:uint32_t, values:MAV_SYS_STATUS_SENSOR)
+        onboard_control_sensors_health        : Bitmap of parts that are health. (type:uint32_t, values:MAV_SYS_STATUS_SENSOR)
+        load                      : Share of the main loop's time that is used, below 1000. [d%] (type:uint16_t)
+        voltage_battery           : Battery voltage. [mV] (type:uint16_t)
+        current_battery           : Battery current, -1: not measured. [cA] (type:int16_t)
+        battery_remaining         : Charge left, -1: not known. [%] (type:int8_t)
+        drop_rate_comm            : Share of messages lost on the way here. [c%] (type:uint16_t)
+        errors_comm               : Bytes and messages lost on the way here. (type:uint16_t)
+        errors_count1             : Autopilot-specific errors. (type:uint16_t)
+        errors_count2             : Autopilot-specific errors. (type:uint16_t)
+        errors_count3             : Autopilot-specific errors. (type:uint16_t)
+        errors_count4             : Autopilot-specific errors. (type:uint16_t)
+        onboard_control_sensors_present_extended        : Unused. (type:uint32_t)
+        onboard_control_sensors_enabled_extended        : Unused. (type:uint32_t)
+        onboard_control_sensors_health_extended        : Unused. (type:uint32_t)
+
+        """
+        self.send(self.sys_status_encode(onboard_control_sensors_present, onboard_control_sensors_enabled, onboard_control_sensors_health, load, voltage_battery, current_battery, battery_remaining, drop_rate_comm, errors_comm, errors_count1, errors_count2, errors_count3, errors_count4, onboard_control_sensors_present_extended, onboard_control_sensors_enabled_extended, onboard_control_sensors_health_extended), force_mavlink1=force_mavlink1)
+
     def ping_encode(self, time_usec: int, seq: int, target_system: int, target_component: int) -> MAVLink_ping_message:
         """
         Asks for an echo (target 0) or answers one.
@@ -2260,6 +3415,260 @@ class MAVLink(object):
         """
         self.send(self.param_set_encode(target_system, target_component, param_id, param_value, param_type), force_mavlink1=force_mavlink1)
 
+    def attitude_encode(self, time_boot_ms: int, roll: float, pitch: float, yaw: float, rollspeed: float, pitchspeed: float, yawspeed: float) -> MAVLink_attitude_message:
+        """
+        Attitude as roll, pitch, yaw; body FRD in NED.
+
+        time_boot_ms              : Time since boot. [ms] (type:uint32_t)
+        roll                      : Roll. [rad] (type:float)
+        pitch                     : Pitch. [rad] (type:float)
+        yaw                       : Yaw. [rad] (type:float)
+        rollspeed                 : Body rate. [rad/s] (type:float)
+        pitchspeed                : Body rate. [rad/s] (type:float)
+        yawspeed                  : Body rate. [rad/s] (type:float)
+
+        """
+        return MAVLink_attitude_message(time_boot_ms, roll, pitch, yaw, rollspeed, pitchspeed, yawspeed)
+
+    def attitude_send(self, time_boot_ms: int, roll: float, pitch: float, yaw: float, rollspeed: float, pitchspeed: float, yawspeed: float, force_mavlink1: bool = False) -> None:
+        """
+        Attitude as roll, pitch, yaw; body FRD in NED.
+
+        time_boot_ms              : Time since boot. [ms] (type:uint32_t)
+        roll                      : Roll. [rad] (type:float)
+        pitch                     : Pitch. [rad] (type:float)
+        yaw                       : Yaw. [rad] (type:float)
+        rollspeed                 : Body rate. [rad/s] (type:float)
+        pitchspeed                : Body rate. [rad/s] (type:float)
+        yawspeed                  : Body rate. [rad/s] (type:float)
+
+        """
+        self.send(self.attitude_encode(time_boot_ms, roll, pitch, yaw, rollspeed, pitchspeed, yawspeed), force_mavlink1=force_mavlink1)
+
+    def attitude_quaternion_encode(self, time_boot_ms: int, q1: float, q2: float, q3: float, q4: float, rollspeed: float, pitchspeed: float, yawspeed: float, repr_offset_q: Sequence[float] = (0, 0, 0, 0)) -> MAVLink_attitude_quaternion_message:
+        """
+        Attitude as a quaternion; body FRD in NED.
+
+        time_boot_ms              : Time since boot. [ms] (type:uint32_t)
+        q1                        : Quaternion component, w. (type:float)
+        q2                        : Quaternion component, x. (type:float)
+        q3                        : Quaternion component, y. (type:float)
+        q4                        : Quaternion component, z. (type:float)
+        rollspeed                 : Body rate. [rad/s] (type:float)
+        pitchspeed                : Body rate. [rad/s] (type:float)
+        yawspeed                  : Body rate. [rad/s] (type:float)
+        repr_offset_q             : Unused. (type:float)
+
+        """
+        return MAVLink_attitude_quaternion_message(time_boot_ms, q1, q2, q3, q4, rollspeed, pitchspeed, yawspeed, repr_offset_q)
+
+    def attitude_quaternion_send(self, time_boot_ms: int, q1: float, q2: float, q3: float, q4: float, rollspeed: float, pitchspeed: float, yawspeed: float, repr_offset_q: Sequence[float] = (0, 0, 0, 0), force_mavlink1: bool = False) -> None:
+        """
+        Attitude as a quaternion; body FRD in NED.
+
+        time_boot_ms              : Time since boot. [ms] (type:uint32_t)
+        q1                        : Quaternion component, w. (type:float)
+        q2                        : Quaternion component, x. (type:float)
+        q3                        : Quaternion component, y. (type:float)
+        q4                        : Quaternion component, z. (type:float)
+        rollspeed                 : Body rate. [rad/s] (type:float)
+        pitchspeed                : Body rate. [rad/s] (type:float)
+        yawspeed                  : Body rate. [rad/s] (type:float)
+        repr_offset_q             : Unused. (type:float)
+
+        """
+        self.send(self.attitude_quaternion_encode(time_boot_ms, q1, q2, q3, q4, rollspeed, pitchspeed, yawspeed, repr_offset_q), force_mavlink1=force_mavlink1)
+
+    def local_position_ned_encode(self, time_boot_ms: int, x: float, y: float, z: float, vx: float, vy: float, vz: float) -> MAVLink_local_position_ned_message:
+        """
+        Estimated position and velocity, NED.
+
+        time_boot_ms              : Time since boot. [ms] (type:uint32_t)
+        x                         : Position. [m] (type:float)
+        y                         : Position. [m] (type:float)
+        z                         : Position. [m] (type:float)
+        vx                        : Velocity. [m/s] (type:float)
+        vy                        : Velocity. [m/s] (type:float)
+        vz                        : Velocity. [m/s] (type:float)
+
+        """
+        return MAVLink_local_position_ned_message(time_boot_ms, x, y, z, vx, vy, vz)
+
+    def local_position_ned_send(self, time_boot_ms: int, x: float, y: float, z: float, vx: float, vy: float, vz: float, force_mavlink1: bool = False) -> None:
+        """
+        Estimated position and velocity, NED.
+
+        time_boot_ms              : Time since boot. [ms] (type:uint32_t)
+        x                         : Position. [m] (type:float)
+        y                         : Position. [m] (type:float)
+        z                         : Position. [m] (type:float)
+        vx                        : Velocity. [m/s] (type:float)
+        vy                        : Velocity. [m/s] (type:float)
+        vz                        : Velocity. [m/s] (type:float)
+
+        """
+        self.send(self.local_position_ned_encode(time_boot_ms, x, y, z, vx, vy, vz), force_mavlink1=force_mavlink1)
+
+    def mission_request_list_encode(self, target_system: int, target_component: int, mission_type: int = 0) -> MAVLink_mission_request_list_message:
+        """
+        Asks for the list of mission items; there are none here.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        mission_type              : Mission type. (type:uint8_t, values:MAV_MISSION_TYPE)
+
+        """
+        return MAVLink_mission_request_list_message(target_system, target_component, mission_type)
+
+    def mission_request_list_send(self, target_system: int, target_component: int, mission_type: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Asks for the list of mission items; there are none here.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        mission_type              : Mission type. (type:uint8_t, values:MAV_MISSION_TYPE)
+
+        """
+        self.send(self.mission_request_list_encode(target_system, target_component, mission_type), force_mavlink1=force_mavlink1)
+
+    def mission_count_encode(self, target_system: int, target_component: int, count: int, mission_type: int = 0) -> MAVLink_mission_count_message:
+        """
+        Number of mission items.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        count                     : 0 here. (type:uint16_t)
+        mission_type              : Mission type. (type:uint8_t, values:MAV_MISSION_TYPE)
+
+        """
+        return MAVLink_mission_count_message(target_system, target_component, count, mission_type)
+
+    def mission_count_send(self, target_system: int, target_component: int, count: int, mission_type: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Number of mission items.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        count                     : 0 here. (type:uint16_t)
+        mission_type              : Mission type. (type:uint8_t, values:MAV_MISSION_TYPE)
+
+        """
+        self.send(self.mission_count_encode(target_system, target_component, count, mission_type), force_mavlink1=force_mavlink1)
+
+    def mission_clear_all_encode(self, target_system: int, target_component: int, mission_type: int = 0) -> MAVLink_mission_clear_all_message:
+        """
+        Asks to delete all mission items.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        mission_type              : Mission type. (type:uint8_t, values:MAV_MISSION_TYPE)
+
+        """
+        return MAVLink_mission_clear_all_message(target_system, target_component, mission_type)
+
+    def mission_clear_all_send(self, target_system: int, target_component: int, mission_type: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Asks to delete all mission items.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        mission_type              : Mission type. (type:uint8_t, values:MAV_MISSION_TYPE)
+
+        """
+        self.send(self.mission_clear_all_encode(target_system, target_component, mission_type), force_mavlink1=force_mavlink1)
+
+    def mission_ack_encode(self, target_system: int, target_component: int, type: int, mission_type: int = 0) -> MAVLink_mission_ack_message:
+        """
+        Ends a transaction about missions.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        type                      : Result. (type:uint8_t, values:MAV_MISSION_RESULT)
+        mission_type              : Mission type. (type:uint8_t, values:MAV_MISSION_TYPE)
+
+        """
+        return MAVLink_mission_ack_message(target_system, target_component, type, mission_type)
+
+    def mission_ack_send(self, target_system: int, target_component: int, type: int, mission_type: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Ends a transaction about missions.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        type                      : Result. (type:uint8_t, values:MAV_MISSION_RESULT)
+        mission_type              : Mission type. (type:uint8_t, values:MAV_MISSION_TYPE)
+
+        """
+        self.send(self.mission_ack_encode(target_system, target_component, type, mission_type), force_mavlink1=force_mavlink1)
+
+    def request_data_stream_encode(self, target_system: int, target_component: int, req_stream_id: int, req_message_rate: int, start_stop: int) -> MAVLink_request_data_stream_message:
+        """
+        Asks for groups of messages at a rate, as older ground stations do.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        req_stream_id             : The group. (type:uint8_t, values:MAV_DATA_STREAM)
+        req_message_rate          : Messages a second. [Hz] (type:uint16_t)
+        start_stop                : 1 starts, 0 stops. (type:uint8_t)
+
+        """
+        return MAVLink_request_data_stream_message(target_system, target_component, req_stream_id, req_message_rate, start_stop)
+
+    def request_data_stream_send(self, target_system: int, target_component: int, req_stream_id: int, req_message_rate: int, start_stop: int, force_mavlink1: bool = False) -> None:
+        """
+        Asks for groups of messages at a rate, as older ground stations do.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        req_stream_id             : The group. (type:uint8_t, values:MAV_DATA_STREAM)
+        req_message_rate          : Messages a second. [Hz] (type:uint16_t)
+        start_stop                : 1 starts, 0 stops. (type:uint8_t)
+
+        """
+        self.send(self.request_data_stream_encode(target_system, target_component, req_stream_id, req_message_rate, start_stop), force_mavlink1=force_mavlink1)
+
+    def command_int_encode(self, target_system: int, target_component: int, frame: int, command: int, current: int, autocontinue: int, param1: float, param2: float, param3: float, param4: float, x: int, y: int, z: float) -> MAVLink_command_int_message:
+        """
+        A command whose place is given as integers.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        frame                     : Coordinate system. (type:uint8_t, values:MAV_FRAME)
+        command                   : Command ID. (type:uint16_t, values:MAV_CMD)
+        current                   : Not used. (type:uint8_t)
+        autocontinue              : Not used. (type:uint8_t)
+        param1                    : Parameter 1. (type:float)
+        param2                    : Parameter 2. (type:float)
+        param3                    : Parameter 3. (type:float)
+        param4                    : Parameter 4. (type:float)
+        x                         : Parameter 5: x in 1e-4 m. (type:int32_t)
+        y                         : Parameter 6: y in 1e-4 m. (type:int32_t)
+        z                         : Parameter 7: z. (type:float)
+
+        """
+        return MAVLink_command_int_message(target_system, target_component, frame, command, current, autocontinue, param1, param2, param3, param4, x, y, z)
+
+    def command_int_send(self, target_system: int, target_component: int, frame: int, command: int, current: int, autocontinue: int, param1: float, param2: float, param3: float, param4: float, x: int, y: int, z: float, force_mavlink1: bool = False) -> None:
+        """
+        A command whose place is given as integers.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        frame                     : Coordinate system. (type:uint8_t, values:MAV_FRAME)
+        command                   : Command ID. (type:uint16_t, values:MAV_CMD)
+        current                   : Not used. (type:uint8_t)
+        autocontinue              : Not used. (type:uint8_t)
+        param1                    : Parameter 1. (type:float)
+        param2                    : Parameter 2. (type:float)
+        param3                    : Parameter 3. (type:float)
+        param4                    : Parameter 4. (type:float)
+        x                         : Parameter 5: x in 1e-4 m. (type:int32_t)
+        y                         : Parameter 6: y in 1e-4 m. (type:int32_t)
+        z                         : Parameter 7: z. (type:float)
+
+        """
+        self.send(self.command_int_encode(target_system, target_component, frame, command, current, autocontinue, param1, param2, param3, param4, x, y, z), force_mavlink1=force_mavlink1)
+
     def command_long_encode(self, target_system: int, target_component: int, command: int, confirmation: int, param1: float, param2: float, param3: float, param4: float, param5: float, param6: float, param7: float) -> MAVLink_command_long_message:
         """
         A command with up to seven parameters.
@@ -2326,6 +3735,112 @@ class MAVLink(object):
         """
         self.send(self.command_ack_encode(command, result, progress, result_param2, target_system, target_component), force_mavlink1=force_mavlink1)
 
+    def set_attitude_target_encode(self, time_boot_ms: int, target_system: int, target_component: int, type_mask: int, q: Sequence[float], body_roll_rate: float, body_pitch_rate: float, body_yaw_rate: float, thrust: float) -> MAVLink_set_attitude_target_message:
+        """
+        A setpoint of attitude or body rate, and of thrust.
+
+        time_boot_ms              : Time since boot. [ms] (type:uint32_t)
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        type_mask                 : What is to be ignored. (type:uint8_t, values:ATTITUDE_TARGET_TYPEMASK)
+        q                         : Attitude, w first. (type:float)
+        body_roll_rate            : Body rate. [rad/s] (type:float)
+        body_pitch_rate           : Body rate. [rad/s] (type:float)
+        body_yaw_rate             : Body rate. [rad/s] (type:float)
+        thrust                    : Collective thrust as a share of its greatest, 0..1. (type:float)
+
+        """
+        return MAVLink_set_attitude_target_message(time_boot_ms, target_system, target_component, type_mask, q, body_roll_rate, body_pitch_rate, body_yaw_rate, thrust)
+
+    def set_attitude_target_send(self, time_boot_ms: int, target_system: int, target_component: int, type_mask: int, q: Sequence[float], body_roll_rate: float, body_pitch_rate: float, body_yaw_rate: float, thrust: float, force_mavlink1: bool = False) -> None:
+        """
+        A setpoint of attitude or body rate, and of thrust.
+
+        time_boot_ms              : Time since boot. [ms] (type:uint32_t)
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        type_mask                 : What is to be ignored. (type:uint8_t, values:ATTITUDE_TARGET_TYPEMASK)
+        q                         : Attitude, w first. (type:float)
+        body_roll_rate            : Body rate. [rad/s] (type:float)
+        body_pitch_rate           : Body rate. [rad/s] (type:float)
+        body_yaw_rate             : Body rate. [rad/s] (type:float)
+        thrust                    : Collective thrust as a share of its greatest, 0..1. (type:float)
+
+        """
+        self.send(self.set_attitude_target_encode(time_boot_ms, target_system, target_component, type_mask, q, body_roll_rate, body_pitch_rate, body_yaw_rate, thrust), force_mavlink1=force_mavlink1)
+
+    def set_position_target_local_ned_encode(self, time_boot_ms: int, target_system: int, target_component: int, coordinate_frame: int, type_mask: int, x: float, y: float, z: float, vx: float, vy: float, vz: float, afx: float, afy: float, afz: float, yaw: float, yaw_rate: float) -> MAVLink_set_position_target_local_ned_message:
+        """
+        A setpoint of position, velocity and acceleration.
+
+        time_boot_ms              : Time since boot. [ms] (type:uint32_t)
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        coordinate_frame          : Frame. (type:uint8_t, values:MAV_FRAME)
+        type_mask                 : What is to be ignored. (type:uint16_t, values:POSITION_TARGET_TYPEMASK)
+        x                         : Position. [m] (type:float)
+        y                         : Position. [m] (type:float)
+        z                         : Position. [m] (type:float)
+        vx                        : Velocity. [m/s] (type:float)
+        vy                        : Velocity. [m/s] (type:float)
+        vz                        : Velocity. [m/s] (type:float)
+        afx                       : Acceleration. [m/s/s] (type:float)
+        afy                       : Acceleration. [m/s/s] (type:float)
+        afz                       : Acceleration. [m/s/s] (type:float)
+        yaw                       : Yaw. [rad] (type:float)
+        yaw_rate                  : Yaw rate. [rad/s] (type:float)
+
+        """
+        return MAVLink_set_position_target_local_ned_message(time_boot_ms, target_system, target_component, coordinate_frame, type_mask, x, y, z, vx, vy, vz, afx, afy, afz, yaw, yaw_rate)
+
+    def set_position_target_local_ned_send(self, time_boot_ms: int, target_system: int, target_component: int, coordinate_frame: int, type_mask: int, x: float, y: float, z: float, vx: float, vy: float, vz: float, afx: float, afy: float, afz: float, yaw: float, yaw_rate: float, force_mavlink1: bool = False) -> None:
+        """
+        A setpoint of position, velocity and acceleration.
+
+        time_boot_ms              : Time since boot. [ms] (type:uint32_t)
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        coordinate_frame          : Frame. (type:uint8_t, values:MAV_FRAME)
+        type_mask                 : What is to be ignored. (type:uint16_t, values:POSITION_TARGET_TYPEMASK)
+        x                         : Position. [m] (type:float)
+        y                         : Position. [m] (type:float)
+        z                         : Position. [m] (type:float)
+        vx                        : Velocity. [m/s] (type:float)
+        vy                        : Velocity. [m/s] (type:float)
+        vz                        : Velocity. [m/s] (type:float)
+        afx                       : Acceleration. [m/s/s] (type:float)
+        afy                       : Acceleration. [m/s/s] (type:float)
+        afz                       : Acceleration. [m/s/s] (type:float)
+        yaw                       : Yaw. [rad] (type:float)
+        yaw_rate                  : Yaw rate. [rad/s] (type:float)
+
+        """
+        self.send(self.set_position_target_local_ned_encode(time_boot_ms, target_system, target_component, coordinate_frame, type_mask, x, y, z, vx, vy, vz, afx, afy, afz, yaw, yaw_rate), force_mavlink1=force_mavlink1)
+
+    def file_transfer_protocol_encode(self, target_network: int, target_system: int, target_component: int, payload: Sequence[int]) -> MAVLink_file_transfer_protocol_message:
+        """
+        One request or answer of MAVLink FTP.
+
+        target_network            : Network ID, 0 for all. (type:uint8_t)
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        payload                   : Number u16, session u8, opcode u8, size u8, requested opcode u8, burst complete u8, padding u8, offset u32, data. (type:uint8_t)
+
+        """
+        return MAVLink_file_transfer_protocol_message(target_network, target_system, target_component, payload)
+
+    def file_transfer_protocol_send(self, target_network: int, target_system: int, target_component: int, payload: Sequence[int], force_mavlink1: bool = False) -> None:
+        """
+        One request or answer of MAVLink FTP.
+
+        target_network            : Network ID, 0 for all. (type:uint8_t)
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        payload                   : Number u16, session u8, opcode u8, size u8, requested opcode u8, burst complete u8, padding u8, offset u32, data. (type:uint8_t)
+
+        """
+        self.send(self.file_transfer_protocol_encode(target_network, target_system, target_component, payload), force_mavlink1=force_mavlink1)
+
     def timesync_encode(self, tc1: int, ts1: int) -> MAVLink_timesync_message:
         """
         Clock comparison: a question has tc1 = 0, its answer repeats ts1.
@@ -2374,6 +3889,50 @@ class MAVLink(object):
         """
         self.send(self.att_pos_mocap_encode(time_usec, q, x, y, z, covariance), force_mavlink1=force_mavlink1)
 
+    def battery_status_encode(self, id: int, battery_function: int, type: int, temperature: int, voltages: Sequence[int], current_battery: int, current_consumed: int, energy_consumed: int, battery_remaining: int, time_remaining: int = 0, charge_state: int = 0, voltages_ext: Sequence[int] = (0, 0, 0, 0), mode: int = 0, fault_bitmask: int = 0) -> MAVLink_battery_status_message:
+        """
+        The battery.
+
+        id                        : Battery ID. (type:uint8_t)
+        battery_function          : What it feeds. (type:uint8_t, values:MAV_BATTERY_FUNCTION)
+        type                      : Chemistry. (type:uint8_t, values:MAV_BATTERY_TYPE)
+        temperature               : INT16_MAX: not measured. [cdegC] (type:int16_t)
+        voltages                  : Voltage in the first, UINT16_MAX in the others. [mV] (type:uint16_t)
+        current_battery           : -1: not measured. [cA] (type:int16_t)
+        current_consumed          : -1: not measured. [mAh] (type:int32_t)
+        energy_consumed           : -1: not measured. [hJ] (type:int32_t)
+        battery_remaining         : -1: not known. [%] (type:int8_t)
+        time_remaining            : 0: not known. [s] (type:int32_t)
+        charge_state              : State of charge. (type:uint8_t, values:MAV_BATTERY_CHARGE_STATE)
+        voltages_ext              : Unused. [mV] (type:uint16_t)
+        mode                      : Unused. (type:uint8_t)
+        fault_bitmask             : Unused. (type:uint32_t)
+
+        """
+        return MAVLink_battery_status_message(id, battery_function, type, temperature, voltages, current_battery, current_consumed, energy_consumed, battery_remaining, time_remaining, charge_state, voltages_ext, mode, fault_bitmask)
+
+    def battery_status_send(self, id: int, battery_function: int, type: int, temperature: int, voltages: Sequence[int], current_battery: int, current_consumed: int, energy_consumed: int, battery_remaining: int, time_remaining: int = 0, charge_state: int = 0, voltages_ext: Sequence[int] = (0, 0, 0, 0), mode: int = 0, fault_bitmask: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        The battery.
+
+        id                        : Battery ID. (type:uint8_t)
+        battery_function          : What it feeds. (type:uint8_t, values:MAV_BATTERY_FUNCTION)
+        type                      : Chemistry. (type:uint8_t, values:MAV_BATTERY_TYPE)
+        temperature               : INT16_MAX: not measured. [cdegC] (type:int16_t)
+        voltages                  : Voltage in the first, UINT16_MAX in the others. [mV] (type:uint16_t)
+        current_battery           : -1: not measured. [cA] (type:int16_t)
+        current_consumed          : -1: not measured. [mAh] (type:int32_t)
+        energy_consumed           : -1: not measured. [hJ] (type:int32_t)
+        battery_remaining         : -1: not known. [%] (type:int8_t)
+        time_remaining            : 0: not known. [s] (type:int32_t)
+        charge_state              : State of charge. (type:uint8_t, values:MAV_BATTERY_CHARGE_STATE)
+        voltages_ext              : Unused. [mV] (type:uint16_t)
+        mode                      : Unused. (type:uint8_t)
+        fault_bitmask             : Unused. (type:uint32_t)
+
+        """
+        self.send(self.battery_status_encode(id, battery_function, type, temperature, voltages, current_battery, current_consumed, energy_consumed, battery_remaining, time_remaining, charge_state, voltages_ext, mode, fault_bitmask), force_mavlink1=force_mavlink1)
+
     def autopilot_version_encode(self, capabilities: int, flight_sw_version: int, middleware_sw_version: int, os_sw_version: int, board_version: int, flight_custom_version: Sequence[int], middleware_custom_version: Sequence[int], os_custom_version: Sequence[int], vendor_id: int, product_id: int, uid: int, uid2: Sequence[int] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)) -> MAVLink_autopilot_version_message:
         """
         Version and capability. vendor_id 0x5454 and product_id = version of
@@ -2418,6 +3977,84 @@ class MAVLink(object):
         """
         self.send(self.autopilot_version_encode(capabilities, flight_sw_version, middleware_sw_version, os_sw_version, board_version, flight_custom_version, middleware_custom_version, os_custom_version, vendor_id, product_id, uid, uid2), force_mavlink1=force_mavlink1)
 
+    def home_position_encode(self, latitude: int, longitude: int, altitude: int, x: float, y: float, z: float, q: Sequence[float], approach_x: float, approach_y: float, approach_z: float, time_usec: int = 0) -> MAVLink_home_position_message:
+        """
+        Where the last flight began, in the local frame.
+
+        latitude                  : 0: there is no global position here. [degE7] (type:int32_t)
+        longitude                 : 0. [degE7] (type:int32_t)
+        altitude                  : 0. [mm] (type:int32_t)
+        x                         : Position, NED. [m] (type:float)
+        y                         : Position, NED. [m] (type:float)
+        z                         : Position, NED. [m] (type:float)
+        q                         : Heading as a quaternion. (type:float)
+        approach_x                : Unused. [m] (type:float)
+        approach_y                : Unused. [m] (type:float)
+        approach_z                : Unused. [m] (type:float)
+        time_usec                 : Time since boot. [us] (type:uint64_t)
+
+        """
+        return MAVLink_home_position_message(latitude, longitude, altitude, x, y, z, q, approach_x, approach_y, approach_z, time_usec)
+
+    def home_position_send(self, latitude: int, longitude: int, altitude: int, x: float, y: float, z: float, q: Sequence[float], approach_x: float, approach_y: float, approach_z: float, time_usec: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Where the last flight began, in the local frame.
+
+        latitude                  : 0: there is no global position here. [degE7] (type:int32_t)
+        longitude                 : 0. [degE7] (type:int32_t)
+        altitude                  : 0. [mm] (type:int32_t)
+        x                         : Position, NED. [m] (type:float)
+        y                         : Position, NED. [m] (type:float)
+        z                         : Position, NED. [m] (type:float)
+        q                         : Heading as a quaternion. (type:float)
+        approach_x                : Unused. [m] (type:float)
+        approach_y                : Unused. [m] (type:float)
+        approach_z                : Unused. [m] (type:float)
+        time_usec                 : Time since boot. [us] (type:uint64_t)
+
+        """
+        self.send(self.home_position_encode(latitude, longitude, altitude, x, y, z, q, approach_x, approach_y, approach_z, time_usec), force_mavlink1=force_mavlink1)
+
+    def message_interval_encode(self, message_id: int, interval_us: int) -> MAVLink_message_interval_message:
+        """
+        Interval at which a message is sent; -1: not sent, 0: not known here.
+
+        message_id                : The message. (type:uint16_t)
+        interval_us               : The interval. [us] (type:int32_t)
+
+        """
+        return MAVLink_message_interval_message(message_id, interval_us)
+
+    def message_interval_send(self, message_id: int, interval_us: int, force_mavlink1: bool = False) -> None:
+        """
+        Interval at which a message is sent; -1: not sent, 0: not known here.
+
+        message_id                : The message. (type:uint16_t)
+        interval_us               : The interval. [us] (type:int32_t)
+
+        """
+        self.send(self.message_interval_encode(message_id, interval_us), force_mavlink1=force_mavlink1)
+
+    def extended_sys_state_encode(self, vtol_state: int, landed_state: int) -> MAVLink_extended_sys_state_message:
+        """
+        Whether it flies.
+
+        vtol_state                : Undefined here. (type:uint8_t, values:MAV_VTOL_STATE)
+        landed_state              : Landed state. (type:uint8_t, values:MAV_LANDED_STATE)
+
+        """
+        return MAVLink_extended_sys_state_message(vtol_state, landed_state)
+
+    def extended_sys_state_send(self, vtol_state: int, landed_state: int, force_mavlink1: bool = False) -> None:
+        """
+        Whether it flies.
+
+        vtol_state                : Undefined here. (type:uint8_t, values:MAV_VTOL_STATE)
+        landed_state              : Landed state. (type:uint8_t, values:MAV_LANDED_STATE)
+
+        """
+        self.send(self.extended_sys_state_encode(vtol_state, landed_state), force_mavlink1=force_mavlink1)
+
     def statustext_encode(self, severity: int, text: bytes, id: int = 0, chunk_seq: int = 0) -> MAVLink_statustext_message:
         """
         A line of text for people.
@@ -2441,6 +4078,58 @@ class MAVLink(object):
 
         """
         self.send(self.statustext_encode(severity, text, id, chunk_seq), force_mavlink1=force_mavlink1)
+
+    def odometry_encode(self, time_usec: int, frame_id: int, child_frame_id: int, x: float, y: float, z: float, q: Sequence[float], vx: float, vy: float, vz: float, rollspeed: float, pitchspeed: float, yawspeed: float, pose_covariance: Sequence[float], velocity_covariance: Sequence[float], reset_counter: int = 0, estimator_type: int = 0, quality: int = 0) -> MAVLink_odometry_message:
+        """
+        Estimated pose in frame_id, velocity in child_frame_id.
+
+        time_usec                 : Time since boot. [us] (type:uint64_t)
+        frame_id                  : Frame of the pose. (type:uint8_t, values:MAV_FRAME)
+        child_frame_id            : Frame of the velocity. (type:uint8_t, values:MAV_FRAME)
+        x                         : Position. [m] (type:float)
+        y                         : Position. [m] (type:float)
+        z                         : Position. [m] (type:float)
+        q                         : Attitude, w first. (type:float)
+        vx                        : Velocity. [m/s] (type:float)
+        vy                        : Velocity. [m/s] (type:float)
+        vz                        : Velocity. [m/s] (type:float)
+        rollspeed                 : Body rate. [rad/s] (type:float)
+        pitchspeed                : Body rate. [rad/s] (type:float)
+        yawspeed                  : Body rate. [rad/s] (type:float)
+        pose_covariance           : NaN in the first: not known. (type:float)
+        velocity_covariance        : NaN in the first: not known. (type:float)
+        reset_counter             : Estimator resets. (type:uint8_t)
+        estimator_type            : Unused. (type:uint8_t)
+        quality                   : Unused. [%] (type:int8_t)
+
+        """
+        return MAVLink_odometry_message(time_usec, frame_id, child_frame_id, x, y, z, q, vx, vy, vz, rollspeed, pitchspeed, yawspeed, pose_covariance, velocity_covariance, reset_counter, estimator_type, quality)
+
+    def odometry_send(self, time_usec: int, frame_id: int, child_frame_id: int, x: float, y: float, z: float, q: Sequence[float], vx: float, vy: float, vz: float, rollspeed: float, pitchspeed: float, yawspeed: float, pose_covariance: Sequence[float], velocity_covariance: Sequence[float], reset_counter: int = 0, estimator_type: int = 0, quality: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Estimated pose in frame_id, velocity in child_frame_id.
+
+        time_usec                 : Time since boot. [us] (type:uint64_t)
+        frame_id                  : Frame of the pose. (type:uint8_t, values:MAV_FRAME)
+        child_frame_id            : Frame of the velocity. (type:uint8_t, values:MAV_FRAME)
+        x                         : Position. [m] (type:float)
+        y                         : Position. [m] (type:float)
+        z                         : Position. [m] (type:float)
+        q                         : Attitude, w first. (type:float)
+        vx                        : Velocity. [m/s] (type:float)
+        vy                        : Velocity. [m/s] (type:float)
+        vz                        : Velocity. [m/s] (type:float)
+        rollspeed                 : Body rate. [rad/s] (type:float)
+        pitchspeed                : Body rate. [rad/s] (type:float)
+        yawspeed                  : Body rate. [rad/s] (type:float)
+        pose_covariance           : NaN in the first: not known. (type:float)
+        velocity_covariance        : NaN in the first: not known. (type:float)
+        reset_counter             : Estimator resets. (type:uint8_t)
+        estimator_type            : Unused. (type:uint8_t)
+        quality                   : Unused. [%] (type:int8_t)
+
+        """
+        self.send(self.odometry_encode(time_usec, frame_id, child_frame_id, x, y, z, q, vx, vy, vz, rollspeed, pitchspeed, yawspeed, pose_covariance, velocity_covariance, reset_counter, estimator_type, quality), force_mavlink1=force_mavlink1)
 
     def fc_control_encode(self, tick: int, collective: float, rate_cmd: Sequence[float], torque: Sequence[float], motor_sum: Sequence[int], gyro_sum: Sequence[int], force_sum: Sequence[int], rate_integral: Sequence[float]) -> MAVLink_fc_control_message:
         """
@@ -2510,7 +4199,7 @@ class MAVLink(object):
         """
         self.send(self.fc_estimate_encode(tick, p, v, q, rate, mocap_age, gyro_bias), force_mavlink1=force_mavlink1)
 
-    def fc_status_encode(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, loop_us: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int]) -> MAVLink_fc_status_message:
+    def fc_status_encode(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int]) -> MAVLink_fc_status_message:
         """
         State, health and what is on board; at 10 Hz and on change. Counts run
         since boot and wrap.
@@ -2522,12 +4211,18 @@ class MAVLink(object):
         flight_ticks              : Ticks in flight, the base of saturated_ticks. (type:uint32_t)
         poses_used                : Poses that reached the estimator. (type:uint32_t)
         battery_mv                : Battery voltage. [mV] (type:uint16_t)
-        loop_us                   : Longest time a tick took since the last status. [us] (type:uint16_t)
+        swap_tick                 : Tick at which the staged reference takes over; 4294967295: none is agreed. [ms] (type:uint32_t)
+        conditions                : Rows of the failsafe table that hold at present, bit k for TRIMTAB_FAILSAFE k. (type:uint32_t)
+        loop_us                   : Longest time a tick's work took since the last status. [us] (type:uint16_t)
+        loop_mean_us              : Mean time a tick's work took since the last status. [us] (type:uint16_t)
+        jitter_us                 : Furthest that a tick began from when it was due, since the last status. [us] (type:uint16_t)
+        mocap_age_max             : Greatest age of the newest pose used since the last status, in 0.1 ms; 65535: that old or none. (type:uint16_t)
         loop_overruns             : Ticks that came late. (type:uint16_t)
         uart_overruns             : Bytes lost because the receive buffer was full. (type:uint16_t)
         bad_bytes                 : Bytes received that belonged to no whole message. (type:uint16_t)
         state                     : What the vehicle is doing. (type:uint8_t, values:TRIMTAB_STATE)
         failsafe                  : Why it ended the flight. (type:uint8_t, values:TRIMTAB_FAILSAFE)
+        action                    : What is done about it: 0 nothing, 1 hold, 2 land in place, 3 level descent, 4 motors off. (type:uint8_t)
         staged_kind               : Kind of the staged blob. (type:uint8_t, values:TRIMTAB_BLOB)
         staged_id                 : First bytes of the staged blob's SHA-256, 0 for none. (type:uint8_t)
         reference_id              : Of the live reference's. (type:uint8_t)
@@ -2535,9 +4230,9 @@ class MAVLink(object):
         vehicle_id                : Id of the vehicle file it was set up for. (type:uint8_t)
 
         """
-        return MAVLink_fc_status_message(tick, state_tick, reference_tick, saturated_ticks, flight_ticks, poses_used, battery_mv, loop_us, loop_overruns, uart_overruns, bad_bytes, state, failsafe, staged_kind, staged_id, reference_id, feedforward_id, vehicle_id)
+        return MAVLink_fc_status_message(tick, state_tick, reference_tick, saturated_ticks, flight_ticks, poses_used, battery_mv, swap_tick, conditions, loop_us, loop_mean_us, jitter_us, mocap_age_max, loop_overruns, uart_overruns, bad_bytes, state, failsafe, action, staged_kind, staged_id, reference_id, feedforward_id, vehicle_id)
 
-    def fc_status_send(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, loop_us: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], force_mavlink1: bool = False) -> None:
+    def fc_status_send(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], force_mavlink1: bool = False) -> None:
         """
         State, health and what is on board; at 10 Hz and on change. Counts run
         since boot and wrap.
@@ -2549,12 +4244,18 @@ class MAVLink(object):
         flight_ticks              : Ticks in flight, the base of saturated_ticks. (type:uint32_t)
         poses_used                : Poses that reached the estimator. (type:uint32_t)
         battery_mv                : Battery voltage. [mV] (type:uint16_t)
-        loop_us                   : Longest time a tick took since the last status. [us] (type:uint16_t)
+        swap_tick                 : Tick at which the staged reference takes over; 4294967295: none is agreed. [ms] (type:uint32_t)
+        conditions                : Rows of the failsafe table that hold at present, bit k for TRIMTAB_FAILSAFE k. (type:uint32_t)
+        loop_us                   : Longest time a tick's work took since the last status. [us] (type:uint16_t)
+        loop_mean_us              : Mean time a tick's work took since the last status. [us] (type:uint16_t)
+        jitter_us                 : Furthest that a tick began from when it was due, since the last status. [us] (type:uint16_t)
+        mocap_age_max             : Greatest age of the newest pose used since the last status, in 0.1 ms; 65535: that old or none. (type:uint16_t)
         loop_overruns             : Ticks that came late. (type:uint16_t)
         uart_overruns             : Bytes lost because the receive buffer was full. (type:uint16_t)
         bad_bytes                 : Bytes received that belonged to no whole message. (type:uint16_t)
         state                     : What the vehicle is doing. (type:uint8_t, values:TRIMTAB_STATE)
         failsafe                  : Why it ended the flight. (type:uint8_t, values:TRIMTAB_FAILSAFE)
+        action                    : What is done about it: 0 nothing, 1 hold, 2 land in place, 3 level descent, 4 motors off. (type:uint8_t)
         staged_kind               : Kind of the staged blob. (type:uint8_t, values:TRIMTAB_BLOB)
         staged_id                 : First bytes of the staged blob's SHA-256, 0 for none. (type:uint8_t)
         reference_id              : Of the live reference's. (type:uint8_t)
@@ -2562,9 +4263,9 @@ class MAVLink(object):
         vehicle_id                : Id of the vehicle file it was set up for. (type:uint8_t)
 
         """
-        self.send(self.fc_status_encode(tick, state_tick, reference_tick, saturated_ticks, flight_ticks, poses_used, battery_mv, loop_us, loop_overruns, uart_overruns, bad_bytes, state, failsafe, staged_kind, staged_id, reference_id, feedforward_id, vehicle_id), force_mavlink1=force_mavlink1)
+        self.send(self.fc_status_encode(tick, state_tick, reference_tick, saturated_ticks, flight_ticks, poses_used, battery_mv, swap_tick, conditions, loop_us, loop_mean_us, jitter_us, mocap_age_max, loop_overruns, uart_overruns, bad_bytes, state, failsafe, action, staged_kind, staged_id, reference_id, feedforward_id, vehicle_id), force_mavlink1=force_mavlink1)
 
-    def radio_stats_encode(self, frames_sent: int, frames_received: int, messages_sent: int, refused: int, replaced: int, uart_overruns: int, bad_bytes: int) -> MAVLink_radio_stats_message:
+    def radio_stats_encode(self, frames_sent: int, frames_received: int, messages_sent: int, refused: int, replaced: int, broken: int, uart_overruns: int, bad_bytes: int) -> MAVLink_radio_stats_message:
         """
         A radio processor's counts since boot; they wrap.
 
@@ -2573,13 +4274,14 @@ class MAVLink(object):
         messages_sent             : Messages in the frames sent. (type:uint32_t)
         refused                   : Messages dropped for lack of room in a queue. (type:uint16_t)
         replaced                  : Poses dropped for a newer one. (type:uint16_t)
+        broken                    : Messages of several frames of which one was lost. (type:uint16_t)
         uart_overruns             : Bytes lost because the receive buffer was full. (type:uint16_t)
         bad_bytes                 : Bytes received that belonged to no whole message. (type:uint16_t)
 
         """
-        return MAVLink_radio_stats_message(frames_sent, frames_received, messages_sent, refused, replaced, uart_overruns, bad_bytes)
+        return MAVLink_radio_stats_message(frames_sent, frames_received, messages_sent, refused, replaced, broken, uart_overruns, bad_bytes)
 
-    def radio_stats_send(self, frames_sent: int, frames_received: int, messages_sent: int, refused: int, replaced: int, uart_overruns: int, bad_bytes: int, force_mavlink1: bool = False) -> None:
+    def radio_stats_send(self, frames_sent: int, frames_received: int, messages_sent: int, refused: int, replaced: int, broken: int, uart_overruns: int, bad_bytes: int, force_mavlink1: bool = False) -> None:
         """
         A radio processor's counts since boot; they wrap.
 
@@ -2588,11 +4290,12 @@ class MAVLink(object):
         messages_sent             : Messages in the frames sent. (type:uint32_t)
         refused                   : Messages dropped for lack of room in a queue. (type:uint16_t)
         replaced                  : Poses dropped for a newer one. (type:uint16_t)
+        broken                    : Messages of several frames of which one was lost. (type:uint16_t)
         uart_overruns             : Bytes lost because the receive buffer was full. (type:uint16_t)
         bad_bytes                 : Bytes received that belonged to no whole message. (type:uint16_t)
 
         """
-        self.send(self.radio_stats_encode(frames_sent, frames_received, messages_sent, refused, replaced, uart_overruns, bad_bytes), force_mavlink1=force_mavlink1)
+        self.send(self.radio_stats_encode(frames_sent, frames_received, messages_sent, refused, replaced, broken, uart_overruns, bad_bytes), force_mavlink1=force_mavlink1)
 
     def fc_observer_encode(self, tick: int, disturbance: Sequence[float]) -> MAVLink_fc_observer_message:
         """
@@ -2728,27 +4431,29 @@ class MAVLink(object):
         """
         self.send(self.upload_verdict_encode(value, bound, tag, node, ok, reason, message), force_mavlink1=force_mavlink1)
 
-    def upload_commit_encode(self, target_system: int, kind: int, digest: Sequence[int]) -> MAVLink_upload_commit_message:
+    def upload_commit_encode(self, at_tick: int, target_system: int, kind: int, digest: Sequence[int]) -> MAVLink_upload_commit_message:
         """
         Makes the staged blob live, in one step; answered by UPLOAD_STATUS.
 
+        at_tick                   : Tick at which a staged reference takes over in flight; 4294967295: at once, on the floor. [ms] (type:uint32_t)
         target_system             : Receiver. (type:uint8_t)
         kind                      : Kind of the blob. (type:uint8_t, values:TRIMTAB_BLOB)
         digest                    : SHA-256 of the blob. (type:uint8_t)
 
         """
-        return MAVLink_upload_commit_message(target_system, kind, digest)
+        return MAVLink_upload_commit_message(at_tick, target_system, kind, digest)
 
-    def upload_commit_send(self, target_system: int, kind: int, digest: Sequence[int], force_mavlink1: bool = False) -> None:
+    def upload_commit_send(self, at_tick: int, target_system: int, kind: int, digest: Sequence[int], force_mavlink1: bool = False) -> None:
         """
         Makes the staged blob live, in one step; answered by UPLOAD_STATUS.
 
+        at_tick                   : Tick at which a staged reference takes over in flight; 4294967295: at once, on the floor. [ms] (type:uint32_t)
         target_system             : Receiver. (type:uint8_t)
         kind                      : Kind of the blob. (type:uint8_t, values:TRIMTAB_BLOB)
         digest                    : SHA-256 of the blob. (type:uint8_t)
 
         """
-        self.send(self.upload_commit_encode(target_system, kind, digest), force_mavlink1=force_mavlink1)
+        self.send(self.upload_commit_encode(at_tick, target_system, kind, digest), force_mavlink1=force_mavlink1)
 
     def upload_abort_encode(self, target_system: int, digest: Sequence[int]) -> MAVLink_upload_abort_message:
         """

@@ -237,7 +237,7 @@ class UploadSender:
         self._ask(message, now_us)
 
     def _commit(self, message: Message | None, now_us: int) -> None:
-        self._out.append(m.UploadCommit(self._target, self._kind, self.digest))
+        self._out.append(m.UploadCommit(m.NO_TICK, self._target, self._kind, self.digest))
 
     def _note_held(self, message: Message | None, now_us: int) -> None:
         if not isinstance(message, m.UploadStatus) or message.base > self.chunks:

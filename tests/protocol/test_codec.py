@@ -15,6 +15,7 @@ from protocol.messages import Message, mavlink
 
 RANGES = {
     "uint8_t": (0, 2**8 - 1),
+    "int8_t": (-128, 127),
     "uint16_t": (0, 2**16 - 1),
     "int16_t": (-(2**15), 2**15 - 1),
     "uint32_t": (0, 2**32 - 1),

@@ -17,6 +17,8 @@ from protocol.uwb import FRAME_BYTES
 OVERHEAD = 12
 STANDARD = sorted(number for number in MESSAGES if number < 52100)
 UNSENT = {"ATT_POS_MOCAP": 84}
+SPLIT = {"FILE_TRANSFER_PROTOCOL", "ODOMETRY"}
+"""Standard messages that need several frames."""
 """Bytes of fields at the end that are never sent: the pose covariance."""
 
 
@@ -52,6 +54,9 @@ def test_private_messages_have_free_ids() -> None:
 @pytest.mark.parametrize("number", MESSAGES)
 def test_every_message_fits_one_radio_frame(number: int) -> None:
     name, _, longest = MESSAGES[number]
+    if name in SPLIT:
+        assert longest + OVERHEAD > FRAME_BYTES
+        return
     assert longest - UNSENT.get(name, 0) + OVERHEAD <= FRAME_BYTES
 
 

@@ -406,7 +406,7 @@ def test_receiver_given_arbitrary_messages_never_raises_and_commits_only_what_ma
             st.sampled_from(
                 [
                     m.UploadBegin(len(blobs[which]), 1, REFERENCE, CHUNK_BYTES, digests[which]),
-                    m.UploadCommit(1, REFERENCE, digests[which]),
+                    m.UploadCommit(m.NO_TICK, 1, REFERENCE, digests[which]),
                     m.UploadAbort(1, digests[which]),
                     *(
                         m.UploadChunk(tags[which], k, 1, blobs[which][99 * k : 99 * (k + 1)].ljust(99, b"\0"))

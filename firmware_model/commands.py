@@ -1,0 +1,99 @@
+"""Commands over the link, each answered by COMMAND_ACK; a refusal says why in a text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from firmware_model.flight import Flight
+from firmware_model.supervisor import Event
+from protocol import messages as m
+from protocol.messages import Message, mavlink
+from protocol.upload import ReceiverEvent, UploadReceiver
+
+_ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
+_NOT_NOW = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+_UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
+_FAILED = mavlink.MAV_RESULT_FAILED
+_WARNING = mavlink.MAV_SEVERITY_WARNING
+
+
+class Commands:
+    """Handlers of COMMAND_LONG.
+
+    Args:
+        send: puts a message on the line. text: tells people. requests: what can be asked for by
+        MAV_CMD_REQUEST_MESSAGE, by message id. on_upload: is told what a commit brought about.
+    """
+
+    def __init__(
+        self,
+        *,
+        flight: Flight,
+        upload: UploadReceiver,
+        send: Callable[[Message], None],
+        text: Callable[[int, str], None],
+        requests: Mapping[float, Callable[[int], Message]],
+        on_upload: Callable[[list[ReceiverEvent], int], None],
+    ) -> None:
+        self._flight = flight
+        self._upload = upload
+        self._send = send
+        self._text = text
+        self._requests = requests
+        self._on_upload = on_upload
+        self._commands: dict[int, Callable[[Any, int], int]] = {
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
+            mavlink.MAV_CMD_MISSION_START: lambda _, now_us: self._event(Event.START, now_us),
+            mavlink.MAV_CMD_NAV_LAND: lambda _, now_us: self._event(Event.LAND, now_us),
+            mavlink.MAV_CMD_DO_FLIGHTTERMINATION: self._terminate,
+            mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
+            mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._request_version,
+            mavlink.MAV_CMD_USER_1: self._commit,
+        }
+
+    def long(self, message: m.CommandLong, now_us: int) -> None:
+        """The command has been carried out or refused, and is acknowledged."""
+        act = self._commands.get(message.command)
+        result = _UNSUPPORTED if act is None else act(message, now_us)
+        asker = (message.get_srcSystem(), message.get_srcComponent())
+        self._send(m.CommandAck(message.command, result, 0, 0, *asker))
+
+    def _event(self, event: Event, now_us: int) -> int:
+        reason = self._flight.command(event, now_us)
+        if reason is None:
+            return _ACCEPTED
+        self._text(_WARNING, f"{event.name.lower()} refused: {reason}")
+        return _NOT_NOW
+
+    def _arm(self, message: m.CommandLong, now_us: int) -> int:
+        if message.param1 > 0.5:
+            return self._event(Event.ARM, now_us)
+        return self._event(Event.KILL if message.param2 == m.FORCE else Event.DISARM, now_us)
+
+    def _terminate(self, message: m.CommandLong, now_us: int) -> int:
+        return self._event(Event.KILL, now_us) if message.param1 > 0.5 else _ACCEPTED
+
+    def _request(self, message: m.CommandLong, now_us: int) -> int:
+        make = self._requests.get(message.param1)
+        if make is None:
+            return _UNSUPPORTED
+        self._send(make(now_us))
+        return _ACCEPTED
+
+    def _request_version(self, message: m.CommandLong, now_us: int) -> int:
+        self._send(self._requests[m.AutopilotVersion.id](now_us))
+        return _ACCEPTED
+
+    def _commit(self, message: m.CommandLong, now_us: int) -> int:
+        """Commit by MAV_CMD_USER_1: the id's 12 hex digits as three 16-bit numbers."""
+        parts = (message.param1, message.param2, message.param3)
+        if not all(math.isfinite(part) and 0 <= part <= 0xFFFF for part in parts):
+            return mavlink.MAV_RESULT_DENIED
+        id_bytes = b"".join(int(part).to_bytes(2, "big") for part in parts)
+        result, events = self._upload.commit(id_bytes, now_us)
+        self._on_upload(events, now_us)
+        if result is m.UploadResult.OK:
+            return _ACCEPTED
+        return _NOT_NOW if result is m.UploadResult.BUSY else _FAILED

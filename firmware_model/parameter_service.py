@@ -1,0 +1,88 @@
+"""Parameters over the link: the list, single values, and setting them in standby."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from firmware_model.flight import Flight
+from firmware_model.parameters import ParameterValues, index_of, name_at
+from firmware_model.supervisor import State
+from protocol import messages as m
+from protocol.messages import Message, mavlink
+
+VALUES_PER_LOOK = 2
+"""PARAM_VALUEs sent at each look while a list goes out: 200 a second."""
+_WARNING = mavlink.MAV_SEVERITY_WARNING
+_REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
+
+
+class ParameterService:
+    """Handlers of PARAM_ messages.
+
+    Args:
+        send: puts a message on the line. text: tells people. on_limits: is called where what references are
+        checked by has changed.
+    """
+
+    def __init__(
+        self,
+        *,
+        flight: Flight,
+        parameters: ParameterValues,
+        send: Callable[[Message], None],
+        text: Callable[[int, str], None],
+        on_limits: Callable[[], None],
+    ) -> None:
+        self._flight = flight
+        self._parameters = parameters
+        self._send = send
+        self._text = text
+        self._on_limits = on_limits
+        self._listing: deque[int] = deque()
+
+    def look(self) -> None:
+        """Nothing comes back; sends the next entries of a list that was asked for."""
+        for _ in range(min(VALUES_PER_LOOK, len(self._listing))):
+            self._send_value(self._listing.popleft())
+
+    def list(self, message: m.ParamRequestList, now_us: int) -> None:
+        """All values follow, a few at each look."""
+        self._listing = deque(range(len(self._parameters)))
+
+    def read(self, message: m.ParamRequestRead, now_us: int) -> None:
+        """One value follows, where there is such a parameter."""
+        index = message.param_index if message.param_index >= 0 else index_of(message.param_id)
+        if index is not None and name_at(index) is not None:
+            self._send_value(index)
+
+    def set(self, message: m.ParamSet, now_us: int) -> None:
+        """Set in standby alone; the answer is the value on board, whatever became of the request."""
+        name = message.param_id
+        index = index_of(name)
+        if index is None:
+            self._text(_WARNING, f"no parameter {name}")
+            return
+        if self._flight.state is not State.STANDBY:
+            self._text(_WARNING, f"{name} kept: set in standby only")
+        else:
+            self._set(name, message.param_value)
+        self._send_value(index)
+
+    def _set(self, name: str, value: float) -> None:
+        parameters = self._parameters
+        before = (parameters.airframe, parameters.limits)
+        try:
+            parameters.set(name, value)
+        except ValueError as error:
+            self._text(_WARNING, str(error))
+            return
+        self._flight.configure()
+        if (parameters.airframe, parameters.limits) != before:
+            self._on_limits()
+
+    def _send_value(self, index: int) -> None:
+        name = name_at(index)
+        if name is not None:
+            value, count = self._parameters[name], len(self._parameters)
+            self._send(m.ParamValue(name.encode(), value, _REAL32, count, index))
