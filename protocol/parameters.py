@@ -1,7 +1,8 @@
 """The parameter table: everything that can be set on board, with type, default, unit and bounds.
 
-Every parameter is float32 on board; those that are whole numbers travel as int32. Names have at most 16 characters. Defaults
-describe the 0.752 kg research quadrotor. In a name X, Y, Z are axes of body FRD, N, E, D those of world NED.
+Every parameter is float32 on board; those that are whole numbers travel as int32. Names have at most 16
+characters. Defaults describe the 0.752 kg research quadrotor. In a name X, Y, Z are axes of body FRD, N, E, D
+those of world NED.
 
 Values are compared after rounding to float32 (`equal`): a host that holds 0.1 and a vehicle that answers
 0.10000000149 agree.
