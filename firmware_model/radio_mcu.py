@@ -10,15 +10,16 @@ from collections import deque
 from firmware_model.uart import UartPort
 from protocol.codec import Codec
 from protocol.messages import HOST_RADIO, VEHICLE_RADIO, RadioStats
-from protocol.uwb import FRAME_BYTES, FramePacker, StreamSplitter
+from protocol.uwb import FRAME_BYTES, PIECE, Assembler, FramePacker, StreamSplitter
 
 BAUD = 921_600
 RX_BYTES = 4_096
 TX_BYTES = 8_192
 AIR_BYTES = 1_024
-"""Room for received radio frames until the next tick; what finds none is lost and counted."""
+"""Room for what has come over the air until the next tick; what finds none is lost and counted."""
 STATS_US = 1_000_000
 """Interval of RADIO_STATS."""
+_PIECE = bytes([PIECE])
 
 
 class RadioMcu:
@@ -28,6 +29,7 @@ class RadioMcu:
         address: system and component on RADIO_STATS, `messages.VEHICLE_RADIO` or `messages.HOST_RADIO`.
         poses: poses that may wait for a slot; 2 where they come at 200 Hz.
         baud, rx_bytes, tx_bytes: the serial line.
+        frame_bytes: what a radio frame holds.
 
     `due_us` is when the next tick has something to do; ticks before may be left out.
     """
@@ -40,13 +42,15 @@ class RadioMcu:
         baud: int = BAUD,
         rx_bytes: int = RX_BYTES,
         tx_bytes: int = TX_BYTES,
+        frame_bytes: int = FRAME_BYTES,
     ) -> None:
         self.uart = UartPort(baud=baud, rx_bytes=rx_bytes, tx_bytes=tx_bytes)
-        self.packer = FramePacker(poses=poses)
+        self.packer = FramePacker(poses=poses, frame_bytes=frame_bytes)
         self.frames_sent = 0
         self.frames_received = 0
         self.air_overruns = 0
         self._splitter = StreamSplitter()
+        self._assembler = Assembler()
         self._codec = Codec(*address)
         self._to_host = address == HOST_RADIO
         self._air: deque[bytes] = deque()
@@ -73,16 +77,21 @@ class RadioMcu:
         self._own_due_us = 0 if self._air else self._stats_us
         return packer.waiting > 0
 
-    def air_send(self, now_us: int, limit: int = FRAME_BYTES) -> bytes | None:
-        """The next frame for the air, at most `limit` bytes of whole messages; None where nothing waits."""
-        frame = self.packer.take(limit)
+    def air_send(self, now_us: int) -> bytes | None:
+        """The next frame for the air: whole messages, or a piece of a long one; None where nothing waits."""
+        frame = self.packer.take()
         if frame is not None:
             self.frames_sent += 1
         return frame
 
     def air_receive(self, frame: bytes, now_us: int) -> None:
-        """Nothing comes back; the frame waits for the next tick, or is lost where the buffer is full."""
+        """Nothing comes back; its messages wait for the next tick, or are lost where the buffer is full."""
         self.frames_received += 1
+        if frame.startswith(_PIECE):
+            message = self._assembler.receive(frame, now_us)
+            if message is None:
+                return
+            frame = message
         if self._air_bytes + len(frame) > AIR_BYTES:
             self.air_overruns += len(frame)
             return
@@ -101,6 +110,7 @@ class RadioMcu:
     def _report(self, now_us: int) -> None:
         """RADIO_STATS goes to the host: along the line from the ground radio, else through the air."""
         self._stats_us = now_us - now_us % STATS_US + STATS_US
+        self._assembler.expire(now_us)
         message = self._codec.encode(
             RadioStats(
                 self.frames_sent & 0xFFFF_FFFF,
@@ -108,7 +118,7 @@ class RadioMcu:
                 self.packer.packed & 0xFFFF_FFFF,
                 self.packer.refused & 0xFFFF,
                 self.packer.replaced & 0xFFFF,
-                0,
+                self._assembler.broken & 0xFFFF,
                 (self.uart.overruns + self.air_overruns) & 0xFFFF,
                 self._splitter.bad_bytes & 0xFFFF,
             )

@@ -25,7 +25,7 @@ _FLIPS_MAX = 6
 class Radio(Protocol):
     """What the channel sees of a radio: frames out on request, frames in."""
 
-    def air_send(self, now_us: int, limit: int = FRAME_BYTES) -> bytes | None: ...
+    def air_send(self, now_us: int) -> bytes | None: ...
     def air_receive(self, frame: bytes, now_us: int) -> None: ...
 
 
@@ -145,7 +145,7 @@ class RadioChannel:
         for direction in (self._turn, self._other):
             if not direction.may_have:
                 continue
-            frame = direction.source.air_send(now_us, FRAME_BYTES)
+            frame = direction.source.air_send(now_us)
             if frame is None:
                 direction.may_have = False
                 continue

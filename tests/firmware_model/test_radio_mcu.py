@@ -1,5 +1,7 @@
 """Radio processors: whole messages cross, priorities hold, buffers end, nothing moves without a tick."""
 
+import random
+
 import pytest
 
 from firmware_model.radio_mcu import AIR_BYTES, RadioMcu
@@ -137,3 +139,43 @@ def test_due_names_the_tick_that_has_work(radio, line):
     assert radio.due_us == line._busy_until // 921_600 + 1
     assert not radio.tick(radio.due_us - 1)
     assert radio.tick(radio.due_us)
+
+
+def test_long_messages_cross_whole_and_a_lost_piece_is_reported():
+    sender, receiver = RadioMcu(address=HOST_RADIO), RadioMcu()
+    far = UartPort(baud=921_600, rx_bytes=1 << 15, tx_bytes=1 << 15)
+    connect(line := UartPort(baud=921_600, rx_bytes=1 << 15, tx_bytes=1 << 15), sender.uart)
+    connect(far, receiver.uart)
+    codec = Codec(*HOST)
+    longest = m.mavlink.MAVLink_file_transfer_protocol_message
+    sent = [codec.encode(longest(0, 1, 1, [k] * 250 + [255])) for k in range(1, 5)]
+    line.write(b"".join(sent), 0)
+    sender.tick(50_000)
+    frames = []
+    while (frame := sender.air_send(50_000)) is not None:
+        frames.append(frame)
+    assert len(frames) == 12
+    assert max(map(len, frames)) == FRAME_BYTES
+    for k, frame in enumerate(frames):
+        if k != 4:
+            receiver.air_receive(frame, 50_000)
+            receiver.tick(50_000)
+    assert far.read(900_000) == sent[0] + sent[2] + sent[3]
+    receiver.tick(1_000_000)
+    receiver.tick(2_000_000)
+    reports = codec.decode(receiver.air_send(2_000_000))
+    assert [report.broken for report in reports] == [0, 1]
+    assert receiver.frames_received == 11
+
+
+def test_garbage_from_the_air_neither_ends_nor_blocks_a_radio(radio, line):
+    chance, codec = random.Random(4), Codec(*HOST)
+    for k in range(3_000):
+        start = chance.choice((b"", b"\x02", b"\xfd"))
+        radio.air_receive(start + chance.randbytes(chance.randrange(116)), 1_000 * k)
+        radio.tick(1_000 * k)
+        line.read(1_000 * k)
+    message = ping(codec, 1)
+    radio.air_receive(message, 4_000_000)
+    radio.tick(4_000_000)
+    assert line.read(5_000_000).endswith(message)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from functools import cache
 
 import pytest
 from hypothesis import given, settings
@@ -13,11 +14,19 @@ from protocol.codec import Codec
 from protocol.uwb import (
     CAPACITY_BYTES,
     FRAME_BYTES,
+    FRAME_LEAST,
     LONGEST_BYTES,
+    MAGIC,
+    PIECE,
+    PIECE_HEADER_BYTES,
+    PIECED_MOST,
+    PIECES_WAIT_US,
     PRIORITIES,
+    Assembler,
     FramePacker,
     Priority,
     StreamSplitter,
+    cut,
     message_id,
 )
 
@@ -46,12 +55,18 @@ def command() -> bytes:
     return CODEC.encode(m.CommandLong(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
 
 
-def text() -> bytes:
+def text(k: int = 1) -> bytes:
     return CODEC.encode(m.StatusText(6, b"x" * 50))
 
 
 def chunk(k: int = 1) -> bytes:
     return CODEC.encode(m.UploadChunk(1, k, 1, b"\x01" * 99))
+
+
+@cache
+def ftp(k: int = 1) -> bytes:
+    """The longest message of a stock file transfer, the same bytes each time."""
+    return CODEC.encode(m.mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, [k & 0xFF] * 250 + [0xFF]))
 
 
 @settings(max_examples=100)
@@ -66,9 +81,9 @@ def test_splitter_gives_whole_messages_of_the_stream_in_order_and_stays_small(se
     sent = [rng.choice(makers)() for _ in range(40)]
     stream = bytes(byte for byte in b"".join(sent) if rng.random() >= loss) + bytes(LONGEST_BYTES)
     splitter, found, at = StreamSplitter(), [], 0
-    for cut in (*cuts, len(stream)):
-        found += splitter.feed(stream[at : at + cut])
-        at += cut
+    for step in (*cuts, len(stream)):
+        found += splitter.feed(stream[at : at + step])
+        at += step
         assert splitter.pending_bytes < LONGEST_BYTES
     kept = iter(sent)
     assert all(message in kept for message in found)
@@ -176,11 +191,139 @@ def test_packer_with_a_full_queue_refuses_and_counts_but_keeps_the_newest_teleme
     assert [packer.take() for _ in range(kept)] == telemetry[-kept:]
 
 
-def test_packer_counts_what_fits_no_frame() -> None:
+def test_packer_sends_the_urgent_between_the_pieces_of_a_long_message() -> None:
     packer = FramePacker()
-    signed = CODEC.encode(m.UploadChunk(1, 1, 1, b"\x01" * 99)) + bytes(13)
-    assert not packer.offer(signed)
-    assert packer.oversize == 1
+    long = ftp(1)
+    packer.offer(long)
+    packer.offer(chunk())
+    first = packer.take()
+    packer.offer(pose())
+    packer.offer(control())
+    frames = [first, *(packer.take() for _ in range(5))]
+    assert [frame[0] for frame in frames] == [PIECE, MAGIC, MAGIC, PIECE, PIECE, MAGIC]
+    assert [message_id(frames[k]) for k in (1, 2, 5)] == [138, 52100, 52111]
+    assembler = Assembler()
+    assert [assembler.receive(frames[k], 0) for k in (0, 3, 4)] == [None, None, long]
+    assert packer.take() is None
+    assert packer.packed == 4
+
+
+def test_packer_that_drops_a_message_half_sent_goes_on_with_a_whole_one() -> None:
+    packer = FramePacker(frame_bytes=FRAME_LEAST)
+    telemetry = [control(k) for k in range(10)]
+    packer.offer(telemetry[0])
+    assembler = Assembler()
+    assert assembler.receive(packer.take(), 0) is None
+    for message in telemetry[1:]:
+        packer.offer(message)
+    out = []
+    while (frame := packer.take()) is not None:
+        assert len(frame) <= FRAME_LEAST
+        out.append(assembler.receive(frame, 0))
+    assert [message for message in out if message] == telemetry[10 - len(out) // 2 :]
+
+
+def test_packer_takes_a_pose_longer_than_a_frame_as_any_urgent_message() -> None:
+    covariance = CODEC.encode(m.AttPosMocap(1, (1.0, 0.0, 0.0, 0.0), 1.0, 2.0, 3.0, [1.0] * 21))
+    packer, assembler, short = FramePacker(), Assembler(), pose()
+    assert packer.offer(covariance)
+    packer.offer(short)
+    assert packer.take() == short
+    assert [assembler.receive(packer.take(), 0) for _ in range(2)] == [None, covariance]
+    assert packer.take() is None
+
+
+@pytest.mark.parametrize("size", [FRAME_LEAST, 100, FRAME_BYTES])
+@settings(max_examples=100, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    loss=st.sampled_from([0.0, 0.1, 0.5]),
+    damage=st.sampled_from([0.0, 0.1]),
+    duplicate=st.sampled_from([0.0, 0.3]),
+    jitter=st.integers(0, 6),
+)
+def test_any_stream_of_messages_comes_out_whole_or_not_at_all(
+    size, seed, loss, damage, duplicate, jitter
+) -> None:
+    rng = random.Random(seed)
+    packer, assembler = FramePacker(frame_bytes=size), Assembler()
+    makers = (pose, control, text, chunk, ftp, ftp)
+    offered, air, at = [], [], 0
+    for k in range(80):
+        message = rng.choice(makers)(k + 1)
+        offered += [message] if packer.offer(message) else []
+        while (rng.random() < 0.7 or k == 79) and (frame := packer.take()) is not None:
+            assert len(frame) <= size
+            at += 1
+            if rng.random() < loss:
+                continue
+            if rng.random() < damage:
+                frame = bytearray(frame)
+                for _ in range(rng.randint(1, 6)):
+                    frame[rng.randrange(len(frame))] ^= 1 << rng.randrange(8)
+            for _ in range(2 if rng.random() < duplicate else 1):
+                air.append((at + rng.uniform(0, jitter), len(air), bytes(frame)))
+    splitter, found = StreamSplitter(), []
+    for _, _, frame in sorted(air):
+        if frame[0] == PIECE:
+            message = assembler.receive(frame, 0)
+            assert message is None or message in offered
+            frame = message or b""
+        found += splitter.feed(frame)
+    found += splitter.feed(bytes(LONGEST_BYTES))
+    assert set(found) <= set(offered)
+    longs = [message for message in found if len(message) > size]
+    assert len(longs) == len(set(longs))
+    if not loss and not damage:
+        missing = {message_id(message) for message in set(offered) - set(found)}
+        assert missing <= {message_id(pose()), message_id(control())}  # the newest replaces the oldest
+        assert assembler.broken == 0
+
+
+def test_assembler_counts_a_message_once_whose_piece_is_lost_and_takes_the_next() -> None:
+    assembler = Assembler()
+    for piece in cut(ftp(1), 7)[1:]:
+        assert assembler.receive(piece, 1000) is None
+    assembler.expire(1000 + PIECES_WAIT_US - 1)
+    assert assembler.broken == 0
+    assembler.expire(1000 + PIECES_WAIT_US)
+    assembler.expire(1000 + 2 * PIECES_WAIT_US)
+    assert assembler.broken == 1
+    assert [assembler.receive(piece, 0) for piece in cut(ftp(2), 8)][-1] == ftp(2)
+    assert [assembler.receive(piece, 500_000) for piece in cut(ftp(2), 8)] == [None] * 3  # twice on the way
+    # The number again, long after: another message.
+    again = [assembler.receive(piece, PIECES_WAIT_US) for piece in cut(ftp(3), 8)]
+    assert again[-1] == ftp(3)
+
+
+def test_assembler_keeps_few_messages_and_counts_the_oldest_as_broken() -> None:
+    assembler = Assembler()
+    pieces = [cut(ftp(k), k) for k in range(PIECED_MOST + 2)]
+    for message in pieces:
+        assembler.receive(message[0], 0)
+    assert assembler.broken == 2
+    assert [assembler.receive(piece, 0) for piece in pieces[-1][1:]][-1] == ftp(PIECED_MOST + 1)
+
+
+def test_assembler_takes_any_bytes() -> None:
+    rng = random.Random(2)
+    assembler = Assembler()
+    for k in range(20_000):
+        frame = bytes([PIECE]) + rng.randbytes(rng.choice((0, 1, 2, 3, 40, 115)))
+        assert assembler.receive(frame, 1000 * k) is None
+    assembler.expire(10**9)
+    for number in range(256):
+        assert [assembler.receive(piece, 10**9) for piece in cut(ftp(number), number)][-1] == ftp(number)
+
+
+def test_pieces_and_messages_begin_with_bytes_that_no_flip_of_seven_bits_mixes_up() -> None:
+    assert PIECE ^ MAGIC == 0xFF
+    assert -(-LONGEST_BYTES // (FRAME_LEAST - PIECE_HEADER_BYTES)) <= 0x0F
+
+
+def test_packer_for_too_small_a_frame_is_refused() -> None:
+    with pytest.raises(ValueError, match=f"at least {FRAME_LEAST}, not 63"):
+        FramePacker(frame_bytes=63)
 
 
 def test_packer_for_no_pose_is_refused() -> None:

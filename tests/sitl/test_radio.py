@@ -24,12 +24,12 @@ class Endless:
         self.sent_us: list[int] = []
         self.received: list[tuple[int, bytes]] = []
 
-    def air_send(self, now_us: int, limit: int = 116) -> bytes | None:
+    def air_send(self, now_us: int) -> bytes | None:
         if not self.left:
             return None
         self.left -= 1
         self.sent_us.append(now_us)
-        return self.frame[:limit]
+        return self.frame
 
     def air_receive(self, frame: bytes, now_us: int) -> None:
         self.received.append((now_us, frame))
