@@ -6,6 +6,7 @@ PYTHON := $(VENV)/bin/python
 READY := $(VENV)/trimtab.stamp
 READY_ALL := $(VENV)/trimtab-all.stamp
 READY_BENCH := $(VENV)/trimtab-bench.stamp
+READY_CLIENTS := $(VENV)/trimtab-clients.stamp
 WORKERS ?= auto
 TESTS ?=
 PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
@@ -21,6 +22,9 @@ $(READY): requirements.lock pyproject.toml .ci/venv
 $(READY_ALL): requirements-all.lock $(READY)
 	@.ci/venv requirements-all.lock $@
 
+$(READY_CLIENTS): requirements-clients.lock $(READY)
+	@.ci/venv requirements-clients.lock $@
+
 $(READY_BENCH): requirements-bench.lock $(READY)
 	@.ci/venv requirements-bench.lock $@
 
@@ -30,7 +34,7 @@ demo: $(READY)
 test: $(READY)
 	$(PYTEST) -m "not full" $(TESTS)
 
-test-all: $(READY_ALL)
+test-all: $(READY_ALL) $(READY_CLIENTS)
 	$(PYTEST) $(TESTS)
 
 lint: style types

@@ -40,6 +40,11 @@ def _program(*names: str) -> Callable[[], str | None]:
     return lambda: None if any(map(shutil.which, names)) else f"no {' or '.join(names)} on PATH"
 
 
+def _clients() -> str | None:
+    missing = [name for name in ("mavsdk", "MAVProxy") if not importlib.util.find_spec(name)]
+    return f"{' and '.join(missing)} not installed (requirements-clients.lock)" if missing else None
+
+
 def _pty() -> str | None:
     return None if hasattr(os, "openpty") else "no pseudo-terminals here"
 
@@ -54,6 +59,7 @@ def _recorded_flights() -> str | None:
 
 PARTS: dict[str, Callable[[], str | None]] = {
     "browser": _program("chromium", "chromium-browser", "google-chrome"),
+    "clients": _clients,
     "compiler": _compiler,
     "diffrax": _module("diffrax", "requirements-bench.lock"),
     "flights": _recorded_flights,

@@ -59,10 +59,14 @@ def test_missing_part_that_is_required_fails(tmp_path: Path) -> None:
 
 
 def test_unknown_required_part_stops_the_run(tmp_path: Path) -> None:
-    assert "TRIMTAB_REQUIRE: unknown browsr; known: browser, compiler" in run_probe(tmp_path, "browsr")
+    assert "TRIMTAB_REQUIRE: unknown browsr; known: browser, clients, compiler" in run_probe(
+        tmp_path, "browsr"
+    )
 
 
-@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-all.lock", "requirements-bench.lock"])
+@pytest.mark.parametrize(
+    "lock", [f"requirements{extra}.lock" for extra in ("", "-all", "-bench", "-clients")]
+)
 def test_lock_pins_by_hash_and_names_no_registry(lock: str) -> None:
     text = (ROOT / lock).read_text()
     assert "://" not in text
