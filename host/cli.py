@@ -35,6 +35,11 @@ VERBS = (
     Verb(name="plan", module="plan", help="Make a checked reference for a route."),
     Verb(name="sitl", module="sitl", help="Play a simulated vehicle and its camera system at a port."),
     Verb(name="upload", module="upload", help="Send a reference or feed-forward to a vehicle and commit it."),
+    Verb(
+        name="poses",
+        module="poses",
+        help="Forward a camera system's poses for somebody else's ground station.",
+    ),
     Verb(name="fly", module="fly", help="Fly a reference, simulated or at a port, and write its log."),
     Verb(name="learn", module="learn", help="Train a residual model on flight logs."),
     Verb(name="trace", module="trace", help="Name the missing effects behind flight logs."),

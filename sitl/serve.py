@@ -21,6 +21,8 @@ from urllib.parse import urlsplit
 _READ_BYTES = 4096
 _BACKLOG_BYTES = 65536  # towards a client that does not read; older bytes are then dropped, as by a full UART
 _STEP_US = 2000
+_PEER_US = 10_000_000  # a ground station says something every second; one silent for so long has gone
+_PEERS = 16
 _LATE_US = 20_000  # behind by more than this counts as an overrun and moves the clock
 
 
@@ -51,7 +53,7 @@ class ServeStatistics:
 
 
 class Port(Protocol):
-    """A byte stream to at most one client. `address` is what a client opens."""
+    """A byte stream to a client, over UDP to several. `address` is what a client opens."""
 
     address: str
 
@@ -73,7 +75,7 @@ def serve(
     """Statistics once `stop` turned true: the vehicle ran against the wall clock, bytes through the port.
 
     Args:
-        port: "pty", "tcp:HOST:PORT" (listens) or "udp:HOST:PORT" (listens, answers the last sender).
+        port: "pty", "tcp:HOST:PORT" (listens) or "udp:HOST:PORT" (listens, answers everybody who speaks).
         stop: asked every few milliseconds.
         mocap: udp://HOST:PORT that gets one datagram a pose; None: nobody gets them.
         realtime: False runs as fast as the machine allows.
@@ -234,29 +236,37 @@ class _Tcp:
 
 
 class _Udp:
-    """A bound socket that answers whoever spoke last."""
+    """A bound socket that many may use at once: each hears everything, until it is silent for _PEER_US."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(_family(host), socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.bind((host, port))
         self.address = "udp:{}:{}".format(*self._socket.getsockname()[:2])
-        self._peer: tuple[str, int] | None = None
+        self._peers: dict[tuple[str, int], int] = {}  # the one that spoke last at the end
 
     def fileno(self) -> int:
         return self._socket.fileno()
 
     def read(self) -> bytes:
         try:
-            data, self._peer = self._socket.recvfrom(_READ_BYTES)
+            data, peer = self._socket.recvfrom(_READ_BYTES)
         except (BlockingIOError, ConnectionError):
             return b""
+        self._peers.pop(peer, None)
+        self._peers[peer] = _wall_us()
+        if len(self._peers) > _PEERS:
+            del self._peers[next(iter(self._peers))]
         return data
 
     def write(self, data: bytes) -> None:
-        if data and self._peer is not None:
+        if not data or not self._peers:
+            return
+        least_us = _wall_us() - _PEER_US
+        self._peers = {peer: heard_us for peer, heard_us in self._peers.items() if heard_us > least_us}
+        for peer in self._peers:
             with contextlib.suppress(BlockingIOError, ConnectionError):
-                self._socket.sendto(data, self._peer)
+                self._socket.sendto(data, peer)
 
     def close(self) -> None:
         self._socket.close()

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -149,22 +150,32 @@ def test_upload_prints_what_the_page_says(reference: Reference) -> None:
     check("upload", result.to_json())
 
 
-def test_sitl_prints_what_the_page_says(require: Callable[[str], None]) -> None:
-    require("pty")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "host.cli", "sitl", "--port", "pty", "--json"],
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-    )
+@contextmanager
+def running(*words: str) -> Iterator[tuple[str, Callable[[], Any]]]:
+    """First line of a verb that stays, in a process of its own, and a function that ends it: its JSON."""
+    command = [sys.executable, "-m", "host.cli", *words, "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     assert process.stdout is not None
-    try:
-        assert process.stdout.readline().startswith("/dev/")
+
+    def end() -> Any:
         process.send_signal(signal.SIGTERM)
         said, _ = process.communicate(timeout=60)
+        assert process.returncode == 0
+        return json.loads(said.strip().splitlines()[-1])
+
+    try:
+        yield process.stdout.readline().strip(), end
     finally:
         process.kill()
-    check("sitl", json.loads(said.strip().splitlines()[-1]))
+        process.communicate()
+
+
+def test_sitl_and_poses_print_what_the_page_says(mocap_url: str) -> None:
+    with running("sitl", "--port", "udp:127.0.0.1:0", "--mocap", mocap_url) as (port, end):
+        with running("poses", "--port", port, "--mocap", mocap_url) as (said, end_poses):
+            assert said == f"forwarding poses from {mocap_url} to {port}"
+            check("poses", end_poses())
+        check("sitl", end())
 
 
 def test_demo_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], log: str) -> None:

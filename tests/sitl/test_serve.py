@@ -125,13 +125,35 @@ def test_tcp_serves_the_newest_client() -> None:
                 assert read_exactly(client.fileno(), 3) == message
 
 
-def test_udp_answers_whoever_spoke_last() -> None:
-    with served(Echo(), "udp:127.0.0.1:0") as (address, _):
+def test_udp_serves_everybody_who_spoke() -> None:
+    with served(Echo(), "udp:127.0.0.1:0") as (address, _), contextlib.ExitStack() as stack:
         host, port = address.removeprefix("udp:").split(":")
-        for message in (b"one", b"two"):
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
-                client.sendto(message, (host, int(port)))
-                assert client.recv(100) == message
+        first, second = (
+            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)
+        )
+        first.sendto(b"one", (host, int(port)))
+        assert first.recv(100) == b"one"
+        second.sendto(b"two", (host, int(port)))
+        assert first.recv(100) == second.recv(100) == b"two"
+
+
+def test_udp_forgets_who_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_us = 0
+    monkeypatch.setattr(server, "_wall_us", lambda: now_us)
+    with contextlib.ExitStack() as stack:
+        line = stack.enter_context(contextlib.closing(server.open_port("udp:127.0.0.1:0")))
+        host, port = line.address.removeprefix("udp:").split(":")
+        gone, there = (
+            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)
+        )
+        for client, said in ((gone, b"one"), (there, b"two")):
+            client.sendto(said, (host, int(port)))
+            select.select([line], [], [])
+            assert line.read() == said
+            now_us += 6_000_000
+        line.write(b"heard")
+        assert there.recv(100) == b"heard"
+        assert select.select([gone], [], [], 0.0)[0] == []
 
 
 def test_simulated_vehicle_in_real_time_sends_heartbeats_and_poses() -> None:

@@ -1,0 +1,89 @@
+"""Poses for a vehicle that another ground station flies: clocks are compared, nothing is commanded."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import Any
+
+from host.errors import LinkError
+from host.link.client import Client
+from host.link.clock import CameraClock
+from host.link.drivers import run_port
+from host.link.ports import Cameras, open_port
+from host.link.session import Session
+from host.link.tasks import FindVehicle, Task
+
+LOOK_US = 1_000_000
+SILENT_US = 30_000_000
+"""A vehicle that was not heard for so long has gone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forwarded:
+    """Poses that arrived, how many of them went on to the vehicle, and the time it took."""
+
+    poses: int
+    forwarded: int
+    seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        """The answer of `trimtab poses --json`."""
+        return {"poses": self.poses, "forwarded": self.forwarded, "seconds": self.seconds}
+
+
+class KeepForwarding(Task):
+    """Never ends by itself. Raises LinkError where the vehicle falls silent.
+
+    Args:
+        port: how messages call it. look: is called every second.
+    """
+
+    def __init__(self, port: str, look: Callable[[], None]) -> None:
+        super().__init__()
+        self._port = port
+        self._look = look
+
+    def advance(self, client: Client, now_us: int) -> None:
+        if client.heard_us is not None and now_us - client.heard_us > SILENT_US:
+            raise LinkError(f"{self._port}: the vehicle was not heard for {SILENT_US / 1e6:g} s")
+        self._look()
+        self.deadline_us = now_us + LOOK_US
+
+
+def forward_session(
+    port: str, camera_delay_us: int, *, ready: Callable[[], None], look: Callable[[Session], None]
+) -> Session:
+    """A session that forwards poses until it is ended from outside.
+
+    Args:
+        ready: called once the vehicle has answered. look: called every second from then on.
+    """
+
+    def script(session: Session) -> Generator[Task, Any, None]:
+        yield FindVehicle(port)
+        ready()
+        yield KeepForwarding(port, lambda: look(session))
+
+    return Session(script, CameraClock(camera_delay_us))
+
+
+def forward_port(
+    port: str,
+    mocap: str,
+    camera_delay_us: int,
+    *,
+    ready: Callable[[], None],
+    look: Callable[[Session], None],
+) -> Forwarded:
+    """What was forwarded until Ctrl-C, SIGTERM or SIGHUP, the ordinary end.
+
+    Raises LinkError or UsageError.
+    """
+    session = forward_session(port, camera_delay_us, ready=ready, look=look)
+    with contextlib.closing(Cameras(mocap)) as cameras, contextlib.closing(open_port(port)) as line:
+        driven = run_port(session, line, cameras)
+    if session.error is not None and not isinstance(session.error, KeyboardInterrupt):
+        raise session.error
+    return Forwarded(poses=session.poses, forwarded=session.forwarded, seconds=driven.wall_s)

@@ -1,0 +1,46 @@
+"""`trimtab poses`: poses reach the vehicle while somebody else's ground station flies it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from host.verbs.fly import CAMERA_DELAY_MS
+from host.verbs.options import Json
+
+if TYPE_CHECKING:
+    from host.link.session import Session
+
+
+def command(*, port: str, mocap: str, mocap_delay_ms: float = CAMERA_DELAY_MS, json: Json = False) -> None:
+    """Forward a camera system's poses to a vehicle, stamped with its clock, until interrupted.
+
+    It commands nothing: MAVSDK, MAVProxy or another ground station flies, through the same UDP port.
+
+    Parameters
+    ----------
+    port
+        Port of the vehicle that others may share: udp:HOST:PORT of `trimtab sitl` or of a MAVLink router.
+    mocap
+        Where the camera system's poses arrive, udp://HOST:PORT.
+    mocap_delay_ms
+        Least time from a camera's exposure to the arrival of its pose, as the maker states it.
+    """
+    from host.errors import UsageError
+    from host.link.poses import forward_port
+    from host.output import emit, say
+    from host.progress import Progress
+
+    if not 0.0 <= mocap_delay_ms <= 1000.0:
+        raise UsageError(f"--mocap-delay-ms {mocap_delay_ms:g} is no delay, give 0 to 1000")
+    with Progress("forwarding poses") as bar:
+
+        def look(session: Session) -> None:
+            asked = "" if session.poses else "; do the cameras send to this address?"
+            bar.advance(1.0, f"{session.forwarded} so far{asked}")
+
+        delay_us = round(1000 * mocap_delay_ms)
+        result = forward_port(
+            port, mocap, delay_us, ready=lambda: say(f"forwarding poses from {mocap} to {port}"), look=look
+        )
+    say(f"{result.forwarded} of {result.poses} poses forwarded in {result.seconds:.1f} s")
+    emit(result.to_json(), json)
