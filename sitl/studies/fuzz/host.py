@@ -1,0 +1,196 @@
+"""Bytes towards the host: at its port, and as datagrams of the camera system.
+
+Two sessions run side by side, as two vehicles do in `vehicle`: one gets the damaged bytes, the other the
+valid messages that are in them. What they send, and what they hold, must be the same. A recorder writes the
+first one's log meanwhile.
+"""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+from pathlib import Path
+from random import Random
+from typing import Any
+
+from host.errors import TrimtabError
+from host.link.client import Client
+from host.link.clock import CameraClock
+from host.link.recorder import Recorder
+from host.link.session import Script, Session
+from host.link.tasks import (
+    Command,
+    FindVehicle,
+    FreshStatus,
+    ReadParameters,
+    SendBlob,
+    SetParameter,
+    SettleClock,
+)
+from host.log import LogWriter, Provenance
+from protocol import messages as m
+from protocol.blobs import Kind, Reference
+from protocol.codec import Codec
+from protocol.messages import mavlink
+from sitl.studies.fuzz import inputs
+from sitl.studies.fuzz.inputs import FLUSH, frame, pack, valid_messages
+from sitl.studies.fuzz.source import Source
+from sitl.studies.fuzz.vehicle import Broken
+
+LONGEST = 1_600
+STEP_US = 7_000
+
+
+class HostTarget:
+    """A session that asks one thing after the other of a vehicle.
+
+    `give` takes bytes or, as a tuple, datagrams.
+
+    Raises Broken, or what the host's link raises that is none of its documented errors.
+    """
+
+    def __init__(self, source: Source, rng: Random, situation: int) -> None:
+        self._source = source
+        self._sessions = tuple(_session(source, situation) for _ in range(2))
+        self.now_us = 0
+        self.valid = 0
+        a = self._sessions[0]
+        a.step(0)
+        self._sessions[1].step(0)
+        self._folder = tempfile.TemporaryDirectory()
+        provenance = Provenance(vehicle=source.vehicle, reference=source.reference)
+        self._log = LogWriter(Path(self._folder.name) / "flight.mcap", provenance)
+        reference = Reference.from_bytes(source.reference)
+        a.listener = Recorder(self._log, a.client, a.camera, reference, 0)
+
+    def close(self) -> None:
+        """Nothing comes back; the log is closed and gone."""
+        self._log.close()
+        self._folder.cleanup()
+
+    def give(self, data: bytes | tuple[bytes, ...]) -> None:
+        """Nothing comes back; one step with `data` at the port or in datagrams."""
+        a, b = self._sessions
+        self.now_us += STEP_US
+        if isinstance(data, tuple):
+            found = [one for datagram in data for one in valid_messages(datagram)]
+            said = (a.step(self.now_us, b"", data), b.step(self.now_us, b"", [one.frame for one in found]))
+        else:
+            found = valid_messages(data + FLUSH)
+            said = (
+                a.step(self.now_us, data + FLUSH),
+                b.step(self.now_us, b"".join(one.frame for one in found)),
+            )
+        self.valid += len(found)
+        for session in self._sessions:
+            if session.error is not None:
+                raise session.error
+            if session.done:
+                raise Broken("the session ended")
+        if said[0] != said[1]:
+            raise Broken("the host does not answer as it does to the valid messages alone")
+        held = [_held(session) for session in self._sessions]
+        if held[0] != held[1]:
+            raise Broken("the host is not in the state in which the valid messages alone leave it")
+
+
+def _session(source: Source, situation: int) -> Session:
+    return Session(lambda _: _script(source, situation), CameraClock((None, 4_000)[situation % 2]))
+
+
+def _script(source: Source, situation: int) -> Script:
+    """Everything that a host asks of a vehicle, again and again, whatever comes back."""
+    for k in itertools.count(situation):
+        task = (
+            lambda: FindVehicle("port"),
+            lambda: SettleClock(),
+            lambda: FreshStatus(),
+            lambda: ReadParameters(),
+            lambda: SetParameter("MASS", 0.75),
+            lambda: Command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), what="arming"),
+            lambda: SendBlob(source.reference, Kind.REFERENCE, what="the reference"),
+        )[k % 7]()
+        try:
+            yield task
+        except TrimtabError:
+            continue
+
+
+def _held(session: Session) -> tuple[Any, ...]:
+    client: Client = session.client
+    clock = client.clock
+    return (
+        client.heartbeat and client.heartbeat.get_msgbuf(),
+        client.status and client.status.get_msgbuf(),
+        client.texts,
+        client.radio_counts,
+        client.heard_us,
+        client.others,
+        (clock.exchanges, clock.offset_us, clock.rtt_us),
+        (session.poses, session.forwarded),
+        client.codec.received,
+    )
+
+
+_VEHICLE_SAYS = tuple(
+    kind.id
+    for kind in (
+        m.Heartbeat,
+        m.Timesync,
+        m.FcStatus,
+        m.FcControl,
+        m.FcEstimate,
+        m.FcObserver,
+        m.StatusText,
+        m.RadioStats,
+        m.Ping,
+        m.ParamValue,
+        m.CommandAck,
+        m.AutopilotVersion,
+        m.UploadStatus,
+        m.UploadVerdict,
+    )
+)
+
+
+def _vehicle(rng: Random) -> tuple[int, int]:
+    return (1, rng.choice((1, 1, 1, 68))) if rng.random() < 0.85 else (255, 68)
+
+
+def raw(target: HostTarget, rng: Random, source: Source) -> bytes:
+    """Any bytes."""
+    return inputs.random_bytes(rng, LONGEST)
+
+
+def messages(target: HostTarget, rng: Random, source: Source) -> bytes:
+    """Messages of the dialect, most of them such as a vehicle sends."""
+    draw = rng.random()
+    if draw < 0.1:
+        sent_us = target.now_us - 1000 * rng.choice((0, 5, 20, 400))
+        payload = pack(m.Timesync.id, tc1=1000 * target.now_us + 12_345_678, ts1=1000 * max(0, sent_us))
+        return frame(m.Timesync.id, payload, sender=m.VEHICLE)
+    numbers = _VEHICLE_SAYS if draw < 0.8 else tuple(inputs.KINDS)
+    return b"".join(inputs.random_message(rng, numbers, _vehicle) for _ in range(rng.choice((1, 1, 2, 4))))
+
+
+def recorded(target: HostTarget, rng: Random, source: Source) -> bytes:
+    """What a vehicle once sent, damaged."""
+    return inputs.mutated(rng, source.down, LONGEST)
+
+
+def datagrams(target: HostTarget, rng: Random, source: Source) -> tuple[bytes, ...]:
+    """Datagrams of the camera system: damaged, of other programs, with odd numbers."""
+    return tuple(_datagram(target, rng, source) for _ in range(rng.choice((1, 1, 2, 3))))
+
+
+def _datagram(target: HostTarget, rng: Random, source: Source) -> bytes:
+    draw = rng.random()
+    if draw < 0.15:
+        return inputs.random_bytes(rng, 300)
+    if draw < 0.45:
+        return inputs.random_message(rng, (m.AttPosMocap.id,), lambda _: m.CAMERAS)
+    if draw < 0.6:
+        return inputs.mutated(rng, source.poses, 300)
+    stamp_us = max(0, target.now_us - rng.choice((0, 4_000, 5_000, 30_000, -20_000)))
+    made = Codec(*m.CAMERAS).encode(m.AttPosMocap(stamp_us, [1.0, 0.0, 0.0, 0.0], 0.1, 0.2, -0.3))
+    return made if draw < 0.9 else inputs.mutated_file(rng, made)

@@ -1,0 +1,353 @@
+"""Inputs for the fuzzer, and which valid messages are in them.
+
+Frames are packed here from the dialect's field tables and summed by pymavlink's checksum; the valid messages
+in any bytes are found by pymavlink's decoder, tried at every place. So neither shares code with what is
+tested. pymavlink's own stream parser is no measure: behind damage it drops as much as a false header claims.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Sequence
+from random import Random
+from typing import Any, NamedTuple
+
+from protocol.messages import VEHICLE, Message, mavlink
+
+MAGIC = 0xFD
+HEADER_BYTES = 10
+SIGNATURE_BYTES = 13
+FLUSH = bytes(HEADER_BYTES + 255 + 2 + SIGNATURE_BYTES)
+"""After these no header that came before them is still waited for."""
+PRIVATE = 52100
+"""Ids from here on are ours: their messages have grown no extensions, a longer payload is none of theirs."""
+
+_REFUSED = (mavlink.MAVError, struct.error, ValueError, IndexError, UnicodeDecodeError)
+_parser = mavlink.MAVLink(None)
+
+_SIZES = {"c": 1, "s": 1, "B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "Q": 8, "q": 8, "f": 4, "d": 8}
+_CODES = {
+    "char": "c",
+    "uint8_t": "B",
+    "int8_t": "b",
+    "uint16_t": "H",
+    "int16_t": "h",
+    "uint32_t": "I",
+    "int32_t": "i",
+    "uint64_t": "Q",
+    "int64_t": "q",
+    "float": "f",
+    "double": "d",
+}
+_REALS = (
+    math.nan,
+    math.inf,
+    -math.inf,
+    0.0,
+    -0.0,
+    1.0,
+    -1.0,
+    0.5,
+    3.4028235e38,
+    -3.4028235e38,
+    1e-45,
+    1e10,
+    65535.0,
+    65536.0,
+    21196.0,
+    400.0,
+)
+
+
+class Field(NamedTuple):
+    """Where a field lies in its message's payload: `count` values of `code` from byte `at` on."""
+
+    name: str
+    at: int
+    code: str
+    count: int
+
+
+class Kind(NamedTuple):
+    """A message of the dialect: id, checksum seed, size of its payload, its fields."""
+
+    number: int
+    seed: int
+    size: int
+    fields: tuple[Field, ...]
+
+
+def _kind(made: Any) -> Kind:
+    types = dict(zip(made.fieldnames, made.fieldtypes, strict=True))
+    fields, at = [], 0
+    for name, length in zip(made.ordered_fieldnames, made.array_lengths, strict=True):
+        code, count = _CODES[types[name]], max(1, length)
+        fields.append(Field(name, at, code, count))
+        at += count * _SIZES[code]
+    return Kind(made.id, made.crc_extra, at, tuple(fields))
+
+
+KINDS: dict[int, Kind] = {number: _kind(made) for number, made in mavlink.mavlink_map.items()}
+"""Every message of the dialect by id."""
+
+
+class Found(NamedTuple):
+    """A valid message in some bytes: the frame, where it ends, and what pymavlink reads in it."""
+
+    frame: bytes
+    end: int
+    message: Message
+
+
+def valid_messages(data: bytes) -> list[Found]:
+    """The valid messages in `data`, first come first: behind one the search goes on after its last byte."""
+    found: list[Found] = []
+    at = data.find(MAGIC)
+    while 0 <= at <= len(data) - HEADER_BYTES - 2:
+        one = _valid_at(data, at)
+        if one is not None:
+            found.append(one)
+        at = data.find(MAGIC, at + 1 if one is None else one.end)
+    return found
+
+
+def _valid_at(data: bytes, at: int) -> Found | None:
+    kind = KINDS.get(data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16)
+    flags, length = data[at + 2], data[at + 1]
+    if kind is None or flags > mavlink.MAVLINK_IFLAG_SIGNED:
+        return None
+    if kind.number >= PRIVATE and length > kind.size:
+        return None
+    end = at + HEADER_BYTES + length + 2 + (SIGNATURE_BYTES if flags else 0)
+    if end > len(data):
+        return None
+    frame = data[at:end]
+    try:
+        return Found(frame, end, _parser.decode(bytearray(frame)))
+    except _REFUSED:
+        return None
+
+
+def frame(
+    number: int,
+    payload: bytes,
+    *,
+    sender: tuple[int, int] = (255, 190),
+    sequence: int = 0,
+    flags: int = 0,
+    wrong: int = 0,
+) -> bytes:
+    """A frame with this payload; `wrong` is put over its checksum, a signed one gets a signature of zeros."""
+    head = bytes([len(payload), flags, 0, sequence & 0xFF, *sender]) + number.to_bytes(3, "little")
+    kind = KINDS.get(number)
+    body = head + payload
+    crc = mavlink.x25crc(body + bytes([kind.seed if kind else 0])).crc ^ wrong
+    return bytes([MAGIC]) + body + crc.to_bytes(2, "little") + bytes(SIGNATURE_BYTES if flags & 1 else 0)
+
+
+def pack(number: int, **values: Any) -> bytes:
+    """The payload of a message whose other fields are 0."""
+    kind = KINDS[number]
+    payload = bytearray(kind.size)
+    for field in kind.fields:
+        if field.name in values:
+            value = values[field.name]
+            many = value if isinstance(value, tuple | list) else (value,)
+            if isinstance(value, bytes):
+                payload[field.at : field.at + len(value)] = value
+            else:
+                struct.pack_into(f"<{len(many)}{field.code}", payload, field.at, *many)
+    return bytes(payload)
+
+
+def random_bytes(rng: Random, most: int) -> bytes:
+    """Bytes of any length up to `most`, some rich in what begins a message."""
+    size = rng.randrange(1, most) if rng.random() < 0.3 else rng.randrange(1, 1 + min(most, 120))
+    data = bytearray(rng.randbytes(size))
+    for _ in range(rng.choice((0, 0, 1, 3, 20))):
+        at = rng.randrange(size)
+        head = bytes([MAGIC, rng.randrange(256), rng.choice((0, 0, 0, 1, 2, 255)), 0])
+        head += rng.randbytes(3) + rng.choice(_NUMBERS).to_bytes(3, "little")
+        data[at : at + len(head)] = head
+    return bytes(data[: max(size, 1)])
+
+
+_NUMBERS = tuple(KINDS)
+
+
+def random_message(
+    rng: Random, numbers: Sequence[int] = _NUMBERS, sender: Callable[[Random], tuple[int, int]] | None = None
+) -> bytes:
+    """One frame of a message of the dialect: odd values, now and then wrong in one way or another."""
+    kind = KINDS[rng.choice(numbers)]
+    draw = rng.random()
+    if draw < 0.3:
+        payload = bytearray(rng.randbytes(kind.size))
+    else:
+        payload = bytearray(kind.size if draw < 0.9 else b"\xff" * kind.size)
+        for _ in range(rng.randrange(1, 6)):
+            _put_odd(rng, payload, rng.choice(kind.fields))
+    for field in kind.fields:
+        if field.name in ("target_system", "target_component") and rng.random() < 0.85:
+            payload[field.at] = rng.choice((VEHICLE[0], VEHICLE[0], VEHICLE[0], 0))
+        elif field.name == "command" and rng.random() < 0.8:
+            struct.pack_into("<H", payload, field.at, rng.choice(COMMANDS))
+    data = bytes(payload)
+    draw = rng.random()
+    if draw < 0.6:
+        data = data.rstrip(b"\0") or b"\0"
+    elif draw < 0.7:
+        data = data[: rng.randrange(len(data) + 1)]
+    elif draw < 0.78:
+        data = (data + rng.randbytes(rng.randrange(1, 60)))[:255]
+    wrong = rng.randrange(1, 65536) if rng.random() < 0.15 else 0
+    flags = rng.choice((1, 1, 2, 3, 255)) if rng.random() < 0.1 else 0
+    made = frame(
+        kind.number,
+        data,
+        sender=any_sender(rng) if sender is None else sender(rng),
+        sequence=rng.randrange(256),
+        flags=flags,
+        wrong=wrong,
+    )
+    return made if rng.random() < 0.93 else made[: rng.randrange(len(made))]
+
+
+COMMANDS = (
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+    mavlink.MAV_CMD_MISSION_START,
+    mavlink.MAV_CMD_NAV_LAND,
+    mavlink.MAV_CMD_DO_FLIGHTTERMINATION,
+    mavlink.MAV_CMD_REQUEST_MESSAGE,
+    mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
+    mavlink.MAV_CMD_USER_1,
+    22,  # NAV_TAKEOFF
+    176,  # DO_SET_MODE
+    511,  # SET_MESSAGE_INTERVAL
+    410,  # GET_HOME_POSITION
+    519,
+    520,
+)
+"""Numbers that COMMAND_LONG and COMMAND_INT mostly carry; those that are not ours are to be refused."""
+
+
+def any_sender(rng: Random) -> tuple[int, int]:
+    """Mostly a ground station, now and then the vehicle itself or anybody."""
+    draw = rng.random()
+    if draw < 0.8:
+        return (255, 190)
+    return (1, rng.choice((1, 68))) if draw < 0.9 else (rng.randrange(256), rng.randrange(256))
+
+
+def _put_odd(rng: Random, payload: bytearray, field: Field) -> None:
+    """One value of the field becomes an odd one."""
+    size = _SIZES[field.code]
+    at = field.at + size * rng.randrange(field.count)
+    if field.code in "fd":
+        value = rng.choice(_REALS) if rng.random() < 0.7 else rng.uniform(-100.0, 100.0)
+        struct.pack_into("<" + field.code, payload, at, value)
+        return
+    bits = 8 * size
+    whole = rng.choice(
+        (0, 1, 2, 3, (1 << bits) - 1, 1 << (bits - 1), (1 << (bits - 1)) - 1, 1 << bits // 2, -1)
+    )
+    if whole == -1:
+        whole = rng.getrandbits(bits)
+    payload[at : at + size] = whole.to_bytes(size, "little")
+
+
+def mutated(rng: Random, pieces: Sequence[bytes], most: int) -> bytes:
+    """A stretch of a recording (a list of what was sent at a time), damaged in one or several ways."""
+    start, size = rng.randrange(len(pieces)), rng.randrange(1, 8)
+    chosen = list(pieces[start : start + size])
+    for _ in range(rng.randrange(1, 4)):
+        act, at = rng.randrange(8), rng.randrange(len(chosen))
+        piece = chosen[at]
+        if act <= 2 and piece:
+            damaged = bytearray(piece)
+            for _ in range(rng.choice((1, 1, 2, 8))):
+                damaged[rng.randrange(len(damaged))] ^= 1 << rng.randrange(8)
+            chosen[at] = bytes(damaged)
+        elif act == 3:
+            chosen[at] = piece[: rng.randrange(len(piece) + 1)]
+        elif act == 4:
+            chosen[at] = piece[rng.randrange(len(piece) + 1) :]
+        elif act == 5:
+            chosen.insert(at, piece)
+        elif act == 6:
+            rng.shuffle(chosen)
+        else:
+            chosen.insert(at, rng.randbytes(rng.randrange(1, 40)))
+    return b"".join(chosen)[:most]
+
+
+def mutated_file(rng: Random, content: bytes) -> bytes:
+    """A binary file with damage: bits and bytes changed, parts cut, repeated, moved or made up."""
+    data = bytearray(content)
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        if not data:
+            break
+        act, at = rng.randrange(7), rng.randrange(len(data))
+        size = rng.choice((1, 2, 4, 8, 52, rng.randrange(1, 1 + len(data))))
+        if act <= 1:
+            data[at] ^= 1 << rng.randrange(8)
+        elif act == 2:
+            data[at : at + size] = rng.choice((b"\0", b"\xff", rng.randbytes(1))) * min(size, len(data) - at)
+        elif act == 3:
+            del data[at:]
+        elif act == 4:
+            del data[at : at + size]
+        elif act == 5:
+            data[at:at] = data[at : at + size]
+        else:
+            size = min(size, 8)
+            data[at : at + size] = struct.pack("<d", rng.choice(_REALS))[:size]
+    return bytes(data)
+
+
+_WORDS = (
+    *(b"0", b"-1", b"1e308", b"-1e308", b"1e-320", b"nan", b"inf", b"-inf", b"99999999999999999999"),
+    *(b'""', b'"x"', b"[]", b"{}", b"[[1.0]]", b"true", b"1979-05-27", b"0x7fffffffffffffff"),
+    *(b"\xff", b"\\u0000", b"\n[a]\n"),
+)
+
+
+def mutated_text(rng: Random, content: bytes) -> bytes:
+    """A TOML file with other numbers, words, lines; now and then no TOML any more."""
+    lines = content.split(b"\n")
+    for _ in range(rng.choice((1, 1, 2, 5))):
+        act, at = rng.randrange(8), rng.randrange(len(lines))
+        line = lines[at]
+        if act <= 2 and b"=" in line:
+            key, _, value = line.partition(b"=")
+            lines[at] = key + b"= " + rng.choice((rng.choice(_WORDS), _other_number(rng, value)))
+        elif act == 3:
+            lines.insert(rng.randrange(len(lines)), line)
+        elif act == 4 and len(lines) > 1:
+            del lines[at]
+        elif act == 5:
+            lines[at] = (
+                line.replace(b"_", b"", 1) if rng.random() < 0.5 else line[: rng.randrange(len(line) + 1)]
+            )
+        elif act == 6:
+            cut = rng.randrange(len(line) + 1)
+            lines[at] = line[:cut] + rng.choice((rng.choice(_WORDS), rng.randbytes(3))) + line[cut:]
+        else:
+            cut, many = rng.randrange(len(line) + 1), rng.choice((2, 50, 5000))
+            one = line[cut : cut + 1] or rng.choice((b"[", b"{", b"9", b"."))
+            lines[at] = line[:cut] + one * many + line[cut:]
+    return b"\n".join(lines)
+
+
+def _other_number(rng: Random, value: bytes) -> bytes:
+    """The text with one of its digits exchanged or repeated."""
+    places = [i for i, c in enumerate(value) if c in b"0123456789"]
+    if not places:
+        return value
+    at = rng.choice(places)
+    return (
+        value[:at]
+        + rng.choice(b"0123456789-e.").to_bytes(1, "little") * rng.choice((1, 1, 6))
+        + value[at + 1 :]
+    )
