@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 CHUNK_BYTES = 99
 """Bytes of a blob in one UPLOAD_CHUNK, which then fills a radio frame."""
@@ -80,6 +80,15 @@ class Table(Generic[S, E, T]):
     def __call__(self, state: S, event: E) -> T:
         """The entry."""
         return self.rows[state][event]
+
+
+class Incoming(NamedTuple):
+    """A blob that is gathered: kind, size, SHA-256, and one byte for each chunk, 1 where it is here."""
+
+    kind: int
+    size: int
+    digest: bytes
+    held: bytearray
 
 
 def chunk_count(size: int) -> int:
