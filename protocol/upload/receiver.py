@@ -1,4 +1,8 @@
-"""The vehicle's end of an upload: gathers chunks apart from what is live, checks them, commits."""
+"""The vehicle's end of an upload: gathers chunks apart from what is live, checks them, commits.
+
+What is gathered lies in the store alone, and each chunk is there before it is reported: begun anew on the
+same store, after a power cut, the receiver goes on where it was.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,7 @@ from protocol.upload.receiver_table import TABLE, Action, Event, Refusal
 from protocol.upload.transfer import (
     CHUNK_BYTES,
     SIZE_MAX,
+    Incoming,
     ReceiverEvent,
     UploadEvent,
     Verdict,
@@ -31,9 +36,13 @@ REMIND_US = (60_000, 1_000_000)
 
 
 class BlobStore(Protocol):
-    """Where blobs are kept: one live and one staged of each kind."""
+    """Where blobs are kept: one live of each kind, and one that is gathered and then staged."""
 
     def live(self, kind: int) -> bytes | None: ...
+    def incoming(self) -> Incoming | None: ...
+    def begin(self, kind: int, size: int, digest: bytes) -> None: ...
+    def put(self, kind: int, index: int, chunk: bytes) -> None: ...
+    def gathered(self, kind: int) -> bytes: ...
     def stage(self, kind: int, blob: bytes) -> object: ...
     def commit(self, kind: int) -> object: ...
     def discard(self, kind: int) -> None: ...
@@ -58,11 +67,12 @@ class UploadReceiver:
     """Receives one blob at a time. Nothing live changes before a commit.
 
     Args:
-        store: where accepted blobs are staged and committed; what it still has staged is discarded.
+        store: where a blob is gathered, staged and committed; an upload that it still holds goes on, after
+            another check where it is complete.
         check: says whether a blob of this kind may be used; it sees only bytes whose digest is right.
         may_commit: whether a blob of this kind may become live now.
         capacity: bytes of the largest blob that is taken.
-        silence_us: after this time without a message about it, what was gathered or staged is discarded.
+        silence_us: after this time without a message about it, the blob in hand is no longer reported.
 
     Attributes:
         state: what is held of the blob in hand.
@@ -94,13 +104,11 @@ class UploadReceiver:
         self._silence_us = silence_us
         self._live: dict[int, bytes] = {}
         for kind in Kind:
-            store.discard(kind)
             self._note_live(kind)
         self._blob = _NONE
-        self._data = bytearray()
         self._map = bytearray()
         self._base = 0
-        self._heard_us = 0
+        self._heard_us = -silence_us
         self._unreported = 0
         self._report_us: int | None = None
         self._remind_us = 0
@@ -120,8 +128,9 @@ class UploadReceiver:
             Action.COMMIT: self._commit,
             Action.SAY_LIVE: self._say_live,
             Action.DISCARD: self._discard,
-            Action.EXPIRE: self._expire,
+            Action.CHECK_AGAIN: self._check_again,
         }
+        self._resume(store.incoming())
 
     def staged(self) -> tuple[int, bytes]:
         """Kind and first 6 bytes of the digest of what is staged; 0 and zeros for nothing."""
@@ -159,20 +168,18 @@ class UploadReceiver:
         if self.state is not UploadState.STAGED or self._blob.digest[:6] != id_bytes:
             return UploadResult.UNKNOWN, []
         self._on_commit(self._blob.digest, now_us)
-        done = self.state is UploadState.IDLE
+        done = any(digest[:6] == id_bytes for digest in self._live.values())
         return (UploadResult.OK if done else UploadResult.BUSY), self._take_events()
 
     def advance(self, now_us: int) -> list[ReceiverEvent]:
-        """What the passing of time brought about: a long silence discards what was gathered or staged."""
-        if self.state is not UploadState.IDLE and now_us - self._heard_us >= self._silence_us:
-            self._do(Event.EXPIRED, self._blob, now_us)
+        """What the passing of time brought about."""
         return self._take_events()
 
     def send(self, now_us: int) -> list[Message]:
         """The messages that are due."""
         if self._report_us is not None and now_us >= self._report_us:
             self._report(self._blob, now_us)
-        elif self._blob is not _NONE and now_us >= self._remind_us:
+        elif self._reminding(now_us) and now_us >= self._remind_us:
             self._reminders += 1
             self._report(self._blob, now_us)
         out, self._out = self._out, []
@@ -183,8 +190,8 @@ class UploadReceiver:
         if self._out:
             return 0
         deadlines = [] if self._report_us is None else [self._report_us]
-        if self.state is not UploadState.IDLE:
-            deadlines += [self._heard_us + self._silence_us, self._remind_us]
+        if self._reminding(self._remind_us):
+            deadlines.append(self._remind_us)
         return min(deadlines, default=None)
 
     # Which event a message is.
@@ -211,7 +218,7 @@ class UploadReceiver:
         else:
             start = index * CHUNK_BYTES
             stop = min(start + CHUNK_BYTES, self._blob.size)
-            self._data[start:stop] = bytes(message.data)[: stop - start]
+            self._store.put(self._blob.kind, index, bytes(message.data)[: stop - start])
             self._map[index] = 1
             self.held += 1
             self._do(Event.CHUNK_NEW, self._blob, now_us)
@@ -219,7 +226,7 @@ class UploadReceiver:
                 self._on_complete(now_us)
 
     def _on_complete(self, now_us: int) -> None:
-        data = bytes(self._data)
+        data = self._store.gathered(self._blob.kind)
         if hashlib.sha256(data).digest() != self._blob.digest:
             self._do(Event.CORRUPT, self._blob, now_us)
             return
@@ -255,8 +262,8 @@ class UploadReceiver:
             self._clear(UploadEvent.DISCARDED, "another upload began")
         self._blob = blob
         self.chunks = chunk_count(blob.size)
-        self._data = bytearray(blob.size)
         self._map = bytearray(self.chunks)
+        self._store.begin(blob.kind, blob.size, blob.digest)
         self._hear(now_us)
         self._tell(UploadEvent.BEGAN, f"receiving {blob.size} bytes")
         self._report(blob, now_us)
@@ -285,7 +292,7 @@ class UploadReceiver:
             self._report_us = now_us + REPORT_US
 
     def _stage(self, blob: _Blob, now_us: int) -> None:
-        self._store.stage(self._blob.kind, bytes(self._data))
+        self._store.stage(self._blob.kind, self._store.gathered(self._blob.kind))
         self._tell(UploadEvent.ACCEPTED, "staged")
         self._report(blob, now_us)
 
@@ -299,7 +306,11 @@ class UploadReceiver:
 
     def _commit(self, blob: _Blob, now_us: int) -> None:
         kind = self._blob.kind
-        self._store.commit(kind)
+        try:
+            self._store.commit(kind)
+        except ValueError:  # memory that fails: what was staged is not there any more
+            self._drop(blob, now_us)
+            return
         self._note_live(kind)
         self._say_live(self._blob, now_us)
         self._clear(UploadEvent.COMMITTED, "live")
@@ -311,17 +322,36 @@ class UploadReceiver:
         self._answer(self._blob.digest, UploadState.IDLE, UploadResult.OK)
         self._clear(UploadEvent.DISCARDED, "aborted")
 
-    def _expire(self, blob: _Blob, now_us: int) -> None:
-        self._clear(UploadEvent.DISCARDED, "nothing heard of it for too long")
+    def _check_again(self, blob: _Blob, now_us: int) -> None:
+        self._on_complete(now_us)
 
     # Helpers.
+
+    def _resume(self, incoming: Incoming | None) -> None:
+        """Nothing comes back; the upload that the store holds is in hand, and nothing is said of it yet."""
+        for kind in Kind:
+            if incoming is None or kind != incoming.kind:
+                self._store.discard(kind)
+        if incoming is None:
+            return
+        self._blob = _Blob(incoming.digest, incoming.kind, incoming.size)
+        self.chunks, self._map = len(incoming.held), incoming.held
+        self.held = sum(incoming.held)
+        self.state = UploadState.RECEIVING
+        if self.held == self.chunks:
+            self._on_complete(0)
+        self._out.clear()
+
+    def _reminding(self, at_us: int) -> bool:
+        """Whether the blob in hand is one that the host still asks about at that time."""
+        return self._blob is not _NONE and at_us - self._heard_us < self._silence_us
 
     def _clear(self, event: UploadEvent, text: str) -> None:
         self._tell(event, text)
         if event is not UploadEvent.COMMITTED and self._blob.kind:
             self._store.discard(self._blob.kind)
         self._blob = _NONE
-        self._data, self._map = bytearray(), bytearray()
+        self._map = bytearray()
         self.chunks = self.held = self._base = self._unreported = 0
         self.verdict = None
         self._report_us = None

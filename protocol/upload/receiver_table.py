@@ -30,7 +30,6 @@ class Event(Enum):
     COMMIT_OTHER = auto()
     ABORT_SAME = auto()
     ABORT_OTHER = auto()
-    EXPIRED = auto()
 
 
 class Action(Enum):
@@ -47,7 +46,7 @@ class Action(Enum):
     COMMIT = auto()
     SAY_LIVE = auto()
     DISCARD = auto()
-    EXPIRE = auto()
+    CHECK_AGAIN = auto()
 
 
 class Move(NamedTuple):
@@ -106,7 +105,6 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.COMMIT_SAME: _NO_BLOB,
             _E.COMMIT_BUSY: _NO_BLOB,
             _E.ABORT_SAME: _NO_BLOB,
-            _E.EXPIRED: _NO_BLOB,
         },
         _S.RECEIVING: {
             **_everywhere(_S.RECEIVING),
@@ -120,7 +118,6 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.COMMIT_SAME: _INCOMPLETE,
             _E.COMMIT_BUSY: _INCOMPLETE,
             _E.ABORT_SAME: Move(_S.IDLE, _A.DISCARD),
-            _E.EXPIRED: Move(_S.IDLE, _A.EXPIRE),
         },
         _S.STAGED: {
             **_everywhere(_S.STAGED),
@@ -134,11 +131,10 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.COMMIT_SAME: Move(_S.IDLE, _A.COMMIT),
             _E.COMMIT_BUSY: Refusal(_R.BUSY, "not while the vehicle flies"),
             _E.ABORT_SAME: Move(_S.IDLE, _A.DISCARD),
-            _E.EXPIRED: Move(_S.IDLE, _A.EXPIRE),
         },
         _S.REFUSED: {
             **_everywhere(_S.REFUSED),
-            _E.BEGIN_SAME: Move(_S.REFUSED, _A.REPORT),
+            _E.BEGIN_SAME: Move(_S.RECEIVING, _A.CHECK_AGAIN),
             _E.CHUNK_NEW: _COMPLETE,
             _E.CHUNK_HELD: Move(_S.REFUSED, _A.REPORT_SOON),
             _E.CHUNK_FOREIGN: _FOREIGN,
@@ -148,7 +144,6 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.COMMIT_SAME: Move(_S.REFUSED, _A.REPORT),
             _E.COMMIT_BUSY: Move(_S.REFUSED, _A.REPORT),
             _E.ABORT_SAME: Move(_S.IDLE, _A.DISCARD),
-            _E.EXPIRED: Move(_S.IDLE, _A.EXPIRE),
         },
     },
 )

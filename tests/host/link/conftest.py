@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from firmware_model.store import ReferenceStore
 from host.link.session import Script, Session
 from protocol import messages as m
 from protocol.codec import Codec
@@ -14,25 +15,6 @@ from protocol.messages import Message, mavlink
 from protocol.upload import UploadReceiver, Verdict
 
 STEP_US = 1000
-
-
-class _Store:
-    """Two banks without persistence."""
-
-    def __init__(self) -> None:
-        self.banks: dict[tuple[str, int], bytes] = {}
-
-    def live(self, kind: int) -> bytes | None:
-        return self.banks.get(("live", kind))
-
-    def stage(self, kind: int, blob: bytes) -> None:
-        self.banks["staged", kind] = blob
-
-    def commit(self, kind: int) -> None:
-        self.banks["live", kind] = self.banks.pop(("staged", kind))
-
-    def discard(self, kind: int) -> None:
-        self.banks.pop(("staged", kind), None)
 
 
 class FakeVehicle:
@@ -56,7 +38,7 @@ class FakeVehicle:
         self.product_id = m.DIALECT_VERSION
         self.drop: Callable[[], bool] = lambda: False
         self.verdict = Verdict(ok=True)
-        self.store = _Store()
+        self.store = ReferenceStore()
         self.upload = UploadReceiver(
             self.store,
             check=lambda kind, blob: self.verdict,
