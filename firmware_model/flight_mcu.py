@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from firmware_model import telemetry, track
 from firmware_model.engine import Engine
 from firmware_model.flight import LOOK_TICKS, Flight
-from firmware_model.parameters import ParameterValues
+from firmware_model.parameters import stored_parameters
 from firmware_model.services import Identity, Services
 from firmware_model.store import ReferenceStore
 from firmware_model.supervisor import State
@@ -34,7 +34,8 @@ class FlightMcu:
 
     Args:
         engine: `law.step` as an engine; it is this processor's alone.
-        parameters: values by the names of protocol's table, defaults where missing.
+        parameters: values by the names of protocol's table, defaults where missing; what was set before and
+            is in the store goes first.
         store: non-volatile memory.
         uid: of this power-up, at most 18 bytes; AUTOPILOT_VERSION.uid2, little-endian.
         vehicle_id: 6 bytes, id of the vehicle file that the parameters come from.
@@ -57,7 +58,7 @@ class FlightMcu:
         tx_bytes: int = TX_BYTES,
     ) -> None:
         self.uart = UartPort(baud=baud, rx_bytes=rx_bytes, tx_bytes=tx_bytes)
-        self.parameters = ParameterValues(parameters)
+        self.parameters = stored_parameters(parameters, store, vehicle_id)
         self.flight = Flight(engine=engine, parameters=self.parameters)
         self.motor_command = self.flight.outputs["motor_command"]
         self.unsendable = 0  # messages whose numbers fit no field
@@ -77,6 +78,7 @@ class FlightMcu:
             status=self._status,
             on_upload=self._uploaded,
             on_limits=lambda: self._load(Kind.REFERENCE),
+            keep=store.settings.change,
         )
         self._out: list[bytes] = []
         self._battery_v = 0.0
@@ -88,6 +90,7 @@ class FlightMcu:
         self._late_ticks = 0
         self._foreign_us = FOREIGN_US
         self._foreign = 0
+        self.flight.texts.extend((mavlink.MAV_SEVERITY_WARNING, fault) for fault in store.faults)
         for kind in Kind:
             self._load(kind)
 

@@ -21,8 +21,8 @@ class ParameterService:
     """Handlers of PARAM_ messages.
 
     Args:
-        send: puts a message on the line. text: tells people. on_limits: is called where what references are
-        checked by has changed.
+        send: puts a message on the line. text: tells people. keep: gets the name and value of what was set.
+        on_limits: is called where what references are checked by has changed.
     """
 
     def __init__(
@@ -32,12 +32,14 @@ class ParameterService:
         parameters: ParameterValues,
         send: Callable[[Message], None],
         text: Callable[[int, str], None],
+        keep: Callable[[str, float], None],
         on_limits: Callable[[], None],
     ) -> None:
         self._flight = flight
         self._parameters = parameters
         self._send = send
         self._text = text
+        self._keep = keep
         self._on_limits = on_limits
         self._listing: deque[int] = deque()
 
@@ -73,7 +75,7 @@ class ParameterService:
         parameters = self._parameters
         before = (parameters.airframe, parameters.limits)
         try:
-            parameters.set(name, value)
+            self._keep(name, parameters.set(name, value))
         except ValueError as error:
             self._text(_WARNING, str(error))
             return

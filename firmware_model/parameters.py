@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 
 from firmware_model.law import checks
 from firmware_model.law.step import parameter_vector
+from firmware_model.store import ReferenceStore
 from protocol.parameters import BY_NAME, INDEX, PARAMETERS, complete
 
 
@@ -55,6 +56,25 @@ class ParameterValues(Mapping[str, float]):
     def us(self, name: str) -> int:
         """A parameter in seconds as whole microseconds."""
         return round(1e6 * self._values[name])
+
+
+def stored_parameters(
+    values: Mapping[str, float], store: ReferenceStore, vehicle_id: bytes
+) -> ParameterValues:
+    """`values`, with what was set before in their place; memory of another vehicle is claimed for this one.
+
+    What cannot be used is told in `store.faults`. Raises ValueError where `values` themselves are refused.
+    """
+    settings = store.settings
+    if settings.vehicle_id != vehicle_id:
+        if settings.vehicle_id is not None:
+            store.faults.append(f"parameters set for vehicle {settings.vehicle_id.hex()}: not used")
+        settings.keep(vehicle_id, {})
+    try:
+        return ParameterValues({**values, **settings.values})
+    except ValueError:
+        store.faults.append("memory: parameters that were set do not fit")
+    return ParameterValues(values)
 
 
 def name_at(index: int) -> str | None:

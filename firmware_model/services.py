@@ -48,7 +48,7 @@ class Services:
 
     Args:
         send: puts a message on the line. on_upload: is told what became of uploads; on_limits: that what
-        references are checked by has changed.
+        references are checked by has changed. keep: gets the name and value of a parameter that was set.
         status: the present FC_STATUS.
     """
 
@@ -63,6 +63,7 @@ class Services:
         status: Callable[[int], Message],
         on_upload: Callable[[ReceiverEvent], None],
         on_limits: Callable[[], None],
+        keep: Callable[[str, float], None],
     ) -> None:
         self._flight = flight
         self._upload = upload
@@ -70,7 +71,7 @@ class Services:
         self._send = send
         self._on_upload = on_upload
         self._parameter_service = ParameterService(
-            flight=flight, parameters=parameters, send=send, text=self.text, on_limits=on_limits
+            flight=flight, parameters=parameters, send=send, text=self.text, keep=keep, on_limits=on_limits
         )
         commands = Commands(
             flight=flight,

@@ -155,7 +155,7 @@ class SimulatedVehicle:
 
         Queues are empty and generators fresh; blobs and parameters on board are kept.
         """
-        self._parameters = dict(self._flight_mcu.parameters)
+        self.store = ReferenceStore(self.store.flash)
         self._power_up(flight)
 
     def close(self) -> None:
