@@ -18,6 +18,14 @@ _UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
 _FAILED = mavlink.MAV_RESULT_FAILED
 _WARNING = mavlink.MAV_SEVERITY_WARNING
 
+_CUSTOM_MODE = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+_MODES: dict[tuple[float, float | None], Event] = {
+    (4.0, 3.0): Event.HOLD,
+    (4.0, 6.0): Event.LAND,
+    (6.0, None): Event.OFFBOARD,
+}
+"""Main mode and sub mode as PX4 numbers them; None: any sub mode."""
+
 
 class Commands:
     """Handlers of COMMAND_LONG.
@@ -46,6 +54,8 @@ class Commands:
         self._commands: dict[int, Callable[[Any, int], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             mavlink.MAV_CMD_MISSION_START: lambda _, now_us: self._event(Event.START, now_us),
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
+            mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
             mavlink.MAV_CMD_NAV_LAND: lambda _, now_us: self._event(Event.LAND, now_us),
             mavlink.MAV_CMD_DO_FLIGHTTERMINATION: self._terminate,
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
@@ -60,8 +70,8 @@ class Commands:
         asker = (message.get_srcSystem(), message.get_srcComponent())
         self._send(m.CommandAck(message.command, result, 0, 0, *asker))
 
-    def _event(self, event: Event, now_us: int) -> int:
-        reason = self._flight.command(event, now_us)
+    def _event(self, event: Event, now_us: int, height_m: float | None = None) -> int:
+        reason = self._flight.command(event, now_us, height_m)
         if reason is None:
             return _ACCEPTED
         self._text(_WARNING, f"{event.name.lower()} refused: {reason}")
@@ -71,6 +81,19 @@ class Commands:
         if message.param1 > 0.5:
             return self._event(Event.ARM, now_us)
         return self._event(Event.KILL if message.param2 == m.FORCE else Event.DISARM, now_us)
+
+    def _take_off(self, message: m.CommandLong, now_us: int) -> int:
+        height = message.param7
+        if math.isnan(height) or height == 0.0:
+            return self._event(Event.TAKEOFF, now_us)
+        if not 0.0 < height < math.inf:
+            return mavlink.MAV_RESULT_DENIED
+        return self._event(Event.TAKEOFF, now_us, height)
+
+    def _set_mode(self, message: m.CommandLong, now_us: int) -> int:
+        named = bool(math.isfinite(message.param1) and int(message.param1) & _CUSTOM_MODE)
+        event = _MODES.get((message.param2, message.param3)) or _MODES.get((message.param2, None))
+        return self._event(event, now_us) if named and event is not None else _UNSUPPORTED
 
     def _terminate(self, message: m.CommandLong, now_us: int) -> int:
         return self._event(Event.KILL, now_us) if message.param1 > 0.5 else _ACCEPTED

@@ -78,6 +78,13 @@ CONDITIONS: tuple[Condition, ...] = (
     ),
     Condition(
         failsafe=Failsafe.NONE,
+        event=Event.SETPOINTS_LOST,
+        timeout="FS_OFFB_S",
+        action=Action.HOLD,
+        text="setpoints lost: holding, then landing",
+    ),
+    Condition(
+        failsafe=Failsafe.NONE,
         event=Event.REFERENCE_ENDED,
         timeout=None,
         action=Action.HOLD,

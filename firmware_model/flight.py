@@ -15,10 +15,14 @@ from firmware_model.failsafe import BY_EVENT, Action, Condition, Failsafe, escal
 from firmware_model.feedforward import FeedForwardInput
 from firmware_model.law import step as law
 from firmware_model.law.constants import GRAVITY
+from firmware_model.law.ops import FLOAT
+from firmware_model.law.rotations import quat_to_matrix
+from firmware_model.offboard import Offboard
 from firmware_model.parameters import ParameterValues
 from firmware_model.player import Player
 from firmware_model.poses import PoseInput
 from firmware_model.readiness import GyroCalibration, refusal
+from firmware_model.setpoints import PositionTarget, Target, towards, turned
 from firmware_model.supervisor import FLYING, Event, State, update
 from firmware_model.uart import NEVER_US
 from firmware_model.watch import TOUCH_HEIGHT, Watch
@@ -36,18 +40,21 @@ FALL_US = 2_000_000
 """Time that rotors rest before a failsafe that stopped them ends."""
 _CRITICAL, _WARNING, _INFO = 2, 4, 6  # MAV_SEVERITY
 
-OBSERVED = (State.TRACKING, State.HOLD)
+OBSERVED = (State.TRACKING, State.HOLD, State.OFFBOARD)
 """States in which the disturbance observer runs, as it does in a take-off well above the floor. In a landing
 what it found stays: the floor would be taken for a disturbance.
 """
 _END = {
-    State.TAKEOFF: Event.CLIMBED,
     State.TRACKING: Event.REFERENCE_ENDED,
     State.HOLD: Event.HELD,
     State.LANDING: Event.TOUCHDOWN,
     State.FAILSAFE: Event.TOUCHDOWN,
 }
-"""What the end of a state's track means; for descents it is the timeout of touchdown."""
+"""What the end of a state's track means; for descents it is the timeout of touchdown. A takeoff knows itself
+what it is for.
+"""
+HARDEST = 8.0
+"""m/s^2 that a reference begins with at most where it takes over from commanded attitude."""
 
 
 class Flight:
@@ -85,6 +92,9 @@ class Flight:
         self._law_parameters = inputs["parameters"]
         self._saturated, self._cos_tilt = self.outputs["saturated"], self.outputs["cos_tilt"]
         self._player = Player(inputs["piece"], inputs["yaw_piece"])
+        self._offboard = Offboard(inputs["offboard"], parameters)
+        self._climb_end = Event.CLIMBED
+        self._bounded = False  # by the newest setpoint
         self.feedforward = FeedForwardInput(inputs["feedforward"], inputs["ff_accel_ned"])
 
         self.poses = PoseInput(inputs)
@@ -98,6 +108,7 @@ class Flight:
         for k, value in enumerate(memory):
             self._memory[k] = value
         self.feedforward.clear()
+        self._offboard.release()
         self.configure()
         self._rest(0)
 
@@ -113,16 +124,20 @@ class Flight:
 
     # Commands and measurements.
 
-    def command(self, event: Event, now_us: int) -> str | None:
-        """Why `event` was refused, None where it took effect."""
-        if event is Event.ARM and self.state is State.STANDBY:
-            reason = self._arm_refusal(now_us)
-            if reason is not None:
-                return reason
+    def command(self, event: Event, now_us: int, height_m: float | None = None) -> str | None:
+        """Why `event` was refused, None where it took effect. height_m: of a takeoff, None: TAKEOFF_HEIGHT."""
         outcome = update(self.state, event)
-        if outcome.refusal is None and outcome.state is not self.state:
-            self._enter(outcome.state, now_us)
-        return outcome.refusal
+        refusal = outcome.refusal or self._refusal(event, now_us)
+        if refusal is None and (outcome.state is not self.state or event is Event.HOLD):
+            self._enter(outcome.state, event, now_us, height_m)
+        return refusal
+
+    def setpoint(self, target: Target, now_us: int) -> None:
+        """Nothing comes back; the target is followed at once, or when setpoints are asked to be followed."""
+        self._offboard.offer(target, now_us)
+        if self.state is State.OFFBOARD:
+            self.watch.setpoint_us = now_us
+            self._follow(now_us)
 
     def pose(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
         """Whether the pose (NED; q_ned_frd, w first) measured at `time_us` will be used at the next tick."""
@@ -188,13 +203,14 @@ class Flight:
 
     # What the states do when they are entered.
 
-    def _enter(self, state: State, now_us: int) -> None:
+    def _enter(self, state: State, event: Event, now_us: int, height_m: float | None = None) -> None:
         before, self.state, self.state_us, self.changed = self.state, state, now_us, True
         self._flying = state in FLYING
         self._observing[0] = 1.0 if state in OBSERVED else 0.0
         self.watch.start(now_us)
-        reference = tuple(self.outputs["reference"])
-        yaw = reference[12]
+        self.watch.setpoint_us = self._offboard.heard_us if state is State.OFFBOARD else NEVER_US
+        node, yaw = self._present(now_us)
+        self._offboard.release()
         values = self.parameters
         if state is State.STANDBY:
             self.action = Action.NONE
@@ -206,31 +222,44 @@ class Flight:
             self.failsafe = Failsafe.NONE
             self.tracking_us = None
             self._tell(_INFO, "armed")
+            if self.reference is None:
+                self._tell(_WARNING, "no live reference: start will be refused")
         elif state is State.TAKEOFF:
-            self._take_off(now_us)
+            self._climb_end = Event.CLIMBED if event is Event.START else Event.RISEN
+            if before is State.ARMED:
+                self._take_off(now_us, height_m)
+            else:
+                self._go_to_start(node, yaw, now_us)
         elif state is State.TRACKING and self.reference is not None:
             self.tracking_us = now_us
             self._player.start(self.reference, now_us)
         elif state is State.HOLD:
-            end = (reference[0], reference[1], reference[2])
-            if self.reference is not None:
-                end, yaw = self.reference.end_ned, self.reference.end_yaw
-            duration_us = max(TICK_US, track.seconds_us(values["HOLD_S"]))
-            self._player.start(track.hold(end, yaw, duration_us), now_us)
+            self._hold(event, node, yaw, now_us)
+        elif state is State.OFFBOARD:
+            self._player.start(track.stop(node, yaw, deceleration=values["LAND_DECEL"]), now_us)
+            self._follow(now_us)
         elif state is State.LANDING:
-            self._land(now_us)
+            self._land(node, yaw, now_us)
 
-    def _take_off(self, now_us: int) -> None:
-        assert self.reference is not None, "arming without a reference is refused"
+    def _take_off(self, now_us: int, height_m: float | None) -> None:
         values, memory = self.parameters, self._memory
-        w, x, y, z = memory[law.EST_Q]
         p = (memory[0], memory[1], memory[2])
+        yaw = self._yaw()
         self._floor = p[2]
+        target, yaw_end = p, yaw
+        if self._climb_end is Event.RISEN:
+            height = values["TAKEOFF_HEIGHT"] if height_m is None else height_m
+            most = p[2] - values["FENCE_D_MIN"]
+            if height > most:
+                self._tell(_WARNING, f"takeoff bounded by the fence: {most:.2f} m")
+            target = (p[0], p[1], p[2] - min(height, most))
+        elif self.reference is not None:
+            target, yaw_end = self.reference.start_ned, self.reference.start_yaw
         climb = track.climb(
             p,
-            math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-            self.reference.start_ned,
-            self.reference.start_yaw,
+            yaw,
+            target,
+            yaw_end,
             speed=values["TAKEOFF_SPEED"],
             clear=values["TAKEOFF_CLEAR"],
             hover_us=max(TICK_US, track.seconds_us(values["HOVER_S"])),
@@ -239,23 +268,86 @@ class Flight:
         self._armed[0] = 1.0
         self._player.start(climb, now_us)
 
-    def _land(self, now_us: int) -> None:
-        reference = tuple(self.outputs["reference"])
+    def _go_to_start(self, node: track.Node, yaw: track.YawState, now_us: int) -> None:
+        assert self.reference is not None, "a start without a reference is refused"
+        values = self.parameters
+        way = track.transit(
+            node,
+            yaw,
+            self.reference.start_ned,
+            self.reference.start_yaw,
+            speed=values["TAKEOFF_SPEED"],
+            deceleration=values["LAND_DECEL"],
+            hover_us=max(TICK_US, track.seconds_us(values["HOVER_S"])),
+        )
+        self._player.start(way, now_us)
+
+    def _hold(self, event: Event, node: track.Node, yaw: track.YawState, now_us: int) -> None:
+        """At the end of a reference and where setpoints are lost for a time, else until told otherwise."""
+        values = self.parameters
+        hold_us = track.ENDLESS_US
+        if event is Event.REFERENCE_ENDED and self.reference is not None:
+            hold_us = max(TICK_US, track.seconds_us(values["HOLD_S"]))
+            end = track.hold(self.reference.end_ned, self.reference.end_yaw, hold_us)
+            self._player.start(end, now_us)
+            return
+        if event is Event.SETPOINTS_LOST:
+            hold_us = max(TICK_US, track.seconds_us(values["FS_OFFB_HOLD_S"]))
+        way = track.stop(node, yaw, deceleration=values["LAND_DECEL"], hold_us=hold_us)
+        self._player.start(way, now_us)
+
+    def _follow(self, now_us: int) -> None:
+        """The newest setpoint is what is flown from now on."""
+        offboard = self._offboard
+        target = offboard.target
+        if not isinstance(target, PositionTarget):
+            if target is not None:
+                offboard.drive(target)
+            return
+        if target == offboard.followed and target.rests:
+            return
+        node, yaw = self._present(now_us)
+        offboard.release()
+        offboard.followed = target
+        way, bounded = towards(turned(target, self._yaw()), node, yaw, offboard.bounds(self._floor))
+        if bounded and not self._bounded:
+            self._tell(_WARNING, "setpoint bounded by fence, floor or speed")
+        self._bounded = bounded
+        self._player.start(way, now_us)
+
+    def _present(self, now_us: int) -> tuple[track.Node, track.YawState]:
+        """The reference state (p, v, a, j) and yaw now; the vehicle's own where attitude is commanded."""
+        if not self._offboard.direct:
+            reference = self._player.reference(now_us)
+            return reference[:12], (reference[12], reference[13])
+        memory = self._memory
+        R = quat_to_matrix(FLOAT, memory[law.EST_Q])
+        thrust = self._thrust()
+        a = (-R[2] * thrust, -R[5] * thrust, GRAVITY - R[8] * thrust)
+        share = min(1.0, HARDEST / max(math.hypot(*a), 1e-9))
+        state = (*memory[law.EST_P], *memory[law.EST_V], *(share * x for x in a), 0.0, 0.0, 0.0)
+        return state, (self._yaw(), 0.0)
+
+    def _yaw(self) -> float:
+        w, x, y, z = self._memory[law.EST_Q]
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+    def _land(self, node: track.Node, yaw: track.YawState, now_us: int) -> None:
         descent = track.land(
-            reference[:12],
-            reference[12],
+            node,
+            yaw,
             floor=self._floor,
             speed=self.parameters["LAND_SPEED"],
             deceleration=self.parameters["LAND_DECEL"],
         )
         self._player.start(descent, now_us)
 
-    def _descend_level(self, now_us: int) -> None:
+    def _descend_level(self, yaw: float, now_us: int) -> None:
         memory = self._memory
         descent = track.level_descent(
             (memory[0], memory[1], memory[2]),
             (memory[3], memory[4], memory[5]),
-            self.outputs["reference"][12],
+            yaw,
             speed=self.parameters["FS_SINK_SPEED"],
             damped_us=BLIND_US,
             end_us=BLIND_END_US,
@@ -289,24 +381,25 @@ class Flight:
         self._tell(_CRITICAL, condition.text)
         if outcome.state is not State.FAILSAFE:
             self.failsafe = condition.failsafe
-            self._enter(outcome.state, now_us)
+            self._enter(outcome.state, condition.event, now_us)
             return
         if self.failsafe is Failsafe.NONE:
             self.failsafe = condition.failsafe
+        node, yaw = self._present(now_us)
         if self.state is not State.FAILSAFE:
-            self._enter(State.FAILSAFE, now_us)
+            self._enter(State.FAILSAFE, condition.event, now_us)
         self.changed = True
         self.action = escalate(self.action, condition)
         if self.action is Action.LAND_IN_PLACE:
-            self._land(now_us)
+            self._land(node, yaw, now_us)
         elif self.action is Action.LEVEL_DESCENT:
-            self._descend_level(now_us)
+            self._descend_level(yaw[0], now_us)
         elif self.action is Action.MOTORS_OFF:
             self._armed[0] = 0.0
             self._player.start(track.hold((0.0, 0.0, 0.0), 0.0, FALL_US), now_us)
 
     def _track_ended(self, now_us: int) -> None:
-        event = _END.get(self.state)
+        event = self._climb_end if self.state is State.TAKEOFF else _END.get(self.state)
         if event is None:
             return
         if event in BY_EVENT:
@@ -358,10 +451,26 @@ class Flight:
                 memory[law.EST_BIAS.start + k] = value
             self._tell(_INFO, "gyro calibrated")
 
+    def _refusal(self, event: Event, now_us: int) -> str | None:
+        """Why a command that the table allows is refused all the same."""
+        state = self.state
+        if event is Event.ARM and state is State.STANDBY:
+            return self._arm_refusal(now_us)
+        if event is Event.START and state is State.TAKEOFF and self._climb_end is Event.RISEN:
+            return "still taking off"
+        if event is Event.START and state in (State.ARMED, State.HOLD):
+            if self.tracking_us is not None:
+                return "the reference has been flown: land, then arm again"
+            if self.reference is None:
+                return "no live reference: upload one"
+            if not self.reference.rests:
+                return "reference not at rest at its ends"
+        if event is Event.OFFBOARD and not self._offboard.arriving(now_us):
+            return "no setpoints: stream them first"
+        return None
+
     def _arm_refusal(self, now_us: int) -> str | None:
         return refusal(
-            has_reference=self.reference is not None,
-            rests=self.reference is not None and self.reference.rests,
             calibrated=self.calibration.bias is not None,
             has_pose=self.poses.used > 0 and now_us - self.watch.pose_us <= self.watch.pose_lost_us,
             cos_tilt=self._cos_tilt[0],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from firmware_model.law.reference import cubic_at, septic_at
 from firmware_model.track import Track
 from firmware_model.uart import NEVER_US
 
@@ -38,6 +39,11 @@ class Player:
         """Nothing comes back; the track's first piece is in the inputs and time no longer ends it."""
         self.start(track, now_us)
         self.switch_us = NEVER_US
+
+    def reference(self, now_us: int) -> tuple[float, ...]:
+        """Position, velocity, acceleration, jerk (NED), yaw and yaw rate at `now_us`, 14 numbers."""
+        p, v, a, j, _ = septic_at(self.piece[1:], (now_us - self.piece_us) * 1e-6)
+        return (*p, *v, *a, *j, *cubic_at(self.yaw[1:], (now_us - self.yaw_us) * 1e-6))
 
     def switch(self, now_us: int) -> bool:
         """Whether the track has ended; if not, the inputs hold the present pieces until `switch_us`."""

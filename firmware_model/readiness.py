@@ -62,14 +62,8 @@ class GyroCalibration:
         return True
 
 
-def refusal(
-    *, has_reference: bool, rests: bool, calibrated: bool, has_pose: bool, cos_tilt: float
-) -> str | None:
-    """Why the vehicle must not arm, None where it may. rests: the reference, at both its ends."""
-    if not has_reference:
-        return "no live reference: upload one"
-    if not rests:
-        return "reference not at rest at its ends"
+def refusal(*, calibrated: bool, has_pose: bool, cos_tilt: float) -> str | None:
+    """Why the vehicle must not arm, None where it may."""
     if not calibrated:
         return "gyro not calibrated: keep still"
     if not has_pose:

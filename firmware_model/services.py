@@ -13,6 +13,7 @@ from firmware_model.commands import Commands
 from firmware_model.flight import Flight
 from firmware_model.parameter_service import ParameterService
 from firmware_model.parameters import ParameterValues
+from firmware_model.setpoint_service import SetpointService
 from firmware_model.telemetry import heartbeat
 from protocol import messages as m
 from protocol.messages import Message, mavlink
@@ -26,6 +27,9 @@ _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
     | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
 )
 
 
@@ -85,10 +89,13 @@ class Services:
             },
             on_upload=self._take,
         )
+        setpoints = SetpointService(take=flight.setpoint, text=self.text)
         self._handlers: dict[type, Callable[[Any, int], None]] = {
             m.Timesync: self._timesync,
             m.Ping: self._ping,
             m.CommandLong: commands.long,
+            m.SetPositionTarget: setpoints.position,
+            m.SetAttitudeTarget: setpoints.attitude,
             m.ParamRequestList: self._parameter_service.list,
             m.ParamRequestRead: self._parameter_service.read,
             m.ParamSet: self._parameter_service.set,

@@ -23,25 +23,44 @@ class State(IntEnum):
     HOLD = 5
     LANDING = 6
     FAILSAFE = 7
+    OFFBOARD = 8
 
 
 class Event(IntEnum):
     """What can happen to the vehicle: commands, ends of phases, failures."""
 
     BOOTED = 0
+    # Commands.
     ARM = 1
     START = 2
-    LAND = 3
-    DISARM = 4
-    KILL = 5
-    CLIMBED = 6
-    REFERENCE_ENDED = 7
-    HELD = 8
-    TOUCHDOWN = 9
-    IDLED = 10
-    MOCAP_LOST = 11
-    LINK_LOST = 12
-    TILTED = 13
+    TAKEOFF = 3
+    HOLD = 4
+    OFFBOARD = 5
+    LAND = 6
+    DISARM = 7
+    KILL = 8
+    # Ends of phases.
+    CLIMBED = 9  # at the first node of the reference
+    RISEN = 10  # at the height of a takeoff
+    REFERENCE_ENDED = 11
+    SETPOINTS_LOST = 12
+    HELD = 13
+    TOUCHDOWN = 14
+    IDLED = 15
+    # Failures.
+    TILTED = 16
+    IMU_STUCK = 17
+    MOCAP_LOST = 18
+    MOCAP_LATE = 19
+    LINK_LOST = 20
+    BATTERY_LOW = 21
+    SATURATED = 22
+    LOOP_OVERRUN = 23
+    FENCE_LEFT = 24
+
+
+COMMANDS = tuple(event for event in Event if Event.ARM <= event <= Event.KILL)
+FAILURES = tuple(event for event in Event if event >= Event.TILTED)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,156 +74,154 @@ class Outcome:
 _BOOTING = "still booting"
 _DISARMED = "not armed"
 _ON_FLOOR = "still on the floor"
+_ARM_FIRST = "arm first"
+_TAKE_OFF_FIRST = "take off first"
+_TAKING_OFF = "still taking off"
+_IN_AIR = "in the air already"
 _IN_FLIGHT = "in flight: land first, or force it"
-_NOT_CLIMBING = "no climb under way"
-_NOT_TRACKING = "no reference is being flown"
-_NOT_HOLDING = "not holding"
-_NOT_LANDING = "not landing"
-_BOOTED = "booted already"
-_NOT_IDLE = "not waiting on the floor"
+_LANDING = "landing"
+_LANDING_ALREADY = "landing in place already"
 _GROUNDED = "motors are off"
 _ENDING = "the flight is being ended by a failsafe"
 
 _S, _E = State, Event
-_ROWS: dict[State, dict[Event, State | str]] = {
+_Row = dict[Event, State | str]
+_IDLE: _Row = {
+    _E.BOOTED: "booted already",
+    _E.CLIMBED: "no climb under way",
+    _E.RISEN: "no climb under way",
+    _E.REFERENCE_ENDED: "no reference is being flown",
+    _E.SETPOINTS_LOST: "no setpoints are being followed",
+    _E.HELD: "not holding",
+    _E.TOUCHDOWN: "not landing",
+    _E.IDLED: "not waiting on the floor",
+}
+"""Ends of phases that are not under way; each state's row says which are."""
+_UNHARMED: _Row = dict.fromkeys(FAILURES, _GROUNDED)
+_FAILING: _Row = dict.fromkeys(FAILURES, _S.FAILSAFE)
+
+_ROWS: dict[State, _Row] = {
     _S.BOOT: {
+        **_IDLE,
+        **dict.fromkeys(COMMANDS, _BOOTING),
+        **_UNHARMED,
         _E.BOOTED: _S.STANDBY,
-        _E.ARM: _BOOTING,
-        _E.START: _BOOTING,
-        _E.LAND: _BOOTING,
-        _E.DISARM: _BOOTING,
-        _E.KILL: _BOOTING,
-        _E.CLIMBED: _NOT_CLIMBING,
-        _E.REFERENCE_ENDED: _NOT_TRACKING,
-        _E.HELD: _NOT_HOLDING,
-        _E.TOUCHDOWN: _NOT_LANDING,
-        _E.IDLED: _NOT_IDLE,
-        _E.MOCAP_LOST: _GROUNDED,
-        _E.LINK_LOST: _GROUNDED,
-        _E.TILTED: _GROUNDED,
     },
     _S.STANDBY: {
-        _E.BOOTED: _BOOTED,
+        **_IDLE,
+        **_UNHARMED,
         _E.ARM: _S.ARMED,
-        _E.START: "arm first",
+        _E.START: _ARM_FIRST,
+        _E.TAKEOFF: _ARM_FIRST,
+        _E.HOLD: _DISARMED,
+        _E.OFFBOARD: _DISARMED,
         _E.LAND: _DISARMED,
         _E.DISARM: _S.STANDBY,
         _E.KILL: _S.STANDBY,
-        _E.CLIMBED: _NOT_CLIMBING,
-        _E.REFERENCE_ENDED: _NOT_TRACKING,
-        _E.HELD: _NOT_HOLDING,
-        _E.TOUCHDOWN: _NOT_LANDING,
-        _E.IDLED: _NOT_IDLE,
-        _E.MOCAP_LOST: _GROUNDED,
-        _E.LINK_LOST: _GROUNDED,
-        _E.TILTED: _GROUNDED,
     },
     _S.ARMED: {
-        _E.BOOTED: _BOOTED,
+        **_IDLE,
+        **dict.fromkeys(FAILURES, _S.STANDBY),
         _E.ARM: _S.ARMED,
         _E.START: _S.TAKEOFF,
+        _E.TAKEOFF: _S.TAKEOFF,
+        _E.HOLD: _ON_FLOOR,
+        _E.OFFBOARD: _TAKE_OFF_FIRST,
         _E.LAND: _ON_FLOOR,
         _E.DISARM: _S.STANDBY,
         _E.KILL: _S.STANDBY,
-        _E.CLIMBED: _NOT_CLIMBING,
-        _E.REFERENCE_ENDED: _NOT_TRACKING,
-        _E.HELD: _NOT_HOLDING,
-        _E.TOUCHDOWN: _NOT_LANDING,
         _E.IDLED: _S.STANDBY,
-        _E.MOCAP_LOST: _S.STANDBY,
-        _E.LINK_LOST: _S.STANDBY,
-        _E.TILTED: _S.STANDBY,
     },
     _S.TAKEOFF: {
-        _E.BOOTED: _BOOTED,
+        **_IDLE,
+        **_FAILING,
         _E.ARM: _S.TAKEOFF,
         _E.START: _S.TAKEOFF,
+        _E.TAKEOFF: _S.TAKEOFF,
+        _E.HOLD: _S.HOLD,
+        _E.OFFBOARD: _TAKING_OFF,
         _E.LAND: _S.LANDING,
         _E.DISARM: _IN_FLIGHT,
         _E.KILL: _S.STANDBY,
         _E.CLIMBED: _S.TRACKING,
-        _E.REFERENCE_ENDED: _NOT_TRACKING,
-        _E.HELD: _NOT_HOLDING,
-        _E.TOUCHDOWN: _NOT_LANDING,
-        _E.IDLED: _NOT_IDLE,
-        _E.MOCAP_LOST: _S.FAILSAFE,
-        _E.LINK_LOST: _S.FAILSAFE,
-        _E.TILTED: _S.FAILSAFE,
+        _E.RISEN: _S.HOLD,
     },
     _S.TRACKING: {
-        _E.BOOTED: _BOOTED,
+        **_IDLE,
+        **_FAILING,
         _E.ARM: _S.TRACKING,
         _E.START: _S.TRACKING,
+        _E.TAKEOFF: _IN_AIR,
+        _E.HOLD: _S.HOLD,
+        _E.OFFBOARD: _S.OFFBOARD,
         _E.LAND: _S.LANDING,
         _E.DISARM: _IN_FLIGHT,
         _E.KILL: _S.STANDBY,
-        _E.CLIMBED: _NOT_CLIMBING,
         _E.REFERENCE_ENDED: _S.HOLD,
-        _E.HELD: _NOT_HOLDING,
-        _E.TOUCHDOWN: _NOT_LANDING,
-        _E.IDLED: _NOT_IDLE,
-        _E.MOCAP_LOST: _S.FAILSAFE,
-        _E.LINK_LOST: _S.FAILSAFE,
-        _E.TILTED: _S.FAILSAFE,
     },
     _S.HOLD: {
-        _E.BOOTED: _BOOTED,
+        **_IDLE,
+        **_FAILING,
         _E.ARM: _S.HOLD,
-        _E.START: "the reference has been flown: land, then arm again",
+        _E.START: _S.TAKEOFF,
+        _E.TAKEOFF: _IN_AIR,
+        _E.HOLD: _S.HOLD,
+        _E.OFFBOARD: _S.OFFBOARD,
         _E.LAND: _S.LANDING,
         _E.DISARM: _IN_FLIGHT,
         _E.KILL: _S.STANDBY,
-        _E.CLIMBED: _NOT_CLIMBING,
-        _E.REFERENCE_ENDED: _NOT_TRACKING,
         _E.HELD: _S.LANDING,
-        _E.TOUCHDOWN: _NOT_LANDING,
-        _E.IDLED: _NOT_IDLE,
-        _E.MOCAP_LOST: _S.FAILSAFE,
-        _E.LINK_LOST: _S.FAILSAFE,
-        _E.TILTED: _S.FAILSAFE,
+    },
+    _S.OFFBOARD: {
+        **_IDLE,
+        **_FAILING,
+        _E.ARM: _S.OFFBOARD,
+        _E.START: "following setpoints: hold first",
+        _E.TAKEOFF: _IN_AIR,
+        _E.HOLD: _S.HOLD,
+        _E.OFFBOARD: _S.OFFBOARD,
+        _E.LAND: _S.LANDING,
+        _E.DISARM: _IN_FLIGHT,
+        _E.KILL: _S.STANDBY,
+        _E.SETPOINTS_LOST: _S.HOLD,
     },
     _S.LANDING: {
-        _E.BOOTED: _BOOTED,
-        _E.ARM: "landing",
-        _E.START: "landing",
+        **_IDLE,
+        **_FAILING,
+        _E.ARM: _LANDING,
+        _E.START: _LANDING,
+        _E.TAKEOFF: _LANDING,
+        _E.HOLD: _LANDING,
+        _E.OFFBOARD: _LANDING,
         _E.LAND: _S.LANDING,
         _E.DISARM: _IN_FLIGHT,
         _E.KILL: _S.STANDBY,
-        _E.CLIMBED: _NOT_CLIMBING,
-        _E.REFERENCE_ENDED: _NOT_TRACKING,
-        _E.HELD: _NOT_HOLDING,
         _E.TOUCHDOWN: _S.STANDBY,
-        _E.IDLED: _NOT_IDLE,
-        _E.MOCAP_LOST: _S.FAILSAFE,
-        _E.LINK_LOST: "landing in place already",
-        _E.TILTED: _S.FAILSAFE,
+        # What would make it land in place does not stop a landing.
+        _E.MOCAP_LATE: _LANDING_ALREADY,
+        _E.LINK_LOST: _LANDING_ALREADY,
+        _E.BATTERY_LOW: _LANDING_ALREADY,
+        _E.SATURATED: _LANDING_ALREADY,
+        _E.LOOP_OVERRUN: _LANDING_ALREADY,
+        _E.FENCE_LEFT: _LANDING_ALREADY,
     },
     _S.FAILSAFE: {
-        _E.BOOTED: _BOOTED,
-        _E.ARM: _ENDING,
-        _E.START: _ENDING,
-        _E.LAND: _ENDING,
+        **_IDLE,
+        **dict.fromkeys(COMMANDS, _ENDING),
+        **_FAILING,
         _E.DISARM: _IN_FLIGHT,
         _E.KILL: _S.STANDBY,
-        _E.CLIMBED: _NOT_CLIMBING,
-        _E.REFERENCE_ENDED: _NOT_TRACKING,
-        _E.HELD: _NOT_HOLDING,
         _E.TOUCHDOWN: _S.STANDBY,
-        _E.IDLED: _NOT_IDLE,
-        _E.MOCAP_LOST: _S.FAILSAFE,
-        _E.LINK_LOST: _S.FAILSAFE,
-        _E.TILTED: _S.FAILSAFE,
     },
 }
 
-FLYING = frozenset({State.TAKEOFF, State.TRACKING, State.HOLD, State.LANDING, State.FAILSAFE})
+FLYING = frozenset(State) - {State.BOOT, State.STANDBY, State.ARMED}
 """States in which the rotors may turn."""
 
 
 def _checked(rows: Mapping[State, Mapping[Event, State | str]]) -> Mapping[tuple[State, Event], Outcome]:
     """The table by (state, event), after its own identities have been checked."""
     table: dict[tuple[State, Event], Outcome] = {}
-    failures = {Event.MOCAP_LOST, Event.LINK_LOST, Event.TILTED}
     for state in State:
         for event in Event:
             cell = rows[state][event]  # a missing pair is a KeyError on import
@@ -215,9 +232,9 @@ def _checked(rows: Mapping[State, Mapping[Event, State | str]]) -> Mapping[tuple
             assert cell is not State.BOOT, "only power leads into boot"
             if cell is State.FAILSAFE:
                 assert state in FLYING, "a failsafe flies the vehicle: on the floor it disarms"
-                assert event in failures, "only a failure leads into failsafe"
+                assert event in FAILURES, "only a failure leads into failsafe"
             elif state in FLYING:
-                assert event not in failures, "a failure in the air leads nowhere else"
+                assert event not in FAILURES, "a failure in the air leads nowhere else"
     return MappingProxyType(table)
 
 

@@ -24,6 +24,8 @@ from firmware_model.law.reference import (
 
 Vector = tuple[float, float, float]
 Node = tuple[float, ...]
+YawState = tuple[float, float]
+"""Yaw and yaw rate."""
 
 SEPTIC_PEAK = 35.0 / 16.0
 """Peak speed over mean speed of a septic from rest to rest."""
@@ -31,8 +33,12 @@ QUINTIC_PEAK = 15.0 / 8.0
 """Peak acceleration over mean acceleration where the speed goes by a quintic."""
 BRAKING = 5.0
 """m/s^2 at which a descent without position takes the speed out."""
+TURN_US = 500_000
+"""Time in which a turn that nothing continues ends."""
 SINK = 1.5
 """m/s^2 by which thrust falls short of hover once velocity is unknown too."""
+ENDLESS_US = 1_000_000_000_000
+"""How long something lasts that nothing but an event ends: eleven days."""
 _ZERO: Vector = (0.0, 0.0, 0.0)
 
 
@@ -116,18 +122,53 @@ def climb(
     height. Peak speed is `speed`, but no piece is shorter than a second and a half. Yaw turns the short way
     round.
     """
-    corners = [p]
+    corners = [target]
     if math.hypot(target[0] - p[0], target[1] - p[1]) > clear:
-        corners.append((p[0], p[1], target[2]))
-    corners.append(target)
-    t_us = 0
-    nodes: list[tuple[int, Node]] = [(0, _rest(p))]
-    for a, b in pairwise(corners):
-        t_us += seconds_us(max(1.5, SEPTIC_PEAK * math.dist(a, b) / speed))
-        nodes.append((t_us, _rest(b)))
-    turn = math.remainder(yaw_end - yaw, 2.0 * math.pi)
-    nodes.append((t_us + hover_us, _rest(target)))
-    return track(nodes, [(0, yaw_end - turn, 0.0), (t_us, yaw_end, 0.0)])
+        corners.insert(0, (p[0], p[1], target[2]))
+    return _legs([(0, _rest(p))], (yaw, 0.0), corners, yaw_end, speed=speed, hover_us=hover_us)
+
+
+def transit(
+    state: Node,
+    yaw: YawState,
+    target: Vector,
+    yaw_end: float,
+    *,
+    speed: float,
+    deceleration: float,
+    hover_us: int,
+) -> Track:
+    """From the reference state (p, v, a, j) in the air to a stop, then straight to rest at `target`; hover.
+
+    Speeds, times and yaw as `climb` has them.
+    """
+    nodes = _stopping(state, deceleration)
+    return _legs(nodes, yaw, [target], yaw_end, speed=speed, hover_us=hover_us)
+
+
+def _legs(
+    nodes: list[tuple[int, Node]],
+    yaw: YawState,
+    corners: Sequence[Vector],
+    yaw_end: float,
+    *,
+    speed: float,
+    hover_us: int,
+) -> Track:
+    """Septic pieces from rest to rest from the last node through the corners, then hover."""
+    turn_us, turn_from, _ = turning = _turning(*yaw)[-1]
+    t_us, last = nodes[-1]
+    p = _position(last)
+    for corner in corners:
+        t_us += seconds_us(max(1.5, SEPTIC_PEAK * math.dist(p, corner) / speed))
+        nodes.append((t_us, _rest(corner)))
+        p = corner
+    nodes.append((t_us + hover_us, _rest(p)))
+    yaws = [(0, *yaw), turning] if turn_us else [turning]
+    turn = math.remainder(yaw_end - turn_from, 2.0 * math.pi)
+    # The reference's own yaw at the end: what was turned so far is counted from there.
+    yaws = [(at_us, yaw_end - turn + (value - turn_from), rate) for at_us, value, rate in yaws]
+    return track(nodes, [*yaws, (t_us, yaw_end, 0.0)])
 
 
 def hold(p: Vector, yaw: float, duration_us: int) -> Track:
@@ -135,19 +176,22 @@ def hold(p: Vector, yaw: float, duration_us: int) -> Track:
     return track([(0, _rest(p)), (duration_us, _rest(p))], [(0, yaw, 0.0)])
 
 
-def land(state: Node, yaw: float, *, floor: float, speed: float, deceleration: float) -> Track:
+def stop(state: Node, yaw: YawState, *, deceleration: float, hold_us: int = ENDLESS_US) -> Track:
+    """From the reference state (p, v, a, j) to a stop, then at rest for `hold_us`."""
+    nodes = _stopping(state, deceleration)
+    t_us, last = nodes[-1]
+    nodes[-1] = (t_us, _rest(_position(last)))
+    return track([*nodes, (t_us + hold_us, nodes[-1][1])], _turning(*yaw))
+
+
+def land(state: Node, yaw: YawState, *, floor: float, speed: float, deceleration: float) -> Track:
     """From the reference state (p, v, a, j) to a stop, then straight down at `speed` to 1 m below `floor`.
 
     A vehicle at rest begins to descend at once. The end of the track is a timeout: touchdown comes before.
     """
-    t_us = 0
-    nodes: list[tuple[int, Node]] = [(0, state)]
-    p = _position(state)
-    velocity: Vector = (state[3], state[4], state[5])
-    if math.hypot(*velocity) > 0.05 or math.hypot(*state[6:9]) > 0.05:
-        t_us = seconds_us(max(0.8, QUINTIC_PEAK * math.hypot(*velocity) / deceleration))
-        p = _coast(state, _ZERO, t_us * 1e-6)
-        nodes.append((t_us, _rest(p)))
+    nodes = _stopping(state, deceleration, still=0.05)
+    t_us, last = nodes[-1]
+    p = _position(last)
     down: Vector = (0.0, 0.0, speed)
     t_us += 1_000_000
     p = _below(p, 0.5 * speed)
@@ -155,7 +199,7 @@ def land(state: Node, yaw: float, *, floor: float, speed: float, deceleration: f
     rest_us = seconds_us(max(1.0, (floor + 1.0 - p[2]) / speed))
     p = _below(p, speed * rest_us * 1e-6)
     nodes.append((t_us + rest_us, (*p, *down, *_ZERO, *_ZERO)))
-    return track(nodes, [(0, yaw, 0.0)])
+    return track(nodes, _turning(*yaw))
 
 
 def level_descent(
@@ -169,7 +213,7 @@ def level_descent(
     down: Vector = (0.0, 0.0, speed)
     brake_us = seconds_us(max(1.0, QUINTIC_PEAK * math.dist(velocity, down) / BRAKING))
     start: Node = (*p, *velocity, *_ZERO, *_ZERO)
-    p1 = _coast(start, down, brake_us * 1e-6)
+    p1 = coast(start, down, brake_us * 1e-6)
     damped_us = max(damped_us, brake_us + 100_000)
     p2 = _below(p1, speed * (damped_us - brake_us) * 1e-6)
     p3 = _below(p2, speed + 0.15 * SINK)  # 3 s^2 - 2 s^3, integrated twice
@@ -193,19 +237,35 @@ def seconds_us(seconds: float) -> int:
     return 1000 * math.ceil(1000.0 * seconds - 1e-9)
 
 
-def _coast(state: Node, velocity: Vector, dt_s: float) -> Vector:
+def coast(state: Node, velocity: Vector, dt_s: float, acceleration: Vector = _ZERO) -> Vector:
     """Where a vehicle ends whose velocity goes from the state's to `velocity` by a quintic within `dt_s`.
 
-    Integral of the quintic Hermite polynomial from the state's v, a, j to `velocity`, 0, 0.
+    Integral of the quintic Hermite polynomial from the state's v, a, j to `velocity`, `acceleration`, 0.
     """
     x, y, z = (
         state[i]
         + dt_s * (state[3 + i] + velocity[i]) / 2.0
-        + dt_s**2 * state[6 + i] / 10.0
+        + dt_s**2 * (state[6 + i] - acceleration[i]) / 10.0
         + dt_s**3 * state[9 + i] / 120.0
         for i in range(3)
     )
     return (x, y, z)
+
+
+def _stopping(state: Node, deceleration: float, still: float = 1e-9) -> list[tuple[int, Node]]:
+    """Nodes from the state to rest; the state alone where neither speed nor acceleration exceeds `still`."""
+    speed = math.hypot(*state[3:6])
+    if speed <= still and math.hypot(*state[6:9]) <= still:
+        return [(0, state)]
+    t_us = seconds_us(max(0.8, QUINTIC_PEAK * speed / deceleration))
+    return [(0, state), (t_us, _rest(coast(state, _ZERO, t_us * 1e-6)))]
+
+
+def _turning(yaw: float, rate: float) -> list[tuple[int, float, float]]:
+    """Yaw nodes from this yaw and rate to a yaw that is held."""
+    if rate == 0.0:
+        return [(0, yaw, 0.0)]
+    return [(0, yaw, rate), (TURN_US, yaw + 0.5e-6 * TURN_US * rate, 0.0)]
 
 
 def _position(node: Node) -> Vector:

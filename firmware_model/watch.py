@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
-from firmware_model.failsafe import CONDITIONS, Condition, Failsafe
+from firmware_model.failsafe import CONDITIONS, Condition
 from firmware_model.parameters import ParameterValues
+from firmware_model.supervisor import Event
+from firmware_model.uart import NEVER_US
 
 TOUCH_HEIGHT = 0.25
 """m above the floor below which a descent may have ended."""
@@ -28,6 +30,7 @@ class Watch:
     def __init__(self, parameters: ParameterValues) -> None:
         self.pose_us = 0
         self.host_us = 0
+        self.setpoint_us = NEVER_US  # where none are followed, none are lost
         self._level_us = 0  # when tilt was last within bounds
         self._aloft_us = 0  # when there was last no sign of touchdown
         self.thrust_ratio = 1.0  # real over commanded thrust, as last seen in normal flight
@@ -50,11 +53,12 @@ class Watch:
         if cos_tilt >= self._cos_tilt:
             self._level_us = now_us
         since = {
-            Failsafe.TILT: self._level_us,
-            Failsafe.MOCAP_LOST: self.pose_us,
-            Failsafe.LINK_LOST: self.host_us,
+            Event.TILTED: self._level_us,
+            Event.MOCAP_LOST: self.pose_us,
+            Event.LINK_LOST: self.host_us,
+            Event.SETPOINTS_LOST: self.setpoint_us,
         }
-        return [row for row, timeout_us in self._timeouts if now_us - since[row.failsafe] > timeout_us]
+        return [row for row, timeout_us in self._timeouts if now_us - since[row.event] > timeout_us]
 
     def landed(self, now_us: int, *, height: float, speed: float, descending: bool) -> bool:
         """Whether a vehicle that knows its height (m) and speed (m/s) has come down."""

@@ -147,16 +147,30 @@ PARAMETERS: tuple[Parameter, ...] = (
     _row(
         "TAKEOFF_CLEAR", 0.3, "m", 0.0, 100.0, "a first node further to the side is climbed to upright first"
     ),
+    _row("TAKEOFF_HEIGHT", 1.0, "m", 0.3, 100.0, "height of a takeoff that names none"),
     _row("HOVER_S", 1.0, "s", 0.0, 60.0, "hover before tracking"),
     _row("HOLD_S", 1.0, "s", 0.0, 600.0, "hold after the last node"),
     _row("LAND_SPEED", 0.5, "m/s", 0.05, 5.0, "speed of the descent"),
     _row("LAND_DECEL", 4.0, "m/s^2", 0.1, 50.0, "greatest deceleration to a stop before an early landing"),
     _row("IDLE_S", 30.0, "s", 1.0, 3600.0, "time armed on the floor after which the vehicle disarms"),
+    _row("OFFB_ACCEL", 4.0, "m/s^2", 0.1, 50.0, "greatest acceleration towards a setpoint"),
     # Failsafes.
     _row("FS_TILT_DEG", 85.0, "deg", 10.0, 180.0, "tilt that counts as loss of control"),
     _row("FS_TILT_S", 0.3, "s", 0.001, 60.0, "time beyond FS_TILT_DEG before the motors stop"),
     _row("FS_MOCAP_S", 0.5, "s", 0.01, 60.0, "time without a pose before the vehicle descends level"),
     _row("FS_LINK_S", 3.0, "s", 0.1, 3600.0, "time without a message of the host before the vehicle lands"),
+    _row("FS_AGE_S", 0.1, "s", 0.01, 10.0, "age of the newest pose used that counts as late"),
+    _row("FS_LATE_S", 1.0, "s", 0.01, 60.0, "time that poses are late before the vehicle lands"),
+    _row("FS_OFFB_S", 0.5, "s", 0.05, 60.0, "time without a setpoint before the vehicle holds"),
+    _row("FS_OFFB_HOLD_S", 10.0, "s", 0.0, 3600.0, "hold after the last setpoint before the vehicle lands"),
+    _row("FS_BAT_SHARE", 0.1, "", 0.0, 1.0, "share from empty to full voltage that counts as low, 0 for off"),
+    _row("FS_BAT_S", 3.0, "s", 0.1, 600.0, "time constant that the battery's voltage is smoothed by"),
+    _row("FS_SAT_S", 1.5, "s", 0.05, 60.0, "time with saturated motors before the vehicle lands"),
+    _row("FS_IMU_S", 0.05, "s", 0.0, 60.0, "time with an unchanging IMU before the motors stop, 0 for off"),
+    _row("FS_LOOP_MAX", 100, "", 1, 10000, "late ticks within FS_LOOP_S that are too many", integer=True),
+    _row("FS_LOOP_S", 1.0, "s", 0.01, 600.0, "time over which late ticks are counted"),
+    _row("FS_FENCE_M", 0.5, "m", 0.0, 1000.0, "distance beyond the flight volume that is too far"),
+    _row("FS_FENCE_S", 0.5, "s", 0.0, 60.0, "time beyond it before the vehicle lands"),
     _row("FS_SINK_SPEED", 0.7, "m/s", 0.05, 5.0, "speed of the level descent without position"),
 )
 

@@ -71,8 +71,32 @@ def control(
 ) -> tuple[Scalar, Vector, Vector, Vector]:
     """Collective thrust (N), torque (N m), commanded body rate (rad/s), the integral's derivative (rad/s^3).
 
+    Both loops, one after the other; see `outer_loop` and `rate_loop` for what they take.
+    """
+    collective, rate_cmd = outer_loop(
+        ops, gains, model, p, v, R, ref, ff_accel, weights, ff_jerk, attitude_offset
+    )
+    torque, integral_dot = rate_loop(gains, model, rate, rate_filtered, integral, rate_cmd)
+    return collective, torque, rate_cmd, integral_dot
+
+
+def outer_loop(
+    ops: Ops,
+    gains: Gains,
+    model: Body,
+    p: Vector,
+    v: Vector,
+    R: Vector,
+    ref: Reference,
+    ff_accel: Vector = (0.0, 0.0, 0.0),
+    weights: Vector = (1.0, 1.0),
+    ff_jerk: Vector = (0.0, 0.0, 0.0),
+    attitude_offset: Vector = (0.0, 0.0),
+) -> tuple[Scalar, Vector]:
+    """Collective thrust (N) and commanded body rate (rad/s) that follow the reference.
+
     Args:
-        p, v: NED. R: R_ned_frd, 9 scalars. rate, rate_filtered, integral (rad/s^2): FRD.
+        p, v: NED. R: R_ned_frd, 9 scalars.
         ff_accel, ff_jerk: predicted residual acceleration, with the observed one added, and the predicted
             one's derivative, NED.
         weights: of position and of velocity feedback.
@@ -97,8 +121,16 @@ def control(
     error = attitude_error(heading_matrix(at), R)
     error = (error[0] - attitude_offset[0], error[1] - attitude_offset[1], error[2])
     ahead = heading_rates(at, [ff_jerk[i] - ref.j[i] for i in range(3)], ref.yaw_rate)
-    rate_cmd = [w - k * e for w, k, e in zip(ahead, gains.attitude, error, strict=True)]
+    return collective, [w - k * e for w, k, e in zip(ahead, gains.attitude, error, strict=True)]
 
+
+def rate_loop(
+    gains: Gains, model: Body, rate: Vector, rate_filtered: Vector, integral: Vector, rate_cmd: Vector
+) -> tuple[Vector, Vector]:
+    """Torque (N m) that brings the body rate to its command, and the integral's derivative (rad/s^3).
+
+    rate, rate_filtered, rate_cmd (rad/s), integral (rad/s^2): FRD.
+    """
     rate_error = [command - w for command, w in zip(rate_cmd, rate, strict=True)]
     jx, jy, jz = model.inertia
     spin = cross(rate, (jx * rate[0], jy * rate[1], jz * rate[2]))
@@ -108,4 +140,4 @@ def control(
         wanted = gains.rate[i] * rate_error[i] + integral[i] - gains.rate_derivative[i] * slope
         torque.append(inertia * wanted + spin[i])
     integral_dot = [k * e for k, e in zip(gains.rate_integral, rate_error, strict=True)]
-    return collective, torque, rate_cmd, integral_dot
+    return torque, integral_dot

@@ -18,13 +18,13 @@ from firmware_model.law.allocation import (
     invert4,
     thrust_to_command,
 )
-from firmware_model.law.dfbc import Gains, Reference, control
+from firmware_model.law.dfbc import Gains, Reference, outer_loop, rate_loop
 from firmware_model.law.estimator import Estimate, EstimatorGains, correct, predict
 from firmware_model.law.flatness import Body, flat_attitude, flat_rates
 from firmware_model.law.observer import disturbance_seen, lagged_thrust, observe
 from firmware_model.law.ops import Ops, Scalar, Vector
 from firmware_model.law.reference import CUBIC_SIZE, SEPTIC_SIZE, cubic_at, septic_at
-from firmware_model.law.rotations import quat_to_matrix
+from firmware_model.law.rotations import attitude_error, quat_to_matrix
 
 TICK_S = 0.001
 MOTOR_COUNTS = 65536.0
@@ -92,6 +92,12 @@ PARAMETERS: tuple[str, ...] = (*_DIRECT, *(f"ALLOCATION_{k}" for k in range(TABL
 _AT = {name: k for k, name in enumerate(PARAMETERS)}
 _ALLOCATION = slice(_AT["ALLOCATION_0"], None)
 
+OFFBOARD_SIZE = 10
+"""Block `offboard`: 1 where the commands below take the outer loop's place; collective thrust (N); body rate
+(rad/s, FRD); weight of the attitude error; attitude q_ned_frd, a unit quaternion.
+"""
+NO_OFFBOARD = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
 INPUTS: tuple[Block, ...] = (
     Block(name="memory", size=MEMORY_SIZE),
     Block(name="gyro", size=3),
@@ -106,6 +112,7 @@ INPUTS: tuple[Block, ...] = (
     Block(name="feedback_weights", size=2),
     Block(name="piece", size=1 + SEPTIC_SIZE),  # time inside (s), coefficients
     Block(name="yaw_piece", size=1 + CUBIC_SIZE),
+    Block(name="offboard", size=OFFBOARD_SIZE),
     Block(name="feedforward", size=feedforward.FF_SIZE),
     Block(name="ff_accel_ned", size=3),
     Block(name="parameters", size=len(PARAMETERS)),
@@ -205,9 +212,9 @@ def feedforward_terms(ops: Ops, block: Vector, ref: Reference, ff_accel_ned: Vec
 
 
 def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
-    """The output blocks of one tick. `mocap_new`, `armed` and `observing` are 0 or 1; inputs must be finite.
+    """The output blocks of one tick; inputs must be finite.
 
-    Where `observing` is 0 the observer's estimate stays as it is.
+    `mocap_new`, `armed`, `observing` and the first value of `offboard` are 0 or 1. Where `observing` is 0 the observer's estimate stays as it is.
     """
     memory, parameters = inputs["memory"], inputs["parameters"]
     gyro, force, block = inputs["gyro"], inputs["specific_force"], inputs["feedforward"]
@@ -241,12 +248,15 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
 
     # Controller.
     k = gains(parameters)
-    filtered = memory[RATE_FILTERED]
-    integral = memory[RATE_INTEGRAL]
-    collective, torque, rate_cmd, integral_dot = control(
-        ops, k, body(parameters), est.p, est.v, R, rate, filtered, integral, ref, ff_accel,
+    model = body(parameters)
+    collective, rate_cmd = outer_loop(
+        ops, k, model, est.p, est.v, R, ref, ff_accel,
         inputs["feedback_weights"], ff_jerk, block[feedforward.ATTITUDE_OFFSET],
     )  # fmt: skip
+    collective, rate_cmd = _offboard(ops, k, inputs["offboard"], R, collective, rate_cmd)
+    filtered = memory[RATE_FILTERED]
+    integral = memory[RATE_INTEGRAL]
+    torque, integral_dot = rate_loop(k, model, rate, filtered, integral, rate_cmd)
     gain = block[feedforward.GAIN]
     command, thrust, saturated = motors(ops, parameters, collective, torque, gain)
 
@@ -281,3 +291,16 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
         "reference": [*p_r, *v_r, *a_r, *j_r, yaw, yaw_rate],
         "cos_tilt": [R[8]],
     }
+
+
+def _offboard(
+    ops: Ops, k: Gains, block: Vector, R: Vector, collective: Scalar, rate_cmd: Vector
+) -> tuple[Scalar, list[Scalar]]:
+    """Collective thrust and body rate: as the block commands where it is switched on, else as given."""
+    direct = block[0] > 0.5
+    error = attitude_error(quat_to_matrix(ops, block[6:10]), R)
+    asked = [w - block[5] * gain * e for w, gain, e in zip(block[2:5], k.attitude, error, strict=True)]
+    return (
+        ops.where(direct, block[1], collective),
+        [ops.where(direct, a, w) for a, w in zip(asked, rate_cmd, strict=True)],
+    )

@@ -55,6 +55,7 @@ PHASES = {
     mavlink.TRIMTAB_STATE_HOLD: "hold",
     mavlink.TRIMTAB_STATE_LANDING: "landing",
     mavlink.TRIMTAB_STATE_FAILSAFE: "failsafe",
+    mavlink.TRIMTAB_STATE_OFFBOARD: "offboard",
 }
 ON_REQUEST = "landing on request"
 """The phase after an interrupt, until the vehicle says that it lands."""

@@ -22,7 +22,16 @@ from protocol.telemetry import TICK_US
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 LEVELS = ("motor", "thrust-torque", "reference")
-FAILSAFE_WORDS = {"mocap-lost": "mocap lost", "link-lost": "link lost", "tilt": "tilted too far"}
+FAILSAFE_WORDS = {
+    "mocap-lost": "mocap lost",
+    "link-lost": "link lost",
+    "tilt": "tilted too far",
+    "battery-low": "battery low",
+    "saturated": "motors saturated for long",
+    "imu-stuck": "IMU stuck",
+    "loop-overrun": "ticks too late too often",
+    "geofence": "outside the flight volume",
+}
 """The failsafes by name, in words for people."""
 
 

@@ -95,6 +95,7 @@ class Status(_message.Message):
         HOLD: _ClassVar[Status.State]
         LANDING: _ClassVar[Status.State]
         FAILSAFE: _ClassVar[Status.State]
+        OFFBOARD: _ClassVar[Status.State]
     BOOT: Status.State
     STANDBY: Status.State
     ARMED: Status.State
@@ -103,16 +104,27 @@ class Status(_message.Message):
     HOLD: Status.State
     LANDING: Status.State
     FAILSAFE: Status.State
+    OFFBOARD: Status.State
     class Failsafe(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         NONE: _ClassVar[Status.Failsafe]
         MOCAP_LOST: _ClassVar[Status.Failsafe]
         LINK_LOST: _ClassVar[Status.Failsafe]
         TILT: _ClassVar[Status.Failsafe]
+        BATTERY_LOW: _ClassVar[Status.Failsafe]
+        SATURATED: _ClassVar[Status.Failsafe]
+        IMU_STUCK: _ClassVar[Status.Failsafe]
+        LOOP_OVERRUN: _ClassVar[Status.Failsafe]
+        GEOFENCE: _ClassVar[Status.Failsafe]
     NONE: Status.Failsafe
     MOCAP_LOST: Status.Failsafe
     LINK_LOST: Status.Failsafe
     TILT: Status.Failsafe
+    BATTERY_LOW: Status.Failsafe
+    SATURATED: Status.Failsafe
+    IMU_STUCK: Status.Failsafe
+    LOOP_OVERRUN: Status.Failsafe
+    GEOFENCE: Status.Failsafe
     SOURCE_US_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     FAILSAFE_FIELD_NUMBER: _ClassVar[int]

@@ -67,10 +67,14 @@ def test_gyro_calibration_finds_the_bias_before_the_flight(make_rig):
     assert list(rig.flight._memory[law.EST_BIAS]) == pytest.approx(rig.gyro_bias, abs=1e-3)
 
 
-def test_arm_without_reference_is_refused_with_the_reason(make_rig):
+def test_start_without_reference_is_refused_with_the_reason_and_arming_warns(make_rig):
     rig = make_rig(reference=False)
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) == "no live reference: upload one"
+    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    rig.tick()
+    assert "no live reference: start will be refused" in rig.texts
+    assert rig.flight.command(Event.START, rig.now_us) == "no live reference: upload one"
+    assert rig.flight.state is State.ARMED
 
 
 def test_arm_without_mocap_is_refused_with_the_reason(make_rig):

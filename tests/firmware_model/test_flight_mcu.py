@@ -17,11 +17,12 @@ from protocol.telemetry import IntervalDecoder
 from protocol.upload import UploadSender
 
 VEHICLE_ID = "0123456789ab"
-ALL_STATES = list(State)
+PLANNED = [state for state in State if state not in (State.FAILSAFE, State.OFFBOARD)]
+"""What a flight along a reference goes through, in order."""
 
 
 def test_session_over_bytes_flies_every_phase(flown):
-    assert flown.seen == [s for s in ALL_STATES if s is not State.FAILSAFE] + [State.STANDBY]
+    assert flown.seen == [*PLANNED, State.STANDBY]
     assert flown.sender.state.name == "DONE"
     assert flown.body.p[2] == 0.0
 
@@ -65,7 +66,7 @@ def test_status_marks_phases_and_the_reference_on_board(flown, make_blob):
     by_state = {}
     for status in flown.received(m.FcStatus):
         by_state.setdefault(State(status.state), status)
-    assert set(by_state) == set(ALL_STATES) - {State.FAILSAFE}
+    assert set(by_state) == set(PLANNED)
     tracking = by_state[State.TRACKING]
     assert tracking.reference_tick == tracking.state_tick
     assert by_state[State.TAKEOFF].reference_tick == m.NO_TICK
@@ -114,14 +115,25 @@ def test_flight_over_air_that_loses_a_fifth_still_ends_well(make_session, make_b
     assert session.host.lost > 100
 
 
-def test_arm_refused_says_why(make_session):
+def test_arm_and_start_refused_say_why(make_session):
     session = make_session()
+    session.mocap = False
     session.run(1.0)
     session.command(400, 1.0)
     session.run(0.2)
     ack = session.received(m.CommandAck)[-1]
     assert ack.result == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
-    assert "arm refused: no live reference: upload one" in session.texts()
+    assert "arm refused: no mocap" in session.texts()
+    session.mocap = True
+    session.run(0.2)
+    session.command(400, 1.0)
+    session.run_to(State.ARMED, 1.0)
+    session.command(300)
+    session.run(0.2)
+    ack = session.received(m.CommandAck)[-1]
+    assert (ack.command, ack.result) == (300, mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
+    assert "start refused: no live reference: upload one" in session.texts()
+    assert session.flight.state is State.ARMED
 
 
 def test_command_unknown_is_unsupported(make_session):
@@ -246,8 +258,11 @@ def test_param_set_of_a_limit_renews_the_verdict_on_the_live_reference(make_sess
     )
     assert session.texts()[refused + 1].endswith(" above 0.5 m/s")
     session.command(400, 1.0)
+    session.command(300)
     session.run(0.1)
-    assert "arm refused: no live reference: upload one" in session.texts()
+    assert "start refused: no live reference: upload one" in session.texts()
+    session.command(400, 0.0)
+    session.run(0.1)
     session.send(m.ParamSet(1, 1, b"LIM_SPEED", 5.0, 9))
     session.run(0.1)
     session.command(400, 1.0)
@@ -284,7 +299,7 @@ def test_upload_too_fast_is_refused_with_node_and_reason_and_nothing_goes_live(m
     assert session.store.staged(Kind.REFERENCE) is None
 
 
-def test_reference_with_moving_ends_is_taken_but_never_armed(make_session):
+def test_reference_with_moving_ends_is_taken_but_never_started(make_session):
     """From rest on the floor there is no way into it."""
     session = make_session()
     session.run(0.5)
@@ -293,9 +308,10 @@ def test_reference_with_moving_ends_is_taken_but_never_armed(make_session):
     assert session.put(moving).state.name == "DONE"
     session.run(0.5)
     session.command(400, 1.0)
+    session.command(300)
     session.run(0.2)
-    assert "arm refused: reference not at rest at its ends" in session.texts()
-    assert session.flight.state is State.STANDBY
+    assert "start refused: reference not at rest at its ends" in session.texts()
+    assert session.flight.state is State.ARMED
 
 
 def test_upload_for_another_vehicle_is_refused(make_session, make_blob):
@@ -359,9 +375,10 @@ def test_power_cycle_with_stricter_limits_refuses_what_is_live(make_session, mak
     again = make_session(store=session.store, parameters={"LIM_SPEED": 0.5})
     again.run(1.0)
     again.command(400, 1.0)
+    again.command(300)
     again.run(0.2)
     assert any(text.startswith("live blob refused") for text in again.texts())
-    assert "arm refused: no live reference: upload one" in again.texts()
+    assert "start refused: no live reference: upload one" in again.texts()
 
 
 def test_feedforward_reaches_the_law_and_an_absurd_one_does_not(make_session):

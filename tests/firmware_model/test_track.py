@@ -71,7 +71,7 @@ def test_hold_stays():
 
 
 def test_land_from_rest_goes_straight_down_through_the_floor():
-    t = land((1.0, 2.0, -1.5, *REST), 0.3, floor=0.0, speed=0.5, deceleration=5.0)
+    t = land((1.0, 2.0, -1.5, *REST), (0.3, 0.0), floor=0.0, speed=0.5, deceleration=5.0)
     assert_pieces_join(t)
     end, v, *_ = septic(t.blocks[-1], durations(t)[-1])
     np.testing.assert_allclose(end, [1.0, 2.0, 1.0], atol=1e-3)
@@ -82,7 +82,7 @@ def test_land_from_rest_goes_straight_down_through_the_floor():
 
 def test_land_at_speed_brakes_within_its_deceleration_first():
     state = (0.0, 0.0, -2.0, 5.0, 0.0, 0.0, *(0.0,) * 6)
-    t = land(state, 0.0, floor=0.0, speed=0.5, deceleration=5.0)
+    t = land(state, (0.0, 0.0), floor=0.0, speed=0.5, deceleration=5.0)
     assert_pieces_join(t)
     accelerations = [np.linalg.norm(a) for _, _, a, _ in sampled(t)]
     assert max(accelerations) == pytest.approx(5.0, rel=1e-2)

@@ -114,6 +114,15 @@ def _random_steps(seed, lanes):
         "yaw_piece": np.vstack(
             [dt * rng.uniform(0, 1, (1, lanes)), *cubic_coefficients(dt[0], *normal(4, 2.0))]
         ),
+        "offboard": np.vstack(
+            [
+                (rng.uniform(size=(1, lanes)) > 0.7).astype(float),
+                rng.uniform(2.0, 20.0, (1, lanes)),
+                normal(3, 3.0),
+                rng.integers(0, 2, (1, lanes)).astype(float),
+                _unit(rng, 4, lanes),
+            ]
+        ),
         "feedforward": block,
         "ff_accel_ned": normal(3, 2.0),
         "parameters": parameters,

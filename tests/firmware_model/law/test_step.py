@@ -49,6 +49,7 @@ def _hover_inputs(**changes):
         "feedback_weights": (1.0, 1.0),
         "piece": (0.5, *septic_coefficients(1.0, node, node)),
         "yaw_piece": (0.5, 0.0, 0.0, 0.0, 0.0),
+        "offboard": law.NO_OFFBOARD,
         "feedforward": NEUTRAL,
         "ff_accel_ned": (0.0, 0.0, 0.0),
         "parameters": PARAMETERS,
@@ -177,6 +178,7 @@ def test_step_in_a_turned_world_gives_the_same_commands(random_steps):
     turned["mocap_q"] = np.array(quat_multiply(half, inputs["mocap_q"]))
     turned["piece"][1:] = turn_all(inputs["piece"][1:])
     turned["yaw_piece"][1] += angle
+    turned["offboard"][6:10] = quat_multiply(half, inputs["offboard"][6:10])
     turned["feedforward"][1:4] = turn(inputs["feedforward"][1:4])
 
     one, other = (law.step(NUMPY, {k: list(v) for k, v in x.items()}) for x in (inputs, turned))
@@ -231,7 +233,7 @@ class _Flight:
             "mocap_new": (float(k % 10 == 0),), "mocap_p": late[0], "mocap_q": late[1],
             "mocap_age_s": (self.AGE * 1e-3,),
             "piece": (t - start, *septic_coefficients(0.1, self.node(start), self.node(start + 0.1))),
-            "feedforward": self.feedforward, "parameters": self.parameters,
+            "offboard": law.NO_OFFBOARD, "feedforward": self.feedforward, "parameters": self.parameters,
         })  # fmt: skip
         self.memory = outputs["memory"]
         curve = (TABLE["THRUST_MAX"], TABLE["THRUST_C1"], TABLE["THRUST_C2"])

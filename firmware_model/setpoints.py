@@ -1,0 +1,223 @@
+"""Setpoints of a stream: what they may say, and the way from the present reference to what one asks for.
+
+Every setpoint of position or velocity becomes a short polynomial that begins in the reference's present
+position, velocity, acceleration and jerk, so that the reference never steps; where no newer one comes, it
+goes on as the setpoint says. Repeated at a steady rate this filters the stream: a position that moves is
+followed 0.29 s late, or without delay where its velocity is given too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from firmware_model.law.reference import septic_at
+from firmware_model.track import (
+    ENDLESS_US,
+    QUINTIC_PEAK,
+    SEPTIC_PEAK,
+    Node,
+    Track,
+    Vector,
+    YawState,
+    coast,
+    seconds_us,
+    track,
+)
+
+SHORTEST_S = 0.5
+"""Least length of a piece; a setpoint lasts as long as that even where it asks for little."""
+TURN_RATE = 1.5
+"""rad/s at which a new yaw is turned to at most."""
+SEPTIC_ACCEL = 7.52
+"""Greatest acceleration of a septic from rest to rest, times its length squared over its way."""
+EASE_S = 1.0
+"""Time in which an acceleration ends that no newer setpoint renews."""
+_FIRST = 0.6  # of the time that rest to rest would take: who moves already needs less
+_STRETCH = 1.15
+_STRETCHES = 12
+_SAMPLES = 12
+
+Axes = tuple[float | None, float | None, float | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionTarget:
+    """Position and velocity by axis, None where not given; each axis has at least one of the two.
+
+    NED, m and SI; `ahead`: velocity and acceleration are forward, right, down of the vehicle's heading.
+    yaw (rad) and yaw_rate (rad/s): None where not given; without either, the present yaw is held.
+    """
+
+    p: Axes
+    v: Axes
+    a: Vector = (0.0, 0.0, 0.0)
+    yaw: float | None = None
+    yaw_rate: float | None = None
+    ahead: bool = False
+
+    def __post_init__(self) -> None:
+        if any(p is None and v is None for p, v in zip(self.p, self.v, strict=True)):
+            raise ValueError("an axis needs a position or a velocity")
+
+    @property
+    def rests(self) -> bool:
+        """Whether it names one place to stay at."""
+        still = all(not v for v in self.v) and not any(self.a) and not self.yaw_rate
+        return still and all(p is not None for p in self.p)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttitudeTarget:
+    """thrust: collective, as a share of all rotors' greatest. rate (rad/s, FRD).
+
+    q: attitude q_ned_frd, a unit quaternion, w first; the rate then comes on top. None: rate alone.
+    """
+
+    thrust: float
+    rate: Vector
+    q: tuple[float, float, float, float] | None = None
+
+
+Target = PositionTarget | AttitudeTarget
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """What setpoints are kept within: a box (NED, m), speed (m/s), acceleration (m/s^2), yaw rate (rad/s)."""
+
+    low: Vector
+    high: Vector
+    speed: float
+    accel: float
+    yaw_rate: float
+
+
+def turned(target: PositionTarget, yaw: float) -> PositionTarget:
+    """The same in NED for a vehicle that heads this way."""
+    if not target.ahead:
+        return target
+    c, s = math.cos(yaw), math.sin(yaw)
+    (vx, vy, vz), (ax, ay, az) = (tuple(x or 0.0 for x in axes) for axes in (target.v, target.a))
+    return replace(
+        target,
+        v=(c * vx - s * vy, s * vx + c * vy, vz),
+        a=(c * ax - s * ay, s * ax + c * ay, az),
+        ahead=False,
+    )
+
+
+def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) -> tuple[Track, bool]:
+    """The track from the reference state (p, v, a, j) to the target and on, and whether bounds changed it.
+
+    It has no end of its own. `target.ahead` is for whoever knows the heading: here it must be False.
+    """
+    aims, asked = _aims(target, state, bounds)
+    length_s = _length_s(aims, asked, state, bounds)
+    for _ in range(_STRETCHES):
+        end = _end(aims, asked, target.a, state, length_s, bounds)
+        nodes = [(0, state), (seconds_us(length_s), end)]
+        begun = track(nodes, [(0, 0.0, 0.0)])
+        if _gentle(begun.blocks[0], length_s, state, bounds):
+            break
+        length_s *= _STRETCH
+    t_us, end = nodes[-1]
+    velocity: Vector = (end[3], end[4], end[5])
+    if any(target.a):
+        t_us += seconds_us(EASE_S)
+        end = _moving(coast(end, velocity, EASE_S), velocity)
+        nodes.append((t_us, end))
+    far = ENDLESS_US * 1e-6
+    p: Vector = (end[0] + far * end[3], end[1] + far * end[4], end[2] + far * end[5])
+    nodes.append((t_us + ENDLESS_US, _moving(p, velocity)))
+    bounded = aims != target.p or any(
+        abs(v - (w or 0.0)) > 1e-6 for v, w in zip(asked, target.v, strict=True)
+    )
+    return track(nodes, _turn(target, yaw, t_us + ENDLESS_US, bounds.yaw_rate)), bounded
+
+
+def _aims(target: PositionTarget, state: Node, bounds: Bounds) -> tuple[Axes, Vector]:
+    """Positions and velocities asked for, within the box and the speed."""
+    wanted = [v or 0.0 for v in target.v]
+    speed = math.hypot(*wanted)
+    if speed > bounds.speed:
+        wanted = [v * bounds.speed / speed for v in wanted]
+    aims: list[float | None] = []
+    for i, (p, low, high) in enumerate(zip(target.p, bounds.low, bounds.high, strict=True)):
+        aim = None if p is None else min(max(p, low), high)
+        aims.append(aim)
+        here = state[i] if aim is None else aim
+        wanted[i] = min(max(wanted[i], -_speed_left(here - low, bounds)), _speed_left(high - here, bounds))
+    return (aims[0], aims[1], aims[2]), (wanted[0], wanted[1], wanted[2])
+
+
+def _speed_left(way: float, bounds: Bounds) -> float:
+    """Greatest speed at which a stop ends within this way, some of it flown while no setpoint comes."""
+    return max(0.0, min(math.sqrt(0.5 * bounds.accel * max(way, 0.0)), way))
+
+
+def _length_s(aims: Axes, velocity: Vector, state: Node, bounds: Bounds) -> float:
+    """Length that the search for the shortest gentle piece begins with."""
+    way = math.hypot(*(0.0 if aim is None else aim - state[i] for i, aim in enumerate(aims)))
+    change = math.hypot(*(velocity[i] - state[3 + i] for i, aim in enumerate(aims) if aim is None))
+    return max(
+        SHORTEST_S,
+        _FIRST * SEPTIC_PEAK * way / bounds.speed,
+        _FIRST * math.sqrt(SEPTIC_ACCEL * way / bounds.accel),
+        _FIRST * QUINTIC_PEAK * change / bounds.accel,
+    )
+
+
+def _end(aims: Axes, velocity: Vector, accel: Vector, state: Node, length_s: float, bounds: Bounds) -> Node:
+    """The node at the end of a piece: the aims have moved on as the setpoint says."""
+    size = math.hypot(*accel)
+    most = min(1.0, bounds.accel / size) if size else 1.0
+    a = (most * accel[0], most * accel[1], most * accel[2])
+    v = tuple(w + b * length_s for w, b in zip(velocity, a, strict=True))
+    moved = coast(state, (v[0], v[1], v[2]), length_s, a)
+    p = [
+        m if aim is None else aim + (w + 0.5 * b * length_s) * length_s
+        for m, aim, w, b in zip(moved, aims, velocity, a, strict=True)
+    ]
+    for i, (low, high) in enumerate(zip(bounds.low, bounds.high, strict=True)):
+        if aims[i] is not None and not low <= p[i] <= high:
+            p[i] = min(max(p[i], low), high)
+            v = (*v[:i], 0.0, *v[i + 1 :])
+            a = (*a[:i], 0.0, *a[i + 1 :])
+    return (p[0], p[1], p[2], *v, *a, 0.0, 0.0, 0.0)
+
+
+def _gentle(block: Sequence[float], length_s: float, state: Node, bounds: Bounds) -> bool:
+    """Whether the piece stays within speed and acceleration, or within those it begins with."""
+    fastest = max(bounds.speed, math.hypot(*state[3:6])) * 1.001 + 1e-6
+    hardest = max(bounds.accel, math.hypot(*state[6:9])) * 1.001 + 1e-6
+    for k in range(1, _SAMPLES + 1):
+        _, v, a, _, _ = septic_at(block[1:], length_s * k / _SAMPLES)
+        if math.hypot(*v) > fastest or math.hypot(*a) > hardest:
+            return False
+    return True
+
+
+def _moving(p: Vector, velocity: Vector) -> Node:
+    return (*p, *velocity, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def _turn(
+    target: PositionTarget, yaw: YawState, end_us: int, fastest: float
+) -> list[tuple[int, float, float]]:
+    """Yaw nodes from this yaw and rate to the target's."""
+    now, rate = yaw
+    final = min(max(target.yaw_rate or 0.0, -fastest), fastest)
+    if target.yaw is None:
+        t_s = SHORTEST_S
+        reached = now + 0.5 * (rate + final) * t_s
+    else:
+        turn = math.remainder(target.yaw - now, 2.0 * math.pi)
+        t_s = max(SHORTEST_S, QUINTIC_PEAK * abs(turn) / min(TURN_RATE, fastest))
+        reached = now + turn + final * t_s
+    t_us = seconds_us(t_s)
+    nodes = [(0, now, rate), (t_us, reached, final)]
+    if final:
+        nodes.append((end_us, reached + final * (end_us - t_us) * 1e-6, final))
+    return nodes
