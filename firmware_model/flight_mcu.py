@@ -204,7 +204,13 @@ class FlightMcu:
     # Blobs.
 
     def _check(self, kind: int, blob: bytes) -> Verdict:
-        return check_blob(kind, blob, parameters=self.parameters, vehicle_id=self._identity.vehicle_id.hex())
+        return check_blob(
+            kind,
+            blob,
+            parameters=self.parameters,
+            vehicle_id=self._identity.vehicle_id.hex(),
+            battery_v=self._battery_v,
+        )
 
     def _may_commit(self, kind: int) -> bool:
         return self.flight.state in (State.BOOT, State.STANDBY)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import IntEnum
 
 from firmware_model.law import checks
@@ -28,10 +29,19 @@ DRAG_MAX = 5.0
 OFFSET_MAX = 0.2
 """rad."""
 PREDICTION_MAX_S = 0.1
+BATTERY_RESERVE = 0.05
+"""Share of the thrust that is left which a reference must leave to the controller and to further sag."""
+BATTERY_LOW_CELL_V = 0.1
+"""Voltage of a cell above empty below which no reference is accepted."""
 
 
-def check_blob(kind: int, data: bytes, *, parameters: ParameterValues, vehicle_id: str) -> Verdict:
-    """Whether this vehicle may use the blob, and if not, why. Never raises."""
+def check_blob(
+    kind: int, data: bytes, *, parameters: ParameterValues, vehicle_id: str, battery_v: float = 0.0
+) -> Verdict:
+    """Whether this vehicle may use the blob, and if not, why. Never raises.
+
+    battery_v: as measured last, 0 where it has not been: then nothing is said about the battery.
+    """
     try:
         blob = from_bytes(data)
     except BlobError as error:
@@ -42,28 +52,49 @@ def check_blob(kind: int, data: bytes, *, parameters: ParameterValues, vehicle_i
     if blob.vehicle_id != vehicle_id:
         return _refused(Reason.OTHER_VEHICLE, f"made for vehicle {blob.vehicle_id}, this is {vehicle_id}")
     if isinstance(blob, Reference):
-        return _check_reference(blob, parameters)
+        return battery_verdict(parameters, battery_v) or _check_reference(blob, parameters, battery_v)
     return _check_feedforward(blob)
 
 
-def _check_reference(blob: Reference, parameters: ParameterValues) -> Verdict:
+def battery_verdict(parameters: ParameterValues, battery_v: float) -> Verdict | None:
+    """The refusal of any reference where the battery is as good as empty, else None; also where 0 V says
+    that it has not been measured.
+    """
+    bound = parameters["BAT_EMPTY_V"] + BATTERY_LOW_CELL_V * parameters["BAT_CELLS"]
+    if battery_v <= 0.0 or battery_v >= bound:
+        return None
+    text = f"battery at {battery_v:.2f} V, below {bound:.2f} V"
+    return _refused(checks.Reason.BATTERY, text, battery_v, bound)
+
+
+def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: float) -> Verdict:
+    limits = parameters.limits
+    low, high = limits.thrust_headroom
+    available = high
+    if battery_v > 0.0:
+        full = (battery_v / parameters["BAT_FULL_V"]) ** 2  # thrust goes with the square of the voltage
+        available = max(low + 1e-6, min(high, (1.0 - BATTERY_RESERVE) * full))
     found = checks.check_reference(
         blob.nodes,
         blob.yaw_nodes(),
         parameters.airframe,
-        parameters.limits,
+        replace(limits, thrust_headroom=(low, available)),
         origin=blob.origin_ned,
         ends_at_rest=not blob.free_ends,
     )
     if found.ok:
         return Verdict(ok=True)
+    reason, text = found.reason_code, found.text
+    if reason is checks.Reason.THRUST_HIGH and found.bound < high:
+        reason = checks.Reason.BATTERY
+        text = f"{found.quantity} {found.value:.4g} of max, the battery gives {found.bound:.4g}"
     return Verdict(
         ok=False,
         node=found.node if 0 <= found.node < 0xFFFF else None,
-        reason=int(found.reason_code),
+        reason=int(reason),
         value=found.value,
         bound=found.bound,
-        message=found.text,
+        message=text,
     )
 
 
@@ -87,5 +118,5 @@ def _check_feedforward(blob: FeedForward) -> Verdict:
     return Verdict(ok=True)
 
 
-def _refused(reason: Reason, message: str, value: float = 0.0, bound: float = 0.0) -> Verdict:
+def _refused(reason: Reason | checks.Reason, message: str, value: float = 0.0, bound: float = 0.0) -> Verdict:
     return Verdict(ok=False, reason=int(reason), value=value, bound=bound, message=message)

@@ -24,6 +24,7 @@ from firmware_model.law.reference import (
     septic_at,
     septic_coefficients,
 )
+from firmware_model.law.smoothness import QUANTITIES, worst_misfit
 
 Node = tuple[int, Sequence[float]]
 """t_us and the 12 numbers p, v, a, j in NED."""
@@ -57,6 +58,8 @@ class Reason(IntEnum):
     JERK = 10
     THRUST_LOW = 11
     THRUST_HIGH = 12
+    NOT_SMOOTH = 13
+    BATTERY = 14  # found by the vehicle, which alone knows its voltage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,6 +178,8 @@ def check_reference(
         broken = _holds(nodes, yaw_nodes, ends_at_rest)
     if broken is None and ends_at_rest:
         broken = _ends(nodes, limits, origin)
+    if broken is None:
+        broken = _smooth(nodes)
     if broken is not None:
         return broken
     return _scan(nodes, yaw_nodes, model, limits, samples_per_piece, origin)
@@ -273,6 +278,17 @@ def _holds(nodes: Sequence[Node], yaw_nodes: Sequence[YawNode], ends_at_rest: bo
                 Reason.NOT_AT_REST, node, nodes[node][0], "yaw rate", rate, REST_YAW_RATE, text, t_us
             )
     return None
+
+
+def _smooth(nodes: Sequence[Node]) -> Verdict | None:
+    """The refusal of the node that fits its neighbours least, or None where every node fits."""
+    worst = worst_misfit(nodes)
+    if worst is None or worst.value <= worst.bound:
+        return None
+    quantity, unit = QUANTITIES[worst.quantity]
+    text = f"{quantity} off its neighbours by {worst.value:.3g}, above {worst.bound:.3g} {unit}"
+    t_us = nodes[worst.node][0]
+    return _refused(Reason.NOT_SMOOTH, worst.node, t_us, quantity, worst.value, worst.bound, text)
 
 
 _REASONS: dict[str, tuple[Reason, str]] = {

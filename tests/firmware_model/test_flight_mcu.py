@@ -286,7 +286,7 @@ def test_param_set_in_flight_is_refused(make_session, make_blob):
 def test_upload_too_fast_is_refused_with_node_and_reason_and_nothing_goes_live(make_session, make_blob):
     session = make_session()
     session.run(0.3)
-    sender = session.put(make_blob(reach=3.0, seconds=0.7))
+    sender = session.put(make_blob(reach=3.0, seconds=0.7, pieces=14))
     assert sender.state.name == "FAILED"
     assert sender.verdict is not None
     assert not sender.verdict.ok
@@ -324,7 +324,7 @@ def test_upload_for_another_vehicle_is_refused(make_session, make_blob):
 def test_upload_refused_leaves_the_live_reference_in_place(make_session, make_blob):
     session = make_session()
     session.put(make_blob())
-    session.put(make_blob(reach=3.0, seconds=0.7))
+    session.put(make_blob(reach=3.0, seconds=0.7, pieces=14))
     session.run(0.2)
     assert session.store.live(Kind.REFERENCE) == make_blob().to_bytes()
     assert bytes(session.received(m.FcStatus)[-1].reference_id).hex() == make_blob().id

@@ -1,19 +1,22 @@
 """The on-board verdict: by the vehicle's own numbers, with a reason, without exceptions."""
 
+import math
 import random
+from dataclasses import replace
 
 import pytest
 
 from firmware_model.parameters import ParameterValues
 from firmware_model.verdict import Reason, check_blob
-from protocol.blobs import FeedForward, Kind, Reference
+from protocol.blobs import FeedForward, Kind, Node, Reference
 
 VEHICLE_ID = "0123456789ab"
 BLOCK = (1.0, *(0.0,) * 12)
 
 
-def verdict(kind, data, **parameters):
-    return check_blob(kind, data, parameters=ParameterValues(parameters), vehicle_id=VEHICLE_ID)
+def verdict(kind, data, battery_v=0.0, **parameters):
+    values = ParameterValues(parameters)
+    return check_blob(kind, data, parameters=values, vehicle_id=VEHICLE_ID, battery_v=battery_v)
 
 
 def feedforward(**changes):
@@ -41,6 +44,39 @@ def test_reference_is_judged_by_the_parameters_on_board(make_blob, limit, value,
 
 def test_reference_that_starts_too_low_is_refused(make_blob):
     assert verdict(Kind.REFERENCE, make_blob(height=0.3).to_bytes()).reason == 5
+
+
+def test_reference_with_one_acceleration_off_is_refused_with_its_node(make_blob):
+    blob = make_blob(pieces=20)
+    node = blob.nodes[13]
+    state = (*node.state[:6], node.state[6] + 0.5, *node.state[7:])
+    nodes = (*blob.nodes[:13], Node(node.t_us, state), *blob.nodes[14:])
+    found = verdict(Kind.REFERENCE, replace(blob, nodes=nodes).to_bytes())
+    assert (found.ok, found.node, found.reason) == (False, 13, 13)
+    assert (found.value, found.bound) == (pytest.approx(0.5, abs=0.01), 0.25)
+
+
+def test_reference_that_asks_for_more_thrust_than_the_battery_gives_is_refused(make_blob):
+    blob = make_blob(reach=3.0, seconds=1.5, pieces=15).to_bytes()
+    assert verdict(Kind.REFERENCE, blob).ok
+    assert verdict(Kind.REFERENCE, blob, battery_v=16.8).ok
+    # 3 m in 1.5 s and back asks a rotor for 0.326 of its greatest thrust.
+    needed = verdict(Kind.REFERENCE, blob, LIM_THR_HI=0.3)
+    assert (needed.reason, needed.bound) == (12, pytest.approx(0.3))
+    low = 16.8 * math.sqrt(0.3 / 0.95)
+    found = verdict(Kind.REFERENCE, blob, battery_v=low, BAT_EMPTY_V=5.0)
+    assert (found.reason, found.node) == (14, needed.node)
+    assert (found.value, found.bound) == (pytest.approx(needed.value), pytest.approx(0.3))
+    assert found.message.endswith("of max, the battery gives 0.3")
+
+
+def test_any_reference_is_refused_at_an_almost_empty_battery(make_blob):
+    blob = make_blob().to_bytes()
+    assert verdict(Kind.REFERENCE, blob, battery_v=13.61).ok
+    found = verdict(Kind.REFERENCE, blob, battery_v=13.59)
+    assert (found.reason, found.node, found.value) == (14, None, pytest.approx(13.59))
+    assert found.message == "battery at 13.59 V, below 13.60 V"
+    assert verdict(Kind.FEEDFORWARD, feedforward(), battery_v=13.0).ok
 
 
 def test_blob_of_another_vehicle_or_kind_is_refused(make_blob):
