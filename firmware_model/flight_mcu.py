@@ -65,6 +65,7 @@ class FlightMcu:
         self.unsent = 0  # messages for which the line had no room
         self._store = store
         self._identity = Identity(uid=uid, vehicle_id=vehicle_id)
+        self._battery_v = 0.0
         self._codec = Codec(*VEHICLE)
         self._upload = UploadReceiver(
             store, check=self._check, may_commit=self._may_commit, capacity=store.bank_bytes
@@ -81,7 +82,6 @@ class FlightMcu:
             keep=store.settings.change,
         )
         self._out: list[bytes] = []
-        self._battery_v = 0.0
         self._last_us = -TICK_US
         self._look_us = 0
         self._status_us = 0
