@@ -11,6 +11,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from math import cos, sin
+from pathlib import Path
 from time import thread_time_ns
 from typing import Any, Self
 
@@ -27,6 +28,7 @@ from protocol.messages import CAMERAS, HOST_RADIO, VEHICLE_RADIO, AttPosMocap
 from protocol.telemetry import TICK_US
 from sitl.draw import World, draw_world
 from sitl.foreign import ForeignPlant, load_foreign_plant, read_plant_options
+from sitl.memory import open_memory
 from sitl.plant import Plant
 from sitl.radio import RadioChannel
 from sitl.seeds import Purpose, flight_generator, session_uid
@@ -61,9 +63,9 @@ class SimulatedVehicle:
     Made by `create`. `now_us` is the time since power-up; `store` the memory on board that outlives it.
     """
 
-    def __init__(self, setting: Setting, flight: int) -> None:
+    def __init__(self, setting: Setting, flight: int, store: ReferenceStore) -> None:
         self._setting = setting
-        self.store = ReferenceStore()
+        self.store = store
         self._parameters: Mapping[str, float] = to_parameters(setting.vehicle)
         self._timers: dict[str, int] | None = None
         self._power_up(flight)
@@ -81,6 +83,7 @@ class SimulatedVehicle:
         start_ned: tuple[float, float, float] = (0.0, 0.0, 0.0),
         start_yaw: float = 0.0,
         radio: Mapping[str, Any] | None = None,
+        memory: Path | None = None,
     ) -> Self:
         """A vehicle in a world, powered up for a flight.
 
@@ -90,6 +93,7 @@ class SimulatedVehicle:
             plant: a foreign plant in place of a world, as path.py:Class. plant_options: path of its TOML.
             start_ned, start_yaw: where it stands, m and rad; z 0 is the floor.
             radio: settings that override the world's, by the keys of its `[radio]` table.
+            memory: file of the memory that outlives power cuts; it lasts as long as the object without.
 
         Raises ConfigurationError or ForeignPlantError (exit code 2).
         """
@@ -110,7 +114,12 @@ class SimulatedVehicle:
             start_ned=start_ned,
             start_yaw=start_yaw,
         )
-        return cls(setting, flight)
+        store = ReferenceStore() if memory is None else open_memory(memory, vehicle)
+        try:
+            return cls(setting, flight, store)
+        except BaseException:
+            store.flash.close()
+            raise
 
     # What the host sees.
 
@@ -159,7 +168,8 @@ class SimulatedVehicle:
         self._power_up(flight)
 
     def close(self) -> None:
-        """Nothing comes back; there is nothing to release."""
+        """Nothing comes back; the memory's file, if any, is closed."""
+        self.store.flash.close()
 
     def serve(
         self,

@@ -26,6 +26,7 @@ def command(
     world_seed: int = 0,
     flight: int = 0,
     start: Annotated[tuple[float, float], Parameter(negative="")] = (0.0, 0.0),
+    memory: Path | None = None,
     truth: Path | None = None,
     force: Force = False,
     json: Json = False,
@@ -51,6 +52,9 @@ def command(
         Index of the flight.
     start
         Where the vehicle stands, north and east in m.
+    memory
+        File of the vehicle's memory, made where there is none: what is live, half an upload, parameters.
+        Without, nothing outlives this run.
     truth
         File for what the world holds; only checks should open it.
     """
@@ -85,6 +89,7 @@ def command(
         plant=plant,
         plant_options=plant_options,
         start_ned=(*start, 0.0),
+        memory=memory,
     )
 
     def ready(address: str) -> None:

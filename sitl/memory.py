@@ -1,0 +1,75 @@
+"""A simulated vehicle's non-volatile memory in a file, so that it outlives the process."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import stat
+import tempfile
+from pathlib import Path
+
+from firmware_model.flash import ERASED, Flash
+from firmware_model.store import MAGIC, ReferenceStore, memory_bytes
+from host.vehicle import ConfigurationError, Vehicle
+
+
+def open_memory(path: Path, vehicle: Vehicle) -> ReferenceStore:
+    """The memory in the file, made where there is none; it has every write at once, and nobody else.
+
+    Raises ConfigurationError where the file cannot be opened or made, is no memory, in use, or another
+    vehicle's.
+    """
+    try:
+        with contextlib.suppress(FileExistsError):
+            _make(path)
+        file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
+    except OSError as error:
+        raise _refused(path, f"{error.strerror}, name a file that can be written") from None
+    try:
+        store = ReferenceStore(Flash(_image(path, file), file))
+        _check_owner(path, store, vehicle)
+    except BaseException:
+        os.close(file)
+        raise
+    return store
+
+
+def _make(path: Path) -> None:
+    """Nothing comes back; a new memory is there, whole from the first moment. Raises FileExistsError."""
+    if os.path.lexists(path):
+        raise FileExistsError
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(MAGIC.ljust(memory_bytes(), ERASED))
+        os.link(name, path)
+    finally:
+        os.unlink(name)
+
+
+def _image(path: Path, file: int) -> bytearray:
+    status = os.fstat(file)
+    if not stat.S_ISREG(status.st_mode):
+        raise _refused(path, "no ordinary file, name one")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise _refused(path, "in use by another vehicle, end that or name another file") from None
+    if status.st_size != memory_bytes() or os.pread(file, len(MAGIC), 0) != MAGIC:
+        raise _refused(path, "no memory of this version of trimtab, name another file or remove it")
+    return bytearray(os.pread(file, status.st_size, 0))
+
+
+def _check_owner(path: Path, store: ReferenceStore, vehicle: Vehicle) -> None:
+    owner = store.settings.vehicle_id
+    if owner not in (None, vehicle.id_bytes):
+        raise _refused(
+            path,
+            f"belongs to the vehicle file with id {owner.hex()}, not to {vehicle.name} ({vehicle.id}); "
+            "name another file or remove it",
+        )
+
+
+def _refused(path: Path, why: str) -> ConfigurationError:
+    return ConfigurationError([f"memory {path}: {why}"])
