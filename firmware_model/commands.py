@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from firmware_model.flight import Flight
-from firmware_model.supervisor import Event
+from firmware_model.supervisor import Event, State
 from protocol import messages as m
 from protocol.messages import Message, mavlink
 from protocol.upload import ReceiverEvent, UploadReceiver
@@ -17,6 +17,11 @@ _NOT_NOW = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 _UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
 _FAILED = mavlink.MAV_RESULT_FAILED
 _WARNING = mavlink.MAV_SEVERITY_WARNING
+_LOCAL_FRAMES = (
+    mavlink.MAV_FRAME_LOCAL_NED,
+    mavlink.MAV_FRAME_LOCAL_OFFSET_NED,
+    mavlink.MAV_FRAME_BODY_NED,
+)
 
 _CUSTOM_MODE = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _MODES: dict[tuple[float, float | None], Event] = {
@@ -28,11 +33,12 @@ _MODES: dict[tuple[float, float | None], Event] = {
 
 
 class Commands:
-    """Handlers of COMMAND_LONG.
+    """Handlers of COMMAND_LONG and COMMAND_INT.
 
     Args:
         send: puts a message on the line. text: tells people. requests: what can be asked for by
-        MAV_CMD_REQUEST_MESSAGE, by message id. on_upload: is told what a commit brought about.
+        MAV_CMD_REQUEST_MESSAGE, by message id. on_upload: is told what a commit brought about. more: commands
+        that are carried out elsewhere: MAV_RESULT from a command and the time.
     """
 
     def __init__(
@@ -44,6 +50,7 @@ class Commands:
         text: Callable[[int, str], None],
         requests: Mapping[float, Callable[[int], Message]],
         on_upload: Callable[[list[ReceiverEvent], int], None],
+        more: Mapping[int, Callable[[Any, int], int]],
     ) -> None:
         self._flight = flight
         self._upload = upload
@@ -61,6 +68,8 @@ class Commands:
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._request_version,
             mavlink.MAV_CMD_USER_1: self._commit,
+            mavlink.MAV_CMD_RUN_PREARM_CHECKS: self._prearm,
+            **more,
         }
 
     def long(self, message: m.CommandLong, now_us: int) -> None:
@@ -69,6 +78,18 @@ class Commands:
         result = _UNSUPPORTED if act is None else act(message, now_us)
         asker = (message.get_srcSystem(), message.get_srcComponent())
         self._send(m.CommandAck(message.command, result, 0, 0, *asker))
+
+    def int(self, message: m.CommandInt, now_us: int) -> None:
+        """As `long`; the place is in 1e-4 m in a local frame, and none in any other."""
+        place = (math.nan, math.nan)
+        if message.frame in _LOCAL_FRAMES:
+            place = (1e-4 * message.x, 1e-4 * message.y)
+        first = (message.param1, message.param2, message.param3, message.param4)
+        target = (message.target_system, message.target_component)
+        long = m.CommandLong(*target, message.command, 0, *first, *place, message.z)
+        long._header.srcSystem = message.get_srcSystem()
+        long._header.srcComponent = message.get_srcComponent()
+        self.long(long, now_us)
 
     def _event(self, event: Event, now_us: int, height_m: float | None = None) -> int:
         reason = self._flight.command(event, now_us, height_m)
@@ -94,6 +115,13 @@ class Commands:
         named = bool(math.isfinite(message.param1) and int(message.param1) & _CUSTOM_MODE)
         event = _MODES.get((message.param2, message.param3)) or _MODES.get((message.param2, None))
         return self._event(event, now_us) if named and event is not None else _UNSUPPORTED
+
+    def _prearm(self, message: m.CommandLong, now_us: int) -> int:
+        reason = self._flight.arm_refusal(now_us) if self._flight.state is State.STANDBY else "not in standby"
+        if reason is None:
+            return _ACCEPTED
+        self._text(_WARNING, f"arm refused: {reason}")
+        return _NOT_NOW
 
     def _terminate(self, message: m.CommandLong, now_us: int) -> int:
         return self._event(Event.KILL, now_us) if message.param1 > 0.5 else _ACCEPTED

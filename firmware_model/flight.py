@@ -100,6 +100,7 @@ class Flight:
         self.poses = PoseInput(inputs)
         self._poses_waiting = self.poses.waiting
         self._floor = 0.0
+        self._home: tuple[float, float, float] | None = None
         self._blind_until_us = NEVER_US
         self._flying = False
         for view in (*inputs.values(), *self.outputs.values()):
@@ -122,10 +123,22 @@ class Flight:
         """The gyro's sample of the last tick (rad/s, FRD)."""
         return (self._gyro[0], self._gyro[1], self._gyro[2])
 
+    @property
+    def home_ned(self) -> tuple[float, float, float] | None:
+        """Where the last take-off began, None before the first."""
+        return self._home
+
+    def has_pose(self, now_us: int) -> bool:
+        """Whether poses come."""
+        return self.poses.used > 0 and now_us - self.watch.pose_us <= self.watch.pose_lost_us
+
     # Commands and measurements.
 
     def command(self, event: Event, now_us: int, height_m: float | None = None) -> str | None:
-        """Why `event` was refused, None where it took effect. height_m: of a takeoff, None: TAKEOFF_HEIGHT."""
+        """Why `event` was refused, None where it took effect.
+
+        height_m: of a takeoff; None for TAKEOFF_HEIGHT.
+        """
         outcome = update(self.state, event)
         refusal = outcome.refusal or self._refusal(event, now_us)
         if refusal is None and (outcome.state is not self.state or event is Event.HOLD):
@@ -245,7 +258,7 @@ class Flight:
         values, memory = self.parameters, self._memory
         p = (memory[0], memory[1], memory[2])
         yaw = self._yaw()
-        self._floor = p[2]
+        self._floor, self._home = p[2], p
         target, yaw_end = p, yaw
         if self._climb_end is Event.RISEN:
             height = values["TAKEOFF_HEIGHT"] if height_m is None else height_m
@@ -455,7 +468,7 @@ class Flight:
         """Why a command that the table allows is refused all the same."""
         state = self.state
         if event is Event.ARM and state is State.STANDBY:
-            return self._arm_refusal(now_us)
+            return self.arm_refusal(now_us)
         if event is Event.START and state is State.TAKEOFF and self._climb_end is Event.RISEN:
             return "still taking off"
         if event is Event.START and state in (State.ARMED, State.HOLD):
@@ -469,10 +482,11 @@ class Flight:
             return "no setpoints: stream them first"
         return None
 
-    def _arm_refusal(self, now_us: int) -> str | None:
+    def arm_refusal(self, now_us: int) -> str | None:
+        """Why a vehicle in standby would not arm, None where it would."""
         return refusal(
             calibrated=self.calibration.bias is not None,
-            has_pose=self.poses.used > 0 and now_us - self.watch.pose_us <= self.watch.pose_lost_us,
+            has_pose=self.has_pose(now_us),
             cos_tilt=self._cos_tilt[0],
         )
 

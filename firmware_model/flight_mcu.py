@@ -15,7 +15,7 @@ from firmware_model.uart import UartPort
 from firmware_model.verdict import check_blob
 from protocol.blobs import FeedForward, Kind, Reference, from_bytes
 from protocol.codec import Codec
-from protocol.messages import DIALECT_VERSION, VEHICLE, AttPosMocap, Message, mavlink
+from protocol.messages import DIALECT_VERSION, VEHICLE, AttPosMocap, FcStatus, Message, mavlink
 from protocol.telemetry import TICK_US
 from protocol.upload import ReceiverEvent, UploadEvent, UploadReceiver, Verdict
 
@@ -74,9 +74,11 @@ class FlightMcu:
             flight=self.flight,
             parameters=self.parameters,
             upload=self._upload,
+            store=store,
             identity=self._identity,
             send=self._queue,
             status=self._status,
+            battery_v=lambda: self._battery_v,
             on_upload=self._uploaded,
             on_limits=lambda: self._load(Kind.REFERENCE),
             keep=store.settings.change,
@@ -132,17 +134,20 @@ class FlightMcu:
         """Every ten ticks: what is watched, and what is reported."""
         self._look_us = now_us - now_us % LOOK_US + LOOK_US
         flight = self.flight
+        streams = self._services.streams
         flight.look(now_us)
         try:
             for message in telemetry.at_rate(flight, now_us):
-                self._queue(message)
+                if not streams.slowed or streams.own_due(message.id, now_us):
+                    self._queue(message)
         except (ValueError, OverflowError):
             self.unsendable += 1
         if now_us >= self._status_us or flight.changed:
             self._status_us = now_us - now_us % telemetry.STATUS_US + telemetry.STATUS_US
-            flight.changed = False
-            self._queue(self._status(now_us))
-            self._tick_max_us = TICK_US
+            if flight.changed or streams.own_due(FcStatus.id, now_us):
+                flight.changed = False
+                self._queue(self._status(now_us))
+                self._tick_max_us = TICK_US
         if now_us >= self._heartbeat_us:
             self._heartbeat_us = now_us - now_us % telemetry.HEARTBEAT_US + telemetry.HEARTBEAT_US
             self._queue(telemetry.heartbeat(flight))

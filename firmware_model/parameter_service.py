@@ -10,11 +10,13 @@ from firmware_model.parameters import ParameterValues, index_of, name_at
 from firmware_model.supervisor import State
 from protocol import messages as m
 from protocol.messages import Message, mavlink
+from protocol.parameter_wire import decode, encode, type_of
+from protocol.parameters import BY_NAME
 
 VALUES_PER_LOOK = 2
 """PARAM_VALUEs sent at each look while a list goes out: 200 a second."""
 _WARNING = mavlink.MAV_SEVERITY_WARNING
-_REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
+_TYPE_NAMES = {True: "INT32", False: "REAL32"}
 
 
 class ParameterService:
@@ -49,8 +51,13 @@ class ParameterService:
             self._send_value(self._listing.popleft())
 
     def list(self, message: m.ParamRequestList, now_us: int) -> None:
-        """All values follow, a few at each look."""
-        self._listing = deque(range(len(self._parameters)))
+        """All values follow, a few at each look.
+
+        Every station hears them: where another list is under way, what it still holds serves both, and what
+        has gone out already follows it.
+        """
+        waiting = set(self._listing)
+        self._listing.extend(index for index in range(len(self._parameters)) if index not in waiting)
 
     def read(self, message: m.ParamRequestRead, now_us: int) -> None:
         """One value follows, where there is such a parameter."""
@@ -67,8 +74,10 @@ class ParameterService:
             return
         if self._flight.state is not State.STANDBY:
             self._text(_WARNING, f"{name} kept: set in standby only")
+        elif message.param_type != type_of(BY_NAME[name]):
+            self._text(_WARNING, f"{name} kept: set it as {_TYPE_NAMES[BY_NAME[name].integer]}")
         else:
-            self._set(name, message.param_value)
+            self._set(name, decode(message.param_value, message.param_type))
         self._send_value(index)
 
     def _set(self, name: str, value: float) -> None:
@@ -87,4 +96,5 @@ class ParameterService:
         name = name_at(index)
         if name is not None:
             value, count = self._parameters[name], len(self._parameters)
-            self._send(m.ParamValue(name.encode(), value, _REAL32, count, index))
+            kind = type_of(BY_NAME[name])
+            self._send(m.ParamValue(name.encode(), encode(value, kind), kind, count, index))

@@ -1,4 +1,6 @@
-"""What the vehicle answers: clock comparison, version, echo, uploads; parameters and commands go to theirs.
+"""What the vehicle answers: clock comparison, version, echo, missions (none), uploads.
+
+Parameters, commands, telemetry of other stations and files have modules of their own.
 
 One handler a message type. Handlers return nothing; their answers go out through `send`.
 """
@@ -10,10 +12,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from firmware_model.commands import Commands
+from firmware_model.files import BlobFiles
 from firmware_model.flight import Flight
+from firmware_model.ftp import FtpServer
 from firmware_model.parameter_service import ParameterService
 from firmware_model.parameters import ParameterValues
 from firmware_model.setpoint_service import SetpointService
+from firmware_model.store import ReferenceStore
+from firmware_model.streams import Streams
 from firmware_model.telemetry import heartbeat
 from protocol import messages as m
 from protocol.messages import Message, mavlink
@@ -29,6 +35,8 @@ _CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
     | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
     | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_FTP
     | mavlink.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
 )
 
@@ -53,7 +61,9 @@ class Services:
     Args:
         send: puts a message on the line. on_upload: is told what became of uploads; on_limits: that what
         references are checked by has changed. keep: gets the name and value of a parameter that was set.
-        status: the present FC_STATUS.
+        status: the present FC_STATUS. battery_v: the battery's present voltage. store: blobs on board.
+
+    `streams` is the telemetry for other stations than Trimtab's host.
     """
 
     def __init__(
@@ -62,9 +72,11 @@ class Services:
         flight: Flight,
         parameters: ParameterValues,
         upload: UploadReceiver,
+        store: ReferenceStore,
         identity: Identity,
         send: Callable[[Message], None],
         status: Callable[[int], Message],
+        battery_v: Callable[[], float],
         on_upload: Callable[[ReceiverEvent], None],
         on_limits: Callable[[], None],
         keep: Callable[[str, float], None],
@@ -77,6 +89,9 @@ class Services:
         self._parameter_service = ParameterService(
             flight=flight, parameters=parameters, send=send, text=self.text, keep=keep, on_limits=on_limits
         )
+        self.streams = Streams(flight=flight, send=send, battery_v=battery_v)
+        files = BlobFiles(store=store, upload=upload, text=self.text, on_upload=self._take)
+        self._ftp = FtpServer(files, send=send)
         commands = Commands(
             flight=flight,
             upload=upload,
@@ -86,8 +101,10 @@ class Services:
                 m.AutopilotVersion.id: lambda now_us: self._version(),
                 m.FcStatus.id: status,
                 m.Heartbeat.id: lambda now_us: heartbeat(flight),
+                **self.streams.requests(),
             },
             on_upload=self._take,
+            more=self.streams.commands(),
         )
         setpoints = SetpointService(take=flight.setpoint, text=self.text)
         self._handlers: dict[type, Callable[[Any, int], None]] = {
@@ -96,6 +113,12 @@ class Services:
             m.CommandLong: commands.long,
             m.SetPositionTarget: setpoints.position,
             m.SetAttitudeTarget: setpoints.attitude,
+            m.CommandInt: commands.int,
+            m.Heartbeat: self.streams.heartbeat,
+            m.RequestDataStream: self.streams.data_stream,
+            m.MissionRequestList: self._mission_list,
+            m.MissionClearAll: self._mission_clear,
+            m.FileTransfer: self._ftp.receive,
             m.ParamRequestList: self._parameter_service.list,
             m.ParamRequestRead: self._parameter_service.read,
             m.ParamSet: self._parameter_service.set,
@@ -121,6 +144,8 @@ class Services:
     def look(self, now_us: int) -> None:
         """Nothing comes back; sends what is due: list entries, upload reports."""
         self._parameter_service.look()
+        self.streams.look(now_us)
+        self._ftp.look(now_us)
         deadline_us = self._upload.next_deadline_us()
         if deadline_us is not None and now_us >= deadline_us:
             self._take(self._upload.advance(now_us), now_us)
@@ -140,6 +165,14 @@ class Services:
         if message.target_system == 0:
             asker = (message.get_srcSystem(), message.get_srcComponent())
             self._send(m.Ping(message.time_usec, message.seq, *asker))
+
+    def _mission_list(self, message: m.MissionRequestList, now_us: int) -> None:
+        asker = (message.get_srcSystem(), message.get_srcComponent())
+        self._send(m.MissionCount(*asker, 0, message.mission_type))
+
+    def _mission_clear(self, message: m.MissionClearAll, now_us: int) -> None:
+        asker = (message.get_srcSystem(), message.get_srcComponent())
+        self._send(m.MissionAck(*asker, mavlink.MAV_MISSION_ACCEPTED, message.mission_type))
 
     def _version(self) -> Message:
         identity = self._identity

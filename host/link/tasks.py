@@ -16,7 +16,8 @@ from host.link.client import NEVER_US, Client
 from protocol import messages as m
 from protocol.blobs import Blob
 from protocol.messages import Message, UploadState, mavlink
-from protocol.parameters import NAME_MAX, equal, float32
+from protocol.parameter_wire import decode, encode, type_of
+from protocol.parameters import BY_NAME, NAME_MAX, equal, float32
 from protocol.upload import SenderState, UploadSender
 from protocol.upload.transfer import tag_of
 
@@ -169,7 +170,7 @@ class ReadParameters(Task):
         self._count = message.param_count
         if message.param_index not in self._values:
             self._progress_us = now_us
-        self._values[message.param_index] = (message.param_id, message.param_value)
+        self._values[message.param_index] = (message.param_id, _value(message))
         # While the list flows nothing is asked again.
         self.deadline_us = now_us + RETRY_US
         if len(self._values) == self._count:
@@ -191,7 +192,8 @@ class ReadParameters(Task):
 class SetParameter(Task):
     """Result: the value on board. Raises Refused where the vehicle keeps another, LinkError on silence.
 
-    Values are the same where they are in float32, which is what travels. ValueError where it is not finite.
+    Values are the same where they are in float32. ValueError where it is not finite, or no whole number where
+    the table asks for one.
     """
 
     wants = (m.ParamValue,)
@@ -202,6 +204,8 @@ class SetParameter(Task):
             raise ValueError(f"a parameter's name has 1 to {NAME_MAX} ASCII characters, not {name!r}")
         self._name = name
         self._value = float32(value)
+        self._type = type_of(BY_NAME.get(name))
+        self._raw = encode(self._value, self._type)
         self._attempts = attempts
 
     def begin(self, client: Client, now_us: int) -> None:
@@ -211,18 +215,18 @@ class SetParameter(Task):
         if self._attempts == 0:
             raise LinkError(f"{self._name} was set but the vehicle does not answer; check the link")
         self._attempts -= 1
-        kind = mavlink.MAV_PARAM_TYPE_REAL32
-        client.send(m.ParamSet(*m.VEHICLE, self._name.encode(), self._value, kind))
+        client.send(m.ParamSet(*m.VEHICLE, self._name.encode(), self._raw, self._type))
         self.deadline_us = now_us + RETRY_US
 
     def receive(self, client: Client, message: Message, now_us: int) -> None:
         assert isinstance(message, m.ParamValue)
         if message.param_id != self._name:
             return
-        if not isfinite(message.param_value) or not equal(message.param_value, self._value):
+        value = _value(message)
+        if not isfinite(value) or not equal(value, self._value):
             said = f" ({client.texts[-1][1]})" if client.texts else ""
-            raise Refused(f"{self._name} stays {message.param_value:g} on board{said}")
-        self.finish(message.param_value)
+            raise Refused(f"{self._name} stays {value:g} on board{said}")
+        self.finish(value)
 
 
 class Command(Task):
@@ -397,6 +401,14 @@ class SettleClock(Task):
             raise LinkError("the vehicle does not answer TIMESYNC; check the link")
         else:
             self.deadline_us = now_us + self.CHECK_US
+
+
+def _value(message: m.ParamValue) -> float:
+    """The value that a PARAM_VALUE stands for. Raises LinkError where its type is none that we know."""
+    try:
+        return decode(message.param_value, message.param_type)
+    except ValueError as error:
+        raise LinkError(f"{message.param_id} comes in a type we do not know ({error})") from None
 
 
 def _command(number: int, parameters: tuple[float, ...] = (), confirmation: int = 0) -> Message:

@@ -171,6 +171,44 @@ class UploadReceiver:
         done = any(digest[:6] == id_bytes for digest in self._live.values())
         return (UploadResult.OK if done else UploadResult.BUSY), self._take_events()
 
+    def put(
+        self, kind: int, data: bytes, now_us: int
+    ) -> tuple[UploadResult, Verdict | None, list[ReceiverEvent]]:
+        """Result, what the check said if it was asked, and events of a whole blob that came in another way.
+
+        OK: it is staged, and stays so until it is committed or another upload begins, or it is live already.
+        BUSY: another upload is under way. Any other result leaves nothing of it.
+        """
+        if self.state is UploadState.RECEIVING and self._reminding(now_us):
+            return UploadResult.BUSY, None, []
+        blob = _Blob(hashlib.sha256(data).digest(), kind, len(data))
+        event = self._begin_event(blob, CHUNK_BYTES)
+        if event is Event.BEGIN_LIVE:
+            return UploadResult.OK, None, []
+        entry = TABLE(self.state, event)
+        if isinstance(entry, Refusal):
+            return entry.result or UploadResult.BUSY, None, []
+        self._do(event, blob, now_us)
+        if self.state is UploadState.RECEIVING:
+            for index in range(self.chunks):
+                self._store.put(kind, index, data[index * CHUNK_BYTES : (index + 1) * CHUNK_BYTES])
+            self._map[:] = bytes([1]) * self.chunks
+            self.held = self.chunks
+            self._on_complete(now_us)
+        verdict = self.verdict
+        if self.state is UploadState.STAGED:
+            self._fall_silent(now_us)
+            return UploadResult.OK, verdict, self._take_events()
+        self._do(Event.ABORT_SAME, blob, now_us)
+        return UploadResult.REFUSED, verdict, self._take_events()
+
+    def remove(self, kind: int, now_us: int) -> tuple[UploadResult, list[ReceiverEvent]]:
+        """Result and events of forgetting what is staged of this kind; UNKNOWN where nothing is."""
+        if self.state is not UploadState.STAGED or self._blob.kind != kind:
+            return UploadResult.UNKNOWN, []
+        self._do(Event.ABORT_SAME, self._blob, now_us)
+        return UploadResult.OK, self._take_events()
+
     def advance(self, now_us: int) -> list[ReceiverEvent]:
         """What the passing of time brought about."""
         return self._take_events()
@@ -345,6 +383,12 @@ class UploadReceiver:
     def _reminding(self, at_us: int) -> bool:
         """Whether the blob in hand is one that the host still asks about at that time."""
         return self._blob is not _NONE and at_us - self._heard_us < self._silence_us
+
+    def _fall_silent(self, now_us: int) -> None:
+        """Nothing comes back; nobody waits for reports of the blob in hand."""
+        self._heard_us = now_us - self._silence_us
+        self._report_us = None
+        self._out.clear()
 
     def _clear(self, event: UploadEvent, text: str) -> None:
         self._tell(event, text)

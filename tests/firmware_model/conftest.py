@@ -319,3 +319,56 @@ def flown(engine):
     session.run_to(State.STANDBY)
     session.run(0.3)
     return session
+
+
+class Line:
+    """A FlightMcu on a bare serial line, no radios: what stations of any address say and hear on it."""
+
+    def __init__(self, engine, *, store=None, parameters=None):
+        self.body = Body()
+        self.store = store or ReferenceStore()
+        self.flight = FlightMcu(
+            engine=engine,
+            parameters={**DEFAULTS, **(parameters or {})},
+            store=self.store,
+            uid=7,
+            vehicle_id=bytes.fromhex(VEHICLE_ID),
+        )
+        self.port = UartPort(baud=921_600, rx_bytes=1 << 16, tx_bytes=1 << 16)
+        connect(self.port, self.flight.uart)
+        self.codecs = {}
+        self.ears = Codec(*HOST)
+        self.now_us = 0
+        self.inbox = []
+        self.bytes_heard = 0
+
+    def send(self, *messages, source=HOST):
+        codec = self.codecs.setdefault(source, Codec(*source))
+        for message in messages:
+            assert self.port.write(codec.encode(message), self.now_us)
+
+    def command(self, number, *parameters, source=HOST):
+        self.send(m.CommandLong(1, 1, number, 0, *(*parameters, *(0.0,) * 7)[:7]), source=source)
+
+    def run(self, seconds, until=None):
+        end = self.now_us + round(1e6 * seconds)
+        while self.now_us < end:
+            self.flight.tick(self.now_us, self.body.w, self.body.force, 16.8)
+            self.now_us += TICK_US
+            data = self.port.read(self.now_us)
+            self.bytes_heard += len(data)
+            self.inbox += self.ears.decode(data)
+            if until is not None and until():
+                return
+        assert until is None, f"never came; {self.texts()}"
+
+    def received(self, kind):
+        return [message for message in self.inbox if isinstance(message, kind)]
+
+    def texts(self):
+        return [message.text for message in self.received(m.StatusText)]
+
+
+@pytest.fixture
+def make_line(engine):
+    return lambda **keywords: Line(engine, **keywords)

@@ -12,6 +12,7 @@ from protocol import messages as m
 from protocol.blobs import FeedForward, Kind, Node, Reference
 from protocol.codec import Codec
 from protocol.messages import HOST, UploadResult, mavlink
+from protocol.parameter_wire import INT32, REAL32, decode, encode
 from protocol.parameters import DEFAULTS, PARAMETERS, float32
 from protocol.telemetry import IntervalDecoder
 from protocol.upload import UploadSender
@@ -139,7 +140,7 @@ def test_arm_and_start_refused_say_why(make_session):
 def test_command_unknown_is_unsupported(make_session):
     session = make_session()
     session.command(9999)
-    session.command(512, 245.0)
+    session.command(512, 9999.0)
     session.run(0.2)
     assert [a.result for a in session.received(m.CommandAck)] == [mavlink.MAV_RESULT_UNSUPPORTED] * 2
 
@@ -183,9 +184,54 @@ def test_param_list_sends_every_parameter_once(make_session):
     session = make_session()
     session.send(m.ParamRequestList(1, 1))
     session.run(1.5)
-    values = {v.param_id: v.param_value for v in session.received(m.ParamValue)}
+    values = {v.param_id: decode(v.param_value, v.param_type) for v in session.received(m.ParamValue)}
     assert values == {p.name: float32(p.default) for p in PARAMETERS}
     assert {v.param_count for v in session.received(m.ParamValue)} == {len(PARAMETERS)}
+
+
+def test_param_whole_numbers_travel_as_bits_both_ways(make_session):
+    session = make_session()
+    session.run(0.3)
+    session.send(m.ParamSet(1, 1, b"BAT_CELLS", encode(6.0, INT32), INT32))
+    session.run(0.2)
+    answer = session.received(m.ParamValue)[-1]
+    assert answer.param_type == INT32
+    assert struct.pack("<f", answer.param_value) == struct.pack("<i", 6)
+    assert session.flight.parameters["BAT_CELLS"] == 6.0
+
+
+@pytest.mark.parametrize(
+    ("name", "raw", "kind", "text"),
+    [
+        (b"BAT_CELLS", 3.0, REAL32, "BAT_CELLS kept: set it as INT32"),
+        (b"MASS", encode(1.0, INT32), INT32, "MASS kept: set it as REAL32"),
+        (b"MASS", 1.0, 1, "MASS kept: set it as REAL32"),
+        (b"BAT_CELLS", encode(99.0, INT32), INT32, "BAT_CELLS: 99 is outside 1..24"),
+        (b"MASS", math.inf, REAL32, "MASS: inf is not a finite number"),
+    ],
+)
+def test_param_set_of_another_type_or_out_of_range_is_refused(make_session, name, raw, kind, text):
+    session = make_session()
+    session.run(0.3)
+    session.send(m.ParamSet(1, 1, name, raw, kind))
+    session.run(0.2)
+    (answer,) = session.received(m.ParamValue)
+    assert decode(answer.param_value, answer.param_type) == float32(DEFAULTS[name.decode()])
+    assert text in session.texts()
+
+
+def test_param_lists_asked_for_by_two_stations_both_come_whole(make_session):
+    session = make_session()
+    session.send(m.ParamRequestList(1, 1))
+    session.run(0.3)
+    heard = len(session.received(m.ParamValue))
+    assert 10 < heard < len(PARAMETERS) - 10
+    session.send(m.ParamRequestList(1, 1))
+    session.run(1.5)
+    everyone = [v.param_index for v in session.received(m.ParamValue)]
+    assert set(everyone) == set(range(len(PARAMETERS)))
+    assert set(everyone[heard + 5 :]) == set(range(len(PARAMETERS)))  # from the second request on
+    assert len(everyone) < 2 * len(PARAMETERS)
 
 
 def test_param_read_by_name_and_by_index(make_session):
