@@ -18,11 +18,13 @@ from dataclasses import dataclass
 from typing import Protocol
 from urllib.parse import urlsplit
 
+from protocol.uwb import MAGIC, OVERHEAD_BYTES, SIGNATURE_BYTES
+
 _READ_BYTES = 4096
+_CLIENTS_MAX = 8
+_PEER_US = 10_000_000  # a datagram peer that has been silent for longer is answered no more
 _BACKLOG_BYTES = 65536  # towards a client that does not read; older bytes are then dropped, as by a full UART
 _STEP_US = 2000
-_PEER_US = 10_000_000  # a ground station says something every second; one silent for so long has gone
-_PEERS = 16
 _LATE_US = 20_000  # behind by more than this counts as an overrun and moves the clock
 
 
@@ -53,11 +55,14 @@ class ServeStatistics:
 
 
 class Port(Protocol):
-    """A byte stream to a client, over UDP to several. `address` is what a client opens."""
+    """A byte stream to whoever is there. `address` is what a client opens.
+
+    What a client sends is read in whole messages where there may be several clients.
+    """
 
     address: str
 
-    def fileno(self) -> int: ...
+    def waits_on(self) -> list[int | socket.socket]: ...
     def read(self) -> bytes: ...
     def write(self, data: bytes) -> None: ...
     def close(self) -> None: ...
@@ -75,7 +80,8 @@ def serve(
     """Statistics once `stop` turned true: the vehicle ran against the wall clock, bytes through the port.
 
     Args:
-        port: "pty", "tcp:HOST:PORT" (listens) or "udp:HOST:PORT" (listens, answers everybody who speaks).
+        port: "pty" (one client), "tcp:HOST:PORT" (listens, several at a time) or "udp:HOST:PORT" (listens,
+        answers everybody who spoke within the last 10 s).
         stop: asked every few milliseconds.
         mocap: udp://HOST:PORT that gets one datagram a pose; None: nobody gets them.
         realtime: False runs as fast as the machine allows.
@@ -103,7 +109,7 @@ def _loop(
             statistics.overruns += 1
             statistics.stretched_us -= ahead_us
             origin_us -= ahead_us
-        readable, _, _ = select.select([line], [], [], max(0, ahead_us) * 1e-6)
+        readable, _, _ = select.select(line.waits_on(), [], [], max(0, ahead_us) * 1e-6)
         if readable and (data := line.read()):
             vehicle.serial_write(data)
         if realtime and vehicle.now_us > _wall_us() - origin_us:
@@ -140,8 +146,8 @@ class _Pty:
         self.address = os.ttyname(self._slave)
         self._backlog = bytearray()
 
-    def fileno(self) -> int:
-        return self._master
+    def waits_on(self) -> list[int | socket.socket]:
+        return [self._master]
 
     def read(self) -> bytes:
         try:
@@ -172,104 +178,139 @@ class _Pty:
         os.close(self._slave)
 
 
-class _Tcp:
-    """A listening socket that serves one client at a time; the newest takes over."""
+class _Client:
+    """One TCP client: what it has begun to say, and what it has not taken yet."""
 
-    def __init__(self, host: str, port: int) -> None:
-        self._listener = socket.create_server((host, port))
-        self._listener.setblocking(False)
-        self.address = "tcp:{}:{}".format(*self._listener.getsockname()[:2])
-        self._client: socket.socket | None = None
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.socket = connection
+        self.gone = False
+        self._begun = b""
         self._backlog = bytearray()
 
-    def fileno(self) -> int:
-        return (self._client or self._listener).fileno()
-
     def read(self) -> bytes:
-        self._accept()
-        if self._client is None:
-            return b""
+        """Whole messages, and bytes that belong to none."""
         try:
-            data = self._client.recv(_READ_BYTES)
+            data = self.socket.recv(_READ_BYTES)
         except BlockingIOError:
             return b""
         except OSError:
             data = b""
         if not data:
-            self._drop()
-        return data
+            self.gone = True
+        whole = whole_bytes(data := self._begun + data)
+        self._begun = data[whole:]
+        return data[:whole]
 
     def write(self, data: bytes) -> None:
-        self._accept()
-        if self._client is None:
-            return
         self._backlog += data
         del self._backlog[:-_BACKLOG_BYTES]
         if not self._backlog:
             return
         try:
-            del self._backlog[: self._client.send(self._backlog)]
+            del self._backlog[: self.socket.send(self._backlog)]
         except BlockingIOError:
             return
         except OSError:
-            self._drop()
+            self.gone = True
+
+
+class _Tcp:
+    """A listening socket that serves several clients at a time; at most so many, the oldest make room."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._listener = socket.create_server((host, port))
+        self._listener.setblocking(False)
+        self.address = "tcp:{}:{}".format(*self._listener.getsockname()[:2])
+        self._clients: list[_Client] = []
+
+    def waits_on(self) -> list[int | socket.socket]:
+        return [self._listener, *(client.socket for client in self._clients)]
+
+    def read(self) -> bytes:
+        self._accept()
+        data = b"".join(client.read() for client in self._clients)
+        self._drop(lambda client: client.gone)
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._accept()
+        for client in self._clients:
+            client.write(data)
+        self._drop(lambda client: client.gone)
 
     def close(self) -> None:
-        self._drop()
+        self._drop(lambda client: True)
         self._listener.close()
 
     def _accept(self) -> None:
         try:
-            client, _ = self._listener.accept()
+            connection, _ = self._listener.accept()
         except BlockingIOError:
             return
-        self._drop()
-        client.setblocking(False)
-        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._client = client
+        self._clients.append(_Client(connection))
+        if len(self._clients) > _CLIENTS_MAX:
+            self._clients[0].gone = True
+            self._drop(lambda client: client.gone)
 
-    def _drop(self) -> None:
-        if self._client is not None:
-            self._client.close()
-            self._client = None
-            self._backlog.clear()
+    def _drop(self, which: Callable[[_Client], bool]) -> None:
+        for client in [client for client in self._clients if which(client)]:
+            client.socket.close()
+            self._clients.remove(client)
 
 
 class _Udp:
-    """A bound socket that many may use at once: each hears everything, until it is silent for _PEER_US."""
+    """A bound socket that answers everybody who spoke lately."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(_family(host), socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.bind((host, port))
         self.address = "udp:{}:{}".format(*self._socket.getsockname()[:2])
-        self._peers: dict[tuple[str, int], int] = {}  # the one that spoke last at the end
+        self._heard_us: dict[tuple[str, int], int] = {}
 
-    def fileno(self) -> int:
-        return self._socket.fileno()
+    def waits_on(self) -> list[int | socket.socket]:
+        return [self._socket]
 
     def read(self) -> bytes:
         try:
             data, peer = self._socket.recvfrom(_READ_BYTES)
         except (BlockingIOError, ConnectionError):
             return b""
-        self._peers.pop(peer, None)
-        self._peers[peer] = _wall_us()
-        if len(self._peers) > _PEERS:
-            del self._peers[next(iter(self._peers))]
+        self._heard_us.pop(peer, None)
+        self._heard_us[peer] = _wall_us()
+        if len(self._heard_us) > _CLIENTS_MAX:
+            del self._heard_us[next(iter(self._heard_us))]
         return data
 
     def write(self, data: bytes) -> None:
-        if not data or not self._peers:
+        if not data:
             return
-        least_us = _wall_us() - _PEER_US
-        self._peers = {peer: heard_us for peer, heard_us in self._peers.items() if heard_us > least_us}
-        for peer in self._peers:
+        last_us = _wall_us() - _PEER_US
+        for peer, heard_us in list(self._heard_us.items()):
+            # The newest is answered however long ago it spoke: it may only be listening.
+            if heard_us < last_us and len(self._heard_us) > 1:
+                del self._heard_us[peer]
+                continue
             with contextlib.suppress(BlockingIOError, ConnectionError):
                 self._socket.sendto(data, peer)
 
     def close(self) -> None:
         self._socket.close()
+
+
+def whole_bytes(data: bytes) -> int:
+    """How many bytes of `data` come before a MAVLink 2 message that has only begun; by its header alone."""
+    at = data.find(MAGIC)
+    while 0 <= at < len(data):
+        after = at + OVERHEAD_BYTES
+        if len(data) > at + 2:
+            after += data[at + 1] + (SIGNATURE_BYTES if data[at + 2] & 1 else 0)
+        if after > len(data):
+            return at
+        at = data.find(MAGIC, after)
+    return len(data)
 
 
 class _Datagrams:

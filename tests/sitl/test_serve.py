@@ -14,10 +14,12 @@ import tty
 from collections.abc import Callable, Iterator
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from host.vehicle import load_vehicle
 from protocol.codec import Codec
-from protocol.messages import CAMERAS, HOST, AttPosMocap, Heartbeat, is_vehicle
+from protocol.messages import CAMERAS, HOST, AttPosMocap, Heartbeat, host_heartbeat, is_vehicle
 from sitl import serve as server
 from sitl.vehicle import SimulatedVehicle
 
@@ -116,44 +118,82 @@ def test_pty_without_a_reader_drops_old_bytes_and_goes_on() -> None:
         os.close(fd)
 
 
-def test_tcp_serves_the_newest_client() -> None:
+def beat(system: int) -> bytes:
+    return Codec(system, 190).encode(host_heartbeat())
+
+
+def test_tcp_serves_several_clients_and_every_one_hears_all() -> None:
     with served(Echo(), "tcp:127.0.0.1:0") as (address, _):
         host, port = address.removeprefix("tcp:").split(":")
-        for message in (b"one", b"two"):
-            with socket.create_connection((host, int(port))) as client:
-                client.sendall(message)
-                assert read_exactly(client.fileno(), 3) == message
+        first = socket.create_connection((host, int(port)))
+        with socket.create_connection((host, int(port))) as second:
+            second.sendall(beat(2))
+            assert read_exactly(second.fileno(), len(beat(2))) == beat(2)
+            assert read_exactly(first.fileno(), len(beat(2))) == beat(2)
+        first.sendall(beat(3))
+        assert read_exactly(first.fileno(), len(beat(3))) == beat(3)
+        first.close()
+        with socket.create_connection((host, int(port))) as third:
+            third.sendall(b"third")
+            assert read_exactly(third.fileno(), 5) == b"third"
 
 
-def test_udp_serves_everybody_who_spoke() -> None:
-    with served(Echo(), "udp:127.0.0.1:0") as (address, _), contextlib.ExitStack() as stack:
-        host, port = address.removeprefix("udp:").split(":")
-        first, second = (
-            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)
-        )
-        first.sendto(b"one", (host, int(port)))
-        assert first.recv(100) == b"one"
-        second.sendto(b"two", (host, int(port)))
-        assert first.recv(100) == second.recv(100) == b"two"
+def test_tcp_does_not_mix_the_messages_of_two_clients() -> None:
+    with served(Echo(), "tcp:127.0.0.1:0") as (address, _):
+        host, port = address.removeprefix("tcp:").split(":")
+        with (
+            socket.create_connection((host, int(port))) as slow,
+            socket.create_connection((host, int(port))) as quick,
+        ):
+            slow.sendall(beat(2)[:7])
+            quick.sendall(beat(3))
+            size = len(beat(2))
+            assert read_exactly(quick.fileno(), size) == beat(3)
+            slow.sendall(beat(2)[7:])
+            assert read_exactly(quick.fileno(), size) == beat(2)
+            assert read_exactly(slow.fileno(), 2 * size) == beat(3) + beat(2)
 
 
-def test_udp_forgets_who_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
-    now_us = 0
-    monkeypatch.setattr(server, "_wall_us", lambda: now_us)
-    with contextlib.ExitStack() as stack:
-        line = stack.enter_context(contextlib.closing(server.open_port("udp:127.0.0.1:0")))
+@given(st.lists(st.one_of(st.binary(max_size=9), st.just(beat(9))), max_size=9), st.integers(0, 200))
+def test_whole_bytes_never_cut_a_message(parts: list[bytes], cut: int) -> None:
+    data = b"".join(parts)[:cut]
+    whole = server.whole_bytes(data)
+    assert 0 <= whole <= len(data)
+    rest = data[whole:]
+    assert rest == b"" or (rest[0] == 0xFD and len(rest) < 280)
+    assert server.whole_bytes(data[:whole]) == whole
+
+
+def test_udp_answers_everybody_who_spoke_lately(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall_us = [0]
+    monkeypatch.setattr(server, "_wall_us", lambda: wall_us[0])
+    line = server.open_port("udp:127.0.0.1:0")
+    with contextlib.closing(line), contextlib.ExitStack() as stack:
         host, port = line.address.removeprefix("udp:").split(":")
-        gone, there = (
-            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)
-        )
-        for client, said in ((gone, b"one"), (there, b"two")):
-            client.sendto(said, (host, int(port)))
-            select.select([line], [], [])
-            assert line.read() == said
-            now_us += 6_000_000
-        line.write(b"heard")
-        assert there.recv(100) == b"heard"
-        assert select.select([gone], [], [], 0.0)[0] == []
+        one, two = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
+
+        def say(client: socket.socket, data: bytes) -> None:
+            client.sendto(data, (host, int(port)))
+            select.select(line.waits_on(), [], [])
+            assert line.read() == data
+
+        say(one, b"first")
+        line.write(b"to one")
+        assert one.recv(100) == b"to one"
+        say(two, b"second")
+        line.write(b"to both")
+        assert one.recv(100) == two.recv(100) == b"to both"
+        wall_us[0] = 9_000_000
+        say(two, b"still here")
+        wall_us[0] = 11_000_000
+        line.write(b"to two")
+        assert two.recv(100) == b"to two"
+        one.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            one.recv(100)
+        wall_us[0] = 60_000_000
+        line.write(b"to the last one")
+        assert two.recv(100) == b"to the last one"
 
 
 def test_simulated_vehicle_in_real_time_sends_heartbeats_and_poses() -> None:
