@@ -60,6 +60,7 @@ class Commands:
         self._on_upload = on_upload
         self._commands: dict[int, Callable[[Any, int], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
+            mavlink.MAV_CMD_RUN_PREARM_CHECKS: self._check,
             mavlink.MAV_CMD_MISSION_START: lambda _, now_us: self._event(Event.START, now_us),
             mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
             mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
@@ -68,7 +69,6 @@ class Commands:
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._request_version,
             mavlink.MAV_CMD_USER_1: self._commit,
-            mavlink.MAV_CMD_RUN_PREARM_CHECKS: self._prearm,
             **more,
         }
 
@@ -103,6 +103,18 @@ class Commands:
             return self._event(Event.ARM, now_us)
         return self._event(Event.KILL if message.param2 == m.FORCE else Event.DISARM, now_us)
 
+    def _check(self, message: m.CommandLong, now_us: int) -> int:
+        """Every reason why arming would be refused, as texts."""
+        if self._flight.state is not State.STANDBY:
+            self._text(_WARNING, f"not in standby: {self._flight.state.name.lower()}")
+            return _NOT_NOW
+        reasons = self._flight.arming_reasons(now_us)
+        for reason in reasons:
+            self._text(_WARNING, f"not ready: {reason}")
+        if not reasons:
+            self._text(mavlink.MAV_SEVERITY_INFO, "ready to arm")
+        return _NOT_NOW if reasons else _ACCEPTED
+
     def _take_off(self, message: m.CommandLong, now_us: int) -> int:
         height = message.param7
         if math.isnan(height) or height == 0.0:
@@ -115,13 +127,6 @@ class Commands:
         named = bool(math.isfinite(message.param1) and int(message.param1) & _CUSTOM_MODE)
         event = _MODES.get((message.param2, message.param3)) or _MODES.get((message.param2, None))
         return self._event(event, now_us) if named and event is not None else _UNSUPPORTED
-
-    def _prearm(self, message: m.CommandLong, now_us: int) -> int:
-        reason = self._flight.arm_refusal(now_us) if self._flight.state is State.STANDBY else "not in standby"
-        if reason is None:
-            return _ACCEPTED
-        self._text(_WARNING, f"arm refused: {reason}")
-        return _NOT_NOW
 
     def _terminate(self, message: m.CommandLong, now_us: int) -> int:
         return self._event(Event.KILL, now_us) if message.param1 > 0.5 else _ACCEPTED

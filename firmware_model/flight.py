@@ -21,11 +21,11 @@ from firmware_model.offboard import Offboard
 from firmware_model.parameters import ParameterValues
 from firmware_model.player import Player
 from firmware_model.poses import PoseInput
-from firmware_model.readiness import GyroCalibration, refusal
+from firmware_model.readiness import Facts, GyroCalibration, contradiction, reasons
 from firmware_model.setpoints import PositionTarget, Target, towards, turned
 from firmware_model.supervisor import FLYING, Event, State, update
 from firmware_model.uart import NEVER_US
-from firmware_model.watch import TOUCH_HEIGHT, Watch
+from firmware_model.watch import TOUCH_HEIGHT, Seen, Watch, fence
 from protocol.telemetry import TICK_US
 
 BOOT_US = 200_000
@@ -64,7 +64,8 @@ class Flight:
         engine: `law.step` as an engine. parameters: values on board.
 
     `reference` is the track to fly, None for none; `feedforward` the law's feed-forward. Both may be replaced
-    in standby. `changed` is set whenever state or failsafe change, for whoever reports them.
+    in standby. `changed` is set whenever state or failsafe change, for whoever reports them. `conditions`:
+    rows of the failsafe table that held at the last look, bit k for Failsafe k.
     """
 
     def __init__(self, *, engine: Engine, parameters: ParameterValues) -> None:
@@ -73,6 +74,7 @@ class Flight:
         self.state_us = 0
         self.failsafe = Failsafe.NONE
         self.action = Action.NONE
+        self.conditions = 0
         self.reference: track.Track | None = None
         self.tracking_us: int | None = None
         self.texts: deque[tuple[int, str]] = deque()
@@ -135,10 +137,7 @@ class Flight:
     # Commands and measurements.
 
     def command(self, event: Event, now_us: int, height_m: float | None = None) -> str | None:
-        """Why `event` was refused, None where it took effect.
-
-        height_m: of a takeoff; None for TAKEOFF_HEIGHT.
-        """
+        """Why `event` was refused, None where it took effect. height_m: of a takeoff, else TAKEOFF_HEIGHT."""
         outcome = update(self.state, event)
         refusal = outcome.refusal or self._refusal(event, now_us)
         if refusal is None and (outcome.state is not self.state or event is Event.HOLD):
@@ -190,7 +189,7 @@ class Flight:
             if self._saturated[0]:
                 self.saturated_ticks += 1
 
-    def look(self, now_us: int) -> None:
+    def look(self, now_us: int, battery_v: float) -> None:
         """Nothing comes back; once every LOOK_TICKS, after the tick: readiness, failsafes, touchdown."""
         state = self.state
         if self._flying:
@@ -199,10 +198,16 @@ class Flight:
             if now_us >= BOOT_US:
                 self.command(Event.BOOTED, now_us)
             return
+        self._see(now_us, battery_v)
+        holding = self.watch.holding()
+        self.conditions = 0
+        for condition in holding:
+            if condition.failsafe is not Failsafe.NONE:
+                self.conditions |= 1 << condition.failsafe
         if state is State.STANDBY:
             self._calibrate(now_us)
             return
-        for condition in self.watch.struck(now_us, self._cos_tilt[0]):
+        for condition in holding:
             self._strike(condition, now_us)
         if self.state is State.ARMED and now_us - self.state_us > self.parameters.us("IDLE_S"):
             self._tell(_INFO, "disarmed: nothing started")
@@ -213,6 +218,19 @@ class Flight:
         elif self._floor - self._memory[2] > 2.0 * TOUCH_HEIGHT:
             self.watch.aloft(force=-self._force[2], thrust=self._thrust())
             self._observing[0] = 1.0
+
+    def _see(self, now_us: int, battery_v: float) -> None:
+        memory, measured_us = self._memory, self.poses.measured_us
+        seen = Seen(
+            cos_tilt=self._cos_tilt[0],
+            age_us=None if measured_us is None else now_us - measured_us,
+            p=(memory[0], memory[1], memory[2]),
+            battery_v=battery_v,
+            imu=(*self._gyro, *self._force),
+            flight_ticks=self.flight_ticks,
+            saturated_ticks=self.saturated_ticks,
+        )
+        self.watch.see(now_us, seen)
 
     # What the states do when they are entered.
 
@@ -391,7 +409,7 @@ class Flight:
         outcome = update(self.state, condition.event)
         if outcome.refusal is not None:
             return
-        self._tell(_CRITICAL, condition.text)
+        self._tell(_WARNING if condition.failsafe is Failsafe.NONE else _CRITICAL, condition.text)
         if outcome.state is not State.FAILSAFE:
             self.failsafe = condition.failsafe
             self._enter(outcome.state, condition.event, now_us)
@@ -468,7 +486,7 @@ class Flight:
         """Why a command that the table allows is refused all the same."""
         state = self.state
         if event is Event.ARM and state is State.STANDBY:
-            return self.arm_refusal(now_us)
+            return next(iter(self.arming_reasons(now_us)), None)
         if event is Event.START and state is State.TAKEOFF and self._climb_end is Event.RISEN:
             return "still taking off"
         if event is Event.START and state in (State.ARMED, State.HOLD):
@@ -482,13 +500,19 @@ class Flight:
             return "no setpoints: stream them first"
         return None
 
-    def arm_refusal(self, now_us: int) -> str | None:
-        """Why a vehicle in standby would not arm, None where it would."""
-        return refusal(
+    def arming_reasons(self, now_us: int) -> list[str]:
+        """Every reason why arming would be refused in standby; none where it would not."""
+        memory, values = self._memory, self.parameters
+        facts = Facts(
             calibrated=self.calibration.bias is not None,
-            has_pose=self.has_pose(now_us),
+            posed=self.has_pose(now_us),
             cos_tilt=self._cos_tilt[0],
+            p=(memory[0], memory[1], memory[2]),
+            fence=fence(values),
+            holding=frozenset(row.event for row in self.watch.holding()),
+            contradiction=contradiction(values),
         )
+        return reasons(facts)
 
     def _thrust(self) -> float:
         return self.outputs["collective_n"][0] / self.parameters["MASS"]

@@ -135,7 +135,7 @@ class FlightMcu:
         self._look_us = now_us - now_us % LOOK_US + LOOK_US
         flight = self.flight
         streams = self._services.streams
-        flight.look(now_us)
+        flight.look(now_us, self._battery_v)
         try:
             for message in telemetry.at_rate(flight, now_us):
                 if not streams.slowed or streams.own_due(message.id, now_us):
@@ -169,6 +169,7 @@ class FlightMcu:
     def _mistimed(self, now_us: int) -> None:
         self._tick_max_us = max(self._tick_max_us, now_us - self._last_us)
         self._late_ticks += 1
+        self.flight.watch.late(now_us)
 
     # Sending.
 

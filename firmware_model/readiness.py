@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 from firmware_model.law.constants import GRAVITY
 from firmware_model.law.step import GYRO_COUNTS, TICK_S
+from firmware_model.supervisor import Event
+from firmware_model.watch import Box, within
 
 WINDOW_US = 500_000
 """Stillness that a calibration takes."""
@@ -62,12 +65,59 @@ class GyroCalibration:
         return True
 
 
-def refusal(*, calibrated: bool, has_pose: bool, cos_tilt: float) -> str | None:
-    """Why the vehicle must not arm, None where it may."""
-    if not calibrated:
-        return "gyro not calibrated: keep still"
-    if not has_pose:
-        return "no mocap"
-    if cos_tilt < math.cos(math.radians(ARM_TILT_DEG)):
-        return "tilted"
+class Facts(NamedTuple):
+    """What the arming checks judge.
+
+    calibrated: the gyro is; posed: poses are being used; cos_tilt: of the estimate; p: estimated position
+    (NED); fence: the flight volume; holding: conditions of the failsafe table that hold; contradiction: of
+    the parameters, None where there is none.
+    """
+
+    calibrated: bool
+    posed: bool
+    cos_tilt: float
+    p: tuple[float, float, float]
+    fence: Box
+    holding: frozenset[Event]
+    contradiction: str | None
+
+
+class Check(NamedTuple):
+    """One arming check: what is looked at, whether it fails, what people read then."""
+
+    what: str
+    fails: Callable[[Facts], bool]
+    text: str
+
+
+def _holds(event: Event) -> Callable[[Facts], bool]:
+    return lambda facts: event in facts.holding
+
+
+CHECKS: tuple[Check, ...] = (
+    Check("gyro", lambda facts: not facts.calibrated, "gyro not calibrated: keep still"),
+    Check("IMU", _holds(Event.IMU_STUCK), "IMU stuck: it repeats one sample"),
+    Check("mocap", lambda facts: not facts.posed, "no mocap"),
+    Check("age of poses", _holds(Event.MOCAP_LATE), "mocap late"),
+    Check("tilt", lambda facts: not facts.cos_tilt >= math.cos(math.radians(ARM_TILT_DEG)), "tilted"),
+    Check("fence", lambda facts: not within(facts.p, facts.fence), "outside the fence"),
+    Check("battery", _holds(Event.BATTERY_LOW), "battery low: charge it"),
+    Check("loop", _holds(Event.LOOP_OVERRUN), "ticks too late"),
+    Check("link", _holds(Event.LINK_LOST), "no host heard"),
+    Check("parameters", lambda facts: facts.contradiction is not None, "parameters: {contradiction}"),
+)
+"""In the order in which reasons are told."""
+
+
+def reasons(facts: Facts) -> list[str]:
+    """Every reason why the vehicle must not arm; none where it may."""
+    return [check.text.format(contradiction=facts.contradiction) for check in CHECKS if check.fails(facts)]
+
+
+def contradiction(parameters: Mapping[str, float]) -> str | None:
+    """What parameters that are allowed one by one do not allow together, None where all is well."""
+    if parameters["BAT_EMPTY_V"] >= parameters["BAT_FULL_V"]:
+        return "BAT_EMPTY_V not below BAT_FULL_V"
+    if 4.0 * parameters["THRUST_MAX"] * parameters["LIM_THR_HI"] <= parameters["MASS"] * GRAVITY:
+        return "MASS too great for THRUST_MAX"
     return None

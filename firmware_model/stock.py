@@ -49,7 +49,7 @@ def sys_status(flight: Flight, now_us: int, battery_v: float) -> m.SysStatus:
         health |= _GYRO
     if flight.has_pose(now_us):
         health |= _MOCAP
-    if flight.arm_refusal(now_us) is None:
+    if not flight.arming_reasons(now_us):
         health |= _PREARM
     millivolts, percent = _millivolts(battery_v), _percent(flight, battery_v)
     return m.SysStatus(_PRESENT, _PRESENT, health, 0, millivolts, _NOT_MEASURED, percent, 0, 0, 0, 0, 0, 0)

@@ -107,7 +107,7 @@ def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
         poses_used=flight.poses.used & _MASK32,
         battery_mv=min(_MASK16, max(0, round(battery_mv))) if math.isfinite(battery_mv) else 0,
         swap_tick=NO_TICK,
-        conditions=0,
+        conditions=flight.conditions,
         loop_us=min(_MASK16, board.tick_max_us),
         loop_mean_us=0,
         jitter_us=0,

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from firmware_model.failsafe import CONDITIONS, Condition
 from firmware_model.parameters import ParameterValues
@@ -19,42 +22,135 @@ TOUCH_SPEED = 0.15
 """m/s below which a descending vehicle has been stopped by something."""
 TOUCH_FORCE = 1.0
 """m/s^2 by which specific force exceeds what the rotors give where something else carries the vehicle."""
+_NEARLY_EVERY = 0.9  # of the ticks between two looks
 _RATIO_SHARE = 0.02  # of each look's thrust ratio
 TOUCH_US = 200_000
 """Time a sign of touchdown must last."""
 
 
+Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+"""(low, high) of north, east and down, m."""
+
+
+def fence(parameters: Mapping[str, float], margin_m: float = 0.0) -> Box:
+    """The flight volume, larger by a margin on every side."""
+    n, e, d = (
+        (parameters[f"FENCE_{axis}_MIN"] - margin_m, parameters[f"FENCE_{axis}_MAX"] + margin_m)
+        for axis in "NED"
+    )
+    return n, e, d
+
+
+def within(p: Sequence[float], box: Box) -> bool:
+    """Whether the position lies in the box."""
+    return all(low <= x <= high for x, (low, high) in zip(p, box, strict=True))
+
+
+class Seen(NamedTuple):
+    """What conditions are judged by, at one look.
+
+    cos_tilt: of the estimate. age_us: of the newest pose used, None before the first. p: estimated position
+    (NED). battery_v: as measured. imu: gyro and specific force as read. flight_ticks, saturated_ticks:
+    counts.
+    """
+
+    cos_tilt: float
+    age_us: int | None
+    p: tuple[float, float, float]
+    battery_v: float
+    imu: tuple[float, ...]
+    flight_ticks: int
+    saturated_ticks: int
+
+
 class Watch:
-    """Which conditions of the table have lasted for their timeouts. Times are compared, not counted."""
+    """Which conditions of the table have lasted for their times. Times are compared, not counted.
+
+    `pose_us`, `host_us`, `setpoint_us`: when a pose was last used, the host heard, a setpoint heard.
+    """
 
     def __init__(self, parameters: ParameterValues) -> None:
         self.pose_us = 0
         self.host_us = 0
         self.setpoint_us = NEVER_US  # where none are followed, none are lost
+        self.volts: float | None = None  # smoothed
+        self.thrust_ratio = 1.0  # real over commanded thrust, as last seen in normal flight
         self._level_us = 0  # when tilt was last within bounds
         self._aloft_us = 0  # when there was last no sign of touchdown
-        self.thrust_ratio = 1.0  # real over commanded thrust, as last seen in normal flight
+        self._fresh_us = 0  # when the newest pose was last fresh
+        self._inside_us = 0
+        self._free_us = 0  # when the motors last were not saturated
+        self._charged_us = 0
+        self._imu: tuple[float, ...] = ()
+        self._imu_us = 0  # when its sample last changed
+        self._look_us = 0
+        self._ticks = (0, 0)
+        self._late: deque[int] = deque()
         self.configure(parameters)
 
     def configure(self, parameters: ParameterValues) -> None:
-        """Nothing comes back; timeouts and bounds are read anew."""
+        """Nothing comes back; times and bounds are read anew."""
         self._timeouts = tuple(
-            (row, parameters.us(row.timeout)) for row in CONDITIONS if row.timeout is not None
+            (row, parameters.us(row.timeout) if row.lasting else 0)
+            for row in CONDITIONS
+            if row.timeout is not None
+            and not (row.event is Event.IMU_STUCK and parameters["FS_IMU_S"] == 0.0)
         )
         self._cos_tilt = math.cos(math.radians(parameters["FS_TILT_DEG"]))
         self.pose_lost_us = parameters.us("FS_MOCAP_S")
+        self._age_us = parameters.us("FS_AGE_S")
+        share, empty, full = (parameters[name] for name in ("FS_BAT_SHARE", "BAT_EMPTY_V", "BAT_FULL_V"))
+        self._low_v = empty + share * (full - empty) if share > 0.0 else -math.inf
+        self._smooth_us = parameters.us("FS_BAT_S")
+        self._fence = fence(parameters, parameters["FS_FENCE_M"])
+        self._late_us = parameters.us("FS_LOOP_S")
+        self._late = deque(self._late, maxlen=round(parameters["FS_LOOP_MAX"]))
 
     def start(self, now_us: int) -> None:
         """Nothing comes back; whatever comes from now on counts from now."""
         self._level_us = self._aloft_us = now_us
 
-    def struck(self, now_us: int, cos_tilt: float) -> list[Condition]:
-        """The conditions that hold, by the table's order."""
-        if cos_tilt >= self._cos_tilt:
+    def late(self, now_us: int) -> None:
+        """Nothing comes back; the tick at `now_us` came late."""
+        self._late.append(now_us)
+
+    def see(self, now_us: int, seen: Seen) -> None:
+        """Nothing comes back; this is how things are now."""
+        if seen.cos_tilt >= self._cos_tilt:
             self._level_us = now_us
+        if seen.age_us is None or seen.age_us <= self._age_us:
+            self._fresh_us = now_us
+        if within(seen.p, self._fence):
+            self._inside_us = now_us
+        ticks, saturated = (
+            b - a for a, b in zip(self._ticks, (seen.flight_ticks, seen.saturated_ticks), strict=True)
+        )
+        self._ticks = (seen.flight_ticks, seen.saturated_ticks)
+        if saturated < _NEARLY_EVERY * ticks or not ticks:
+            self._free_us = now_us
+        if seen.imu != self._imu:
+            self._imu, self._imu_us = seen.imu, now_us
+        passed_us = now_us - self._look_us
+        self._look_us = now_us
+        if self.volts is None:
+            self.volts = seen.battery_v
+        self.volts += (seen.battery_v - self.volts) * passed_us / (self._smooth_us + passed_us)
+        if self.volts >= self._low_v:
+            self._charged_us = now_us
+
+    def holding(self) -> list[Condition]:
+        """The conditions that held at the last look, by the table's order."""
+        late, now_us = self._late, self._look_us
+        overrun = len(late) == late.maxlen and now_us - late[0] <= self._late_us
         since = {
             Event.TILTED: self._level_us,
+            Event.IMU_STUCK: self._imu_us,
             Event.MOCAP_LOST: self.pose_us,
+            Event.MOCAP_LATE: self._fresh_us,
+            Event.FENCE_LEFT: self._inside_us,
+            Event.SATURATED: self._free_us,
+            Event.BATTERY_LOW: self._charged_us,
+            Event.LOOP_OVERRUN: late[0] if overrun else now_us,
             Event.LINK_LOST: self.host_us,
             Event.SETPOINTS_LOST: self.setpoint_us,
         }

@@ -214,8 +214,8 @@ def feedforward_terms(ops: Ops, block: Vector, ref: Reference, ff_accel_ned: Vec
 def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
     """The output blocks of one tick; inputs must be finite.
 
-    `mocap_new`, `armed`, `observing` and the first value of `offboard` are 0 or 1. Where `observing` is 0 the
-    observer's estimate stays as it is.
+    `mocap_new`, `armed`, `observing` and the first value of `offboard` are 0 or 1. Where `observing`
+    is 0 the observer's estimate stays as it is.
     """
     memory, parameters = inputs["memory"], inputs["parameters"]
     gyro, force, block = inputs["gyro"], inputs["specific_force"], inputs["feedforward"]

@@ -93,6 +93,11 @@ class Body:
         )
 
 
+def shaken(force, now_us):
+    """A specific force with a little of what no accelerometer is without."""
+    return (*force[:2], force[2] + 1e-4 * (now_us // TICK_US % 7 - 3))
+
+
 class Rig:
     """A Flight and a Body: poses at 100 Hz, 10 ms old, a word from the host every 100 ms. Both can be cut."""
 
@@ -104,6 +109,9 @@ class Rig:
         self.command = engine.outputs["motor_command"]
         self.now_us = 0
         self.mocap = self.host = True
+        self.mocap_age_us = 10_000
+        self.frozen = False  # the IMU
+        self.battery_v = 16.8
         self.gyro_bias = (0.01, -0.02, 0.005)
         self._air = deque()
         self.texts = []
@@ -113,15 +121,18 @@ class Rig:
         flight, body, now = self.flight, self.body, self.now_us
         if now % 10_000 == 0:
             self._air.append((now, tuple(body.p), body.quaternion()))
-        if self._air and now - self._air[0][0] >= 10_000:
+        if self._air and now - self._air[0][0] >= self.mocap_age_us:
             pose = self._air.popleft()
             if self.mocap:
                 flight.pose(*pose, now)
         if self.host and now % 100_000 == 0:
             flight.host_heard(now)
-        flight.tick(now, [w + b for w, b in zip(body.w, self.gyro_bias, strict=True)], body.force)
+        if not self.frozen:
+            gyro = [w + b for w, b in zip(body.w, self.gyro_bias, strict=True)]
+            self.sample = gyro, shaken(body.force, now)
+        flight.tick(now, *self.sample)
         if now % 10_000 == 0:
-            flight.look(now)
+            flight.look(now, self.battery_v)
         while flight.texts:
             self.texts.append(flight.texts.popleft()[1])
         if self.seen[-1] is not flight.state:
@@ -221,6 +232,7 @@ class Session:
         self.host = Codec(*HOST)
         self.now_us = 0
         self.mocap = self.talk = self.radio_ticks = True
+        self.every_us, self.battery_v = TICK_US, 16.8
         self.lost = lambda now_us: False
         self.upload = self.sender = None
         self.inbox = []
@@ -254,7 +266,8 @@ class Session:
             target.air_receive(frame, now)
         if self.radio_ticks:
             self.radio.tick(now)
-        self.flight.tick(now, body.w, body.force, 16.8)
+        if now % self.every_us == 0:
+            self.flight.tick(now, body.w, shaken(body.force, now), self.battery_v)
         self.commands.append(tuple(self.flight.motor_command))
         if not self.seen or self.seen[-1] is not self.flight.state:
             self.seen.append(self.flight.state)

@@ -6,12 +6,12 @@ import pytest
 
 from firmware_model.failsafe import BY_EVENT, CONDITIONS, Action, Failsafe, escalate
 from firmware_model.parameters import ParameterValues
-from firmware_model.supervisor import FLYING, Event, State, update
-from firmware_model.watch import Watch
+from firmware_model.supervisor import FAILURES, FLYING, Event, State, update
+from firmware_model.watch import Seen, Watch
 from protocol.messages import mavlink
 from protocol.parameters import BY_NAME, DEFAULTS
 
-FAILURES = [row for row in CONDITIONS if row.failsafe is not Failsafe.NONE]
+ROWS = [row for row in CONDITIONS if row.failsafe is not Failsafe.NONE]
 
 
 def test_table_has_one_row_an_event_and_its_timeouts_are_parameters_in_seconds():
@@ -19,6 +19,7 @@ def test_table_has_one_row_an_event_and_its_timeouts_are_parameters_in_seconds()
     for row in CONDITIONS:
         if row.timeout is not None:
             assert BY_NAME[row.timeout].unit == "s"
+        assert row.bound is None or row.bound in BY_NAME
         assert len(row.text.encode()) <= 50
 
 
@@ -29,6 +30,11 @@ def test_numbers_on_the_wire_are_the_dialects():
         assert getattr(mavlink, f"TRIMTAB_STATE_{state.name}") == state
 
 
+def test_every_failure_has_a_row_and_every_failsafe_one_that_leads_to_it():
+    assert {row.event for row in ROWS} == set(FAILURES)
+    assert {row.failsafe for row in ROWS} == set(Failsafe) - {Failsafe.NONE}
+
+
 def test_reference_ended_is_no_failure():
     row = BY_EVENT[Event.REFERENCE_ENDED]
     assert row.failsafe is Failsafe.NONE
@@ -36,7 +42,7 @@ def test_reference_ended_is_no_failure():
     assert update(State.HOLD, Event.HELD).state is State.LANDING
 
 
-@pytest.mark.parametrize("row", FAILURES, ids=lambda row: row.failsafe.name)
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.event.name)
 def test_every_failure_does_something_in_every_state_of_flight(row):
     for state in FLYING:
         outcome = update(state, row.event)
@@ -50,42 +56,148 @@ def test_escalate_never_goes_back():
     assert max(Action) is Action.MOTORS_OFF
 
 
+START_US = 1_000_000
+FINE = Seen(
+    cos_tilt=1.0,
+    age_us=10_000,
+    p=(0.0, 0.0, -1.0),
+    battery_v=16.0,
+    imu=(),
+    flight_ticks=0,
+    saturated_ticks=0,
+)
+
+
+class Looks:
+    """A watch that is looked at every 10 ms; everything is fine but what a test changes."""
+
+    def __init__(self, **parameters):
+        self.watch = Watch(ParameterValues(parameters))
+        self.watch.start(START_US)
+        self.now_us = START_US
+        self.watch.pose_us = self.watch.host_us = START_US
+        self.stale = frozenset()
+        self.ticks = self.saturated = 0
+        self.look()
+
+    def look(self, saturated=0, **changes):
+        """Events of the conditions that hold at this look."""
+        watch, now = self.watch, self.now_us
+        for name in ("pose_us", "host_us", "setpoint_us"):
+            if name not in self.stale:
+                setattr(watch, name, now)
+        self.ticks, self.saturated = self.ticks + 10, self.saturated + saturated
+        seen = FINE._replace(flight_ticks=self.ticks, saturated_ticks=self.saturated, imu=(float(now),))
+        watch.see(now, seen._replace(**changes))
+        self.now_us += 10_000
+        return [row.event for row in watch.holding()]
+
+    def until(self, event, most_s=20.0, **changes):
+        """Seconds of looks until the event alone holds."""
+        start = self.now_us
+        while self.now_us - start < 1e6 * most_s:
+            found = self.look(**changes)
+            assert found in ([], [event])
+            if found:
+                return 1e-6 * (self.now_us - start)
+        raise AssertionError(f"{event.name} never held")
+
+
+LASTING = {
+    Event.TILTED: ("FS_TILT_S", {"cos_tilt": math.cos(math.radians(86.0))}),
+    Event.MOCAP_LATE: ("FS_LATE_S", {"age_us": 101_000}),
+    Event.FENCE_LEFT: ("FS_FENCE_S", {"p": (0.0, 10.51, -1.0)}),
+    Event.SATURATED: ("FS_SAT_S", {"saturated": 9}),
+    Event.IMU_STUCK: ("FS_IMU_S", {"imu": (0.25,) * 6}),
+}
+
+
+@pytest.mark.parametrize("event", LASTING)
+def test_watch_condition_must_last_for_its_time_without_a_break(event):
+    timeout, changes = LASTING[event]
+    looks = Looks()
+    for _ in range(round(100 * DEFAULTS[timeout])):
+        assert looks.look(**changes) == []
+    looks.look()
+    if event is Event.IMU_STUCK:
+        looks.look(**changes)  # the first of its kind is a change too
+    assert looks.until(event, **changes) == pytest.approx(DEFAULTS[timeout] + 0.015, abs=0.011)
+    assert looks.look() == []
+
+
+@pytest.mark.parametrize(
+    ("name", "event", "timeout"),
+    [
+        ("pose_us", Event.MOCAP_LOST, "FS_MOCAP_S"),
+        ("host_us", Event.LINK_LOST, "FS_LINK_S"),
+        ("setpoint_us", Event.SETPOINTS_LOST, "FS_OFFB_S"),
+    ],
+)
+def test_watch_what_is_no_longer_heard_is_lost_after_its_time(name, event, timeout):
+    looks = Looks()
+    looks.stale = frozenset([name])
+    assert looks.until(event) == pytest.approx(DEFAULTS[timeout] + 0.005, abs=0.011)
+    looks.stale = frozenset()
+    assert looks.look() == []
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"cos_tilt": math.cos(math.radians(84.0))},
+        {"age_us": 99_000},
+        {"age_us": None},
+        {"p": (-10.49, 10.49, -6.49)},
+        {"saturated": 8},
+        {"battery_v": 13.6},
+    ],
+)
+def test_watch_what_is_within_its_bound_never_holds(changes):
+    looks = Looks()
+    for _ in range(1_000):
+        assert looks.look(**changes) == []
+
+
+def test_watch_battery_is_smoothed_before_it_is_judged():
+    looks = Looks()
+    low = DEFAULTS["BAT_EMPTY_V"] + DEFAULTS["FS_BAT_SHARE"] * 3.6
+    for _ in range(20):
+        looks.look(battery_v=12.0)  # a moment of full thrust
+        assert [looks.look() for _ in range(100)] == [[]] * 100
+    expected = DEFAULTS["FS_BAT_S"] * math.log((16.0 - 12.0) / (low - 12.0))
+    assert Looks().until(Event.BATTERY_LOW, battery_v=12.0) == pytest.approx(expected, rel=0.02)
+
+
+def test_watch_battery_and_imu_can_be_switched_off():
+    looks = Looks(FS_BAT_SHARE=0.0, FS_IMU_S=0.0)
+    for _ in range(1_000):
+        assert looks.look(battery_v=0.0, imu=()) == []
+
+
+def test_watch_late_ticks_hold_where_there_are_many_within_the_time():
+    looks = Looks(FS_LOOP_MAX=5, FS_LOOP_S=1.0)
+    for _ in range(8):
+        looks.watch.late(looks.now_us)
+        for _ in range(30):
+            assert looks.look() == []
+    for _ in range(5):
+        looks.watch.late(looks.now_us)
+        found = looks.look()
+    assert found == [Event.LOOP_OVERRUN]
+    for _ in range(98):
+        looks.look()
+    assert looks.look() == []
+
+
+def test_watch_tilt_that_is_not_a_number_counts_as_tilted():
+    assert Looks().until(Event.TILTED, cos_tilt=math.nan) == pytest.approx(0.315, abs=0.011)
+
+
 @pytest.fixture
 def watch():
-    watch = Watch(
-        ParameterValues({"FS_MOCAP_S": 0.5, "FS_LINK_S": 2.0, "FS_TILT_S": 0.3, "FS_TILT_DEG": 60.0})
-    )
-    watch.start(1_000_000)
-    watch.pose_us = watch.host_us = 1_000_000
+    watch = Watch(ParameterValues({}))
+    watch.start(START_US)
     return watch
-
-
-def struck(watch, now_us, cos_tilt=1.0):
-    return [row.failsafe for row in watch.struck(now_us, cos_tilt)]
-
-
-def test_watch_strikes_just_after_each_timeout(watch):
-    assert struck(watch, 1_500_000) == []
-    assert struck(watch, 1_501_000) == [Failsafe.MOCAP_LOST]
-    watch.pose_us = 3_000_000
-    assert struck(watch, 3_000_000) == []
-    assert struck(watch, 3_001_000) == [Failsafe.LINK_LOST]
-
-
-def test_watch_tilt_must_last(watch):
-    far = math.cos(math.radians(61.0))
-    for now_us in range(1_000_000, 1_300_001, 10_000):
-        watch.pose_us = watch.host_us = now_us
-        assert struck(watch, now_us, far) == []
-    assert struck(watch, 1_310_000, far) == [Failsafe.TILT]
-    assert struck(watch, 1_320_000, 1.0) == []
-    assert struck(watch, 1_330_000, far) == []
-
-
-def test_watch_tilt_that_is_not_a_number_counts_as_tilted(watch):
-    struck(watch, 1_000_000)
-    watch.pose_us = watch.host_us = 1_400_000
-    assert struck(watch, 1_400_000, math.nan) == [Failsafe.TILT]
 
 
 def test_landed_needs_all_signs_for_their_time(watch):

@@ -4,10 +4,20 @@ import math
 
 import pytest
 
-from firmware_model.readiness import GyroCalibration, refusal
+from firmware_model.readiness import CHECKS, Facts, GyroCalibration, contradiction, reasons
+from firmware_model.supervisor import Event
+from protocol.parameters import DEFAULTS
 
 LEVEL = (0.0, 0.0, -9.81)
-READY = {"calibrated": True, "has_pose": True, "cos_tilt": 1.0}
+READY = Facts(
+    calibrated=True,
+    posed=True,
+    cos_tilt=1.0,
+    p=(0.0, 0.0, 0.0),
+    fence=((-3.0, 3.0), (-3.0, 3.0), (-2.0, 0.3)),
+    holding=frozenset(),
+    contradiction=None,
+)
 
 
 def look_along(calibration, gyro_at, *, force=LEVEL, count=60, start=0):
@@ -49,10 +59,37 @@ def test_calibration_never_ends_while_falling_or_turning(gyro, force):
     [
         ({}, None),
         ({"calibrated": False}, "gyro not calibrated: keep still"),
-        ({"has_pose": False}, "no mocap"),
+        ({"posed": False}, "no mocap"),
         ({"cos_tilt": math.cos(math.radians(21.0))}, "tilted"),
+        ({"cos_tilt": math.nan}, "tilted"),
         ({"cos_tilt": math.cos(math.radians(19.0))}, None),
+        ({"p": (0.0, 3.1, 0.0)}, "outside the fence"),
+        ({"holding": frozenset([Event.IMU_STUCK])}, "IMU stuck: it repeats one sample"),
+        ({"holding": frozenset([Event.MOCAP_LATE])}, "mocap late"),
+        ({"holding": frozenset([Event.BATTERY_LOW])}, "battery low: charge it"),
+        ({"holding": frozenset([Event.LOOP_OVERRUN])}, "ticks too late"),
+        ({"holding": frozenset([Event.LINK_LOST])}, "no host heard"),
+        ({"contradiction": "no good"}, "parameters: no good"),
     ],
 )
-def test_refusal_names_what_is_missing(change, reason):
-    assert refusal(**{**READY, **change}) == reason
+def test_reasons_name_what_is_missing(change, reason):
+    assert reasons(READY._replace(**change)) == ([] if reason is None else [reason])
+
+
+def test_reasons_are_told_all_at_once_and_fit_a_text():
+    told = reasons(READY._replace(calibrated=False, posed=False, cos_tilt=0.0, p=(9.0, 9.0, 9.0)))
+    assert told == ["gyro not calibrated: keep still", "no mocap", "tilted", "outside the fence"]
+    assert all(len(f"not ready: {check.text}") <= 50 for check in CHECKS)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({}, None),
+        ({"BAT_EMPTY_V": 16.8}, "BAT_EMPTY_V not below BAT_FULL_V"),
+        ({"MASS": 2.3}, "MASS too great for THRUST_MAX"),
+    ],
+)
+def test_contradiction_of_parameters(change, text):
+    assert contradiction({**DEFAULTS, **change}) == text
+    assert text is None or len(f"not ready: parameters: {text}") <= 60

@@ -4,9 +4,7 @@ import itertools
 
 import pytest
 
-from firmware_model.supervisor import FLYING, TRANSITIONS, Event, State, update
-
-FAILURES = (Event.MOCAP_LOST, Event.LINK_LOST, Event.TILTED)
+from firmware_model.supervisor import FAILURES, FLYING, TRANSITIONS, Event, State, update
 
 
 @pytest.mark.parametrize(("state", "event"), list(itertools.product(State, Event)))

@@ -1,0 +1,234 @@
+"""Every row of the failsafe table in a flight, lock-step: what strikes, when, what is done, where it ends."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from firmware_model.failsafe import BY_EVENT, Action, Failsafe
+from firmware_model.setpoints import AttitudeTarget
+from firmware_model.supervisor import Event, State
+from firmware_model.watch import FLOOR_HEIGHT
+from protocol import messages as m
+from protocol.messages import mavlink
+from protocol.parameters import DEFAULTS
+
+NEVER = 10.0
+
+
+def struck_after(rig, event, most_s=NEVER):
+    """Seconds until the event's row has ended the flight."""
+    row, start = BY_EVENT[event], rig.now_us
+    rig.run(most_s, until=State.FAILSAFE)
+    assert (rig.flight.failsafe, rig.flight.action) == (row.failsafe, row.action)
+    assert rig.flight.conditions & 1 << row.failsafe
+    assert row.text in rig.texts
+    return 1e-6 * (rig.now_us - start)
+
+
+def on_the_floor(rig, seconds=15.0):
+    rig.run(seconds, until=State.STANDBY)
+    rig.tick()
+    assert max(rig.command) == 0.0
+
+
+def landed_softly(rig):
+    on_the_floor(rig)
+    assert -FLOOR_HEIGHT < rig.body.p[2] <= 0.0
+    assert "no touchdown noticed: motors off" not in rig.texts
+
+
+def test_imu_stuck_stops_the_motors_within_its_time(make_rig):
+    rig = make_rig()
+    rig.track()
+    rig.run(0.7)
+    rig.frozen = True
+    assert DEFAULTS["FS_IMU_S"] < struck_after(rig, Event.IMU_STUCK) <= DEFAULTS["FS_IMU_S"] + 0.02
+    assert rig.body.R[2][2] > 0.7  # before it has tipped over
+    on_the_floor(rig)
+
+
+def test_mocap_late_lands_in_place(make_rig):
+    rig = make_rig(parameters={"FS_AGE_S": 0.04})
+    rig.track()
+    rig.run(0.2)
+    rig.mocap_age_us = 50_000
+    # The newest pose grows older until the next one, which comes old.
+    assert struck_after(rig, Event.MOCAP_LATE) == pytest.approx(DEFAULTS["FS_LATE_S"] + 0.04, abs=0.03)
+    landed_softly(rig)
+
+
+def test_mocap_lost_and_then_late_is_the_level_descent(make_rig):
+    rig = make_rig()
+    rig.track()
+    rig.mocap = False
+    assert struck_after(rig, Event.MOCAP_LOST) == pytest.approx(DEFAULTS["FS_MOCAP_S"], abs=0.02)
+    rig.run(1.0)
+    assert rig.flight.action is Action.LEVEL_DESCENT
+
+
+def test_gap_of_poses_that_is_flown_through_is_not_late_either(make_rig):
+    rig = make_rig(parameters={"FS_LATE_S": 0.5})
+    rig.track()
+    for _ in range(3):
+        rig.mocap = False
+        rig.run(0.4)
+        rig.mocap = True
+        rig.run(0.2)
+    assert rig.flight.failsafe is Failsafe.NONE
+
+
+def test_geofence_left_lands_in_place(make_rig):
+    rig = make_rig(parameters={"FENCE_N_MAX": 0.4, "FS_FENCE_M": 0.2})
+    rig.track()  # the reference leads to 1.5 m
+    while rig.body.p[0] < 0.6:
+        rig.tick()
+    assert struck_after(rig, Event.FENCE_LEFT) == pytest.approx(DEFAULTS["FS_FENCE_S"], abs=0.03)
+    landed_softly(rig)
+
+
+def test_geofence_ends_a_flight_by_rates_too(make_rig):
+    rig = make_rig(reference=False, parameters={"FENCE_D_MIN": -2.0})
+    rig.standby()
+    rig.flight.command(Event.ARM, rig.now_us)
+    rig.flight.command(Event.TAKEOFF, rig.now_us)
+    rig.run(10.0, until=State.HOLD)
+    rise = AttitudeTarget(thrust=0.25, rate=(0.0, 0.0, 0.0))
+    rig.flight.setpoint(rise, rig.now_us)
+    assert rig.flight.command(Event.OFFBOARD, rig.now_us) is None
+    while rig.body.p[2] > -2.5:
+        rig.flight.setpoint(rise, rig.now_us)
+        rig.run(0.01)
+    start = rig.now_us
+    while rig.flight.state is State.OFFBOARD:
+        rig.flight.setpoint(rise, rig.now_us)
+        rig.run(0.01)
+    assert (rig.flight.state, rig.flight.failsafe) == (State.FAILSAFE, Failsafe.GEOFENCE)
+    assert 1e-6 * (rig.now_us - start) == pytest.approx(DEFAULTS["FS_FENCE_S"], abs=0.04)
+    landed_softly(rig)
+
+
+def test_battery_low_lands_in_place(make_rig):
+    rig = make_rig()
+    rig.track()
+    rig.battery_v = 12.0
+    low = DEFAULTS["BAT_EMPTY_V"] + DEFAULTS["FS_BAT_SHARE"] * (
+        DEFAULTS["BAT_FULL_V"] - DEFAULTS["BAT_EMPTY_V"]
+    )
+    expected = DEFAULTS["FS_BAT_S"] * math.log((16.8 - 12.0) / (low - 12.0))
+    assert struck_after(rig, Event.BATTERY_LOW) == pytest.approx(expected, rel=0.02)
+    landed_softly(rig)
+    assert rig.flight.command(Event.ARM, rig.now_us) == "battery low: charge it"
+
+
+def test_motors_saturated_for_long_land_in_place(make_rig, make_body):
+    """Rotors that carry it with little to spare, and then something that hangs on to it."""
+    limits = {"THRUST_MAX": 2.5, "LIM_THR_HI": 1.0, "FS_SAT_S": 0.5}
+    rig = make_rig(reference=False, parameters=limits, body=make_body(gain=2.5 / DEFAULTS["THRUST_MAX"]))
+    rig.standby()
+    rig.flight.command(Event.ARM, rig.now_us)
+    rig.flight.command(Event.TAKEOFF, rig.now_us, 3.0)
+    rig.run(10.0, until=State.HOLD)
+    assert rig.flight.saturated_ticks < 100
+    rig.body.mass *= 1.5
+    start, before = rig.now_us, rig.flight.saturated_ticks
+    struck_after(rig, Event.SATURATED, 3.0)
+    saturated = rig.flight.saturated_ticks - before
+    assert 450 <= saturated <= 560  # ticks, one after the other
+    assert rig.now_us - start < 1_500_000
+    assert rig.body.p[2] < -1.0
+
+
+def test_tilt_and_link_rows_strike_at_their_times(make_rig):
+    rig = make_rig(parameters={"FS_TILT_DEG": 10.0})
+    rig.track()
+    while rig.body.R[2][2] > math.cos(math.radians(10.0)):
+        rig.tick()
+    assert struck_after(rig, Event.TILTED) == pytest.approx(DEFAULTS["FS_TILT_S"], abs=0.03)
+    rig = make_rig(parameters={"FS_LINK_S": 1.0})
+    rig.track()
+    rig.run(0.05)
+    rig.host = False
+    assert struck_after(rig, Event.LINK_LOST) == pytest.approx(1.0, abs=0.1)
+    landed_softly(rig)
+
+
+def test_late_ticks_land_in_place(make_session):
+    session = make_session(parameters={"FS_LOOP_MAX": 50})
+    session.run(1.0)
+    session.command(400, 1.0)
+    session.command(22)
+    session.run_to(State.HOLD)
+    session.every_us = 2_000
+    start = session.now_us
+    session.run_to(State.FAILSAFE, 2.0)
+    assert 1e-6 * (session.now_us - start) == pytest.approx(0.1, abs=0.012)
+    session.every_us = 1_000
+    session.run_to(State.STANDBY)
+    status = session.received(m.FcStatus)[-1]
+    assert status.failsafe == mavlink.TRIMTAB_FAILSAFE_LOOP_OVERRUN
+    assert "ticks too late: landing in place" in session.texts()
+
+
+def test_conditions_are_told_while_they_hold_and_not_after(make_session):
+    session = make_session()
+    session.run(1.0)
+    assert session.received(m.FcStatus)[-1].conditions == 0
+    session.mocap, session.battery_v = False, 13.0
+    session.run(8.0)
+    told = session.received(m.FcStatus)[-1].conditions
+    assert told == 1 << Failsafe.MOCAP_LOST | 1 << Failsafe.BATTERY_LOW
+    session.command(401)
+    session.run(0.2)
+    assert session.received(m.CommandAck)[-1].result == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+    asked = [text for text in session.texts() if text.startswith("not ready: ")]
+    assert asked == ["not ready: no mocap", "not ready: mocap late", "not ready: battery low: charge it"]
+    session.mocap, session.battery_v = True, 16.8
+    session.run(8.0)
+    assert session.received(m.FcStatus)[-1].conditions == 0
+    session.command(401)
+    session.run(0.2)
+    assert session.received(m.CommandAck)[-1].result == mavlink.MAV_RESULT_ACCEPTED
+    assert session.texts()[-1] == "ready to arm"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda rig: setattr(rig, "frozen", True), "IMU stuck: it repeats one sample"),
+        (lambda rig: setattr(rig, "mocap", False), "no mocap"),
+        (lambda rig: setattr(rig, "mocap_age_us", 150_000), "mocap late"),
+        (lambda rig: setattr(rig, "battery_v", 12.0), "battery low: charge it"),
+        (lambda rig: setattr(rig, "host", False), "no host heard"),
+        (lambda rig: rig.body.p.__setitem__(0, 11.0), "outside the fence"),
+    ],
+)
+def test_what_would_end_a_flight_refuses_arming(make_rig, spoil, reason):
+    rig = make_rig()
+    rig.standby()
+    assert rig.flight.arming_reasons(rig.now_us) == []
+    spoil(rig)
+    rig.run(12.0)
+    assert reason in rig.flight.arming_reasons(rig.now_us)
+    assert rig.flight.command(Event.ARM, rig.now_us) == rig.flight.arming_reasons(rig.now_us)[0]
+
+
+def test_arming_checks_the_parameters_together(make_rig):
+    rig = make_rig(parameters={"BAT_EMPTY_V": 17.0})
+    rig.standby()
+    assert "parameters: BAT_EMPTY_V not below BAT_FULL_V" in rig.flight.arming_reasons(rig.now_us)
+
+
+def test_next_arming_clears_the_failsafe(make_rig):
+    rig = make_rig(parameters={"FS_LINK_S": 0.5})
+    rig.track()
+    rig.host = False
+    struck_after(rig, Event.LINK_LOST)
+    landed_softly(rig)
+    assert rig.flight.failsafe is Failsafe.LINK_LOST
+    rig.host = True
+    rig.run(0.2)
+    assert rig.flight.conditions == 0
+    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.failsafe is Failsafe.NONE
