@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from firmware_model import telemetry, track
 from firmware_model.engine import Engine
@@ -11,6 +11,7 @@ from firmware_model.parameters import stored_parameters
 from firmware_model.services import Identity, Services
 from firmware_model.store import ReferenceStore
 from firmware_model.supervisor import State
+from firmware_model.telemetry import LoopTimes
 from firmware_model.uart import UartPort
 from firmware_model.verdict import check_blob
 from protocol.blobs import FeedForward, Kind, Reference, from_bytes
@@ -27,6 +28,8 @@ FOREIGN_US = 5_000_000
 """How often it says that it does not understand."""
 FOREIGN_LEAST = 3
 """Wrong checksums in that time that noise does not explain."""
+CATCH_UP_TICKS = 20
+"""Most ticks that are caught up with at once."""
 
 
 class FlightMcu:
@@ -39,9 +42,11 @@ class FlightMcu:
         store: non-volatile memory.
         uid: of this power-up, at most 18 bytes; AUTOPILOT_VERSION.uid2, little-endian.
         vehicle_id: 6 bytes, id of the vehicle file that the parameters come from.
-        baud, rx_bytes, tx_bytes: the line to the radio processor.
+        baud, rx_bytes, tx_bytes, chunk_bytes, idle_us: the line to the radio processor.
+        loop_times: what the cycle counter has measured of the ticks before a time since the last call.
 
-    `motor_command` is a view of four numbers in 0..1, fixed for life, new after each tick.
+    `motor_command` is a view of four numbers in 0..1, fixed for life, new after each tick. `late_ticks`
+    counts the ticks that began later than one tick after the one before.
     Raises ValueError for parameters that the table refuses or that contradict each other.
     """
 
@@ -56,8 +61,14 @@ class FlightMcu:
         baud: int = BAUD,
         rx_bytes: int = RX_BYTES,
         tx_bytes: int = TX_BYTES,
+        chunk_bytes: int | None = None,
+        idle_us: int = 0,
+        loop_times: Callable[[int], LoopTimes] = lambda now_us: LoopTimes(0, 0, 0),
     ) -> None:
-        self.uart = UartPort(baud=baud, rx_bytes=rx_bytes, tx_bytes=tx_bytes)
+        self.uart = UartPort(
+            baud=baud, rx_bytes=rx_bytes, tx_bytes=tx_bytes, chunk_bytes=chunk_bytes, idle_us=idle_us
+        )
+        self.late_ticks = 0
         self.parameters = stored_parameters(parameters, store, vehicle_id)
         self.flight = Flight(engine=engine, parameters=self.parameters)
         self.motor_command = self.flight.outputs["motor_command"]
@@ -88,8 +99,7 @@ class FlightMcu:
         self._look_us = 0
         self._status_us = 0
         self._heartbeat_us = 0
-        self._tick_max_us = TICK_US
-        self._late_ticks = 0
+        self._loop_times = loop_times
         self._foreign_us = FOREIGN_US
         self._foreign = 0
         self.flight.texts.extend((mavlink.MAV_SEVERITY_WARNING, fault) for fault in store.faults)
@@ -112,7 +122,7 @@ class FlightMcu:
         if now_us >= self.uart.due_us:
             self._receive(now_us)
         if now_us - self._last_us != TICK_US:
-            self._mistimed(now_us)
+            self._catch_up(now_us, gyro, specific_force)
         self._last_us = now_us
         self.flight.tick(now_us, gyro, specific_force)
         if now_us >= self._look_us:
@@ -147,7 +157,6 @@ class FlightMcu:
             if flight.changed or streams.own_due(FcStatus.id, now_us):
                 flight.changed = False
                 self._queue(self._status(now_us))
-                self._tick_max_us = TICK_US
         if now_us >= self._heartbeat_us:
             self._heartbeat_us = now_us - now_us % telemetry.HEARTBEAT_US + telemetry.HEARTBEAT_US
             self._queue(telemetry.heartbeat(flight))
@@ -166,10 +175,13 @@ class FlightMcu:
             text = f"{fresh} messages not understood; dialect {DIALECT_VERSION} here"
             self._services.text(mavlink.MAV_SEVERITY_WARNING, text)
 
-    def _mistimed(self, now_us: int) -> None:
-        self._tick_max_us = max(self._tick_max_us, now_us - self._last_us)
-        self._late_ticks += 1
+    def _catch_up(self, now_us: int, gyro: Sequence[float], specific_force: Sequence[float]) -> None:
+        """Runs the ticks that were missed, with what is sensed now: the law's step is always one tick."""
+        self.late_ticks += 1
         self.flight.watch.late(now_us)
+        first_us = max(self._last_us + TICK_US, now_us - CATCH_UP_TICKS * TICK_US)
+        for missed_us in range(first_us, now_us, TICK_US):
+            self.flight.tick(missed_us, gyro, specific_force)
 
     # Sending.
 
@@ -200,8 +212,8 @@ class FlightMcu:
             staged_id=staged_id,
             staged_kind=staged_kind,
             battery_v=self._battery_v,
-            tick_max_us=self._tick_max_us,
-            late_ticks=self._late_ticks,
+            loop=self._loop_times(now_us),
+            late_ticks=self.late_ticks,
             uart_overruns=self.uart.overruns,
             bad_bytes=self._codec.bad_bytes,
         )

@@ -28,6 +28,7 @@ class PoseInput:
         self.measured_us: int | None = None
         self.used = 0
         self._newest_us = -1
+        self._oldest_us = 0
         self._new, self._p, self._q = inputs["mocap_new"], inputs["mocap_p"], inputs["mocap_q"]
         self._age, self._interval = inputs["mocap_age_s"], inputs["mocap_interval_s"]
 
@@ -52,9 +53,18 @@ class PoseInput:
         self.used += 1
         return pose, before
 
+    def oldest_us(self, now_us: int) -> int | None:
+        """Greatest age of the newest pose used since the last call; None before the first pose."""
+        if self.measured_us is None:
+            return None
+        oldest_us, self._oldest_us = max(self._oldest_us, now_us - self.measured_us), 0
+        return oldest_us
+
     def show(self, pose: Pose, before_us: int, now_us: int) -> None:
         """Nothing comes back; the law corrects its estimate by this pose, until `hide`."""
         time_us, p, q = pose
+        if now_us - before_us > self._oldest_us:
+            self._oldest_us = now_us - before_us
         self._p[0], self._p[1], self._p[2] = p
         self._q[0], self._q[1], self._q[2], self._q[3] = q
         self._age[0] = max(0, now_us - time_us) * 1e-6

@@ -28,7 +28,7 @@ class RadioMcu:
     Args:
         address: system and component on RADIO_STATS, `messages.VEHICLE_RADIO` or `messages.HOST_RADIO`.
         poses: poses that may wait for a slot; 2 where they come at 200 Hz.
-        baud, rx_bytes, tx_bytes: the serial line.
+        baud, rx_bytes, tx_bytes, chunk_bytes, idle_us: the serial line.
         frame_bytes: what a radio frame holds.
 
     `due_us` is when the next tick has something to do; ticks before may be left out.
@@ -42,9 +42,13 @@ class RadioMcu:
         baud: int = BAUD,
         rx_bytes: int = RX_BYTES,
         tx_bytes: int = TX_BYTES,
+        chunk_bytes: int | None = None,
+        idle_us: int = 0,
         frame_bytes: int = FRAME_BYTES,
     ) -> None:
-        self.uart = UartPort(baud=baud, rx_bytes=rx_bytes, tx_bytes=tx_bytes)
+        self.uart = UartPort(
+            baud=baud, rx_bytes=rx_bytes, tx_bytes=tx_bytes, chunk_bytes=chunk_bytes, idle_us=idle_us
+        )
         self.packer = FramePacker(poses=poses, frame_bytes=frame_bytes)
         self.frames_sent = 0
         self.frames_received = 0

@@ -13,12 +13,20 @@ from firmware_model.flight import Flight
 from firmware_model.law import step as law
 from firmware_model.supervisor import State
 from protocol.messages import NO_TICK, FcStatus, Heartbeat, Message, vehicle_heartbeat
-from protocol.telemetry import TICK_US, control_message, estimate_message, observer_message
+from protocol.telemetry import TICK_US, control_message, encode_age, estimate_message, observer_message
 
 STATUS_US = 100_000
 HEARTBEAT_US = 1_000_000
 _MASK32 = 0xFFFF_FFFF
 _MASK16 = 0xFFFF
+
+
+class LoopTimes(NamedTuple):
+    """Of some ticks, in us: longest and mean time of their work, furthest that one began from when due."""
+
+    longest_us: int
+    mean_us: int
+    jitter_us: int
 
 
 class OnBoard(NamedTuple):
@@ -30,7 +38,7 @@ class OnBoard(NamedTuple):
     staged_id: bytes
     staged_kind: int
     battery_v: float
-    tick_max_us: int
+    loop: LoopTimes
     late_ticks: int
     uart_overruns: int
     bad_bytes: int
@@ -95,7 +103,7 @@ def observer(flight: Flight, now_us: int) -> Message:
 
 
 def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
-    """FC_STATUS of this tick."""
+    """FC_STATUS of this tick. What it says of the time since the last one begins anew."""
     tracking_us = flight.tracking_us
     battery_mv = 1000.0 * board.battery_v
     return FcStatus(
@@ -108,10 +116,10 @@ def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
         battery_mv=min(_MASK16, max(0, round(battery_mv))) if math.isfinite(battery_mv) else 0,
         swap_tick=NO_TICK,
         conditions=flight.conditions,
-        loop_us=min(_MASK16, board.tick_max_us),
-        loop_mean_us=0,
-        jitter_us=0,
-        mocap_age_max=0,
+        loop_us=min(_MASK16, board.loop.longest_us),
+        loop_mean_us=min(_MASK16, board.loop.mean_us),
+        jitter_us=min(_MASK16, board.loop.jitter_us),
+        mocap_age_max=encode_age(flight.poses.oldest_us(now_us)),
         loop_overruns=board.late_ticks & _MASK16,
         uart_overruns=board.uart_overruns & _MASK16,
         bad_bytes=board.bad_bytes & _MASK16,

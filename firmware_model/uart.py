@@ -22,16 +22,21 @@ class UartPort:
     A byte that arrives while the receive buffer is full is lost and counted in `overruns`. A write that does
     not fit into the transmit buffer is refused whole and counted in `refused`: no message goes out cut.
 
-    `due_us` is the time at which the receiver would raise its interrupt: the line has gone idle, or half the
-    receive buffer is full. A processor that compares its clock with `due_us` needs no other polling.
+    `due_us` is the time at which the receiver would raise its interrupt, as one does whose bytes are moved by
+    DMA: the line has gone idle, or a chunk is full. A processor that compares its clock with `due_us` needs
+    no other polling.
 
     Args:
         baud: bits a second of the transmitter.
         rx_bytes: size of the receive buffer.
         tx_bytes: size of the transmit buffer.
+        chunk_bytes: bytes that raise the interrupt; half the receive buffer where not given.
+        idle_us: how long a quiet line takes to count as idle.
     """
 
-    def __init__(self, *, baud: int, rx_bytes: int, tx_bytes: int) -> None:
+    def __init__(
+        self, *, baud: int, rx_bytes: int, tx_bytes: int, chunk_bytes: int | None = None, idle_us: int = 0
+    ) -> None:
         for name, value in (("baud", baud), ("rx_bytes", rx_bytes), ("tx_bytes", tx_bytes)):
             if value <= 0:
                 raise ValueError(f"{name} must be positive, not {value}")
@@ -43,7 +48,8 @@ class UartPort:
         self.refused = 0
         self.received = 0
         self.sent = 0
-        self._half = max(1, rx_bytes // 2)
+        self._chunk = min(chunk_bytes or max(1, rx_bytes // 2), rx_bytes)
+        self._idle_us = idle_us
         self._peer: UartPort | None = None
         self._busy_until = 0  # end of the last byte written, in units of 1/baud us
         self._incoming: deque[tuple[int, bytes]] = deque()  # (start in peer units, bytes)
@@ -109,23 +115,23 @@ class UartPort:
             self._taken = 0
 
     def _plan_due(self) -> None:
-        """Sets `due_us` to the end of the burst now on the line, or to when the buffer is half full."""
+        """Sets `due_us` to when the burst now on the line has ended and it is idle, or a chunk has come."""
         peer = self._peer
         if self._buffer or peer is None or not self._incoming:
             self.due_us = 0 if self._buffer else NEVER_US
             return
-        half = self._half
+        chunk, idle = self._chunk, self._idle_us * peer.baud
         count = -self._taken
         end = 0
         for start, data in self._incoming:
             if count > 0 and start > end:
                 break  # the line was idle in between
             size = len(data)
-            if count + size >= half:
-                end = start + (half - count) * _BYTE_UNITS
+            if count + size >= chunk:
+                end = start + (chunk - count) * _BYTE_UNITS
                 break
             count += size
-            end = start + size * _BYTE_UNITS
+            end = start + size * _BYTE_UNITS + idle
         self.due_us = -(-end // peer.baud)
 
 

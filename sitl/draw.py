@@ -1,4 +1,4 @@
-"""The world as one seed makes it: effects with values, deviations of the build, sensors and radio."""
+"""The world as one seed makes it: effects with values, deviations of the build, sensors, links, processor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,16 @@ import numpy as np
 from host.vehicle import Vehicle
 from sitl.kinds import DRAG, KINDS, Kind, Quantity
 from sitl.seeds import Purpose, world_generator
-from sitl.world import Draw, ImuSettings, MocapSettings, RadioSettings, Turbulence, WorldFile
+from sitl.world import (
+    Draw,
+    ImuSettings,
+    MocapSettings,
+    RadioSettings,
+    SerialSettings,
+    TimingSettings,
+    Turbulence,
+    WorldFile,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +35,8 @@ class World:
     mocap: MocapSettings
     imu: ImuSettings
     radio: RadioSettings
+    serial: SerialSettings
+    timing: TimingSettings
 
     def value(self, kind: str, key: str) -> float:
         """A number as the plant has it: the effect's, else neutral with the build's deviation."""
@@ -51,6 +62,8 @@ def draw_world(name: str, file: WorldFile, seed: int, vehicle: Vehicle) -> World
         mocap=file.mocap,
         imu=file.imu,
         radio=file.radio,
+        serial=file.serial,
+        timing=file.timing,
     )
 
 

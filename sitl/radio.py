@@ -15,10 +15,10 @@ import numpy as np
 
 from firmware_model.uart import NEVER_US
 from protocol.uwb import FRAME_BYTES
+from sitl.air_time import air_us
 from sitl.world import RadioSettings
 
 _BLOCK = 1024
-_SHORT_SHARE = 0.5  # of a full frame's risk in a bad spell that a very short frame still runs
 _FLIPS_MAX = 6
 
 
@@ -47,10 +47,14 @@ class BurstLoss:
     Args:
         loss: share of full frames lost in the long run.
         burst_frames: mean number of frames in a bad spell.
+        short_risk: chance of a very short frame to be lost in a bad spell.
         draw: the next uniform number in 0..1.
     """
 
-    def __init__(self, loss: float, burst_frames: float, draw: Callable[[], float]) -> None:
+    def __init__(
+        self, loss: float, burst_frames: float, short_risk: float, draw: Callable[[], float]
+    ) -> None:
+        self._short_risk = short_risk
         self._leave = 1.0 / burst_frames
         self._enter = loss / (burst_frames * (1.0 - loss))
         self._draw = draw
@@ -60,7 +64,7 @@ class BurstLoss:
         """Whether the next frame, of `size` bytes, is lost."""
         chance = self._draw()
         self._bad = chance >= self._leave if self._bad else chance < self._enter
-        risk = _SHORT_SHARE + (1.0 - _SHORT_SHARE) * size / FRAME_BYTES
+        risk = self._short_risk + (1.0 - self._short_risk) * size / FRAME_BYTES
         return self._bad and self._draw() < risk
 
 
@@ -73,7 +77,7 @@ class _Direction:
         self.source = source
         self.target = target
         self.draw = _uniforms(rng).__next__
-        self.loss = BurstLoss(settings.loss, settings.burst_frames, self.draw)
+        self.loss = BurstLoss(settings.loss, settings.burst_frames, settings.short_risk, self.draw)
         self.counts = DirectionCounts()
         self.may_have = True  # whether the source may have a frame: no, once it had none, until it is told
 
@@ -172,7 +176,9 @@ class RadioChannel:
         if draw() < settings.duplicate:
             counts.duplicated += 1
             copies = 2
-        arrival_us = now_us + settings.slot_us + settings.latency_us
+        rate = settings.bit_rate
+        took_us = settings.slot_us if rate is None else air_us(len(frame), rate)
+        arrival_us = now_us + took_us + settings.latency_us
         for _ in range(copies):
             self._serial += 1
             late_us = int(draw() * settings.jitter_us)

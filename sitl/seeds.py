@@ -25,6 +25,7 @@ class Purpose(IntEnum):
     RADIO_DOWN = 20
     BATTERY = 21
     FOREIGN_PLANT = 22
+    TIMING = 23
 
 
 _WORLD, _FLIGHT = 0, 1

@@ -34,10 +34,10 @@ from sitl.radio import RadioChannel
 from sitl.seeds import Purpose, flight_generator, session_uid
 from sitl.sensors import Imu, Mocap
 from sitl.serve import ServeStatistics, serve
+from sitl.timing import TickTimes
 from sitl.truth import truth_record
 from sitl.world import RadioSettings, load_world
 
-HOST_BAUD = 921_600
 HOST_RX_BYTES = 65_536
 HOST_TX_BYTES = 65_536
 TWO_POSES_HZ = 200
@@ -224,19 +224,24 @@ class SimulatedVehicle:
         self._camera = Mocap(world.mocap, latency_s, mocap_rng, tilt)
         self._camera_codec = Codec(*CAMERAS)
 
+        self._timing = TickTimes(world.timing, flight_generator(seed, flight, Purpose.TIMING))
+        serial = world.serial.model_dump()
         self._flight_mcu = FlightMcu(
             engine=function_engine(_traced_law(), law.INPUTS, law.OUTPUTS),
             parameters=self._parameters,
             store=self.store,
             uid=session_uid(seed, flight),
             vehicle_id=setting.vehicle.id_bytes,
+            loop_times=self._timing.read,
+            **serial,
         )
         self._command: Any = self._flight_mcu.motor_command
         self._flight_tick = self._flight_mcu.tick
-        self._air_radio = RadioMcu(address=VEHICLE_RADIO)
+        frame_bytes = world.radio.frame_bytes
+        self._air_radio = RadioMcu(address=VEHICLE_RADIO, frame_bytes=frame_bytes, **serial)
         poses = 2 if world.mocap.rate_hz >= TWO_POSES_HZ else 1
-        self._ground_radio = RadioMcu(address=HOST_RADIO, poses=poses)
-        self._host_port = UartPort(baud=HOST_BAUD, rx_bytes=HOST_RX_BYTES, tx_bytes=HOST_TX_BYTES)
+        self._ground_radio = RadioMcu(address=HOST_RADIO, poses=poses, frame_bytes=frame_bytes, **serial)
+        self._host_port = UartPort(baud=world.serial.baud, rx_bytes=HOST_RX_BYTES, tx_bytes=HOST_TX_BYTES)
         connect(self._flight_mcu.uart, self._air_radio.uart)
         connect(self._host_port, self._ground_radio.uart)
         self._channel = RadioChannel(
@@ -271,6 +276,9 @@ class SimulatedVehicle:
             channel.wake(now_us, ground=False)
         p, q, r, x, y, z, volts = self._sensed
         dp, dq, dr, dx, dy, dz, dv = next(self._imu_errors)
+        timing = self._timing
+        if now_us >= timing.due_us and timing.missed(now_us):
+            return  # still busy with an earlier tick: the rotors keep their command
         self._flight_tick(now_us, (p + dp, q + dq, r + dr), (x + dx, y + dy, z + dz), volts + dv)
 
     # Measuring where the time goes.

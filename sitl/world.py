@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, create_model, field_validator
 
 from host.vehicle import ConfigurationError
 from host.vehicle.strict_toml import Strict, read_strict
 from protocol.telemetry import TICK_US
+from protocol.uwb import FRAME_BYTES, FRAME_LEAST
+from sitl.air_time import air_us
 from sitl.kinds import DRAG, KINDS
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -72,14 +74,20 @@ class RadioSettings(Strict):
 
     slot_us: Annotated[int, Field(ge=TICK_US, le=50_000)] = 2000
     """Half-duplex slot: one frame of one side."""
+    frame_bytes: Annotated[int, Field(ge=FRAME_LEAST, le=FRAME_BYTES)] = FRAME_BYTES
+    """What a frame carries. Longer messages are cut."""
+    bit_rate: Annotated[Literal[850_000, 6_800_000] | None, Field(validate_default=True)] = None
+    """bit/s in the air. Where it is left out, a frame takes its slot, however short it is."""
     loss: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.01
     """Share of full frames lost in the long run; shorter ones fare better."""
     burst_frames: Annotated[float, Field(ge=1.0, validate_default=True)] = 5.0
     """Mean length of a spell of losses (Gilbert-Elliott)."""
+    short_risk: Share = 0.5
+    """In a spell a full frame is lost; a very short one with this chance, others with one in between."""
     latency_us: MicrosecondsUp = 3000
-    """From the end of the slot to delivery."""
+    """From the end of the frame to delivery."""
     jitter_us: MicrosecondsUp = 1000
-    """Largest addition to the latency, uniform."""
+    """Largest addition to the latency, uniform. More than a slot, and frames overtake each other."""
     duplicate: Share = 0.002
     corrupt: Share = 0.001
     """Share of frames delivered with flipped bits."""
@@ -98,12 +106,50 @@ class RadioSettings(Strict):
             )
         return value
 
+    @field_validator("bit_rate")
+    @classmethod
+    def _fits_slot(cls, value: int | None, info: ValidationInfo) -> int | None:
+        slot_us, size = info.data.get("slot_us"), info.data.get("frame_bytes")
+        if value is None or slot_us is None or size is None:
+            return value
+        if (needed_us := air_us(size, value)) > slot_us:
+            raise ValueError(
+                f"a frame of {size} B takes {needed_us} us at {value} bit/s and slot_us is {slot_us}, "
+                "give a longer slot, a higher rate or smaller frame_bytes"
+            )
+        return value
+
     @field_validator("slot_us")
     @classmethod
     def _whole_ticks(cls, value: int) -> int:
         if value % TICK_US:
             raise ValueError(f"{value} is not a whole number of {TICK_US} us ticks")
         return value
+
+
+class SerialSettings(Strict):
+    """The serial lines between host, radios and flight processor."""
+
+    baud: Literal[921_600, 3_000_000] = 921_600
+    chunk_bytes: Annotated[int, Field(ge=1, le=65_536)] | None = None
+    """A processor is interrupted when so many bytes have come: half its receive buffer where left out."""
+    idle_us: MicrosecondsUp = 0
+    """Or when its line has been quiet for so long."""
+
+
+class TimingSettings(Strict):
+    """The flight processor's tick of 1 ms, drawn a flight. Work that takes longer makes the next one late."""
+
+    work_us: NonNegative = 320.0
+    """Mean time that a tick's work takes."""
+    work_spread_us: NonNegative = 25.0
+    """Standard deviation of it."""
+    jitter_us: Annotated[float, Field(ge=0.0, lt=TICK_US)] = 5.0
+    """Furthest that a tick begins from when it is due, uniform."""
+    overrun: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    """Share of ticks whose work takes longer than a tick."""
+    overrun_us: Annotated[int, Field(gt=TICK_US, le=1_000_000)] = 3000
+    """Longest that such a tick's work takes, uniform from 1 ms."""
 
 
 class Draw(Strict):
@@ -169,6 +215,8 @@ class WorldFile(Strict):
     mocap: MocapSettings = MocapSettings()
     imu: ImuSettings = ImuSettings()
     radio: RadioSettings = RadioSettings()
+    serial: SerialSettings = SerialSettings()
+    timing: TimingSettings = TimingSettings()
 
     @property
     def stated(self) -> dict[str, dict[str, float]]:

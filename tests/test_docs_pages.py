@@ -23,12 +23,13 @@ from host.log import FLIGHT_TOPICS, IMPORTED_TOPICS
 from host.report.effects_page import page
 from host.trace.parameters import REPLACES
 from host.trace.result import Verdict
+from host.vehicle.strict_toml import Strict
 from protocol.generated import flight_pb2
 from protocol.generated.frames import MESSAGES
 from protocol.messages import UploadState
 from protocol.upload import CHUNK_BYTES, SenderState
 from protocol.uwb import FRAME_BYTES
-from sitl.world import RadioSettings
+from sitl.world import RadioSettings, SerialSettings, TimingSettings
 
 DOCS = Path(__file__).parent.parent / "docs"
 
@@ -111,6 +112,24 @@ def test_link_page_has_the_simulators_defaults() -> None:
     assert (
         told["duplicates, damage"] == f"{100 * chosen.duplicate:g} % and {100 * chosen.corrupt:g} % of frames"
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [("radio", RadioSettings()), ("serial", SerialSettings()), ("timing", TimingSettings())],
+)
+def test_simulator_page_has_every_setting_and_its_default(name: str, settings: Strict) -> None:
+    part = text_of("simulator.md").split(f"| `[{name}]` | default | |\n")[1].split("\n\n")[0]
+    told = {}
+    for row in part.splitlines()[1:]:
+        keys, values = (cell.strip() for cell in row.strip("|").split("|")[:2])
+        told |= dict(zip(re.findall(r"`(\w+)`", keys), values.split(", "), strict=True))
+    words = {None: told.get("bit_rate" if name == "radio" else "chunk_bytes"), (): "none"}
+    for key, default in settings.model_dump().items():
+        assert told.pop(key) == words.get(
+            default, str(default).removesuffix(".0") if name == "timing" else str(default)
+        )
+    assert not told
 
 
 def test_link_page_names_every_state_message_and_time() -> None:

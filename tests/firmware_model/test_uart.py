@@ -54,6 +54,22 @@ def test_write_without_room_is_refused_whole():
     assert b.read(1_000) == b"123456789"
 
 
+def test_due_is_a_chunk_or_a_line_that_was_quiet_long_enough():
+    a = UartPort(baud=1_000_000, rx_bytes=64, tx_bytes=256)
+    b = UartPort(baud=1_000_000, rx_bytes=64, tx_bytes=256, chunk_bytes=6, idle_us=25)
+    connect(a, b)
+    a.write(b"abcd", 0)
+    assert b.due_us == 65  # 40 us of bytes, 25 of silence
+    a.write(b"ef", 60)
+    assert b.due_us == 80  # the silence was too short: the chunk is full
+    assert b.read(80) == b"abcdef"
+    a.write(b"gh", 100)
+    a.write(b"ij", 200)
+    assert b.due_us == 145
+    assert b.read(145) == b"gh"
+    assert b.due_us == 245
+
+
 def test_due_is_the_end_of_a_burst_or_half_a_buffer():
     a, b = pair(rx_bytes=20)
     assert b.due_us == NEVER_US

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from firmware_model.uart import NEVER_US
+from sitl.air_time import air_us
 from sitl.radio import BurstLoss, RadioChannel
 from sitl.world import RadioSettings
 
@@ -35,6 +36,14 @@ class Endless:
         self.received.append((now_us, frame))
 
 
+class Numbered(Endless):
+    """A radio whose frames say how many came before."""
+
+    def air_send(self, now_us: int) -> bytes | None:
+        frame = super().air_send(now_us)
+        return None if frame is None else (len(self.sent_us) - 1).to_bytes(2, "big")
+
+
 def fly(
     settings: RadioSettings, up: int, down: int, *, frame: bytes = FRAME, seed: int = 0, until_us: int = 10**9
 ) -> tuple[RadioChannel, Endless, Endless]:
@@ -58,7 +67,7 @@ def uniforms(seed: int) -> Iterator[float]:
 
 @pytest.mark.parametrize(("loss", "burst"), [(0.01, 5.0), (0.1, 5.0), (0.3, 20.0), (0.1, 1.0), (0.8, 4.0)])
 def test_burst_loss_has_the_share_and_burst_length_set(loss: float, burst: float) -> None:
-    chain = BurstLoss(loss, burst, uniforms(3).__next__)
+    chain = BurstLoss(loss, burst, 0.5, uniforms(3).__next__)
     lost = np.array([chain.lost(116) for _ in range(400_000)])
     starts = np.count_nonzero(lost[1:] & ~lost[:-1])
     assert lost.mean() == pytest.approx(loss, rel=0.1)
@@ -68,7 +77,7 @@ def test_burst_loss_has_the_share_and_burst_length_set(loss: float, burst: float
 def test_short_frames_are_lost_less_often_than_full_ones() -> None:
     shares = []
     for size in (116, 20):
-        chain = BurstLoss(0.2, 5.0, uniforms(4).__next__)
+        chain = BurstLoss(0.2, 5.0, 0.5, uniforms(4).__next__)
         shares.append(np.mean([chain.lost(size) for _ in range(50_000)]))
     assert 0.5 * shares[0] < shares[1] < 0.8 * shares[0]
 
@@ -90,6 +99,40 @@ def test_channel_delays_by_slot_latency_and_jitter() -> None:
     assert delays.min() == 5000
     assert delays.max() == 7000  # the tick after 6500
     assert np.mean(delays == 6000) == pytest.approx(2 / 3, abs=0.03)  # 5000 to 6500 us, at the next tick
+
+
+@pytest.mark.parametrize(("bit_rate", "full_ms"), [(850_000, 1.71), (6_800_000, 0.34)])
+def test_frame_is_in_the_air_as_long_as_transceivers_take(bit_rate: int, full_ms: float) -> None:
+    assert air_us(116, bit_rate) / 1000 == pytest.approx(full_ms, abs=0.005)
+    settings = CLEAN.model_copy(update={"bit_rate": bit_rate, "latency_us": 500})
+    _, ground, vehicle = fly(settings, up=50, down=0)
+    (delay,) = {r - s for s, (r, _) in zip(ground.sent_us, vehicle.received, strict=True)}
+    assert delay == {850_000: 3000, 6_800_000: 1000}[bit_rate]  # 2.21 and 0.84 ms, at the next tick
+    short = [air_us(size, bit_rate) for size in range(117)]
+    assert short == sorted(short)
+
+
+def test_short_frames_are_lost_as_set() -> None:
+    for risk in (0.0, 1.0):
+        chain = BurstLoss(0.2, 5.0, risk, uniforms(4).__next__)
+        lost = np.mean([chain.lost(0) for _ in range(50_000)])
+        assert lost == pytest.approx(0.2 * risk, rel=0.1)
+
+
+def test_jitter_beyond_a_slot_lets_frames_overtake() -> None:
+    settings = CLEAN.model_copy(update={"jitter_us": 8000})
+    ground, vehicle = Numbered(400), Endless(0)
+    rngs = [np.random.default_rng((0, k)) for k in range(2)]
+    channel = RadioChannel(
+        ground=ground, vehicle=vehicle, settings=settings, up_rng=rngs[0], down_rng=rngs[1]
+    )
+    for now_us in range(0, 1_000_000, 1000):
+        channel.tick(now_us)
+    arrived = [int.from_bytes(frame, "big") for _, frame in vehicle.received]
+    assert sorted(arrived) == list(range(400))
+    late = np.array(arrived) - np.maximum.accumulate(arrived)
+    assert np.count_nonzero(late < 0) > 40
+    assert late.min() >= -4  # 8 ms are four slots
 
 
 def test_two_eager_radios_share_the_slots_evenly() -> None:
