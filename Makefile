@@ -1,4 +1,5 @@
 # `make demo` and `make test` need Python 3.11 or newer and make; both set up .venv first.
+# `make fuzz` gives 10^7 inputs to everything that takes bytes; FUZZ_SEED=n chooses others, FUZZ_INPUTS=n their number.
 # TRIMTAB_PYTHON=/path/to/python3 chooses the Python, TESTS=path narrows a test run, WORKERS=n its processes.
 
 VENV := .venv
@@ -9,10 +10,13 @@ READY_BENCH := $(VENV)/trimtab-bench.stamp
 READY_CLIENTS := $(VENV)/trimtab-clients.stamp
 WORKERS ?= auto
 TESTS ?=
+FUZZ_INPUTS ?= 10000000
+FUZZ_SEED ?= 0
+FUZZ_WORKERS ?= 2
 PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
 export TRIMTAB_PYTHON
 
-.PHONY: venv demo test test-all lint style types bench generate docs
+.PHONY: venv demo test test-all lint style types bench fuzz generate docs
 
 venv: $(READY)
 
@@ -47,6 +51,9 @@ types: $(READY_ALL)
 
 bench: $(READY_BENCH)
 	$(VENV)/bin/trimtab bench
+
+fuzz: $(READY)
+	$(PYTHON) -m sitl.studies.fuzz --inputs $(FUZZ_INPUTS) --seed $(FUZZ_SEED) --workers $(FUZZ_WORKERS)
 
 generate: $(READY_ALL)
 	$(PYTHON) -m protocol.generate

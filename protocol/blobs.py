@@ -61,6 +61,8 @@ class YawNode(NamedTuple):
 
 
 _HEADER = struct.Struct("<4sBBH6s3dII")
+_ORIGIN = slice(14, 38)
+"""Bytes of the header."""
 _NODE = struct.Struct("<I12f")
 _YAW = struct.Struct("<I2f")
 _NODE_FIELDS = tuple(f"{name}_{axis}" for name in "pvaj" for axis in "ned")
@@ -237,7 +239,7 @@ class FeedForward:
         head = _unpack_header(data, cls.KIND)
         if head.flags & ~(cls._BLOCK | cls._NETWORK):
             raise BlobError(f"flags: {head.flags:#06x} has bits unknown to version {VERSION}")
-        if head.origin != (0.0, 0.0, 0.0):
+        if any(data[_ORIGIN]):  # -0.0 would be another blob of the same content
             raise BlobError("origin: must be 0 in a feed-forward")
         sizes_at = HEADER_BYTES + 6
         if len(data) <= sizes_at:

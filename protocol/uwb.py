@@ -112,6 +112,11 @@ class StreamSplitter:
         return found
 
 
+def split(data: bytes) -> list[bytes]:
+    """The messages in `data` alone, a datagram: what began in it and did not end is none."""
+    return StreamSplitter().feed(data + bytes(LONGEST_BYTES))
+
+
 def cut(message: bytes, number: int, frame_bytes: int = FRAME_BYTES) -> list[bytes]:
     """The frames of a message longer than one, in order; `number` sets it apart from its neighbours."""
     step = frame_bytes - PIECE_HEADER_BYTES

@@ -120,7 +120,7 @@ def read_plant_options(path: str | Path | None) -> dict[str, Any]:
         return {}
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ForeignPlantError(f"plant options {path}: {error}") from None
 
 

@@ -12,8 +12,9 @@ from host.link.client import NEVER_US, Client
 from host.link.clock import CameraClock
 from host.link.tasks import Task
 from protocol import messages as m
-from protocol.codec import Codec
+from protocol.codec import decode_message
 from protocol.messages import Message
+from protocol.uwb import split
 
 Script = Generator[Task, Any, Any]
 """Yields tasks, gets back their results, returns the session's result; errors of a task are raised in it."""
@@ -57,7 +58,6 @@ class Session:
         self._make_script = script
         self._script: Script | None = None
         self._task: Task | None = None
-        self._cameras = Codec(*m.HOST)
         self._steps = 0
 
     @property
@@ -157,7 +157,7 @@ class Session:
     def _on_datagram(self, datagram: bytes, now_us: int) -> None:
         """Forwards the poses in a datagram; one whose stamp the camera clock does not believe is dropped."""
         clock, camera = self.client.clock, self.camera
-        for message in self._cameras.decode(datagram):
+        for message in map(decode_message, split(datagram)):
             if type(message) is not m.AttPosMocap:
                 continue
             if clock.steps != self._steps:

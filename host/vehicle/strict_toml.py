@@ -43,8 +43,11 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
     """The plain data of a TOML text. Raises ConfigurationError naming `source`, line and column."""
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # a TOMLDecodeError, or a whole number of thousands of digits
         raise ConfigurationError([f"{source}: not valid TOML: {error}; mend the syntax there"]) from None
+    except RecursionError:
+        told = f"{source}: not valid TOML: brackets nested hundreds deep; mend the syntax there"
+        raise ConfigurationError([told]) from None
 
 
 def validate(data: dict[str, Any], source: str, model: type[ModelT]) -> ModelT:

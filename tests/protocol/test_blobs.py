@@ -170,6 +170,14 @@ def test_feedforward_built_from_bad_values_names_the_field(changes: dict, field:
         make_feedforward(**changes)
 
 
+def test_feedforward_of_origin_minus_zero_is_refused() -> None:
+    # Read as 0 and written again it would be another blob, of another id.
+    data = bytearray(make_feedforward().to_bytes())
+    data[21] = 0x80
+    with pytest.raises(BlobError, match=r"^origin: must be 0"):
+        FeedForward.from_bytes(bytes(data))
+
+
 def test_block_and_network_sizes_are_those_of_the_law() -> None:
     from firmware_model.law import feedforward
 

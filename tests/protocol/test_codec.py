@@ -236,3 +236,24 @@ def _with_payload(number: int, payload: bytes) -> bytes:
     head = bytes([len(payload), 0, 0, 0, 1, 1]) + number.to_bytes(3, "little") + payload
     seed = bytes([mavlink.mavlink_map[number].crc_extra])
     return b"\xfd" + head + mcrf4xx(head + seed).to_bytes(2, "little")
+
+
+def test_signed_messages_of_a_stock_client_are_understood_and_forged_ones_lock_nobody_out() -> None:
+    client = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    client.signing.secret_key = bytes(range(32))
+    client.signing.timestamp = 1_000
+    client.signing.sign_outgoing = True
+    receiver = Codec(*m.VEHICLE)
+
+    def signed(command: int) -> bytes:
+        return mavlink.MAVLink_command_long_message(1, 1, command, 0, *[0.5] * 7).pack(client)
+
+    first, second = signed(400), signed(300)
+    assert first[2] == mavlink.MAVLINK_IFLAG_SIGNED
+    assert len(first) == len(Codec(255, 190).encode(m.CommandLong(1, 1, 400, 0, *[0.5] * 7))) + 13
+    forged = bytearray(signed(21))
+    forged[-12:-6] = b"\xff" * 6  # stamped far in the future, under a signature that is now wrong
+    unsigned = Codec(255, 190).encode(m.Timesync(0, 5))
+    found = receiver.decode(first + bytes(forged) + second + unsigned)
+    assert [getattr(message, "command", None) for message in found] == [400, 21, 300, None]
+    assert receiver.bad_bytes == 0

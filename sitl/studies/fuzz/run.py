@@ -119,7 +119,7 @@ def run_fuzz(
 def replay(kind: str, seed: int, index: int) -> Crash | None:
     """The crash that this input brings about after those before it in its batch; None where it is mended."""
     number, at = divmod(index, BATCH)
-    crashes = _run(record(), _Batch(kind, seed, number, at + 1)).crashes
+    crashes = _run_recorded(_Batch(kind, seed, number, at + 1)).crashes
     return next((crash for crash in crashes if crash.index == index), None)
 
 
@@ -139,24 +139,14 @@ def _batches(inputs: int, seed: int, kinds: tuple[str, ...]) -> Iterator[_Batch]
 
 def _outcomes(batches: list[_Batch], workers: int) -> Generator[_Outcome, None, None]:
     if workers == 1:
-        source = record()
-        yield from (_run(source, batch) for batch in batches)
+        yield from map(_run_recorded, batches)
         return
-    with multiprocessing.get_context("spawn").Pool(workers, _begin_worker) as pool:
-        yield from pool.imap_unordered(_run_in_worker, batches)
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        yield from pool.imap_unordered(_run_recorded, batches)
 
 
-_source: Source | None = None
-
-
-def _begin_worker() -> None:
-    global _source
-    _source = record()
-
-
-def _run_in_worker(batch: _Batch) -> _Outcome:
-    assert _source is not None
-    return _run(_source, batch)
+def _run_recorded(batch: _Batch) -> _Outcome:
+    return _run(record(), batch)
 
 
 def _run(source: Source, batch: _Batch) -> _Outcome:

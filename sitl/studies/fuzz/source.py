@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 from firmware_model.law.reference import septic
+from firmware_model.store import ReferenceStore
 from host.link.flight import FlightOrder
 from host.link.fly import fly_lockstep
 from host.route import list_routes
@@ -65,8 +67,8 @@ class Source:
 class _Tapped(SimulatedVehicle):
     """A vehicle whose lines are listened to."""
 
-    def __init__(self, setting: Setting, flight: int) -> None:
-        super().__init__(setting, flight)
+    def __init__(self, setting: Setting, flight: int, store: ReferenceStore) -> None:
+        super().__init__(setting, flight, store)
         self.up: list[bytes] = []
         self.down: list[bytes] = []
         self.poses: list[bytes] = []
@@ -100,6 +102,7 @@ def short_reference(vehicle: Vehicle, seconds: float = 1.2, reach: float = 0.5) 
     return Reference(vehicle_id=vehicle.id, origin_ned=(0.0, 0.0, 0.0), nodes=tuple(nodes), yaws=yaws)
 
 
+@lru_cache(maxsize=1)
 def record() -> Source:
     """A short flight in the empty world, uploads included, and everything that went over its lines."""
     vehicle = load_vehicle("research")

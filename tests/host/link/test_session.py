@@ -159,6 +159,18 @@ def test_camera_clock_with_a_declared_delay_finds_the_offset() -> None:
     assert CameraClock(None).offset_us == 0.0
 
 
+def test_damaged_datagram_costs_none_of_the_next_ones() -> None:
+    def script(session: Session) -> Generator[Task, Any, Any]:
+        yield Forever()
+
+    session = Session(script)
+    damaged = bytearray(pose(10_000))
+    damaged[1] = 0xFF  # announces a payload that other datagrams would have to bring
+    for k, datagram in enumerate([bytes(damaged), pose(20_000)[:20], pose(30_000)]):
+        session.step(10_000 * (k + 1), b"", [datagram])
+    assert session.poses == 1
+
+
 @given(chunks=st.lists(st.binary(max_size=300), max_size=8), datagram=st.binary(max_size=200))
 def test_session_takes_any_bytes(chunks: list[bytes], datagram: bytes) -> None:
     def script(session: Session) -> Generator[Task, Any, Any]:

@@ -251,3 +251,10 @@ def test_any_valid_vehicle_survives_its_text(mass: float, inertia: float, arm: f
         mass_kg=mass, inertia_kg_m2=[inertia] * 3, rotors=rotors, tolerances={"wind.wx": sigma}
     )
     assert parse_vehicle(vehicle.to_toml(), "again") == vehicle
+
+
+@pytest.mark.parametrize("text", ["mass_kg = " + "[" * 5_000, "mass_kg = " + "9" * 5_000])
+def test_toml_beyond_what_its_reader_bears_is_one_line(text: str) -> None:
+    (line,) = problems(text)
+    assert line.startswith("bad.toml: not valid TOML: ")
+    assert "\n" not in line
