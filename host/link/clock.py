@@ -102,7 +102,7 @@ class ClockSync:
             return 0.5 * self.rtt_us
         spread = 0.0
         for way in range(2):
-            best = sorted(pair[way] for pair in self._recent)[:_BEST]
+            best = sorted([pair[way] for pair in self._recent])[:_BEST]
             mean = sum(best) / len(best)
             spread += sum((value - mean) ** 2 for value in best) / (len(best) - 1)
         return 0.5 * math.sqrt(spread)

@@ -149,15 +149,18 @@ def _take_chunk(result: Scan, chunk: Chunk) -> None:
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError("a chunk fails its CRC")
     messages: list[Entry] = []
-    for opcode, body in _records(data):
+    channels, head = result.channels, _MESSAGE.size
+    for opcode, start, end in _records(data):
         if opcode == Opcode.MESSAGE:
-            channel_id, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
-            if channel_id not in result.channels:
+            if end - start < head:
+                raise ValueError("a message shorter than its head")
+            channel_id, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, start)
+            if channel_id not in channels:
                 raise ValueError(f"a message of channel {channel_id}, which nothing declares")
-            messages.append(Entry(channel_id, sequence, log_time, publish_time, body[_MESSAGE.size :]))
+            messages.append(Entry(channel_id, sequence, log_time, publish_time, data[start + head : end]))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             # StreamReader reads these two from bytes framed like a file without its magic.
-            framed = _RECORD.pack(opcode, len(body)) + body
+            framed = data[start - _RECORD.size : end]
             record = next(iter(StreamReader(BytesIO(framed), skip_magic=True).records))
             if isinstance(record, Schema):
                 result.schemas[record.id] = record
@@ -167,13 +170,13 @@ def _take_chunk(result: Scan, chunk: Chunk) -> None:
     result.chunks += 1
 
 
-def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Opcode and body of every record inside a chunk."""
-    offset = 0
-    while offset < len(data):
+def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Opcode of every record inside a chunk, and where its body begins and ends."""
+    size, offset = len(data), 0
+    while offset < size:
         opcode, length = _RECORD.unpack_from(data, offset)
-        offset += _RECORD.size
-        if offset + length > len(data):
+        start = offset + _RECORD.size
+        offset = start + length
+        if offset > size:
             raise ValueError("a record longer than its chunk")
-        yield opcode, data[offset : offset + length]
-        offset += length
+        yield opcode, start, offset
