@@ -61,3 +61,4 @@ generate: $(READY_ALL)
 docs: $(READY)
 	$(PYTHON) -m host.report.effects_page docs/effects.md
 	$(PYTHON) -m host.report.manoeuvres_page docs/manoeuvres.md
+	$(PYTHON) -m firmware_model.failsafe_page docs/failsafes.md

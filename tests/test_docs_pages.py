@@ -9,6 +9,7 @@ from typing import get_args
 import pytest
 from google.protobuf.message import Message
 
+from firmware_model import failsafe_page
 from host.effects import load_effects
 from host.imports import crazyflie_usd, nanobench
 from host.imports.airborne import CLEAR_M, EDGE_US, SHORTEST_US
@@ -48,6 +49,10 @@ def table(text: str, heading: str) -> list[list[str]]:
 
 def test_effects_page_is_the_one_the_code_makes() -> None:
     assert text_of("effects.md") == page(load_effects()), "run `make docs`"
+
+
+def test_failsafes_page_is_the_one_the_code_makes() -> None:
+    assert text_of("failsafes.md") == failsafe_page.page(), "run `make docs`"
 
 
 def test_imports_page_names_every_profile_and_every_unknown() -> None:

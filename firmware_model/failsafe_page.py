@@ -1,0 +1,146 @@
+"""The page on modes, failsafes and arming checks, docs/failsafes.md, made from the tables themselves.
+
+`python -m firmware_model.failsafe_page FILE` writes it; a test holds the page against the code.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from firmware_model.failsafe import CONDITIONS, Action, Condition, Failsafe
+from firmware_model.flight import LOOK_TICKS
+from firmware_model.offboard import LOWEST
+from firmware_model.readiness import ARM_TILT_DEG, CHECKS
+from firmware_model.setpoints import SHORTEST_S
+from firmware_model.supervisor import COMMANDS, FAILURES, Event, State, update
+from protocol.parameters import BY_NAME
+from protocol.telemetry import TICK_US
+
+_HEAD = """# Modes, failsafes, arming checks
+
+<!-- Made by `make docs` from firmware_model; change it there. -->
+
+All times are the vehicle's own; conditions are looked at every {look_ms} ms.
+
+## Failsafes
+
+| condition | bound | time | action | why | who or what clears it |
+|---|---|---|---|---|---|
+"""
+
+_BEHIND = """
+- Times and bounds are parameters with the defaults given. A condition must last for its time without a break;
+  where it says "over", that is what it is smoothed or counted over.
+- Actions rank as {ranks}.
+  While one is under way only a higher one replaces it, and the first failure is what FC_STATUS names until
+  the next arming. `FC_STATUS.conditions` has bit k set while a row of TRIMTAB_FAILSAFE k holds, on the floor
+  too.
+- A landing goes on where a landing in place would be the action. Armed on the floor, every failure disarms.
+  In standby the same conditions refuse arming.
+- Level descent: attitude and sink rate are kept, position is not; the rotors stop when something carries it.
+
+## Arming checks
+
+`MAV_CMD_RUN_PREARM_CHECKS` tells every reason at once, each behind "not ready:"; a refusal of arming names
+the first.
+
+| check | text |
+|---|---|
+"""
+
+_REFERENCE = """
+Tilt must be within {tilt:g} deg. Arming needs no reference (it warns where there is none); a start needs one
+that is at rest at its ends.
+
+## Modes
+
+States by command; `-` is refused with a reason.
+
+"""
+
+_EVENTS = """
+Takeoff (MAV_CMD_NAV_TAKEOFF) climbs to its height above the floor, TAKEOFF_HEIGHT where it names none, at
+most to the fence, and hovers. Start (MAV_CMD_MISSION_START) goes to the first node and tracks the live
+reference, once an arming. MAV_CMD_DO_SET_MODE takes PX4's numbers: main mode 6 is offboard, 4 with sub mode 3
+hold, 4 with 6 land. A hold lasts until told otherwise, but {hold_s} after a reference and {lost_s} after
+lost setpoints; then it lands.
+
+What ends by itself, and what fails:
+
+"""
+
+_OFFBOARD = """
+## Setpoints
+
+OFFBOARD is entered while setpoints arrive, that is the last is at most FS_OFFB_S old.
+
+| message | what is followed |
+|---|---|
+| SET_POSITION_TARGET_LOCAL_NED, frame 1 | position, velocity or both on each axis; acceleration; yaw, its rate |
+| frame 7, 8 | velocity in NED or along the heading; no position |
+| SET_ATTITUDE_TARGET | thrust, as a share of 4 THRUST_MAX, with body rate or attitude (rates on top) |
+
+Fields masked out or not finite are left out; what then makes no setpoint is refused, each reason told once.
+The reference never steps: every setpoint begins a polynomial in its present position, velocity, acceleration
+and jerk, at least {shortest:g} s long, within LIM_SPEED and OFFB_ACCEL. A stream of positions alone is
+followed about 0.3 s late. Positions end at the fence and {lowest:g} m above the floor, velocities stop there.
+Rates stay within LIM_RATE_* and thrust above THRUST_FLOOR; no position is held then.
+"""
+
+
+def page() -> str:
+    """The page as Markdown."""
+    ranks = " < ".join(_words(action.name) for action in Action)
+    return "".join(
+        (
+            _HEAD.format(look_ms=LOOK_TICKS * TICK_US // 1000),
+            *map(_row, CONDITIONS),
+            _BEHIND.format(ranks=ranks),
+            *(f"| {check.what} | {_text(check.text)} |\n" for check in CHECKS),
+            _REFERENCE.format(tilt=ARM_TILT_DEG),
+            _table(COMMANDS),
+            _EVENTS.format(hold_s=_default("HOLD_S"), lost_s=_default("FS_OFFB_HOLD_S")),
+            _table(tuple(event for event in Event if event not in COMMANDS and event not in FAILURES)),
+            "\n",
+            _table(FAILURES),
+            _OFFBOARD.format(shortest=SHORTEST_S, lowest=LOWEST),
+        )
+    )
+
+
+def _row(row: Condition) -> str:
+    name = "" if row.failsafe is Failsafe.NONE else f" ({row.failsafe.name})"
+    bound = "" if row.bound is None else _default(row.bound)
+    time = "" if row.timeout is None else ("" if row.lasting else "over ") + _default(row.timeout)
+    return f"| {row.what}{name} | {bound} | {time} | {_words(row.action.name)} | {row.why} | {row.clears} |\n"
+
+
+def _default(name: str) -> str:
+    parameter = BY_NAME[name]
+    return f"`{name}` {parameter.default:g} {parameter.unit}".rstrip()
+
+
+def _table(events: tuple[Event, ...]) -> str:
+    """One row a state, one column an event: the state it leads to."""
+    head = "| | " + " | ".join(_words(event.name) for event in events) + " |"
+    lines = [head, "|---" * (len(events) + 1) + "|"]
+    for state in State:
+        cells = []
+        for event in events:
+            outcome = update(state, event)
+            cells.append("-" if outcome.refusal is not None else outcome.state.name)
+        lines.append(f"| {state.name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _text(text: str) -> str:
+    return text.replace("{contradiction}", "what does not go together")
+
+
+def _words(name: str) -> str:
+    return name.lower().replace("_", " ")
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_text(page(), encoding="utf-8")
