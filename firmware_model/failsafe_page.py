@@ -77,7 +77,7 @@ OFFBOARD is entered while setpoints arrive, that is the last is at most FS_OFFB_
 
 | message | what is followed |
 |---|---|
-| SET_POSITION_TARGET_LOCAL_NED, frame 1 | position, velocity or both on each axis; acceleration; yaw, its rate |
+| SET_POSITION_TARGET_LOCAL_NED, frame 1 | position, velocity or both on each axis; acceleration; yaw, rate |
 | frame 7, 8 | velocity in NED or along the heading; no position |
 | SET_ATTITUDE_TARGET | thrust, as a share of 4 THRUST_MAX, with body rate or attitude (rates on top) |
 

@@ -15,6 +15,7 @@ from protocol.telemetry import TICK_US
 from sitl.world import ImuSettings, MocapSettings
 
 _BLOCK = 1024
+_LEAST_NOISE = 1e-9  # no IMU repeats itself: the vehicle would take it for stuck
 _BOW_PER_M = 0.02  # a tilted camera frame is bowed as well: its tilt changes along the way it leans
 _SEVEN = struct.Struct("7d")
 _STAMP_JITTER = (
@@ -35,6 +36,7 @@ class Imu:
         self._noise = np.array(
             [s.gyro_noise_rad_s] * 3 + [s.accelerometer_noise_m_s2] * 3 + [s.voltage_noise_v]
         )
+        self._noise[:6] = np.maximum(self._noise[:6], _LEAST_NOISE)
         bias = np.array([s.gyro_bias_rad_s] * 3 + [s.accelerometer_bias_m_s2] * 3 + [0.0])
         self.bias = bias * rng.standard_normal(7)
 
