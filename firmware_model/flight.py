@@ -64,8 +64,9 @@ class Flight:
         engine: `law.step` as an engine. parameters: values on board.
 
     `reference` is the track to fly, None for none; `feedforward` the law's feed-forward. Both may be replaced
-    in standby. `changed` is set whenever state or failsafe change, for whoever reports them. `conditions`:
-    rows of the failsafe table that held at the last look, bit k for Failsafe k.
+    in standby, the reference also by `swap` while it is tracked. `changed` is set whenever state or failsafe
+    change, for whoever reports them. `conditions`: rows of the failsafe table that held at the last look, bit
+    k for Failsafe k.
     """
 
     def __init__(self, *, engine: Engine, parameters: ParameterValues) -> None:
@@ -163,6 +164,12 @@ class Flight:
         """Nothing comes back; the law and the failsafes take over the parameters as they are now."""
         self._law_parameters[:] = memoryview(self.parameters.vector)
         self.watch.configure(self.parameters)
+
+    def swap(self, reference: track.Track, at_us: int) -> None:
+        """Nothing comes back; `reference` is tracked from here on, its time 0 is `at_us`, which has come."""
+        self.reference, self.tracking_us, self.changed = reference, at_us, True
+        self._player.start(reference, at_us)
+        self._tell(_INFO, "reference swapped")
 
     # The tick.
 

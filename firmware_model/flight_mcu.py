@@ -11,14 +11,24 @@ from firmware_model.parameters import stored_parameters
 from firmware_model.services import Identity, Services
 from firmware_model.store import ReferenceStore
 from firmware_model.supervisor import State
+from firmware_model.swap import agree_swap
 from firmware_model.telemetry import LoopTimes
-from firmware_model.uart import UartPort
+from firmware_model.uart import NEVER_US, UartPort
 from firmware_model.verdict import check_blob
 from protocol.blobs import FeedForward, Kind, Reference, from_bytes
 from protocol.codec import Codec
-from protocol.messages import DIALECT_VERSION, VEHICLE, AttPosMocap, FcStatus, Message, mavlink
+from protocol.messages import (
+    DIALECT_VERSION,
+    NO_TICK,
+    VEHICLE,
+    AttPosMocap,
+    FcStatus,
+    Message,
+    UploadResult,
+    mavlink,
+)
 from protocol.telemetry import TICK_US
-from protocol.upload import ReceiverEvent, UploadEvent, UploadReceiver, Verdict
+from protocol.upload import Agreement, ReceiverEvent, UploadEvent, UploadReceiver, Verdict
 
 BAUD = 921_600
 RX_BYTES = 2_048
@@ -79,7 +89,11 @@ class FlightMcu:
         self._battery_v = 0.0
         self._codec = Codec(*VEHICLE)
         self._upload = UploadReceiver(
-            store, check=self._check, may_commit=self._may_commit, capacity=store.bank_bytes
+            store,
+            check=self._check,
+            may_commit=self._may_commit,
+            agree=self._agree,
+            capacity=store.bank_bytes,
         )
         self._services = Services(
             flight=self.flight,
@@ -95,6 +109,8 @@ class FlightMcu:
             keep=store.settings.change,
         )
         self._out: list[bytes] = []
+        self._swap_us = NEVER_US
+        self._following: track.Track | None = None
         self._last_us = -TICK_US
         self._look_us = 0
         self._status_us = 0
@@ -124,6 +140,8 @@ class FlightMcu:
         if now_us - self._last_us != TICK_US:
             self._catch_up(now_us, gyro, specific_force)
         self._last_us = now_us
+        if now_us >= self._swap_us:
+            self._swap(now_us)
         self.flight.tick(now_us, gyro, specific_force)
         if now_us >= self._look_us:
             self._battery_v = battery_v
@@ -146,6 +164,8 @@ class FlightMcu:
         flight = self.flight
         streams = self._services.streams
         flight.look(now_us, self._battery_v)
+        if self._swap_us < NEVER_US and flight.state is not State.TRACKING:
+            self._call_off(now_us)
         try:
             for message in telemetry.at_rate(flight, now_us):
                 if not streams.slowed or streams.own_due(message.id, now_us):
@@ -215,6 +235,7 @@ class FlightMcu:
             loop=self._loop_times(now_us),
             late_ticks=self.late_ticks,
             uart_overruns=self.uart.overruns,
+            swap_tick=NO_TICK if upload.at_tick is None else upload.at_tick,
             bad_bytes=self._codec.bad_bytes,
         )
         return telemetry.status(self.flight, now_us, board)
@@ -235,8 +256,49 @@ class FlightMcu:
 
     def _uploaded(self, event: ReceiverEvent) -> None:
         self.flight.changed = True
-        if event.event is UploadEvent.COMMITTED:
-            self._load(event.kind)
+        if event.event is UploadEvent.COMMITTED and self._may_commit(event.kind):
+            self._load(event.kind)  # in flight it has been taken over already
+
+    # A reference that takes over in flight.
+
+    def _agree(self, kind: int, data: bytes, at_tick: int, now_us: int) -> Agreement:
+        """Whether this blob takes over at a tick; what was agreed before no longer holds."""
+        self._swap_us, flight = NEVER_US, self.flight
+        if kind != Kind.REFERENCE:
+            return Agreement(result=UploadResult.BAD_REQUEST)
+        live, start_us = flight.reference, flight.tracking_us
+        if flight.state is not State.TRACKING or live is None or start_us is None:
+            return Agreement(result=UploadResult.BUSY)
+        blob = Reference.from_bytes(data)
+        following = track.track(blob.nodes_ned(), blob.yaw_nodes())
+        at_us = at_tick * TICK_US
+        agreement = agree_swap(
+            live,
+            blob,
+            following,
+            at_us=at_us - start_us,
+            ahead_us=at_us - now_us,
+            limits=self.parameters.limits,
+        )
+        if agreement.result is UploadResult.OK:
+            self._following, self._swap_us, flight.changed = following, at_us, True
+        return agreement
+
+    def _swap(self, now_us: int) -> None:
+        """The agreed tick has come: the track changes and what is staged becomes live."""
+        at_us, following = self._swap_us, self._following
+        if self.flight.state is not State.TRACKING or following is None or self._upload.at_tick is None:
+            self._call_off(now_us)
+            return
+        self._swap_us = NEVER_US
+        self.flight.swap(following, at_us)
+        self._services.take(self._upload.due(now_us), now_us)
+
+    def _call_off(self, now_us: int) -> None:
+        self._swap_us = NEVER_US
+        self._upload.call_off(now_us)
+        self._services.take([], now_us)
+        self.flight.changed = True
 
     def _load(self, kind: int) -> None:
         """What is live of this kind becomes what is flown, if it (still) passes the check."""

@@ -90,7 +90,7 @@ class Services:
             flight=flight, parameters=parameters, send=send, text=self.text, keep=keep, on_limits=on_limits
         )
         self.streams = Streams(flight=flight, send=send, battery_v=battery_v)
-        files = BlobFiles(store=store, upload=upload, text=self.text, on_upload=self._take)
+        files = BlobFiles(store=store, upload=upload, text=self.text, on_upload=self.take)
         self._ftp = FtpServer(files, send=send)
         commands = Commands(
             flight=flight,
@@ -103,7 +103,7 @@ class Services:
                 m.Heartbeat.id: lambda now_us: heartbeat(flight),
                 **self.streams.requests(),
             },
-            on_upload=self._take,
+            on_upload=self.take,
             more=self.streams.commands(),
         )
         setpoints = SetpointService(take=flight.setpoint, text=self.text)
@@ -148,12 +148,19 @@ class Services:
         self._ftp.look(now_us)
         deadline_us = self._upload.next_deadline_us()
         if deadline_us is not None and now_us >= deadline_us:
-            self._take(self._upload.advance(now_us), now_us)
+            self.take(self._upload.advance(now_us), now_us)
 
     def text(self, severity: int, text: str) -> None:
         """Nothing comes back; people read `text`, or its first 50 bytes."""
         data = text.encode()[:TEXT_BYTES].decode(errors="ignore").encode()
         self._send(m.StatusText(severity, data))
+
+    def take(self, events: list[ReceiverEvent], now_us: int) -> None:
+        """Nothing comes back; the upload's events are passed on and its answers sent."""
+        for event in events:
+            self._on_upload(event)
+        for answer in self._upload.send(now_us):
+            self._send(answer)
 
     # Small services.
 
@@ -194,10 +201,4 @@ class Services:
     # Uploads.
 
     def _upload_message(self, message: Message, now_us: int) -> None:
-        self._take(self._upload.receive(message, now_us), now_us)
-
-    def _take(self, events: list[ReceiverEvent], now_us: int) -> None:
-        for event in events:
-            self._on_upload(event)
-        for answer in self._upload.send(now_us):
-            self._send(answer)
+        self.take(self._upload.receive(message, now_us), now_us)

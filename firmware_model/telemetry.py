@@ -41,6 +41,7 @@ class OnBoard(NamedTuple):
     loop: LoopTimes
     late_ticks: int
     uart_overruns: int
+    swap_tick: int
     bad_bytes: int
 
 
@@ -114,7 +115,7 @@ def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
         flight_ticks=flight.flight_ticks & _MASK32,
         poses_used=flight.poses.used & _MASK32,
         battery_mv=min(_MASK16, max(0, round(battery_mv))) if math.isfinite(battery_mv) else 0,
-        swap_tick=NO_TICK,
+        swap_tick=board.swap_tick & _MASK32,
         conditions=flight.conditions,
         loop_us=min(_MASK16, board.loop.longest_us),
         loop_mean_us=min(_MASK16, board.loop.mean_us),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from array import array
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,6 +20,7 @@ from firmware_model.law.reference import (
     SEPTIC_SIZE,
     cubic_at,
     cubic_coefficients,
+    septic_at,
     septic_coefficients,
 )
 
@@ -72,6 +74,12 @@ class Track:
                 _duration_s(start_us, end_us)
             if any(len(block) != size for block in blocks):
                 raise ValueError(f"a block must have {size} values")
+
+    def state_at(self, t_us: int) -> tuple[float, ...]:
+        """p, v, a, j (NED), yaw and yaw rate at a time from 0 to the end."""
+        k, y = bisect_right(self.starts_us, t_us) - 1, bisect_right(self.yaw_starts_us, t_us) - 1
+        p, v, a, j, _ = septic_at(self.blocks[k][1:], (t_us - self.starts_us[k]) * 1e-6)
+        return *p, *v, *a, *j, *cubic_at(self.yaw_blocks[y][1:], (t_us - self.yaw_starts_us[y]) * 1e-6)
 
 
 def track(

@@ -18,6 +18,8 @@ class Reason(IntEnum):
     OTHER_VEHICLE = 101
     OTHER_KIND = 102
     FEEDFORWARD_RANGE = 103
+    NOT_CONTINUOUS = 104  # with what is flown, where it should take over
+    TOO_LATE = 105
 
 
 GAIN_RANGE = (0.3, 3.0)

@@ -177,7 +177,7 @@ def check_reference(
     if broken is None:
         broken = _holds(nodes, yaw_nodes, ends_at_rest)
     if broken is None and ends_at_rest:
-        broken = _ends(nodes, limits, origin)
+        broken = check_ends(nodes, limits, origin, ends=(0, len(nodes) - 1))
     if broken is None:
         broken = _smooth(nodes)
     if broken is not None:
@@ -237,9 +237,11 @@ def _structure(
     return None
 
 
-def _ends(nodes: Sequence[Node], limits: Limits, origin: Sequence[float]) -> Verdict | None:
-    """The refusal of a start or end that is not at rest or too low, or None."""
-    for node in (0, len(nodes) - 1):
+def check_ends(
+    nodes: Sequence[Node], limits: Limits, origin: Sequence[float], *, ends: Sequence[int]
+) -> Verdict | None:
+    """The refusal of a start or end that is not at rest or too low, or None. ends: which nodes are judged."""
+    for node in ends:
         t_us, state = nodes[node]
         end = "start" if node == 0 else "end"
         for k, (quantity, unit) in enumerate(

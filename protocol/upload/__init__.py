@@ -4,7 +4,8 @@ step.
 A blob is known by its SHA-256. UPLOAD_BEGIN announces it and asks how far it is; the vehicle answers every
 BEGIN, COMMIT and ABORT with UPLOAD_STATUS, and says now and then which chunks it holds; these are in memory
 that outlives a power cut before they are named, so that neither end sends or asks twice. What it has in full
-it checks, digest first, and answers with UPLOAD_VERDICT; UPLOAD_COMMIT then makes it live. Every message
+it checks, digest first, and answers with UPLOAD_VERDICT; UPLOAD_COMMIT then makes it live, at once or, for a
+reference that continues the one in flight, at an agreed tick. Every message
 may be lost, late or repeated: all of them mean the same the second time, and whoever waits asks again.
 
 Both ends are state machines without I/O. `receive(message, now_us)` and `advance(now_us)` return events,
@@ -13,10 +14,18 @@ Both ends are state machines without I/O. `receive(message, now_us)` and `advanc
 
 from protocol.upload.receiver import BlobStore, UploadReceiver
 from protocol.upload.sender import SenderState, UploadSender
-from protocol.upload.transfer import CHUNK_BYTES, Incoming, ReceiverEvent, UploadEvent, Verdict
+from protocol.upload.transfer import (
+    CHUNK_BYTES,
+    Agreement,
+    Incoming,
+    ReceiverEvent,
+    UploadEvent,
+    Verdict,
+)
 
 __all__ = [
     "CHUNK_BYTES",
+    "Agreement",
     "BlobStore",
     "Incoming",
     "ReceiverEvent",

@@ -13,10 +13,11 @@ from typing import NamedTuple, Protocol
 from protocol import messages as m
 from protocol.blobs import Kind
 from protocol.messages import Message, UploadResult, UploadState
-from protocol.upload.receiver_table import TABLE, Action, Event, Refusal
+from protocol.upload.receiver_table import STATES, TABLE, Action, Event, Refusal
 from protocol.upload.transfer import (
     CHUNK_BYTES,
     SIZE_MAX,
+    Agreement,
     Incoming,
     ReceiverEvent,
     UploadEvent,
@@ -33,6 +34,9 @@ REPORT_US = 20_000
 """Time after a chunk by which a status goes out."""
 REMIND_US = (60_000, 1_000_000)
 """Time of quiet after which the last status goes out again: at first, and at most, doubling in between."""
+
+
+_STAGED = (UploadState.STAGED, UploadState.SCHEDULED)
 
 
 class BlobStore(Protocol):
@@ -63,6 +67,10 @@ class _Blob(NamedTuple):
 _NONE = _Blob()
 
 
+def _no_agreement(kind: int, blob: bytes, at_tick: int, now_us: int) -> Agreement:
+    return Agreement(result=UploadResult.BUSY)
+
+
 class UploadReceiver:
     """Receives one blob at a time. Nothing live changes before a commit.
 
@@ -71,6 +79,8 @@ class UploadReceiver:
             another check where it is complete.
         check: says whether a blob of this kind may be used; it sees only bytes whose digest is right.
         may_commit: whether a blob of this kind may become live now.
+        agree: whether this blob (kind, bytes) takes over at a tick in flight, asked at a time in us; where
+        it does, the owner calls `due` when that tick has come, or `call_off`.
         capacity: bytes of the largest blob that is taken.
         silence_us: after this time without a message about it, the blob in hand is no longer reported.
 
@@ -87,6 +97,7 @@ class UploadReceiver:
         *,
         check: Callable[[int, bytes], Verdict],
         may_commit: Callable[[int], bool],
+        agree: Callable[[int, bytes, int, int], Agreement] = _no_agreement,
         capacity: int,
         silence_us: int = 30_000_000,
     ) -> None:
@@ -100,6 +111,9 @@ class UploadReceiver:
         self._store = store
         self._check = check
         self._may_commit = may_commit
+        self._agree = agree
+        self._agreed_tick = m.NO_TICK
+        self._agreement = Agreement()
         self._capacity = capacity
         self._silence_us = silence_us
         self._live: dict[int, bytes] = {}
@@ -126,6 +140,8 @@ class UploadReceiver:
             Action.REFUSE: self._refuse,
             Action.DROP: self._drop,
             Action.COMMIT: self._commit,
+            Action.REFUSE_COMMIT: self._refuse_commit,
+            Action.SAY_BUSY: self._say_busy,
             Action.SAY_LIVE: self._say_live,
             Action.DISCARD: self._discard,
             Action.CHECK_AGAIN: self._check_again,
@@ -134,9 +150,14 @@ class UploadReceiver:
 
     def staged(self) -> tuple[int, bytes]:
         """Kind and first 6 bytes of the digest of what is staged; 0 and zeros for nothing."""
-        if self.state is not UploadState.STAGED:
+        if self.state not in _STAGED:
             return 0, bytes(6)
         return self._blob.kind, self._blob.digest[:6]
+
+    @property
+    def at_tick(self) -> int | None:
+        """The tick at which the staged blob takes over, None where none is agreed."""
+        return self._agreed_tick if self.state is UploadState.SCHEDULED else None
 
     def live_id(self, kind: int) -> bytes:
         """First 6 bytes of the digest of what is live of this kind, zeros for nothing."""
@@ -150,7 +171,7 @@ class UploadReceiver:
             blob = _Blob(bytes(message.digest), message.kind, message.size)
             self._do(self._begin_event(blob, message.chunk), blob, now_us)
         elif isinstance(message, m.UploadCommit):
-            self._on_commit(bytes(message.digest), now_us)
+            self._on_commit(bytes(message.digest), message.at_tick, now_us)
         elif isinstance(message, m.UploadAbort):
             digest = bytes(message.digest)
             event = Event.ABORT_SAME if self._in_hand(digest) else Event.ABORT_OTHER
@@ -165,11 +186,20 @@ class UploadReceiver:
         """
         if any(digest[:6] == id_bytes for digest in self._live.values()):
             return UploadResult.OK, []
-        if self.state is not UploadState.STAGED or self._blob.digest[:6] != id_bytes:
+        if self.state not in _STAGED or self._blob.digest[:6] != id_bytes:
             return UploadResult.UNKNOWN, []
-        self._on_commit(self._blob.digest, now_us)
+        self._on_commit(self._blob.digest, m.NO_TICK, now_us)
         done = any(digest[:6] == id_bytes for digest in self._live.values())
         return (UploadResult.OK if done else UploadResult.BUSY), self._take_events()
+
+    def due(self, now_us: int) -> list[ReceiverEvent]:
+        """The events of the takeover at the agreed tick, which has come; the owner has taken over."""
+        self._do(Event.DUE, self._blob, now_us)
+        return self._take_events()
+
+    def call_off(self, now_us: int) -> None:
+        """Nothing comes back; what was to take over stays staged."""
+        self._do(Event.CALLED_OFF, self._blob, now_us)
 
     def put(
         self, kind: int, data: bytes, now_us: int
@@ -272,14 +302,25 @@ class UploadReceiver:
         event = Event.CHECK_PASSED if self.verdict.ok else Event.CHECK_REFUSED
         self._do(event, self._blob, now_us)
 
-    def _on_commit(self, digest: bytes, now_us: int) -> None:
+    def _on_commit(self, digest: bytes, at_tick: int, now_us: int) -> None:
         if digest in self._live.values():
             event = Event.COMMIT_LIVE
         elif not self._in_hand(digest):
             event = Event.COMMIT_OTHER
+        elif at_tick != m.NO_TICK:
+            event = self._commit_at_event(at_tick, now_us)
         else:
             event = Event.COMMIT_SAME if self._may_commit(self._blob.kind) else Event.COMMIT_BUSY
         self._do(event, _Blob(digest), now_us)
+
+    def _commit_at_event(self, at_tick: int, now_us: int) -> Event:
+        if self.state not in _STAGED or self.at_tick == at_tick:
+            return Event.COMMIT_AT  # of what is agreed already: only the answer was lost
+        self._agreement = self._agree(self._blob.kind, self._store.gathered(self._blob.kind), at_tick, now_us)
+        if self._agreement.result is not UploadResult.OK:
+            return Event.COMMIT_AT_REFUSED
+        self._agreed_tick = at_tick
+        return Event.COMMIT_AT
 
     def _do(self, event: Event, blob: _Blob, now_us: int) -> None:
         entry = TABLE(self.state, event)
@@ -353,6 +394,14 @@ class UploadReceiver:
         self._say_live(self._blob, now_us)
         self._clear(UploadEvent.COMMITTED, "live")
 
+    def _refuse_commit(self, blob: _Blob, now_us: int) -> None:
+        self._answer(self._blob.digest, self.state, self._agreement.result)
+        if self._agreement.verdict is not None:
+            self._out.append(self._verdict_message(self._agreement.verdict))
+
+    def _say_busy(self, blob: _Blob, now_us: int) -> None:
+        self._answer(self._blob.digest, self.state, UploadResult.BUSY)
+
     def _say_live(self, blob: _Blob, now_us: int) -> None:
         self._answer(blob.digest, UploadState.LIVE, UploadResult.OK)
 
@@ -425,7 +474,7 @@ class UploadReceiver:
 
     def _answer_tag(self, tag: int, state: UploadState, result: UploadResult) -> None:
         base, held, bitmap = 0, 0, bytes(64)
-        if state in (UploadState.RECEIVING, UploadState.STAGED, UploadState.REFUSED):
+        if state in STATES[1:]:
             while self._base < self.chunks and self._map[self._base]:
                 self._base += 1
             base, held = self._base, self.held

@@ -28,6 +28,13 @@ class Event(Enum):
     COMMIT_BUSY = auto()
     COMMIT_LIVE = auto()
     COMMIT_OTHER = auto()
+    COMMIT_AT = auto()
+    """A commit at an agreed time, which is possible as far as the blob is here."""
+    COMMIT_AT_REFUSED = auto()
+    DUE = auto()
+    """The agreed time has come."""
+    CALLED_OFF = auto()
+    """What it was agreed for is no longer flown."""
     ABORT_SAME = auto()
     ABORT_OTHER = auto()
 
@@ -44,6 +51,8 @@ class Action(Enum):
     REFUSE = auto()
     DROP = auto()
     COMMIT = auto()
+    REFUSE_COMMIT = auto()
+    SAY_BUSY = auto()
     SAY_LIVE = auto()
     DISCARD = auto()
     CHECK_AGAIN = auto()
@@ -64,7 +73,13 @@ class Refusal(NamedTuple):
 
 
 Entry = Move | Refusal
-STATES = (UploadState.IDLE, UploadState.RECEIVING, UploadState.STAGED, UploadState.REFUSED)
+STATES = (
+    UploadState.IDLE,
+    UploadState.RECEIVING,
+    UploadState.STAGED,
+    UploadState.REFUSED,
+    UploadState.SCHEDULED,
+)
 """LIVE is never the receiver's state: it is what is answered about a blob in use."""
 
 _S, _E, _A, _R = UploadState, Event, Action, UploadResult
@@ -73,6 +88,7 @@ _NO_BLOB = Refusal(None, "no blob in hand")
 _COMPLETE = Refusal(None, "all chunks are here already")
 _INCOMPLETE = Refusal(_R.BAD_REQUEST, "not all chunks are here")
 _FOREIGN = Refusal(None, "a chunk of another blob")
+_NOT_AGREED = Refusal(None, "no time has been agreed")
 
 
 def _everywhere(state: UploadState) -> dict[Event, Entry]:
@@ -86,6 +102,8 @@ def _everywhere(state: UploadState) -> dict[Event, Entry]:
         _E.COMMIT_LIVE: Move(state, _A.SAY_LIVE),
         _E.COMMIT_OTHER: _NOTHING_HERE,
         _E.ABORT_OTHER: _NOTHING_HERE,
+        _E.DUE: _NOT_AGREED,
+        _E.CALLED_OFF: _NOT_AGREED,
     }
 
 
@@ -104,6 +122,8 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.CORRUPT: _NO_BLOB,
             _E.COMMIT_SAME: _NO_BLOB,
             _E.COMMIT_BUSY: _NO_BLOB,
+            _E.COMMIT_AT: _NO_BLOB,
+            _E.COMMIT_AT_REFUSED: _NO_BLOB,
             _E.ABORT_SAME: _NO_BLOB,
         },
         _S.RECEIVING: {
@@ -117,6 +137,8 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.CORRUPT: Move(_S.IDLE, _A.DROP),
             _E.COMMIT_SAME: _INCOMPLETE,
             _E.COMMIT_BUSY: _INCOMPLETE,
+            _E.COMMIT_AT: _INCOMPLETE,
+            _E.COMMIT_AT_REFUSED: _INCOMPLETE,
             _E.ABORT_SAME: Move(_S.IDLE, _A.DISCARD),
         },
         _S.STAGED: {
@@ -129,7 +151,9 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.CHECK_REFUSED: _COMPLETE,
             _E.CORRUPT: _COMPLETE,
             _E.COMMIT_SAME: Move(_S.IDLE, _A.COMMIT),
-            _E.COMMIT_BUSY: Refusal(_R.BUSY, "not while the vehicle flies"),
+            _E.COMMIT_BUSY: Refusal(_R.BUSY, "at once only while the vehicle does not fly"),
+            _E.COMMIT_AT: Move(_S.SCHEDULED, _A.REPORT),
+            _E.COMMIT_AT_REFUSED: Move(_S.STAGED, _A.REFUSE_COMMIT),
             _E.ABORT_SAME: Move(_S.IDLE, _A.DISCARD),
         },
         _S.REFUSED: {
@@ -143,6 +167,25 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.CORRUPT: _COMPLETE,
             _E.COMMIT_SAME: Move(_S.REFUSED, _A.REPORT),
             _E.COMMIT_BUSY: Move(_S.REFUSED, _A.REPORT),
+            _E.COMMIT_AT: Move(_S.REFUSED, _A.REPORT),
+            _E.COMMIT_AT_REFUSED: Move(_S.REFUSED, _A.REPORT),
+            _E.ABORT_SAME: Move(_S.IDLE, _A.DISCARD),
+        },
+        _S.SCHEDULED: {
+            **_everywhere(_S.SCHEDULED),
+            _E.BEGIN_SAME: Move(_S.SCHEDULED, _A.REPORT),
+            _E.CHUNK_NEW: _COMPLETE,
+            _E.CHUNK_HELD: Move(_S.SCHEDULED, _A.REPORT_SOON),
+            _E.CHUNK_FOREIGN: _FOREIGN,
+            _E.CHECK_PASSED: _COMPLETE,
+            _E.CHECK_REFUSED: _COMPLETE,
+            _E.CORRUPT: _COMPLETE,
+            _E.COMMIT_SAME: Move(_S.IDLE, _A.COMMIT),
+            _E.COMMIT_BUSY: Move(_S.STAGED, _A.SAY_BUSY),
+            _E.COMMIT_AT: Move(_S.SCHEDULED, _A.REPORT),
+            _E.COMMIT_AT_REFUSED: Move(_S.STAGED, _A.REFUSE_COMMIT),
+            _E.DUE: Move(_S.IDLE, _A.COMMIT),
+            _E.CALLED_OFF: Move(_S.STAGED, _A.REPORT),
             _E.ABORT_SAME: Move(_S.IDLE, _A.DISCARD),
         },
     },

@@ -49,7 +49,10 @@ class UploadSender:
         blob: the bytes, 1 to SIZE_MAX.
         kind: `blobs.Kind`.
         commit: make it live once accepted; otherwise an accepted blob stays staged.
-        window: chunks under way at a time.
+        at_tick: the vehicle's tick at which it takes over in flight; None makes it live at once, on the
+        floor.
+        window: chunks under way at a time. interval_us: least time between two chunks, which paces an
+        upload in flight.
         patience_us: time without progress after which the upload fails.
 
     Attributes:
@@ -68,7 +71,9 @@ class UploadSender:
         *,
         commit: bool = True,
         target_system: int = m.VEHICLE[0],
+        at_tick: int | None = None,
         window: int = WINDOW,
+        interval_us: int = 0,
         patience_us: int = 15_000_000,
     ) -> None:
         if not 0 < len(blob) <= SIZE_MAX:
@@ -88,7 +93,10 @@ class UploadSender:
         self._kind = int(kind)
         self._commit_wanted = commit
         self._target = target_system
+        self._at_tick = m.NO_TICK if at_tick is None else at_tick
         self._window = window
+        self._interval_us = interval_us
+        self._chunk_us = 0
         self._patience_us = patience_us
         self._tag = tag_of(self.digest)
         self._held = bytearray(self.chunks)
@@ -113,9 +121,7 @@ class UploadSender:
             Action.FAIL_REFUSED: self._fail_refused,
             Action.FAIL_HOPELESS: lambda message, now_us: self._fail("the vehicle lost it again and again"),
             Action.FAIL_REJECTED: self._fail_rejected,
-            Action.FAIL_BUSY: lambda message, now_us: self._fail(
-                "the vehicle does not swap it while it flies"
-            ),
+            Action.FAIL_BUSY: self._fail_busy,
             Action.FAIL_SILENCE: self._fail_silence,
             Action.ABORT: self._abort,
         }
@@ -181,7 +187,11 @@ class UploadSender:
             return None
         if self._active_us is None or self._out:
             return 0
-        return min(self._active_us + self._overdue_us(), self._progress_us + self._patience_us)
+        deadline_us = min(self._active_us + self._overdue_us(), self._progress_us + self._patience_us)
+        paced = self.state is SenderState.SENDING and len(self._flight) < self._window
+        if self._interval_us and paced and (self._lost or self._next < self.chunks):
+            deadline_us = min(deadline_us, self._chunk_us)
+        return deadline_us
 
     def cancel(self, now_us: int) -> None:
         """Nothing comes back; the upload ends as failed and the vehicle is told to discard what it has."""
@@ -196,7 +206,11 @@ class UploadSender:
         state, result = status.state, status.result
         if state == UploadState.LIVE:
             return Event.LIVE
+        if state == UploadState.SCHEDULED:
+            return Event.SCHEDULED
         if state == UploadState.STAGED:
+            if result in (UploadResult.NOT_CONTINUOUS, UploadResult.TOO_LATE):
+                return Event.NOT_TAKEN
             return Event.BUSY if result == UploadResult.BUSY else self._staged()
         if state == UploadState.REFUSED:
             return Event.REFUSED
@@ -237,7 +251,7 @@ class UploadSender:
         self._ask(message, now_us)
 
     def _commit(self, message: Message | None, now_us: int) -> None:
-        self._out.append(m.UploadCommit(m.NO_TICK, self._target, self._kind, self.digest))
+        self._out.append(m.UploadCommit(self._at_tick, self._target, self._kind, self.digest))
 
     def _note_held(self, message: Message | None, now_us: int) -> None:
         if not isinstance(message, m.UploadStatus) or message.base > self.chunks:
@@ -272,10 +286,11 @@ class UploadSender:
 
     def _chunks(self, now_us: int) -> list[Message]:
         out: list[Message] = []
-        while len(self._flight) < self._window:
+        while len(self._flight) < self._window and now_us >= self._chunk_us:
             index = self._pick()
             if index is None:
                 break
+            self._chunk_us = now_us + self._interval_us
             data = self._blob[index * CHUNK_BYTES : (index + 1) * CHUNK_BYTES].ljust(CHUNK_BYTES, b"\0")
             out.append(m.UploadChunk(self._tag, index, self._target, data))
             self._number += 1
@@ -310,6 +325,14 @@ class UploadSender:
 
     def _fail(self, reason: str) -> None:
         self.reason = reason
+
+    def _fail_busy(self, message: Message | None, now_us: int) -> None:
+        at_once = self._at_tick == m.NO_TICK
+        self._fail(
+            "the vehicle does not swap it while it flies"
+            if at_once
+            else "the vehicle flies no reference that it could follow"
+        )
 
     def _fail_silence(self, message: Message | None, now_us: int) -> None:
         self.silent = True

@@ -15,10 +15,10 @@ class SenderState(Enum):
     """Announced, not yet answered."""
     SENDING = auto()
     CHECKING = auto()
-    """All chunks arrived and were refused; the verdict with the reason is still to come."""
+    """All chunks arrived and were refused, or the tick was; the verdict with the reason is still to come."""
     COMMITTING = auto()
     DONE = auto()
-    """Live, or staged where no commit was wanted."""
+    """Live, agreed to take over at a tick, or staged where no commit was wanted."""
     FAILED = auto()
     """`UploadSender.reason` says why."""
 
@@ -35,6 +35,10 @@ class Event(Enum):
     REFUSED_WHY = auto()
     """The verdict that says why it was refused."""
     LIVE = auto()
+    SCHEDULED = auto()
+    """It takes over at the tick asked for."""
+    NOT_TAKEN = auto()
+    """It cannot take over at that tick; the verdict says why."""
     FORGOTTEN = auto()
     """The receiver knows nothing of the blob: it was started anew, or gave up on a silence."""
     CORRUPT = auto()
@@ -92,6 +96,8 @@ _UNDER_WAY: dict[Event, Entry] = {
     _E.REFUSED: Move(_S.CHECKING, _A.NOTHING),
     _E.REFUSED_WHY: Move(_S.FAILED, _A.FAIL_REFUSED),
     _E.LIVE: Move(_S.DONE, _A.NOTHING),
+    _E.SCHEDULED: Move(_S.DONE, _A.NOTHING),
+    _E.NOT_TAKEN: Refusal("no commit has been asked for"),
     _E.FORGOTTEN: Move(_S.OPENING, _A.RESTART),
     _E.CORRUPT: Move(_S.OPENING, _A.RESTART),
     _E.HOPELESS: Move(_S.FAILED, _A.FAIL_HOPELESS),
@@ -122,6 +128,7 @@ TABLE: Table[SenderState, Event, Entry] = Table(
             _E.RECEIVING: Refusal("an answer from before the last chunk"),
             _E.STAGED: Refusal("the commit is under way"),
             _E.BUSY: Move(_S.FAILED, _A.FAIL_BUSY),
+            _E.NOT_TAKEN: Move(_S.CHECKING, _A.NOTHING),
             _E.OVERDUE: Move(_S.COMMITTING, _A.COMMIT),
         },
         _S.DONE: dict.fromkeys(Event, _OVER),

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Generic, NamedTuple, TypeVar
 
+from protocol.messages import UploadResult
+
 CHUNK_BYTES = 99
 """Bytes of a blob in one UPLOAD_CHUNK, which then fills a radio frame."""
 CHUNKS_MAX = 0xFFFF
@@ -64,6 +66,14 @@ class Verdict:
             raise ValueError(f"node must be 0..65534, not {self.node}")
         if not 0 <= self.reason <= 255:
             raise ValueError(f"reason must be 0..255, not {self.reason}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Agreement:
+    """Whether a staged blob takes over at a tick: OK, or the result to answer and why."""
+
+    result: UploadResult = UploadResult.OK
+    verdict: Verdict | None = None
 
 
 class Table(Generic[S, E, T]):

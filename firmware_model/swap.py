@@ -1,0 +1,64 @@
+"""Whether a staged reference may take over in flight: where it goes on with what is flown, and ends at rest.
+
+The path must not jump by more than a controller notices; what float32 rounds away is far below that.
+"""
+
+from __future__ import annotations
+
+import math
+
+from firmware_model.law.checks import Limits, check_ends
+from firmware_model.track import Track
+from firmware_model.verdict import Reason
+from protocol.blobs import Reference
+from protocol.messages import UploadResult
+from protocol.upload import Agreement, Verdict
+
+AHEAD_US = 100_000
+"""Least time from the agreement to the takeover."""
+JUMPS = (
+    ("position", 1e-3, "m"),
+    ("velocity", 5e-3, "m/s"),
+    ("acceleration", 5e-2, "m/s^2"),
+    ("jerk", 1.0, "m/s^3"),
+    ("yaw", 2e-3, "rad"),
+    ("yaw rate", 1e-2, "rad/s"),
+)
+"""Greatest difference of each at the takeover."""
+
+
+def agree_swap(
+    live: Track, blob: Reference, following: Track, *, at_us: int, ahead_us: int, limits: Limits
+) -> Agreement:
+    """Whether `following`, the track of `blob`, takes over `at_us` after the start of the live track.
+
+    ahead_us: how long that is from now.
+    """
+    if ahead_us < AHEAD_US:
+        return _too_late(f"the swap is {ahead_us / 1000:.0f} ms ahead, below {AHEAD_US // 1000} ms", ahead_us)
+    if at_us >= live.end_us:
+        text = f"the swap is at {at_us * 1e-6:.3f} s, the end at {live.end_us * 1e-6:.3f} s"
+        return _too_late(text, at_us, live.end_us)
+    end = check_ends(blob.nodes, limits, blob.origin_ned, ends=(len(blob.nodes) - 1,))
+    if end is not None:
+        return _refused(int(end.reason_code), end.node, end.value, end.bound, end.text)
+    before, after = live.state_at(max(0, at_us)), following.state_at(0)
+    jumps = [math.dist(before[k : k + 3], after[k : k + 3]) for k in (0, 3, 6, 9)]
+    jumps += [abs(math.remainder(after[12] - before[12], 2.0 * math.pi)), abs(after[13] - before[13])]
+    for jump, (quantity, bound, unit) in zip(jumps, JUMPS, strict=True):
+        if not jump <= bound:
+            text = f"{quantity} jumps by {jump:.3g} at the swap, above {bound:.3g} {unit}"
+            return _refused(Reason.NOT_CONTINUOUS, 0, jump, bound, text)
+    return Agreement()
+
+
+def _refused(reason: int, node: int, value: float, bound: float, text: str) -> Agreement:
+    verdict = Verdict(ok=False, node=node, reason=reason, value=value, bound=bound, message=text)
+    return Agreement(result=UploadResult.NOT_CONTINUOUS, verdict=verdict)
+
+
+def _too_late(text: str, value_us: int, bound_us: int = AHEAD_US) -> Agreement:
+    verdict = Verdict(
+        ok=False, reason=Reason.TOO_LATE, value=value_us * 1e-6, bound=bound_us * 1e-6, message=text
+    )
+    return Agreement(result=UploadResult.TOO_LATE, verdict=verdict)
