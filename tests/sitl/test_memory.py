@@ -10,6 +10,8 @@ import pytest
 from firmware_model.store import MAGIC, memory_bytes
 from host.vehicle import ConfigurationError, load_vehicle
 from protocol.blobs import Kind
+from protocol.codec import Codec
+from protocol.messages import HOST, ParamRequestRead, ParamSet, ParamValue
 from sitl.memory import open_memory
 from sitl.vehicle import SimulatedVehicle
 
@@ -89,3 +91,26 @@ def test_memory_damaged_behind_its_beginning_boots_with_nothing_live(tmp_path: P
         simulated.run_until(100_000)
     assert simulated.store.live(Kind.REFERENCE) is None
     simulated.close()
+
+
+def test_parameter_set_over_the_link_is_there_in_the_next_process(tmp_path: Path) -> None:
+    path, values = tmp_path / "vehicle.memory", []
+    for flight in (0, 1):
+        host = Codec(*HOST)
+        simulated = SimulatedVehicle.create(VEHICLE, flight=flight, memory=path)
+        heard = bytearray()
+        while simulated.now_us < 1_000_000:
+            simulated.run_until(1_000_000)
+            heard += simulated.serial_read()
+            simulated.mocap_read()
+            if simulated.now_us > 500_000 and not values:
+                simulated.serial_write(host.encode(ParamSet(1, 1, b"POS_P_N", 4.25, 9)))
+                values.append(4.25)
+        if flight == 1:
+            simulated.serial_write(host.encode(ParamRequestRead(1, 1, b"POS_P_N", -1)))
+            while simulated.now_us < 1_500_000:
+                simulated.run_until(1_500_000)
+                heard += simulated.serial_read()
+        answers = [a for a in host.decode(bytes(heard)) if isinstance(a, ParamValue)]
+        assert answers[-1].param_value == 4.25
+        simulated.close()
