@@ -181,7 +181,6 @@ class Upload:
         assert self.sender.state is SenderState.DONE, self.sender.reason
         assert self.store.live(REFERENCE) == self.blob
         assert self.live_is_whole()
-        assert self.sender.restarts == 0
         assert self.needless == 0
 
 
@@ -221,6 +220,7 @@ def test_power_cut_at_any_byte_leaves_the_old_or_the_new_and_the_upload_goes_on(
             saved += len(upload.in_memory)
             torn[sort] += 1
             upload.finish()
+            assert upload.sender.restarts == 0
     assert sum(torn.values()) == POINTS // BATCHES
     assert min(torn.values()) > 5
     assert saved > 0
@@ -261,6 +261,8 @@ def test_upload_goes_on_after_a_fault_at_any_moment(
         happens(upload, rng)
         saved += len(upload.in_memory)
         upload.finish()
+        if happens is not host_killed:  # a new host may hear of a state from before the commit and ask again
+            assert upload.sender.restarts == 0
     assert saved > 0
 
 
