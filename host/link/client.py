@@ -6,13 +6,14 @@ Everything that asks and waits for an answer is a Task (host.link.tasks); one is
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from host.link.clock import ClockSync
 from protocol import messages as m
 from protocol.codec import Codec
 from protocol.messages import Message
 
+_MASK32, _MASK16 = 0xFFFF_FFFF, 0xFFFF
 HEARTBEAT_US = 1_000_000
 TIMESYNC_US = 97_000
 """No multiple of the radio's slots or of what the vehicle sends by itself: requests that always meet them
@@ -26,6 +27,42 @@ NEVER_US = 1 << 62
 _VEHICLE_SYSTEM = m.VEHICLE[0]
 
 
+class RadioCounts(NamedTuple):
+    """Frames each way; then of both radios together messages refused, poses replaced, messages broken, bytes
+    for which a buffer had no room, and bytes that belonged to no message.
+    """
+
+    up_sent: int
+    up_received: int
+    down_sent: int
+    down_received: int
+    refused: int
+    replaced: int
+    broken: int
+    overruns: int
+    bad_bytes: int
+
+    @classmethod
+    def of(cls, ground: m.RadioStats, vehicle: m.RadioStats) -> RadioCounts:
+        """What the two report."""
+        return cls(
+            ground.frames_sent,
+            vehicle.frames_received,
+            vehicle.frames_sent,
+            ground.frames_received,
+            ground.refused + vehicle.refused,
+            ground.replaced + vehicle.replaced,
+            ground.broken + vehicle.broken,
+            ground.uart_overruns + vehicle.uart_overruns,
+            ground.bad_bytes + vehicle.bad_bytes,
+        )
+
+    def since(self, before: RadioCounts) -> RadioCounts:
+        """What was added; the radios' counters wrap."""
+        frames = [(b - a) & _MASK32 for a, b in zip(before[:4], self[:4], strict=True)]
+        return RadioCounts(*frames, *((b - a) & _MASK16 for a, b in zip(before[4:], self[4:], strict=True)))
+
+
 class Client:
     """One host at one vehicle.
 
@@ -33,8 +70,8 @@ class Client:
         codec: counts what was sent, received, lost, repeated. clock: the vehicle's clock against the host's.
         heartbeat, status: the newest of the vehicle, None before the first.
         ground_radio: whether the host's own radio reports.
-        radio_counts: radio frames sent up, received there, sent down, received here, as the two radios
-        reported them last within one second; None before. texts: what the vehicle said, oldest first, the
+        radio_counts: as the two radios reported them last within one second; None before.
+        bytes_sent, bytes_received: on the port. texts: what the vehicle said, oldest first, the
         last 50. heard_us: when the vehicle was last heard. others: MAVLink systems that were heard and are
         neither the vehicle nor its radios.
     """
@@ -45,7 +82,9 @@ class Client:
         self.heartbeat: m.Heartbeat | None = None
         self.status: m.FcStatus | None = None
         self.ground_radio = False
-        self.radio_counts: tuple[int, int, int, int] | None = None
+        self.radio_counts: RadioCounts | None = None
+        self.bytes_sent = 0
+        self.bytes_received = 0
         self.texts: list[tuple[int, str]] = []
         self.heard_us: int | None = None
         self.others: set[int] = set()
@@ -65,6 +104,7 @@ class Client:
 
     def receive(self, data: bytes, now_us: int) -> list[Message]:
         """The messages of the vehicle and both radios that `data` completes, without overtaken statuses."""
+        self.bytes_received += len(data)
         found = []
         handlers = self._handlers
         for message in self.codec.decode(data):
@@ -97,7 +137,9 @@ class Client:
         if not self._out:
             return b""
         out, self._out = self._out, []
-        return b"".join(out)
+        data = b"".join(out)
+        self.bytes_sent += len(data)
+        return data
 
     def _on_heartbeat(self, message: m.Heartbeat, now_us: int) -> bool:
         if message.get_srcComponent() != m.VEHICLE[1] or not m.is_vehicle(message):
@@ -130,12 +172,7 @@ class Client:
             self._ground = message
         elif self._ground is not None:
             ground, self._ground = self._ground, None
-            self.radio_counts = (
-                ground.frames_sent,
-                message.frames_received,
-                message.frames_sent,
-                ground.frames_received,
-            )
+            self.radio_counts = RadioCounts.of(ground, message)
         return False
 
     def _on_ping(self, message: m.Ping, now_us: int) -> bool:

@@ -188,18 +188,6 @@ class FlightDirector:
         self._on_board: dict[str, float] | None = None
         self._log: LogWriter | None = None
         self._recorder: Recorder | None = None
-        self._exchanges_before = 0
-
-    @property
-    def frames(self) -> tuple[int, int, int]:
-        """Frames since arm: sent, received, lost."""
-        return (0, 0, 0) if self._recorder is None else self._recorder.counts.frames()
-
-    @property
-    def rtts_us(self) -> list[int]:
-        """Round trips since arm."""
-        clock = self.session.client.clock
-        return list(clock.rtts_us)[self._exchanges_before :]
 
     def interrupt(self) -> None:
         """Ends the flight: in the air the vehicle lands first. A second call gives it up at once."""
@@ -339,7 +327,6 @@ class FlightDirector:
         )
         self._log = LogWriter(order.log_path, provenance)
         self.log_open = True
-        self._exchanges_before = len(client.clock.rtts_us)
         self._recorder = Recorder(self._log, client, self.session.camera, order.reference, now_us)
         self._recorder.say("armed", now_us)
         self.session.listener = self._recorder

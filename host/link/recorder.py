@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from host.link.client import Client
+from host.link.client import Client, RadioCounts
 from host.link.clock import CameraClock
 from host.log import LogWriter, topics
 from host.log.tracking import reference_at
@@ -60,11 +60,6 @@ class Recorder:
         """When `link` is due."""
         return self._link_us
 
-    @property
-    def counts(self) -> LinkCounts:
-        """Frames since arm."""
-        return self._counts
-
     def receive(self, messages: Sequence[Message], now_us: int) -> None:
         """Logs messages that have just arrived."""
         handlers = self._handlers
@@ -91,6 +86,7 @@ class Recorder:
         self._link_us += LINK_US * (1 + (now_us - self._link_us) // LINK_US)
         codec, clock, counts = self._client.codec, self._clock, self._counts
         sent, received, lost = counts.frames()
+        radios, (bytes_sent, bytes_received) = counts.radios(), counts.bytes()
         message = flight_pb2.Link(
             frames_sent=sent,
             frames_received=received,
@@ -104,6 +100,10 @@ class Recorder:
             messages_sent=codec.sent,
             messages_received=codec.received,
             messages_lost=codec.lost,
+            rtt_last_us=clock.rtts_us[-1] if clock.rtts_us else 0.0,
+            bytes_sent=bytes_sent,
+            bytes_received=bytes_received,
+            radios=None if radios is None else flight_pb2.Radios(**radios._asdict()),
         )
         log_us = now_us - self._arm_us
         self._log.write(topics.LINK, message, log_us, log_us)
@@ -185,6 +185,7 @@ class Recorder:
         known = message.reference_tick != m.NO_TICK
         self._flown.start_tick = message.reference_tick if known and message.state in _FLOWN else None
         source_us = message.tick * TICK_US
+        age_us = decode_age(message.mocap_age_max)
         status = flight_pb2.Status(
             source_us=source_us,
             state=cast(Any, message.state),
@@ -199,6 +200,13 @@ class Recorder:
             saturated_ticks=message.saturated_ticks,
             flight_ticks=message.flight_ticks,
             poses_used=message.poses_used,
+            loop_mean_us=message.loop_mean_us,
+            jitter_us=message.jitter_us,
+            mocap_age_max_us=_AGE_UNKNOWN_US if age_us is None else age_us,
+            bad_bytes=message.bad_bytes,
+            conditions=message.conditions,
+            action=message.action,
+            swap_us=0 if message.swap_tick == m.NO_TICK else message.swap_tick * TICK_US,
         )
         self._log.write(topics.FC_STATUS, status, log_us, self._publish_us(source_us))
 
@@ -207,25 +215,34 @@ class Recorder:
 
 
 class LinkCounts:
-    """Frames since this was built: of both radios where both report, else the host's messages."""
+    """What both radios and the host's port have counted since this was built."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
         self._messages_before = _messages(client)
+        self._bytes_before = client.bytes_sent, client.bytes_received
         self._radios_before = client.radio_counts
 
-    def frames(self) -> tuple[int, int, int]:
-        """Sent, received, lost."""
+    def radios(self) -> RadioCounts | None:
+        """None where not both radios report, or have not yet again."""
         before, now = self._radios_before, self._client.radio_counts
         if before is None:
             before = self._radios_before = now
-        if before is not None and now is not None and now != before:
-            up_sent, up_got, down_sent, down_got = (
-                (b - a) & 0xFFFF_FFFF for a, b in zip(before, now, strict=True)
-            )
+        return None if before is None or now is None or now == before else now.since(before)
+
+    def bytes(self) -> tuple[int, int]:
+        """Sent, received."""
+        client, (sent, received) = self._client, self._bytes_before
+        return client.bytes_sent - sent, client.bytes_received - received
+
+    def frames(self) -> tuple[int, int, int]:
+        """Sent, received, lost: of both radios where both report, else the host's messages."""
+        radios = self.radios()
+        if radios is not None:
             # What came twice hides a loss, what is in the air looks like one: a few frames either way.
-            lost = max(0, up_sent - up_got) + max(0, down_sent - down_got)
-            return up_sent + down_sent, up_got + down_got, lost
+            lost = max(0, radios.up_sent - radios.up_received)
+            lost += max(0, radios.down_sent - radios.down_received)
+            return radios.up_sent + radios.down_sent, radios.up_received + radios.down_received, lost
         sent, received, lost = (
             b - a for a, b in zip(self._messages_before, _messages(self._client), strict=True)
         )

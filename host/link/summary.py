@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
 from typing import Any
-
-import numpy as np
 
 from host.link.drivers import DriveStatistics
 from host.link.flight import FlightDirector, FlightEnd
-from host.log import Flight, read_flight
+from host.log import Flight, link_report, read_flight
 from host.log.tracking import tracking_error
 
 
@@ -22,6 +20,7 @@ class FlightResult:
 
     end: None where the flight was left before it came to one.
     clipped_share: share of the ticks in flight on which the motors could not give what was commanded.
+    link: see `host.log.link_report`.
     """
 
     log: Path
@@ -32,10 +31,7 @@ class FlightResult:
     tracking_max_m: float | None
     clipped_share: float | None
     realtime_factor: float
-    frames_sent: int
-    frames_lost: int
-    rtt_ms: float | None
-    mocap_age_ms_p99: float | None
+    link: Mapping[str, Any]
     duration_s: float
 
     def to_json(self) -> dict[str, Any]:
@@ -47,12 +43,7 @@ class FlightResult:
             "tracking_max_m": self.tracking_max_m,
             "clipped_share": self.clipped_share,
             "realtime_factor": round(self.realtime_factor, 3),
-            "link": {
-                "frames_sent": self.frames_sent,
-                "frames_lost": self.frames_lost,
-                "rtt_ms": self.rtt_ms,
-                "mocap_age_ms_p99": self.mocap_age_ms_p99,
-            },
+            "link": dict(self.link),
             "log_id": self.log_id,
             "duration_s": self.duration_s,
             "whole": self.end is not None and self.end.whole,
@@ -70,22 +61,13 @@ class FlightResult:
             lines.append(f"tracking error {rmse_mm:.1f} mm RMSE, {max_mm:.1f} mm at most")
         if self.clipped_share:
             lines.append(f"motors at their limits for {100.0 * self.clipped_share:.2f} % of the flight")
-        rtt = "" if self.rtt_ms is None else f", round trip {self.rtt_ms:.1f} ms"
-        age = (
-            ""
-            if self.mocap_age_ms_p99 is None
-            else f", poses at most {self.mocap_age_ms_p99:.0f} ms old (99 %)"
-        )
-        lines.append(f"link: {self.frames_sent} frames, {self.frames_lost} lost{rtt}{age}")
-        return lines
+        return lines + link_report.to_lines(dict(self.link))
 
 
 def summarise(director: FlightDirector, log: Path, driven: DriveStatistics) -> FlightResult:
     """The result of a flight whose log is closed. Raises LogError where the log cannot be read back."""
     flight = read_flight(log)
     error = tracking_error(flight)
-    sent, _, lost = director.frames
-    rtts = director.rtts_us
     return FlightResult(
         log=log,
         log_id=flight.id,
@@ -95,10 +77,7 @@ def summarise(director: FlightDirector, log: Path, driven: DriveStatistics) -> F
         tracking_max_m=None if error is None else error.max_m,
         clipped_share=_clipped_share(flight),
         realtime_factor=driven.realtime_factor,
-        frames_sent=sent,
-        frames_lost=lost,
-        rtt_ms=median(rtts) * 1e-3 if rtts else None,
-        mocap_age_ms_p99=_mocap_age_ms_p99(flight),
+        link=link_report.link_report(flight),
         duration_s=flight.duration_s,
     )
 
@@ -109,12 +88,3 @@ def _clipped_share(flight: Flight) -> float | None:
         return None
     ticks = int(status.flight_ticks[-1] - status.flight_ticks[0])
     return float(status.saturated_ticks[-1] - status.saturated_ticks[0]) / ticks if ticks > 0 else None
-
-
-def _mocap_age_ms_p99(flight: Flight) -> float | None:
-    """99th percentile of the age of the pose last used, over the tracking phase."""
-    if flight.estimate is None or flight.tracking is None:
-        return None
-    start_us, end_us = flight.tracking
-    keep = (flight.estimate.t_us >= start_us) & (flight.estimate.t_us <= end_us)
-    return float(np.percentile(flight.estimate.mocap_age_s[keep], 99.0) * 1e3) if keep.any() else None

@@ -8,6 +8,7 @@ moment.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -257,6 +258,12 @@ def _read_status(pairs: Sequence[tuple[Entry, Any]], shift_us: int) -> Status | 
         saturated_ticks=_counts(messages, "saturated_ticks"),
         flight_ticks=_counts(messages, "flight_ticks"),
         poses_used=_counts(messages, "poses_used"),
+        loop_mean_us=_counts(messages, "loop_mean_us"),
+        jitter_us=_counts(messages, "jitter_us"),
+        mocap_age_max_us=_counts(messages, "mocap_age_max_us"),
+        bad_bytes=_counts(messages, "bad_bytes"),
+        conditions=_counts(messages, "conditions"),
+        action=_counts(messages, "action"),
     )
 
 
@@ -267,13 +274,23 @@ def _read_link(entries: Mapping[str, Sequence[Entry]]) -> LinkHealth | None:
         return None
     counters = {
         name: _counts(messages, name)
-        for name in ("frames_sent", "frames_received", "frames_lost", "frames_repeated")
-    }
+        for name in (
+            "frames_sent", "frames_received", "frames_lost", "frames_repeated",
+            "messages_sent", "messages_received", "messages_lost",
+            "bytes_sent", "bytes_received", "bad_bytes",
+        )
+    }  # fmt: skip
     clocks = {
         name: _scalars(messages, name)
-        for name in ("rtt_us", "clock_offset_us", "clock_offset_sd_us", "camera_offset_us")
+        for name in ("rtt_us", "rtt_last_us", "clock_offset_us", "clock_offset_sd_us", "camera_offset_us")
     }
-    return _finite(LinkHealth, t_us=_times([entry.log_time_us for entry, _ in pairs]), **counters, **clocks)
+    reported = [message.radios for message in messages if message.HasField("radios")]
+    names = [field.name for field in flight_pb2.Radios.DESCRIPTOR.fields]
+    times = _times([entry.log_time_us for entry, _ in pairs])
+    found = _finite(LinkHealth, t_us=times, **counters, **clocks)
+    if found is None or not reported:
+        return found
+    return replace(found, radios={name: getattr(reported[-1], name) for name in names})
 
 
 def _tracking(

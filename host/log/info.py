@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from host.log import link_report
 from host.log.flight import scan_closed, to_flight
 from host.log.topics import MOCAP_POSE
 from host.log.tracks import FAILSAFE_WORDS
@@ -35,6 +36,7 @@ def describe(path: Path) -> dict[str, Any]:
         "tracking_s": None if tracking is None else [tracking[0] * 1e-6, tracking[1] * 1e-6],
         "tracking_whole": flight.tracking_whole,
         "failsafe": flight.failsafe,
+        "link": link_report.link_report(flight) if flight.kind == "flight" else None,
         "recovered": "recovery" in found.metadata,
         "topics": topics,
         "provenance": dict(flight.metadata),
@@ -56,6 +58,8 @@ def to_lines(told: dict[str, Any]) -> list[str]:
         lines.append(f"tracking from {tracking[0]:.2f} to {tracking[1]:.2f} s{whole}")
     if told["failsafe"]:
         lines.append(f"ended by failsafe: {FAILSAFE_WORDS.get(told['failsafe'], told['failsafe'])}")
+    if told["link"] is not None:
+        lines += link_report.to_lines(told["link"])
     if told["recovered"]:
         lines.append("recovered from a damaged file")
     width = max(len(topic) for topic in told["topics"])

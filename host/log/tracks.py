@@ -135,7 +135,7 @@ class Observer(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Status(_Track):
-    """State and failsafe (numbers as in flight.proto), battery voltage, counts since boot."""
+    """State and failsafe (numbers as in flight.proto), battery voltage, times of ticks, counts since boot."""
 
     t_us: Times
     state: Times
@@ -147,6 +147,12 @@ class Status(_Track):
     saturated_ticks: Times
     flight_ticks: Times
     poses_used: Times
+    loop_mean_us: Times
+    jitter_us: Times
+    mocap_age_max_us: Times
+    bad_bytes: Times
+    conditions: Times
+    action: Times
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,10 +164,19 @@ class LinkHealth(_Track):
     frames_received: Times
     frames_lost: Times
     frames_repeated: Times
+    messages_sent: Times
+    messages_received: Times
+    messages_lost: Times
+    bytes_sent: Times
+    bytes_received: Times
+    bad_bytes: Times
     rtt_us: Floats
+    rtt_last_us: Floats
     clock_offset_us: Floats
     clock_offset_sd_us: Floats
     camera_offset_us: Floats
+    radios: Mapping[str, int] | None = None
+    """What both radios counted by the end, by the names in flight.proto."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

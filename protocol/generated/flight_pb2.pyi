@@ -2,7 +2,7 @@ from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
-from collections.abc import Iterable as _Iterable
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
 from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
@@ -84,7 +84,7 @@ class Control(_message.Message):
     def __init__(self, source_us: _Optional[int] = ..., interval_us: _Optional[int] = ..., collective_n: _Optional[float] = ..., rate_cmd_rad_s: _Optional[_Iterable[float]] = ..., torque_cmd_n_m: _Optional[_Iterable[float]] = ..., rate_integral: _Optional[_Iterable[float]] = ..., motor_mean: _Optional[_Iterable[float]] = ..., gyro_mean_rad_s: _Optional[_Iterable[float]] = ..., force_mean_m_s2: _Optional[_Iterable[float]] = ..., observer_ned_m_s2: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = ("source_us", "state", "failsafe", "battery_v", "reference_id", "feedforward_id", "tracking_start_us", "loop_max_us", "loop_overruns", "receive_overruns", "saturated_ticks", "flight_ticks", "poses_used")
+    __slots__ = ("source_us", "state", "failsafe", "battery_v", "reference_id", "feedforward_id", "tracking_start_us", "loop_max_us", "loop_overruns", "receive_overruns", "saturated_ticks", "flight_ticks", "poses_used", "loop_mean_us", "jitter_us", "mocap_age_max_us", "bad_bytes", "conditions", "action", "swap_us")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         BOOT: _ClassVar[Status.State]
@@ -138,6 +138,13 @@ class Status(_message.Message):
     SATURATED_TICKS_FIELD_NUMBER: _ClassVar[int]
     FLIGHT_TICKS_FIELD_NUMBER: _ClassVar[int]
     POSES_USED_FIELD_NUMBER: _ClassVar[int]
+    LOOP_MEAN_US_FIELD_NUMBER: _ClassVar[int]
+    JITTER_US_FIELD_NUMBER: _ClassVar[int]
+    MOCAP_AGE_MAX_US_FIELD_NUMBER: _ClassVar[int]
+    BAD_BYTES_FIELD_NUMBER: _ClassVar[int]
+    CONDITIONS_FIELD_NUMBER: _ClassVar[int]
+    ACTION_FIELD_NUMBER: _ClassVar[int]
+    SWAP_US_FIELD_NUMBER: _ClassVar[int]
     source_us: int
     state: Status.State
     failsafe: Status.Failsafe
@@ -151,10 +158,17 @@ class Status(_message.Message):
     saturated_ticks: int
     flight_ticks: int
     poses_used: int
-    def __init__(self, source_us: _Optional[int] = ..., state: _Optional[_Union[Status.State, str]] = ..., failsafe: _Optional[_Union[Status.Failsafe, str]] = ..., battery_v: _Optional[float] = ..., reference_id: _Optional[str] = ..., feedforward_id: _Optional[str] = ..., tracking_start_us: _Optional[int] = ..., loop_max_us: _Optional[int] = ..., loop_overruns: _Optional[int] = ..., receive_overruns: _Optional[int] = ..., saturated_ticks: _Optional[int] = ..., flight_ticks: _Optional[int] = ..., poses_used: _Optional[int] = ...) -> None: ...
+    loop_mean_us: int
+    jitter_us: int
+    mocap_age_max_us: int
+    bad_bytes: int
+    conditions: int
+    action: int
+    swap_us: int
+    def __init__(self, source_us: _Optional[int] = ..., state: _Optional[_Union[Status.State, str]] = ..., failsafe: _Optional[_Union[Status.Failsafe, str]] = ..., battery_v: _Optional[float] = ..., reference_id: _Optional[str] = ..., feedforward_id: _Optional[str] = ..., tracking_start_us: _Optional[int] = ..., loop_max_us: _Optional[int] = ..., loop_overruns: _Optional[int] = ..., receive_overruns: _Optional[int] = ..., saturated_ticks: _Optional[int] = ..., flight_ticks: _Optional[int] = ..., poses_used: _Optional[int] = ..., loop_mean_us: _Optional[int] = ..., jitter_us: _Optional[int] = ..., mocap_age_max_us: _Optional[int] = ..., bad_bytes: _Optional[int] = ..., conditions: _Optional[int] = ..., action: _Optional[int] = ..., swap_us: _Optional[int] = ...) -> None: ...
 
 class Link(_message.Message):
-    __slots__ = ("frames_sent", "frames_received", "frames_lost", "frames_repeated", "bad_bytes", "rtt_us", "clock_offset_us", "clock_offset_sd_us", "camera_offset_us", "messages_sent", "messages_received", "messages_lost")
+    __slots__ = ("frames_sent", "frames_received", "frames_lost", "frames_repeated", "bad_bytes", "rtt_us", "clock_offset_us", "clock_offset_sd_us", "camera_offset_us", "messages_sent", "messages_received", "messages_lost", "rtt_last_us", "bytes_sent", "bytes_received", "radios")
     FRAMES_SENT_FIELD_NUMBER: _ClassVar[int]
     FRAMES_RECEIVED_FIELD_NUMBER: _ClassVar[int]
     FRAMES_LOST_FIELD_NUMBER: _ClassVar[int]
@@ -167,6 +181,10 @@ class Link(_message.Message):
     MESSAGES_SENT_FIELD_NUMBER: _ClassVar[int]
     MESSAGES_RECEIVED_FIELD_NUMBER: _ClassVar[int]
     MESSAGES_LOST_FIELD_NUMBER: _ClassVar[int]
+    RTT_LAST_US_FIELD_NUMBER: _ClassVar[int]
+    BYTES_SENT_FIELD_NUMBER: _ClassVar[int]
+    BYTES_RECEIVED_FIELD_NUMBER: _ClassVar[int]
+    RADIOS_FIELD_NUMBER: _ClassVar[int]
     frames_sent: int
     frames_received: int
     frames_lost: int
@@ -179,7 +197,33 @@ class Link(_message.Message):
     messages_sent: int
     messages_received: int
     messages_lost: int
-    def __init__(self, frames_sent: _Optional[int] = ..., frames_received: _Optional[int] = ..., frames_lost: _Optional[int] = ..., frames_repeated: _Optional[int] = ..., bad_bytes: _Optional[int] = ..., rtt_us: _Optional[float] = ..., clock_offset_us: _Optional[float] = ..., clock_offset_sd_us: _Optional[float] = ..., camera_offset_us: _Optional[float] = ..., messages_sent: _Optional[int] = ..., messages_received: _Optional[int] = ..., messages_lost: _Optional[int] = ...) -> None: ...
+    rtt_last_us: float
+    bytes_sent: int
+    bytes_received: int
+    radios: Radios
+    def __init__(self, frames_sent: _Optional[int] = ..., frames_received: _Optional[int] = ..., frames_lost: _Optional[int] = ..., frames_repeated: _Optional[int] = ..., bad_bytes: _Optional[int] = ..., rtt_us: _Optional[float] = ..., clock_offset_us: _Optional[float] = ..., clock_offset_sd_us: _Optional[float] = ..., camera_offset_us: _Optional[float] = ..., messages_sent: _Optional[int] = ..., messages_received: _Optional[int] = ..., messages_lost: _Optional[int] = ..., rtt_last_us: _Optional[float] = ..., bytes_sent: _Optional[int] = ..., bytes_received: _Optional[int] = ..., radios: _Optional[_Union[Radios, _Mapping]] = ...) -> None: ...
+
+class Radios(_message.Message):
+    __slots__ = ("up_sent", "up_received", "down_sent", "down_received", "refused", "replaced", "broken", "overruns", "bad_bytes")
+    UP_SENT_FIELD_NUMBER: _ClassVar[int]
+    UP_RECEIVED_FIELD_NUMBER: _ClassVar[int]
+    DOWN_SENT_FIELD_NUMBER: _ClassVar[int]
+    DOWN_RECEIVED_FIELD_NUMBER: _ClassVar[int]
+    REFUSED_FIELD_NUMBER: _ClassVar[int]
+    REPLACED_FIELD_NUMBER: _ClassVar[int]
+    BROKEN_FIELD_NUMBER: _ClassVar[int]
+    OVERRUNS_FIELD_NUMBER: _ClassVar[int]
+    BAD_BYTES_FIELD_NUMBER: _ClassVar[int]
+    up_sent: int
+    up_received: int
+    down_sent: int
+    down_received: int
+    refused: int
+    replaced: int
+    broken: int
+    overruns: int
+    bad_bytes: int
+    def __init__(self, up_sent: _Optional[int] = ..., up_received: _Optional[int] = ..., down_sent: _Optional[int] = ..., down_received: _Optional[int] = ..., refused: _Optional[int] = ..., replaced: _Optional[int] = ..., broken: _Optional[int] = ..., overruns: _Optional[int] = ..., bad_bytes: _Optional[int] = ...) -> None: ...
 
 class RecordedInputs(_message.Message):
     __slots__ = ("source_us", "motor_command", "thrust_n", "torque_n_m", "p_ref_ned_m", "v_ref_ned_m_s", "a_ref_ned_m_s2", "yaw_ref_rad")

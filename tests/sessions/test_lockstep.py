@@ -21,7 +21,7 @@ from host.link.summary import FlightResult
 from host.link.tasks import FreshStatus, SetParameter
 from host.link.upload import upload_lockstep
 from host.link.whose import neutral_feedforward
-from host.log import Flight, LogError, read_flight, recover, topics
+from host.log import Flight, LogError, describe, read_flight, recover, topics
 from host.log.scan import scan
 from host.log.tracking import reference_at
 from host.vehicle import Vehicle, load_vehicle
@@ -182,7 +182,21 @@ def test_session_over_a_lossy_radio_flies_all_the_same(
     counts = simulated.radio_counts()
     lost = sum(way["lost"] for way in counts.values())
     # The counts in the result begin at arm and end with the radios' last report.
-    assert 0.6 * lost <= result.frames_lost <= lost
+    link = result.link
+    assert 0.6 * lost <= link["frames_lost"] <= lost
+    for way in ("up", "down"):
+        gone = counts[way]["lost"] / counts[way]["sent"]
+        assert link[f"{way}_lost_share"] == pytest.approx(gone, abs=0.05), way
+        assert link[f"{way}_lost"] < counts[way]["lost"] + 10
+    assert link == describe(result.log)["link"]
+    assert 5.0 < link["rtt_ms"] < link["rtt_ms_p99"] < 200.0
+    assert 10.0 < link["mocap_age_ms_p50"] < link["mocap_age_ms_p99"] <= link["mocap_age_ms_max"] + 1.0
+    # A pose travels in a frame of its own, of which somewhat fewer are lost than of full ones.
+    assert 0.4 * loss < link["poses_lost"] / (100.0 * result.duration_s) < loss
+    assert link["telemetry_gap_ms"] >= 30.0
+    assert link["broken"] == link["overruns"] == link["refused"] == 0
+    assert 4_000 < link["bytes_up_s"] < 8_000
+    assert 10_000 < link["bytes_down_s"] < 20_000
     flight = read_flight(result.log)
     assert flight.control is not None
     intervals = np.unique(flight.control.t1_us - flight.control.t0_us)

@@ -95,6 +95,6 @@ def test_pty_flight_over_a_radio_that_loses_a_fifth_of_its_frames(
         end()
     assert result.end is not None
     assert result.end.whole
-    assert result.frames_lost > 0.08 * result.frames_sent
+    assert result.link["frames_lost"] > 0.08 * result.link["frames_sent"]
     assert result.tracking_rmse_m is not None
     assert result.tracking_rmse_m < 0.15

@@ -60,7 +60,7 @@ def test_fly_answers_with_the_documented_keys_and_leaves_log_and_truth(
     code, told, _ = trimtab("fly", ref, "--json", "--seed", "4", "--flight", "2")
     assert code == 0
     assert set(told) >= FLY_KEYS
-    assert set(told["link"]) == LINK_KEYS
+    assert set(told["link"]) >= LINK_KEYS
     assert told["log"] == "eight-2.mcap"
     truth = json.loads((tmp_path / "eight-2.mcap.truth.json").read_text())
     assert truth["log"] == told["log_id"]

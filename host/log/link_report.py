@@ -1,0 +1,139 @@
+"""How the link did in a flight: what log and both radios say of it, from the log alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from host.log.tracks import Flight, LinkHealth
+
+
+def link_report(flight: Flight) -> dict[str, Any]:
+    """The `link` object of `fly` and `log info`; what the log does not know is None.
+
+    Counts and rates run from arm to the end of the log, the age of poses over the tracking phase, telemetry
+    over the whole log.
+    """
+    return {**_radios(flight), **_host(flight.link), **_poses(flight), **_telemetry(flight)}
+
+
+def to_lines(told: dict[str, Any]) -> list[str]:
+    """The same for people."""
+    lines = []
+    if told["frames_sent"] is not None:
+        ways = [
+            f"{100.0 * told[f'{way}_lost_share']:.1f} % {way}"
+            for way in ("up", "down")
+            if told[f"{way}_lost_share"] is not None
+        ]
+        rtt = "" if told["rtt_ms"] is None else f", round trip {told['rtt_ms']:.1f} ms"
+        late = "" if told["rtt_ms_p99"] is None else f" ({told['rtt_ms_p99']:.1f} at 99 %)"
+        what = f" ({', '.join(ways)})" if ways else ""
+        lines.append(f"link: {told['frames_sent']} frames, {told['frames_lost']} lost{what}{rtt}{late}")
+    if told["mocap_age_ms_p99"] is not None:
+        lines.append(
+            f"poses on board {told['mocap_age_ms_p50']:.0f} ms old, {told['mocap_age_ms_p99']:.0f} at 99 %, "
+            f"{_shown(told['mocap_age_ms_max'], '.0f')} at most, {_shown(told['poses_lost'], 'd')} lost"
+        )
+    trouble = [
+        f"{told[key]} {words}"
+        for key, words in (
+            ("refused", "messages refused by full queues"),
+            ("broken", "long messages broken"),
+            ("overruns", "bytes overrun"),
+            ("bad_bytes", "bytes damaged"),
+        )
+        if told[key]
+    ]
+    if trouble:
+        lines.append("link: " + ", ".join(trouble))
+    return lines
+
+
+def _shown(value: float | None, form: str) -> str:
+    return "?" if value is None else format(value, form)
+
+
+def _radios(flight: Flight) -> dict[str, Any]:
+    link = flight.link
+    radios = None if link is None else link.radios
+    told: dict[str, Any] = {}
+    for way in ("up", "down"):
+        sent = None if radios is None else radios[f"{way}_sent"]
+        # What came twice hides a loss, what is in the air looks like one: a few frames either way.
+        lost = None if radios is None or sent is None else max(0, sent - radios[f"{way}_received"])
+        share = lost / sent if sent and lost is not None else None
+        told |= {f"{way}_sent": sent, f"{way}_lost": lost, f"{way}_lost_share": share}
+    for name in ("refused", "replaced", "broken"):
+        told[name] = None if radios is None else radios[name]
+    status = flight.status
+    on_board = None if status is None else status.receive_overruns
+    told["overruns"] = _sum(None if radios is None else radios["overruns"], on_board)
+    bad = _sum(None if radios is None else radios["bad_bytes"], None if status is None else status.bad_bytes)
+    told["bad_bytes"] = bad if link is None else (bad or 0) + _grown(link.bad_bytes)
+    return told
+
+
+def _sum(of_radios: int | None, on_board: Any) -> int | None:
+    parts = [] if of_radios is None else [of_radios]
+    parts += [] if on_board is None else [_grown(on_board)]
+    return sum(parts) if parts else None
+
+
+def _grown(counter: Any) -> int:
+    """How much a count has grown over the log."""
+    return int(counter[-1] - counter[0])
+
+
+def _host(link: LinkHealth | None) -> dict[str, Any]:
+    names = ("messages_sent", "messages_received", "messages_lost")
+    if link is None:
+        keys = ("frames_sent", "frames_lost", *names, "messages_repeated", "bytes_up_s", "bytes_down_s")
+        return dict.fromkeys((*keys, "rtt_ms", "rtt_ms_p99", "clock_sd_ms"))
+    span_s = (link.t_us[-1] - link.t_us[0]) * 1e-6
+    rtts_us = link.rtt_last_us[link.rtt_last_us > 0.0]
+    if not len(rtts_us):  # a log from before single round trips were kept
+        rtts_us = link.rtt_us[link.rtt_us > 0.0]
+    return {
+        "frames_sent": int(link.frames_sent[-1]),
+        "frames_lost": int(link.frames_lost[-1]),
+        **{name: _grown(getattr(link, name)) for name in names},
+        "messages_repeated": _grown(link.frames_repeated),
+        "bytes_up_s": _grown(link.bytes_sent) / span_s if span_s > 0.0 else None,
+        "bytes_down_s": _grown(link.bytes_received) / span_s if span_s > 0.0 else None,
+        "rtt_ms": float(np.median(rtts_us)) * 1e-3 if len(rtts_us) else None,
+        "rtt_ms_p99": float(np.percentile(rtts_us, 99.0)) * 1e-3 if len(rtts_us) else None,
+        "clock_sd_ms": float(np.median(link.clock_offset_sd_us)) * 1e-3,
+    }
+
+
+def _poses(flight: Flight) -> dict[str, Any]:
+    told: dict[str, Any] = dict.fromkeys(
+        ("mocap_age_ms_p50", "mocap_age_ms_p99", "mocap_age_ms_max", "poses_lost")
+    )
+    estimate, status, mocap = flight.estimate, flight.status, flight.mocap
+    if flight.tracking is not None:
+        start_us, end_us = flight.tracking
+        if estimate is not None:
+            keep = (estimate.t_us >= start_us) & (estimate.t_us <= end_us)
+            if keep.any():
+                ages_ms = estimate.mocap_age_s[keep] * 1e3
+                told["mocap_age_ms_p50"], told["mocap_age_ms_p99"] = np.percentile(
+                    ages_ms, (50.0, 99.0)
+                ).tolist()
+        if status is not None:
+            # A status tells of the time since the one before.
+            ages_us = status.mocap_age_max_us[(status.t_us > start_us) & (status.t_us <= end_us)]
+            told["mocap_age_ms_max"] = float(ages_us.max()) * 1e-3 if len(ages_us) and ages_us.max() else None
+    if status is not None and mocap is not None and len(status.t_us) > 1:
+        # The poses on their way at both ends are as many, give or take the few that came late.
+        seen = np.count_nonzero((mocap.t_us > status.t_us[0]) & (mocap.t_us <= status.t_us[-1]))
+        told["poses_lost"] = max(0, int(seen) - _grown(status.poses_used))
+    return told
+
+
+def _telemetry(flight: Flight) -> dict[str, Any]:
+    estimate = flight.estimate
+    gaps = None if estimate is None or len(estimate.t_us) < 2 else np.diff(estimate.t_us)
+    return {"telemetry_gap_ms": None if gaps is None else float(gaps.max()) * 1e-3}
