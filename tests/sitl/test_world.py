@@ -96,7 +96,9 @@ def test_world_that_contradicts_itself_is_refused(tmp_path: Path, text: str, par
 
 
 def test_unknown_world_names_the_known_ones() -> None:
-    with pytest.raises(ConfigurationError, match="known: canted, dead-zone, draughty, drawn-outside"):
+    with pytest.raises(
+        ConfigurationError, match="known: bad-link, canted, dead-zone, draughty, drawn-outside"
+    ):
         load_world("nowhere")
     with pytest.raises(ConfigurationError, match="no such world file"):
         load_world("nowhere/at-all.toml")

@@ -1,0 +1,70 @@
+"""The frames of a flight, counted in the air, are those of the budget that the link's page states."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from host.vehicle import load_vehicle
+from protocol.messages import VEHICLE, FcControl, FcEstimate, FcStatus
+from protocol.uwb import StreamSplitter, message_id
+from sitl.vehicle import SimulatedVehicle
+
+PAGE = Path(__file__).parent.parent.parent / "docs" / "link.md"
+POSE = 138
+STATES_IN_FLIGHT = range(3, 7)
+
+
+def budget() -> list[int]:
+    """Frames a second of the page's rows: poses, control, estimate, everything else, all, left."""
+    part = PAGE.read_text(encoding="utf-8").split("## Air budget\n", 1)[1]
+    rows = re.search(r"(?:^\|.*\n)+", part, flags=re.MULTILINE)
+    assert rows is not None
+    cells = [row.strip("|").split("|")[3].strip(" *") for row in rows[0].splitlines()[2:]]
+    return [int(cell.partition(" ")[0]) for cell in cells]
+
+
+def count_frames(simulated: Any, counts: Counter[str]) -> None:
+    """Counts every frame that either radio hands to the air in flight by what it carries."""
+    for radio in (simulated._ground_radio, simulated._air_radio):
+        send = radio.air_send
+
+        def counted(now_us: int, send: Any = send) -> bytes | None:
+            frame = send(now_us)
+            if frame is not None and simulated._flight_mcu.state in STATES_IN_FLIGHT:
+                ids = [message_id(message) for message in StreamSplitter().feed(frame)]
+                kinds = {POSE: "pose", FcControl.id: "control", FcEstimate.id: "estimate"}
+                counts[next((kind for number, kind in kinds.items() if number in ids), "other")] += 1
+            return frame
+
+        radio.air_send = counted
+
+
+def test_flight_takes_the_frames_of_the_budget(session_tools: Any) -> None:
+    figure_eight, put_on_board, fly = session_tools
+    vehicle = load_vehicle("research")
+    simulated = SimulatedVehicle.create(vehicle, world="empty", world_seed=8403)
+    put_on_board(simulated, figure_eight(vehicle))
+    counts: Counter[str] = Counter()
+    count_frames(simulated, counts)
+    session = fly(simulated)
+    ticks = [
+        m.tick
+        for m in session.messages
+        if isinstance(m, FcStatus) and m.get_srcComponent() == VEHICLE[1] and m.state in STATES_IN_FLIGHT
+    ]
+    seconds = (max(ticks) - min(ticks)) * 1e-3
+    assert seconds > 10.0
+    poses, control, estimate, other, everything, left = budget()
+    assert counts["pose"] / seconds == pytest.approx(poses, rel=0.02)
+    assert counts["control"] / seconds == pytest.approx(control, rel=0.02)
+    assert counts["estimate"] / seconds == pytest.approx(estimate, rel=0.02)
+    assert 5.0 < counts["other"] / seconds < other
+    used = sum(counts.values()) / seconds
+    assert used < everything
+    assert 500 - used > left
+    print({kind: round(count / seconds, 1) for kind, count in counts.items()}, round(used, 1))
