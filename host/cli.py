@@ -40,6 +40,7 @@ VERBS = (
         module="poses",
         help="Forward a camera system's poses for somebody else's ground station.",
     ),
+    Verb(name="download", module="download", help="Read what is on board of a vehicle back into a file."),
     Verb(name="fly", module="fly", help="Fly a reference, simulated or at a port, and write its log."),
     Verb(name="learn", module="learn", help="Train a residual model on flight logs."),
     Verb(name="trace", module="trace", help="Name the missing effects behind flight logs."),

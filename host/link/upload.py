@@ -7,24 +7,34 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
+from host.errors import LinkError
+from host.link.download import NAMES, id_on_board, read_back
 from host.link.drivers import run_lockstep, run_port
 from host.link.ports import open_port
 from host.link.session import Session
 from host.link.tasks import FindVehicle, FreshStatus, Identity, Task, make_live
 from host.link.vehicle import Vehicle
 from host.link.whose import check_same_vehicle, neutral_feedforward
+from protocol import messages as m
 from protocol.blobs import Blob
+
+STALE_MAX = 5
+"""Statuses that may still be under way from before the commit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class UploadResult:
-    """One upload: kind and id of the blob, time, frames sent and how many of them again."""
+    """One upload: kind and id of the blob, time, frames sent and how many of them again.
+
+    `read_back` says whether what is live was read back and is the same byte by byte.
+    """
 
     kind: str
     id: str
     seconds: float
     frames_sent: int
     frames_repeated: int
+    read_back: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """The answer of `trimtab upload --json`."""
@@ -34,13 +44,21 @@ class UploadResult:
             "seconds": self.seconds,
             "frames_sent": self.frames_sent,
             "frames_repeated": self.frames_repeated,
+            "read_back": self.read_back,
         }
 
 
-def upload_session(wanted: Blob | None, port: str, on_phase: Callable[[str], None] | None = None) -> Session:
+def upload_session(
+    wanted: Blob | None,
+    port: str,
+    on_phase: Callable[[str], None] | None = None,
+    *,
+    compare: bool = False,
+) -> Session:
     """A session that makes a blob live on the vehicle at a port; its result is an UploadResult.
 
-    None stands for the neutral feed-forward of whatever vehicle is there.
+    None stands for the neutral feed-forward of whatever vehicle is there. `compare`: what is live afterwards
+    is read back, and LinkError raised where it is another.
     """
 
     def script(session: Session) -> Generator[Task, Any, UploadResult]:
@@ -53,10 +71,15 @@ def upload_session(wanted: Blob | None, port: str, on_phase: Callable[[str], Non
         say(f"sending {kind} {blob.id}")
         begin_us = session.now_us
         sender = yield from make_live(blob, f"{kind} {blob.id}")
+        seconds = (session.now_us - begin_us) * 1e-6
+        if compare:
+            say(f"reading {kind} {blob.id} back")
+            yield from _compare(session, blob, port)
         return UploadResult(
             kind=kind,
             id=blob.id,
-            seconds=(session.now_us - begin_us) * 1e-6,
+            seconds=seconds,
+            read_back=compare,
             frames_sent=sender.messages_sent,
             frames_repeated=sender.chunks_repeated,
         )
@@ -64,23 +87,46 @@ def upload_session(wanted: Blob | None, port: str, on_phase: Callable[[str], Non
     return Session(script)
 
 
-def upload_port(blob: Blob | None, port: str, on_phase: Callable[[str], None] | None = None) -> UploadResult:
+def _compare(session: Session, blob: Blob, port: str) -> Generator[Task, Any, None]:
+    """Raises LinkError where what is live is not this blob byte by byte."""
+    name = blob.KIND.name.lower()
+    status: m.FcStatus = yield FreshStatus()
+    for _ in range(STALE_MAX):
+        if id_on_board(status, NAMES[name]) == blob.id:
+            break
+        status = yield FreshStatus()
+    found = yield from read_back(session, name, status, port)
+    if found.data != blob.to_bytes():
+        raise LinkError(f"{port}: {name} {blob.id} reads back otherwise; upload it again")
+
+
+def upload_port(
+    blob: Blob | None,
+    port: str,
+    on_phase: Callable[[str], None] | None = None,
+    *,
+    compare: bool = False,
+) -> UploadResult:
     """The result of an upload at a serial port in real time. Raises Refused, LinkError or UsageError.
 
-    None: the neutral feed-forward. At Ctrl-C, SIGTERM or SIGHUP the vehicle is told to forget what it was
-    sent (KeyboardInterrupt); at a second Ctrl-C it is not.
+    None: the neutral feed-forward. `compare`: read back what is live. At Ctrl-C, SIGTERM or SIGHUP the
+    vehicle is told to forget what it was sent (KeyboardInterrupt); at a second Ctrl-C it is not.
     """
-    session = upload_session(blob, port, on_phase)
+    session = upload_session(blob, port, on_phase, compare=compare)
     with contextlib.closing(open_port(port)) as line:
         run_port(session, line)
     return _uploaded(session)
 
 
 def upload_lockstep(
-    blob: Blob | None, vehicle: Vehicle, on_phase: Callable[[str], None] | None = None
+    blob: Blob | None,
+    vehicle: Vehicle,
+    on_phase: Callable[[str], None] | None = None,
+    *,
+    compare: bool = False,
 ) -> UploadResult:
     """The same with a vehicle in this process."""
-    session = upload_session(blob, "vehicle", on_phase)
+    session = upload_session(blob, "vehicle", on_phase, compare=compare)
     run_lockstep(session, vehicle)
     return _uploaded(session)
 

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+from cyclopts import Parameter
+
 from host.verbs.options import Json
 
 
-def command(blob: str, *, port: str, json: Json = False) -> None:
+def command(
+    blob: str,
+    *,
+    port: str,
+    compare: Annotated[bool, Parameter(name="--read-back", negative="")] = False,
+    json: Json = False,
+) -> None:
     """Send a reference or feed-forward to a vehicle and commit it.
 
     Parameters
@@ -14,6 +24,8 @@ def command(blob: str, *, port: str, json: Json = False) -> None:
         A .ref or .ff file; the word `neutral` is a feed-forward that changes nothing, to take off another.
     port
         Serial port of the vehicle: a device, tcp:HOST:PORT or udp:HOST:PORT.
+    compare
+        Read back what is live afterwards and compare it byte by byte.
     """
     from pathlib import Path
 
@@ -24,9 +36,9 @@ def command(blob: str, *, port: str, json: Json = False) -> None:
 
     found = None if blob == "neutral" else read_blob(blob)
     with Progress(f"uploading {Path(blob).name}") as bar:
-        result = upload_port(found, port, lambda phase: bar.advance(1.0, phase))
+        result = upload_port(found, port, lambda phase: bar.advance(1.0, phase), compare=compare)
     say(
         f"{result.kind} {result.id} is live: {result.frames_sent} frames in {result.seconds:.2f} s, "
-        f"{result.frames_repeated} of them again"
+        f"{result.frames_repeated} of them again" + (", read back alike" if result.read_back else "")
     )
     emit(result.to_json(), json)

@@ -21,6 +21,7 @@ from host.bench import learning as bench
 from host.bench import planning
 from host.bench.session import realtime_factor
 from host.demo.compare import Comparison
+from host.link.download import Download
 from host.link.upload import UploadResult
 from host.paper.learning import noise
 from host.paper.learning.summary import summary as paper_summary
@@ -148,6 +149,12 @@ def test_import_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]
 def test_upload_prints_what_the_page_says(reference: Reference) -> None:
     result = UploadResult(kind="reference", id=reference.id, seconds=0.1, frames_sent=9, frames_repeated=0)
     check("upload", result.to_json())
+
+
+def test_download_prints_what_the_page_says(reference: Reference) -> None:
+    data = reference.to_bytes()
+    result = Download(name="reference", id=reference.id, data=data, seconds=0.1, repeated=0)
+    check("download", {**result.to_json(), "file": "reference.ref"})
 
 
 @contextmanager

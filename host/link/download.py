@@ -1,0 +1,236 @@
+"""What is on board, read back byte by byte over MAVLink FTP, in pieces that fit a radio frame each."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import Any
+
+from host.artefacts import content_id
+from host.errors import LinkError, UsageError
+from host.link.client import Client
+from host.link.drivers import run_lockstep, run_port
+from host.link.ports import open_port
+from host.link.session import Session
+from host.link.tasks import PATIENCE_US, FindVehicle, FreshStatus, Task
+from host.link.vehicle import Vehicle
+from protocol import messages as m
+from protocol.blobs import Kind
+from protocol.ftp import Error, Opcode, Packet
+from protocol.messages import Message
+from protocol.uwb import FRAME_BYTES, OVERHEAD_BYTES
+
+PIECE_BYTES = FRAME_BYTES - OVERHEAD_BYTES - 3 - 12
+"""Of a file in one answer: what a frame holds behind the headers of message, target and FTP."""
+WINDOW = 8
+"""Pieces asked for and not yet here."""
+RETRY_US = 250_000
+SESSIONS = range(64, 192)
+"""Numbers to choose a session from, by the time: programs of the same address do not get into each other's
+way, and others count theirs from 0.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnBoard:
+    """Something on board that can be downloaded: its kind, whether it is live or staged, its path."""
+
+    kind: Kind
+    staged: bool
+    path: str
+
+    @property
+    def suffix(self) -> str:
+        """Of files that hold it: `.ref` or `.ff`."""
+        return self.path[self.path.rindex(".") :]
+
+
+NAMES = {
+    "reference": OnBoard(kind=Kind.REFERENCE, staged=False, path="/ref/live.ref"),
+    "feedforward": OnBoard(kind=Kind.FEEDFORWARD, staged=False, path="/ff/live.ff"),
+    "staged-reference": OnBoard(kind=Kind.REFERENCE, staged=True, path="/ref/staged.ref"),
+    "staged-feedforward": OnBoard(kind=Kind.FEEDFORWARD, staged=True, path="/ff/staged.ff"),
+}
+"""What `trimtab download` knows, by the word for it."""
+
+
+def id_on_board(status: m.FcStatus, what: OnBoard) -> str | None:
+    """The id (12 hex digits) that the vehicle tells for it, None where there is nothing."""
+    if what.staged:
+        found = bytes(status.staged_id) if status.staged_kind == what.kind else b""
+    else:
+        found = bytes(status.reference_id if what.kind is Kind.REFERENCE else status.feedforward_id)
+    return found.hex() if any(found) else None
+
+
+class ReadFile(Task):
+    """Result: the bytes of a file on board, None where there is no such file. Raises LinkError on silence.
+
+    The session that it opens on board is closed at the end, by a request that is not waited for.
+    """
+
+    wants = (m.FileTransfer,)
+
+    def __init__(self, path: str) -> None:
+        super().__init__()
+        self.repeated = 0
+        self._path = path
+        self._number = self._session = 0
+        self._size: int | None = None
+        self._pieces: dict[int, bytes] = {}
+        self._asked_us: dict[int, int] = {}
+        self._heard_us = 0
+
+    def begin(self, client: Client, now_us: int) -> None:
+        self._heard_us = now_us
+        # Not those of the run before, whose answers may be kept.
+        self._number = now_us // 1000 & 0xFFFF
+        self._session = SESSIONS[now_us // 1000 % len(SESSIONS)]
+        self.advance(client, now_us)
+
+    def receive(self, client: Client, message: Message, now_us: int) -> None:
+        assert isinstance(message, m.FileTransfer)
+        answer = Packet.decode(bytes(message.payload))
+        to_us = (message.target_system, message.target_component) == m.HOST
+        if not to_us or answer.session != self._session:
+            return
+        if answer.request == Opcode.OPEN_FILE_RO and self._size is None:
+            self._opened(answer, now_us)
+        elif answer.request == Opcode.READ_FILE and self._size is not None:
+            self._read(answer, now_us)
+        if not self.done:
+            self.advance(client, now_us)
+        if self.done and self._size is not None:
+            self._ask(client, Opcode.TERMINATE_SESSION)
+
+    def advance(self, client: Client, now_us: int) -> None:
+        if now_us - self._heard_us >= PATIENCE_US:
+            got = len(self._pieces) * PIECE_BYTES
+            raise LinkError(f"{self._path} does not arrive ({got} bytes did); check the link and ask again")
+        if self._size is None:
+            data = self._path.encode()
+            self._ask(client, Opcode.OPEN_FILE_RO, size=len(data), data=data)
+            self.deadline_us = now_us + RETRY_US
+            return
+        room = WINDOW
+        for offset in range(0, self._size, PIECE_BYTES):
+            if offset in self._pieces:
+                continue
+            if now_us - self._asked_us.get(offset, -RETRY_US) >= RETRY_US:
+                self.repeated += offset in self._asked_us
+                self._asked_us[offset] = now_us
+                self._ask(client, Opcode.READ_FILE, size=PIECE_BYTES, offset=offset)
+            room -= 1
+            if room == 0:
+                break
+        waiting = [us for offset, us in self._asked_us.items() if offset not in self._pieces]
+        self.deadline_us = min(waiting, default=now_us) + RETRY_US
+
+    def _opened(self, answer: Packet, now_us: int) -> None:
+        self._heard_us = now_us
+        if answer.opcode == Opcode.NAK:
+            error = answer.data[0] if answer.data else 0
+            if error == Error.FILE_NOT_FOUND:
+                self.finish(None)
+                return
+            raise LinkError(f"{self._path}: the vehicle does not open it (error {error}); ask again later")
+        self._size = int.from_bytes(answer.data[:4], "little")
+
+    def _read(self, answer: Packet, now_us: int) -> None:
+        assert self._size is not None
+        if answer.opcode == Opcode.NAK:
+            raise LinkError(f"{self._path}: the vehicle closed it while it was read; ask again")
+        if answer.offset in self._pieces or answer.offset not in self._asked_us:
+            return
+        if len(answer.data) != min(PIECE_BYTES, self._size - answer.offset):
+            return
+        self._heard_us = now_us
+        self._pieces[answer.offset] = answer.data
+        if sum(map(len, self._pieces.values())) == self._size:
+            self.finish(b"".join(self._pieces[offset] for offset in sorted(self._pieces)))
+
+    def _ask(
+        self, client: Client, opcode: Opcode, *, size: int = 0, offset: int = 0, data: bytes = b""
+    ) -> None:
+        self._number = self._number + 1 & 0xFFFF
+        asked = Packet(
+            number=self._number, session=self._session, opcode=opcode, size=size, offset=offset, data=data
+        )
+        client.send(m.FileTransfer(0, *m.VEHICLE, asked.encode()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Download:
+    """One download: what it was, its id and bytes, time taken, pieces asked for again."""
+
+    name: str
+    id: str
+    data: bytes
+    seconds: float
+    repeated: int
+
+    def to_json(self) -> dict[str, Any]:
+        """The answer of `trimtab download --json`, but for the file's name."""
+        return {
+            "name": self.name,
+            "id": self.id,
+            "bytes": len(self.data),
+            "seconds": self.seconds,
+            "pieces_repeated": self.repeated,
+        }
+
+
+def read_back(session: Session, name: str, status: m.FcStatus, port: str) -> Generator[Task, Any, Download]:
+    """What is on board under a word of NAMES, for scripts: its bytes make the id that `status` tells.
+
+    Raises UsageError where there is nothing, LinkError where it does not arrive or its bytes make another id.
+    """
+    what = NAMES[name]
+    wanted = id_on_board(status, what)
+    begin_us = session.now_us
+    task = ReadFile(what.path)
+    data: bytes | None = None if wanted is None else (yield task)
+    if data is None or wanted is None:
+        raise UsageError(f"{port}: no {name} on board; send one with trimtab upload")
+    found = content_id(data)
+    if found != wanted:
+        raise LinkError(f"{port}: {name} {wanted} was read as {found}, it changed meanwhile; ask again")
+    seconds = (session.now_us - begin_us) * 1e-6
+    return Download(name=name, id=wanted, data=data, seconds=seconds, repeated=task.repeated)
+
+
+def download_session(name: str, port: str, on_phase: Callable[[str], None] | None = None) -> Session:
+    """A session that reads what is on board at a port; its result is a Download."""
+
+    def script(session: Session) -> Generator[Task, Any, Download]:
+        yield FindVehicle(port)
+        status = yield FreshStatus()
+        if on_phase is not None:
+            on_phase(f"reading {name}")
+        return (yield from read_back(session, name, status, port))
+
+    return Session(script)
+
+
+def download_port(name: str, port: str, on_phase: Callable[[str], None] | None = None) -> Download:
+    """What is on board at a serial port, in real time. Raises UsageError, LinkError or KeyboardInterrupt."""
+    session = download_session(name, port, on_phase)
+    with contextlib.closing(open_port(port)) as line:
+        run_port(session, line)
+    return _downloaded(session)
+
+
+def download_lockstep(name: str, vehicle: Vehicle) -> Download:
+    """The same with a vehicle in this process."""
+    session = download_session(name, "vehicle")
+    run_lockstep(session, vehicle)
+    return _downloaded(session)
+
+
+def _downloaded(session: Session) -> Download:
+    if session.error is not None:
+        raise session.error
+    result = session.result
+    assert isinstance(result, Download)
+    return result
