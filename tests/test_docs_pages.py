@@ -10,6 +10,9 @@ import pytest
 from google.protobuf.message import Message
 
 from firmware_model import failsafe_page
+from firmware_model.files import FILES
+from firmware_model.ftp import IDLE_US, SESSIONS_MAX
+from firmware_model.streams import STATION_US, STREAMS
 from host.effects import load_effects
 from host.imports import crazyflie_usd, nanobench
 from host.imports.airborne import CLEAR_M, EDGE_US, SHORTEST_US
@@ -188,3 +191,27 @@ def test_tracing_pages_notebook_example_runs(
     exec(compile(example, "tracing.md", "exec"), {})
     told = capsys.readouterr().out
     assert any(told.find(verdict) >= 0 for verdict in get_args(Verdict))
+
+
+def test_link_page_tells_the_rates_of_stock_telemetry_as_they_are() -> None:
+    rows = re.findall(
+        r"^\| ([A-Z_, ]+)(?: \(.*\))? \| (\d+ Hz|on request) \| (\d+) Hz \|$",
+        text_of("link.md"),
+        flags=re.MULTILINE,
+    )
+    told = {name: row[1:] for row in rows for name in row[0].strip().split(", ")}
+    assert told == {
+        MESSAGES[number][0]: (
+            "on request" if stream.default_us < 0 else f"{1_000_000 // stream.default_us} Hz",
+            str(1_000_000 // stream.least_us),
+        )
+        for number, stream in STREAMS.items()
+    }
+
+
+def test_link_page_names_every_file_and_its_limits() -> None:
+    text = text_of("link.md")
+    assert set(re.findall(r"`/(\w+/\w+\.\w+)`", text)) >= set(FILES)
+    assert (SESSIONS_MAX, IDLE_US, STATION_US) == (8, 30_000_000, 5_000_000)
+    for words in ("eight sessions", "ends after 30 s", "ends 5 s after the last"):
+        assert words in text
