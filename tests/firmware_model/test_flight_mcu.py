@@ -360,6 +360,22 @@ def test_reference_with_moving_ends_is_taken_but_never_started(make_session):
     assert session.flight.state is State.ARMED
 
 
+def test_upload_is_not_disturbed_by_the_chunks_of_another_station(make_session, make_blob):
+    session = make_session()
+    session.run(0.3)
+    blob, other = make_blob(), make_blob(reach=1.0).to_bytes()
+    stray = UploadSender(other, Kind.REFERENCE)
+    session.upload = UploadSender(blob.to_bytes(), blob.KIND)
+    for index in range(8):
+        data = other[99 * index : 99 * index + 99].ljust(99, b"\0")
+        tag = stray.digest[0] | stray.digest[1] << 8
+        session.send(m.UploadChunk(tag, index, 1, data))
+        session.run(0.01)
+    session.run(5.0, until=lambda: session.upload.state.name == "DONE")
+    assert session.store.live(Kind.REFERENCE) == blob.to_bytes()
+    assert session.upload.chunks_repeated == 0
+
+
 def test_upload_for_another_vehicle_is_refused(make_session, make_blob):
     session = make_session()
     sender = session.put(make_blob(vehicle_id="ba9876543210"))

@@ -19,7 +19,17 @@ from hypothesis import strategies as st
 
 from host.vehicle import load_vehicle
 from protocol.codec import Codec
-from protocol.messages import CAMERAS, HOST, AttPosMocap, Heartbeat, host_heartbeat, is_vehicle
+from protocol.messages import (
+    CAMERAS,
+    HOST,
+    AttPosMocap,
+    Heartbeat,
+    ParamRequestList,
+    ParamValue,
+    host_heartbeat,
+    is_vehicle,
+)
+from protocol.parameters import PARAMETERS
 from sitl import serve as server
 from sitl.vehicle import SimulatedVehicle
 
@@ -211,6 +221,33 @@ def test_simulated_vehicle_in_real_time_sends_heartbeats_and_poses() -> None:
             os.close(fd)
     assert isinstance(poses[0], AttPosMocap)
     assert poses[0].z == pytest.approx(0.0, abs=0.01)
+
+
+def test_two_stations_read_all_parameters_at_the_same_time() -> None:
+    clean = {"loss": 0.0, "corrupt": 0.0}
+    vehicle = SimulatedVehicle.create(load_vehicle("research"), world="quiet", radio=clean)
+    with served(vehicle, "udp:127.0.0.1:0") as (address, _), contextlib.ExitStack() as stack:
+        host, port = address.removeprefix("udp:").split(":")
+        stations = {
+            stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)): Codec(system, 190)
+            for system in (245, 255)
+        }
+        found: dict[socket.socket, set[int]] = {client: set() for client in stations}
+
+        def listen(client: socket.socket) -> None:
+            for message in stations[client].decode(client.recv(4096)):
+                if isinstance(message, ParamValue):
+                    found[client].add(message.param_index)
+
+        first, second = stations
+        first.sendto(stations[first].encode(ParamRequestList(1, 1)), (host, int(port)))
+        while not found[first]:
+            listen(first)
+        # The first list is under way when the second is asked for.
+        second.sendto(stations[second].encode(ParamRequestList(1, 1)), (host, int(port)))
+        while any(len(indices) < len(PARAMETERS) for indices in found.values()):
+            for client in select.select(list(stations), [], [])[0]:
+                listen(client)
 
 
 def test_late_machine_stretches_time_and_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
