@@ -51,7 +51,8 @@ def test_session_flies_the_reference_and_logs_it(flown: Flown, reference: Refere
     states = flight.status
     assert states is not None
     order = list(dict.fromkeys(states.state.tolist()))
-    assert order == [2, 3, 4, 5, 6, 1]  # armed, takeoff, tracking, hold, landing, standby
+    assert order[-5:] == [3, 4, 5, 6, 1]  # takeoff, tracking, hold, landing, standby
+    assert order[:-5] in ([], [2])  # armed may be told with the acknowledgement that opens the log
     assert flight.firmware_parameters is not None
     assert flight.firmware_parameters["MASS"] == pytest.approx(0.752)
     assert flight.metadata["session_uid"] != "0"
