@@ -5,9 +5,8 @@ The path must not jump by more than a controller notices; what float32 rounds aw
 
 from __future__ import annotations
 
-import math
-
 from firmware_model.law.checks import Limits, check_ends
+from firmware_model.law.smoothness import jump_text, jumps
 from firmware_model.track import Track
 from firmware_model.verdict import Reason
 from protocol.blobs import Reference
@@ -16,15 +15,6 @@ from protocol.upload import Agreement, Verdict
 
 AHEAD_US = 100_000
 """Least time from the agreement to the takeover."""
-JUMPS = (
-    ("position", 1e-3, "m"),
-    ("velocity", 5e-3, "m/s"),
-    ("acceleration", 5e-2, "m/s^2"),
-    ("jerk", 1.0, "m/s^3"),
-    ("yaw", 2e-3, "rad"),
-    ("yaw rate", 1e-2, "rad/s"),
-)
-"""Greatest difference of each at the takeover."""
 
 
 def agree_swap(
@@ -43,12 +33,10 @@ def agree_swap(
     if end is not None:
         return _refused(int(end.reason_code), end.node, end.value, end.bound, end.text)
     before, after = live.state_at(max(0, at_us)), following.state_at(0)
-    jumps = [math.dist(before[k : k + 3], after[k : k + 3]) for k in (0, 3, 6, 9)]
-    jumps += [abs(math.remainder(after[12] - before[12], 2.0 * math.pi)), abs(after[13] - before[13])]
-    for jump, (quantity, bound, unit) in zip(jumps, JUMPS, strict=True):
-        if not jump <= bound:
-            text = f"{quantity} jumps by {jump:.3g} at the swap, above {bound:.3g} {unit}"
-            return _refused(Reason.NOT_CONTINUOUS, 0, jump, bound, text)
+    jump = jump_text(jumps(before, after))
+    if jump is not None:
+        text, value, bound = jump
+        return _refused(Reason.NOT_CONTINUOUS, 0, value, bound, text)
     return Agreement()
 
 

@@ -7,6 +7,7 @@ position, velocity, acceleration and jerk, but stands beside that polynomial.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -25,6 +26,18 @@ the power 2, 1, 0 and -1. Chosen so that a wrong number counts more at its own n
 """
 QUANTITIES = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s^2"), ("jerk", "m/s^3"))
 
+JUMPS = (
+    ("position", 1e-3, "m"),
+    ("velocity", 5e-3, "m/s"),
+    ("acceleration", 5e-2, "m/s^2"),
+    ("jerk", 1.0, "m/s^3"),
+    ("yaw", 2e-3, "rad"),
+    ("yaw rate", 1e-2, "rad/s"),
+)
+"""Greatest differences where one reference goes on with another: far above what float32 rounds away, below
+what a controller notices.
+"""
+
 
 class Misfit(NamedTuple):
     """How far a node's `quantity` (index into QUANTITIES) is from what its neighbours say, in its unit."""
@@ -33,6 +46,21 @@ class Misfit(NamedTuple):
     quantity: int
     value: float
     bound: float
+
+
+def jumps(before: Sequence[float], after: Sequence[float]) -> tuple[float, ...]:
+    """What two states (p, v, a, j, yaw, yaw rate) differ by, in the order of JUMPS, but for whole turns."""
+    moves = [math.dist(before[k : k + 3], after[k : k + 3]) for k in (0, 3, 6, 9)]
+    turn = math.remainder(after[12] - before[12], 2.0 * math.pi)
+    return (*moves, abs(turn), abs(after[13] - before[13]))
+
+
+def jump_text(found: Sequence[float]) -> tuple[str, float, float] | None:
+    """The first of these `jumps` beyond its bound, for people, with value and bound; None where all pass."""
+    for value, (quantity, bound, unit) in zip(found, JUMPS, strict=True):
+        if not value <= bound:
+            return f"{quantity} jumps by {value:.3g} at the swap, above {bound:.3g} {unit}", value, bound
+    return None
 
 
 def worst_misfit(nodes: Sequence[tuple[int, Sequence[float]]]) -> Misfit | None:

@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from host.errors import FlightFailed, LinkError, Refused, TrimtabError, UsageError
-from host.link.client import Client
+from host.link.client import NEVER_US, Client
 from host.link.clock import CameraClock
 from host.link.recorder import Recorder
 from host.link.session import Session
+from host.link.swap import Swap, SwapEnd
 from host.link.tasks import (
     PATIENCE_US,
     Command,
@@ -73,6 +74,7 @@ class FlightOrder:
         parameters: set on board before the flight, over the vehicle file's; they stay there.
         model_id: of the model the plan was made with. session: more for the log's provenance.
         camera_delay_us: least time from exposure to arrival; None where host and cameras share a clock.
+        then: a reference to send in flight, which takes over `swap_us` after the first one's start.
     """
 
     vehicle: Vehicle
@@ -87,9 +89,15 @@ class FlightOrder:
     model_id: str | None = None
     session: Mapping[str, str] = field(default_factory=dict)
     camera_delay_us: int | None = None
+    then: Reference | None = None
+    swap_us: int = 0
 
     def __post_init__(self) -> None:
-        for name, blob in (("reference", self.reference), ("feed-forward", self.feedforward)):
+        for name, blob in (
+            ("reference", self.reference),
+            ("feed-forward", self.feedforward),
+            ("reference", self.then),
+        ):
             if blob is not None and blob.vehicle_id != self.vehicle.id:
                 raise UsageError(
                     f"the {name} {blob.id} was made for vehicle {blob.vehicle_id}, not for "
@@ -99,11 +107,15 @@ class FlightOrder:
 
 @dataclass(frozen=True, kw_only=True)
 class FlightEnd:
-    """How a flight ended: `whole` says that the reference was flown to its end, `failsafe` names why not."""
+    """How a flight ended: `whole` says that the reference was flown to its end, `failsafe` names why not.
+
+    swap: what became of the second reference, None where there was none.
+    """
 
     whole: bool
     failsafe: str | None
     interrupted: bool
+    swap: SwapEnd | None = None
 
 
 class Interrupted(Exception):
@@ -137,20 +149,33 @@ class AwaitPoses(Task):
 class FollowFlight(Task):
     """Result: the last FC_STATUS, in standby again. Raises LinkError after too long a silence."""
 
-    wants = (m.FcStatus,)
+    wants = (m.FcStatus, *Swap.wants)
     CHECK_US = 500_000
 
-    def __init__(self, on_phase: Callable[[m.FcStatus], None]) -> None:
+    def __init__(self, on_phase: Callable[[m.FcStatus], None], swap: Swap | None) -> None:
         super().__init__()
         self._on_phase = on_phase
+        self._swap = swap
         self._armed = False
 
     def begin(self, client: Client, now_us: int) -> None:
         self._begin_us = now_us
-        self.deadline_us = now_us + self.CHECK_US
+        self._check_us = now_us + self.CHECK_US
+        self._wake()
+
+    def _wake(self) -> None:
+        swap_us = NEVER_US if self._swap is None else self._swap.deadline_us
+        self.deadline_us = min(self._check_us, swap_us)
 
     def receive(self, client: Client, message: Message, now_us: int) -> None:
-        assert isinstance(message, m.FcStatus)
+        if not isinstance(message, m.FcStatus):
+            if self._swap is not None:
+                self._swap.receive(client, message, now_us)
+                self._wake()
+            return
+        if self._swap is not None:
+            self._swap.status(client, message, now_us)
+            self._wake()
         self._on_phase(message)
         if message.state > _STANDBY:
             self._armed = True
@@ -158,12 +183,18 @@ class FollowFlight(Task):
             self.finish(message)
 
     def advance(self, client: Client, now_us: int) -> None:
+        if self._swap is not None and now_us >= self._swap.deadline_us:
+            self._swap.advance(client, now_us)
+        if now_us < self._check_us:
+            self._wake()
+            return
         heard_us = self._begin_us if client.heard_us is None else client.heard_us
         if now_us - heard_us >= SILENCE_US:
             raise LinkError(
                 f"the vehicle has been silent for {SILENCE_US / 1e6:g} s; it lands by itself, go and see"
             )
-        self.deadline_us = now_us + self.CHECK_US
+        self._check_us = now_us + self.CHECK_US
+        self._wake()
 
 
 class FlightDirector:
@@ -184,6 +215,9 @@ class FlightDirector:
         self.log_open = False
         self.interrupted = False
         self._order = order
+        self._swap = (
+            None if order.then is None else Swap(order.then, order.swap_us, lambda: self.session.forwarded)
+        )
         self._on_phase = on_phase
         self._on_board: dict[str, float] | None = None
         self._log: LogWriter | None = None
@@ -240,7 +274,7 @@ class FlightDirector:
                 else:
                     self._open_log(session.now_us)
                     yield from self._command(mavlink.MAV_CMD_MISSION_START, "start")
-                status = yield FollowFlight(self._follow)
+                status = yield FollowFlight(self._follow, None if land else self._swap)
                 break
             except TrimtabError:
                 raise
@@ -321,13 +355,16 @@ class FlightDirector:
             vehicle=order.vehicle,
             reference=order.reference.to_bytes(),
             feedforward=None if order.feedforward is None else order.feedforward.to_bytes(),
+            then=None if order.then is None else order.then.to_bytes(),
             model_id=order.model_id,
             parameters=self._on_board,
             session=told,
         )
         self._log = LogWriter(order.log_path, provenance)
         self.log_open = True
-        self._recorder = Recorder(self._log, client, self.session.camera, order.reference, now_us)
+        self._recorder = Recorder(
+            self._log, client, self.session.camera, order.reference, now_us, then=order.then
+        )
         self._recorder.say("armed", now_us)
         self.session.listener = self._recorder
 
@@ -344,14 +381,18 @@ class FlightDirector:
 
     def _judge(self, status: m.FcStatus) -> FlightEnd:
         """How the flight ended, from the status in standby after it."""
+        order, reference = self._order, self._order.reference
+        swap = None if self._swap is None else self._swap.end(bytes(status.reference_id).hex())
+        if order.then is not None and swap is not None and swap.happened:
+            reference = order.then
         flown = status.reference_tick != m.NO_TICK
-        ticks = self._order.reference.duration_us // TICK_US
-        whole = flown and status.tick - status.reference_tick >= ticks
+        whole = flown and status.tick - status.reference_tick >= reference.duration_us // TICK_US
         failsafe = failsafe_name(status.failsafe)
         return FlightEnd(
             whole=whole and failsafe is None and not self.interrupted,
             failsafe=failsafe,
             interrupted=self.interrupted,
+            swap=swap,
         )
 
 

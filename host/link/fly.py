@@ -94,6 +94,12 @@ def _conclude(director: FlightDirector, order: FlightOrder, driven: DriveStatist
         raise FlightEnded(f"the flight ended in failsafe: {why}; its log is {order.log_path}", result)
     if not end.whole:
         raise FlightEnded(f"the flight ended before its reference did; its log is {order.log_path}", result)
+    if end.swap is not None and not end.swap.happened:
+        raise FlightEnded(
+            f"the first reference was flown to its end, {end.swap.reference} did not take over: "
+            f"{end.swap.reason}; its log is {order.log_path}",
+            result,
+        )
     return result
 
 

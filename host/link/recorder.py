@@ -28,11 +28,19 @@ _FLOWN = (mavlink.TRIMTAB_STATE_TRACKING, mavlink.TRIMTAB_STATE_HOLD)
 class Recorder:
     """Logs one flight; `arm_us` is the host's clock when the vehicle acknowledged arming.
 
+    `then` is the reference that may take over in flight, None for none.
     `last_status` is the newest FC_STATUS logged, None before.
     """
 
     def __init__(
-        self, log: LogWriter, client: Client, camera: CameraClock, reference: Reference, arm_us: int
+        self,
+        log: LogWriter,
+        client: Client,
+        camera: CameraClock,
+        reference: Reference,
+        arm_us: int,
+        *,
+        then: Reference | None = None,
     ) -> None:
         self.last_status: m.FcStatus | None = None
         self._log = log
@@ -44,7 +52,8 @@ class Recorder:
         self._intervals = IntervalDecoder()
         self._estimate_tick = -1
         self._observer: m.FcObserver | None = None
-        self._flown = _FlownReference(reference)
+        self._first = self._flown = _FlownReference(reference)
+        self._then = None if then is None else _FlownReference(then)
         self._poses = 0
         self._counts = LinkCounts(client)
         self._handlers: dict[type, Callable[[Any, int], None]] = {
@@ -140,6 +149,9 @@ class Recorder:
             means,
             self._observed(message.tick),
         )
+        then = self._then
+        if then is not None and then.start_tick is not None and message.tick >= then.start_tick:
+            self._flown = then
         for tick, reference_us, flat in self._flown.at(message.tick):
             self._reference(log_us, tick, reference_us, flat)
 
@@ -183,7 +195,7 @@ class Recorder:
     def _status(self, message: m.FcStatus, log_us: int) -> None:
         self.last_status = message
         known = message.reference_tick != m.NO_TICK
-        self._flown.start_tick = message.reference_tick if known and message.state in _FLOWN else None
+        self._follow(message, message.reference_tick if known and message.state in _FLOWN else None)
         source_us = message.tick * TICK_US
         age_us = decode_age(message.mocap_age_max)
         status = flight_pb2.Status(
@@ -209,6 +221,17 @@ class Recorder:
             swap_us=0 if message.swap_tick == m.NO_TICK else message.swap_tick * TICK_US,
         )
         self._log.write(topics.FC_STATUS, status, log_us, self._publish_us(source_us))
+
+    def _follow(self, message: m.FcStatus, start_tick: int | None) -> None:
+        """Takes over what the status says about when which reference began, or will."""
+        then = self._then
+        if then is None or bytes(message.reference_id).hex() != then.id:
+            self._first.start_tick = start_tick
+            if then is not None:
+                agreed = message.swap_tick != m.NO_TICK
+                then.start_tick = message.swap_tick if agreed else None
+        else:
+            then.start_tick = start_tick
 
     def _text(self, message: m.StatusText, log_us: int) -> None:
         self._log.text(log_us, log_us, message.severity, message.text, "vehicle")

@@ -49,6 +49,7 @@ class FlightResult:
             "whole": self.end is not None and self.end.whole,
             "failsafe": None if self.end is None else self.end.failsafe,
             "interrupted": self.end is None or self.end.interrupted,
+            "swap": None if self.end is None or self.end.swap is None else self.end.swap.to_json(),
         }
 
     def to_lines(self) -> list[str]:
@@ -61,6 +62,12 @@ class FlightResult:
             lines.append(f"tracking error {rmse_mm:.1f} mm RMSE, {max_mm:.1f} mm at most")
         if self.clipped_share:
             lines.append(f"motors at their limits for {100.0 * self.clipped_share:.2f} % of the flight")
+        swap = None if self.end is None else self.end.swap
+        if swap is not None and swap.happened and swap.upload_s is not None and swap.slots_share is not None:
+            lines.append(
+                f"{swap.reference} took over at {swap.at_s:.3f} s; sent in {swap.upload_s:.2f} s with "
+                f"{100.0 * swap.slots_share:.0f} % of the slots"
+            )
         return lines + link_report.to_lines(dict(self.link))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from host.log import topics
+from host.log.composed import composed, swap_us
 from host.log.errors import LogError
 from host.log.scan import Entry, Scan, find_damaged, scan
 from host.log.tracks import (
@@ -38,6 +39,7 @@ from host.log.writer import (
     PARAMETERS,
     PROVENANCE,
     REFERENCE_FILE,
+    THEN_FILE,
     VEHICLE_FILE,
 )
 from host.vehicle import ConfigurationError, parse_vehicle
@@ -85,7 +87,12 @@ def _to_flight(found: Scan) -> Flight:
     vehicle = parse_vehicle(attached[VEHICLE_FILE].decode(), f"{found.path}:{VEHICLE_FILE}")
     reference_bytes = attached.get(REFERENCE_FILE)
     feedforward_bytes = attached.get(FEEDFORWARD_FILE)
-    for blob, key in ((reference_bytes, "reference_id"), (feedforward_bytes, "feedforward_id")):
+    then_bytes = attached.get(THEN_FILE)
+    for blob, key in (
+        (reference_bytes, "reference_id"),
+        (feedforward_bytes, "feedforward_id"),
+        (then_bytes, "then_id"),
+    ):
         if blob is not None and blob_id(blob) != told.get(key):
             raise ValueError(f"the attached blob is not {key} {told.get(key)}")
     if vehicle.id != told["vehicle_id"]:
@@ -101,7 +108,15 @@ def _to_flight(found: Scan) -> Flight:
     mocap = _read_mocap(entries, camera_shift_us)
     statuses = _decoded(entries, topics.FC_STATUS, flight_pb2.Status)
     status = _read_status(statuses, vehicle_shift_us)
-    tracking, whole = _tracking(statuses, reference, vehicle_shift_us)
+    reference_id, swapped = told.get("reference_id"), None
+    if reference is not None and then_bytes is not None:
+        then = Reference.from_bytes(then_bytes)
+        swapped = swap_us([message for _, message in statuses], then)
+        if swapped is not None:
+            reference = composed(reference, then, swapped[1] - swapped[0])
+            reference_id = reference.id
+    began_us = None if swapped is None else swapped[0]
+    tracking, whole = _tracking(statuses, reference, vehicle_shift_us, began_us)
     if tracking is None and "tracking_us" in told:
         start_us, end_us = told["tracking_us"].split()
         tracking, whole = (int(start_us), int(end_us)), True
@@ -114,7 +129,7 @@ def _to_flight(found: Scan) -> Flight:
         kind=told["kind"],
         vehicle=vehicle,
         reference=reference,
-        reference_id=told.get("reference_id"),
+        reference_id=reference_id,
         feedforward=None if feedforward_bytes is None else FeedForward.from_bytes(feedforward_bytes),
         firmware_parameters=None if parameters is None else {k: float(v) for k, v in parameters.items()},
         metadata=told,
@@ -294,19 +309,24 @@ def _read_link(entries: Mapping[str, Sequence[Entry]]) -> LinkHealth | None:
 
 
 def _tracking(
-    pairs: Sequence[tuple[Entry, Any]], reference: Reference | None, shift_us: int
+    pairs: Sequence[tuple[Entry, Any]],
+    reference: Reference | None,
+    shift_us: int,
+    began_us: int | None,
 ) -> tuple[tuple[int, int] | None, bool]:
     """Start and end of the tracking phase, and whether the reference was flown to its end.
 
-    It starts where the vehicle says the reference's time 0 is. It ends with the reference, or with the last
+    It starts where the vehicle says the reference's time 0 is, or at `began_us` (the vehicle's clock) where
+    another took over since. It ends with the reference, or with the last
     status that still says tracking where the vehicle left the phase before or the log ends.
     """
     seen = [message for _, message in pairs if message.state == State.TRACKING]
     starts = [message.tracking_start_us for _, message in pairs if message.tracking_start_us]
     if not starts or not (seen or reference is not None):
         return None, False
-    start_us = starts[-1] - shift_us
-    passed = [m.source_us for _, m in pairs if m.state > State.TRACKING and m.source_us > starts[-1]]
+    zero_us = starts[-1] if began_us is None else began_us
+    start_us = zero_us - shift_us
+    passed = [m.source_us for _, m in pairs if m.state > State.TRACKING and m.source_us > zero_us]
     if reference is not None:
         end_us = start_us + reference.duration_us
         if passed and min(passed) - shift_us >= end_us:

@@ -35,6 +35,7 @@ PARAMETERS = "firmware_parameters"
 VEHICLE_FILE = "vehicle.toml"
 REFERENCE_FILE = "flown.ref"
 FEEDFORWARD_FILE = "flown.ff"
+THEN_FILE = "then.ref"
 DISPLAY_FRAME = "world_enu"
 _HALF = sqrt(0.5)
 
@@ -43,14 +44,15 @@ _HALF = sqrt(0.5)
 class Provenance:
     """What a log says about itself before its first message.
 
-    `session` holds what else is known and may be told: session uid, host seed, flight index, version,
-    command.
+    `then` is the reference that was to take over in flight. `session` holds what else is known and may be
+    told: session uid, host seed, flight index, version, command.
     """
 
     vehicle: Vehicle
     kind: str = "flight"
     reference: bytes | None = None
     feedforward: bytes | None = None
+    then: bytes | None = None
     model_id: str | None = None
     parameters: Mapping[str, float] | None = None
     session: Mapping[str, str] = field(default_factory=dict)
@@ -68,6 +70,8 @@ class Provenance:
             told["reference_id"] = blob_id(self.reference)
         if self.feedforward is not None:
             told["feedforward_id"] = blob_id(self.feedforward)
+        if self.then is not None:
+            told["then_id"] = blob_id(self.then)
         if self.model_id is not None:
             told["model_id"] = self.model_id
         taken = sorted(set(told) & set(self.session))
@@ -156,6 +160,8 @@ class LogWriter:
         attach(VEHICLE_FILE, "application/toml", provenance.vehicle.to_toml().encode())
         if provenance.reference is not None:
             attach(REFERENCE_FILE, "application/octet-stream", provenance.reference)
+        if provenance.then is not None:
+            attach(THEN_FILE, "application/octet-stream", provenance.then)
         if provenance.feedforward is not None:
             attach(FEEDFORWARD_FILE, "application/octet-stream", provenance.feedforward)
 

@@ -37,6 +37,8 @@ def command(
     as_flashed: Annotated[bool, Parameter(negative="")] = False,
     parameter: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     feedforward: Path | None = None,
+    then: Path | None = None,
+    at: float | None = None,
     output: Output = None,
     force: Force = False,
     json: Json = False,
@@ -76,6 +78,10 @@ def command(
         Parameter to set on board before the flight, NAME=VALUE, over the vehicle file's; may be repeated.
     feedforward
         Feed-forward to fly with, a .ff file.
+    then
+        Reference to send in flight; it takes over where it goes on with the first.
+    at
+        When it takes over, in seconds of the first; the latest time possible by default.
     output
         Flight log to write; NAME-FLIGHT.mcap by default, with the reference file's name.
     """
@@ -84,6 +90,7 @@ def command(
     from host.link.blob_files import model_of, read_feedforward, read_reference
     from host.link.flight import ON_REQUEST, FlightOrder
     from host.link.fly import FlightEnded, FlightInterrupted
+    from host.link.swap import swap_time_us
     from host.output import emit, say, warn
     from host.progress import Progress
     from host.workspace import open_workspace
@@ -99,6 +106,11 @@ def command(
     airframe = open_workspace(workspace).vehicle(vehicle)
     blob = read_reference(reference)
     addition = None if feedforward is None else read_feedforward(feedforward)
+    following = None if then is None else read_reference(then)
+    if at is not None and following is None:
+        raise UsageError("--at goes with --then: it says when that reference takes over")
+    at_us = None if at is None else round(1e6 * at)
+    swap_us = 0 if following is None else swap_time_us(blob, following, at_us)
     log = artefacts.check_log(output or Path(f"{reference.stem}-{flight}.mcap"), force)
     order = FlightOrder(
         vehicle=airframe,
@@ -113,6 +125,8 @@ def command(
         model_id=model_of(reference),
         session={"seed": str(seed), "flight": str(flight), **_provenance()},
         camera_delay_us=None if port is None else round(1000 * mocap_delay_ms),
+        then=following,
+        swap_us=swap_us,
     )
     try:  # around the bar, which takes stdout for its own while it is shown
         with Progress(f"flying {reference.name}") as bar:

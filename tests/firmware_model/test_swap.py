@@ -8,8 +8,9 @@ import pytest
 
 from firmware_model.law.checks import from_parameters
 from firmware_model.law.reference import septic
+from firmware_model.law.smoothness import JUMPS
 from firmware_model.supervisor import State
-from firmware_model.swap import JUMPS, agree_swap
+from firmware_model.swap import agree_swap
 from firmware_model.track import track
 from protocol import messages as m
 from protocol.blobs import Node

@@ -1,0 +1,46 @@
+"""What was flown where one reference took over from another: one reference, for all that reads logs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from host.log.tracking import reference_at
+from protocol.blobs import Node, Reference, YawNode
+
+CLOSEST_US = 20_000
+"""Nodes of the first reference nearer to the takeover are left out: float32 would ruin the jerk between."""
+
+
+def swap_us(statuses: Sequence[Any], then: Reference) -> tuple[int, int] | None:
+    """The vehicle's times at which the first reference began and `then` took over; None where it did not."""
+    begun = [message for message in statuses if message.tracking_start_us]
+    after = [message.tracking_start_us for message in begun if message.reference_id == then.id]
+    before = [message.tracking_start_us for message in begun if message.reference_id != then.id]
+    return (before[-1], after[-1]) if before and after and after[-1] > before[-1] else None
+
+
+def composed(first: Reference, then: Reference, at_us: int) -> Reference:
+    """The first reference's nodes up to `at_us`, then those of `then`; positions relative to one origin."""
+    shift = [b - a for a, b in zip(first.origin_ned, then.origin_ned, strict=True)]
+    nodes = [node for node in first.nodes if node.t_us == 0 or node.t_us <= at_us - CLOSEST_US]
+    for t_us, state in then.nodes:
+        p = [x + dx for x, dx in zip(state[:3], shift, strict=True)]
+        nodes.append(Node(at_us + t_us, (*p, *state[3:])))
+    flown = reference_at(first, np.array([at_us]))[0]
+    rows, start = then.yaw_nodes(), reference_at(then, np.array([0]))[0]
+    turn = 2.0 * math.pi * round((flown[12] - start[12]) / (2.0 * math.pi))
+    yaws = [row for row in first.yaw_nodes() if row.t_us < at_us]
+    if rows[0].t_us > 0:
+        yaws.append(YawNode(at_us, start[12] + turn, 0.0))
+    yaws += [YawNode(at_us + row.t_us, row.yaw + turn, row.yaw_rate) for row in rows]
+    return Reference(
+        vehicle_id=first.vehicle_id,
+        origin_ned=first.origin_ned,
+        nodes=tuple(nodes),
+        yaws=tuple(yaws),
+        free_ends=first.free_ends,
+    )
