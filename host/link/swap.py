@@ -88,8 +88,8 @@ class SwapEnd:
 class Swap:
     """Sends `reference` while another is flown, to take over `at_us` after that one's start.
 
-    poses: how many poses have gone to the vehicle. What is sent leaves right behind one, so that it is through
-    the air before the next.
+    poses: how many poses have gone to the vehicle. What is sent leaves right behind one, so that it is
+    through the air before the next.
     """
 
     wants = (m.UploadStatus, m.UploadVerdict)
