@@ -54,6 +54,7 @@ class FlightMcu:
         vehicle_id: 6 bytes, id of the vehicle file that the parameters come from.
         baud, rx_bytes, tx_bytes, chunk_bytes, idle_us: the line to the radio processor.
         loop_times: what the cycle counter has measured of the ticks before a time since the last call.
+        check: says whether a blob may be used, as `verdict.check_blob` does.
 
     `motor_command` is a view of four numbers in 0..1, fixed for life, new after each tick. `late_ticks`
     counts the ticks that began later than one tick after the one before.
@@ -74,6 +75,7 @@ class FlightMcu:
         chunk_bytes: int | None = None,
         idle_us: int = 0,
         loop_times: Callable[[int], LoopTimes] = lambda now_us: LoopTimes(0, 0, 0),
+        check: Callable[..., Verdict] = check_blob,
     ) -> None:
         self.uart = UartPort(
             baud=baud, rx_bytes=rx_bytes, tx_bytes=tx_bytes, chunk_bytes=chunk_bytes, idle_us=idle_us
@@ -85,6 +87,7 @@ class FlightMcu:
         self.unsendable = 0  # messages whose numbers fit no field
         self.unsent = 0  # messages for which the line had no room
         self._store = store
+        self._blob_check = check
         self._identity = Identity(uid=uid, vehicle_id=vehicle_id)
         self._battery_v = 0.0
         self._codec = Codec(*VEHICLE)
@@ -166,12 +169,8 @@ class FlightMcu:
         flight.look(now_us, self._battery_v)
         if self._swap_us < NEVER_US and flight.state is not State.TRACKING:
             self._call_off(now_us)
-        try:
-            for message in telemetry.at_rate(flight, now_us):
-                if not streams.slowed or streams.own_due(message.id, now_us):
-                    self._queue(message)
-        except (ValueError, OverflowError):
-            self.unsendable += 1
+        if not self._gives_way(now_us):
+            self._report_at_rate(now_us)
         if now_us >= self._status_us or flight.changed:
             self._status_us = now_us - now_us % telemetry.STATUS_US + telemetry.STATUS_US
             if flight.changed or streams.own_due(FcStatus.id, now_us):
@@ -186,6 +185,19 @@ class FlightMcu:
         if now_us >= self._foreign_us:
             self._notice_foreign(now_us)
         self._flush(now_us)
+
+    def _gives_way(self, now_us: int) -> bool:
+        """Whether an upload has the air to itself: while chunks come and the vehicle stands on the floor."""
+        return self._on_floor() and self._upload.under_way(now_us)
+
+    def _report_at_rate(self, now_us: int) -> None:
+        streams = self._services.streams
+        try:
+            for message in telemetry.at_rate(self.flight, now_us):
+                if not streams.slowed or streams.own_due(message.id, now_us):
+                    self._queue(message)
+        except (ValueError, OverflowError):
+            self.unsendable += 1
 
     def _notice_foreign(self, now_us: int) -> None:
         """Messages of another dialect's version look like known ones with wrong checksums: say so."""
@@ -243,7 +255,7 @@ class FlightMcu:
     # Blobs.
 
     def _check(self, kind: int, blob: bytes) -> Verdict:
-        return check_blob(
+        return self._blob_check(
             kind,
             blob,
             parameters=self.parameters,
@@ -252,6 +264,9 @@ class FlightMcu:
         )
 
     def _may_commit(self, kind: int) -> bool:
+        return self._on_floor()
+
+    def _on_floor(self) -> bool:
         return self.flight.state in (State.BOOT, State.STANDBY)
 
     def _uploaded(self, event: ReceiverEvent) -> None:

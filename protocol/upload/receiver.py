@@ -28,10 +28,15 @@ from protocol.upload.transfer import (
     tag_of,
 )
 
-REPORT_CHUNKS = 8
-"""Chunks after which a status goes out."""
-REPORT_US = 20_000
-"""Time after a chunk by which a status goes out."""
+REPORT_CHUNKS, REPORT_US = 24, 40_000
+"""Chunks after which a status goes out, and time after a chunk by which it does. Each takes a slot from the
+chunks, so there are few of them ...
+"""
+LAST_CHUNKS = 12
+LAST_REPORT_CHUNKS, LAST_REPORT_US = 4, 1_000
+"""... until so many are missing: then the sender waits to hear which, and slots are free."""
+UNDER_WAY_US = 200_000
+"""Time without a message about it after which an upload no longer counts as under way."""
 REMIND_US = (60_000, 1_000_000)
 """Time of quiet after which the last status goes out again: at first, and at most, doubling in between."""
 
@@ -253,6 +258,10 @@ class UploadReceiver:
         out, self._out = self._out, []
         return out
 
+    def under_way(self, now_us: int) -> bool:
+        """Whether chunks are coming in: something about the blob in hand was heard a short while ago."""
+        return self.state is UploadState.RECEIVING and now_us - self._heard_us < UNDER_WAY_US
+
     def next_deadline_us(self) -> int | None:
         """Time by which to call `advance` and `send`; None while nothing is under way."""
         if self._out:
@@ -363,12 +372,13 @@ class UploadReceiver:
             self._out.append(self._verdict_message(self.verdict))
 
     def _report_soon(self, blob: _Blob, now_us: int) -> None:
+        last = self.chunks - self.held <= LAST_CHUNKS
         self._unreported += 1
-        if self._unreported >= REPORT_CHUNKS:
+        if self._unreported >= (LAST_REPORT_CHUNKS if last else REPORT_CHUNKS):
             self._unreported = 0
             self._report_us = now_us
         elif self._report_us is None:
-            self._report_us = now_us + REPORT_US
+            self._report_us = now_us + (LAST_REPORT_US if last else REPORT_US)
 
     def _stage(self, blob: _Blob, now_us: int) -> None:
         self._store.stage(self._blob.kind, self._store.gathered(self._blob.kind))

@@ -1,8 +1,15 @@
 """The host's end of an upload: announces a blob, sends chunks until they are all there, commits.
 
 Selective repeat: every status says which chunks are held. A chunk counts as lost once one that was sent at
-least `_REORDER` later is held. Where answers stay out, the announcement goes out again; the answer to it is
-the receiver's full word on what it holds, also after it was started anew.
+least `_REORDER` later is held; only chunks that were sent once show that, of others it is not known which
+copy arrived. Where answers stay out, the announcement goes out again; the answer to it is the receiver's full
+word on what it holds, also after it was started anew.
+
+Chunks leave at the pace of the channel and not as fast as the line takes them: the radio's queue stays
+short, so that a status soon shows what was lost and what is sent again is not behind others. Where a link has
+lost something, chunks under way are repeated whenever the sender could only wait: at the end of the blob, and
+while no status comes. Otherwise each loss among the last chunks would cost a round trip, and a spell of
+losses that lasts for a number of frames would last as long as the sender waits.
 """
 
 from __future__ import annotations
@@ -25,21 +32,35 @@ from protocol.upload.transfer import (
     tag_of,
 )
 
-WINDOW = 32
-"""Chunks under way at a time: 3.7 kB, which fits the radio's queue for uploads."""
+WINDOW = 40
+"""Chunks under way at a time: 4.4 kB, which fit the radio's queue for uploads and the air."""
+INTERVAL_US = 2_200
+"""Least time between two chunks: a slot of the radio, and a tenth for what comes back."""
+_COPY_INTERVALS = 2
+"""A chunk under way is repeated at most every so many intervals ..."""
+_COPY_US = 20_000
+"""... and each of them so long after it was sent last."""
+_QUIET_US = 60_000
+"""Time without a status after which chunks under way are repeated also before the end."""
+_ASK_US = 10_000
+"""Time after which an announcement or a commit that is not answered goes out again."""
 _REORDER = 3
 _RESTARTS_MAX = 8
 _RTT_FIRST_US = 100_000
 _OVERDUE_MIN_US = 50_000
 _OVERDUE_MAX_US = 500_000
+_NEVER_US = 1 << 62
 
 
 class _Flight(NamedTuple):
-    """One chunk under way: its place in the order of sending, when it left, whether it was a repetition."""
+    """One chunk under way: its place in the order of sending, when it left, whether it left before, when its
+    last copy left.
+    """
 
     number: int
     sent_us: int
     again: bool
+    copy_us: int
 
 
 class UploadSender:
@@ -73,7 +94,7 @@ class UploadSender:
         target_system: int = m.VEHICLE[0],
         at_tick: int | None = None,
         window: int = WINDOW,
-        interval_us: int = 0,
+        interval_us: int = INTERVAL_US,
         patience_us: int = 15_000_000,
     ) -> None:
         if not 0 < len(blob) <= SIZE_MAX:
@@ -97,6 +118,7 @@ class UploadSender:
         self._window = window
         self._interval_us = interval_us
         self._chunk_us = 0
+        self._status_us = 0
         self._patience_us = patience_us
         self._tag = tag_of(self.digest)
         self._held = bytearray(self.chunks)
@@ -152,9 +174,10 @@ class UploadSender:
             return False
         if self._active_us is None:
             self._progress_us = now_us
-        self._active_us = now_us
-        self._overdue = 0
-        self._do(event, message, now_us)
+        self._status_us = now_us
+        if self._do(event, message, now_us):
+            self._active_us = now_us
+            self._overdue = 0
         return True
 
     def advance(self, now_us: int) -> None:
@@ -175,7 +198,7 @@ class UploadSender:
             self._ask(None, now_us)
         out, self._out = self._out, []
         if self.state is SenderState.SENDING:
-            out.extend(self._chunks(now_us))
+            out.extend(self._chunks(now_us) or self._copies(now_us))
         if out:
             self._active_us = now_us
             self.messages_sent += len(out)
@@ -188,9 +211,9 @@ class UploadSender:
         if self._active_us is None or self._out:
             return 0
         deadline_us = min(self._active_us + self._overdue_us(), self._progress_us + self._patience_us)
-        paced = self.state is SenderState.SENDING and len(self._flight) < self._window
-        if self._interval_us and paced and (self._lost or self._next < self.chunks):
-            deadline_us = min(deadline_us, self._chunk_us)
+        if self.state is SenderState.SENDING:
+            may_send = not self._exhausted() and len(self._flight) < self._window
+            deadline_us = min(deadline_us, self._chunk_us if may_send else self._copy_due_us())
         return deadline_us
 
     def cancel(self, now_us: int) -> None:
@@ -224,14 +247,16 @@ class UploadSender:
             return Event.HOPELESS
         return Event.CORRUPT if result == UploadResult.CORRUPT else Event.FORGOTTEN
 
-    def _do(self, event: Event, message: Message | None, now_us: int) -> None:
+    def _do(self, event: Event, message: Message | None, now_us: int) -> bool:
+        """Whether the event means something in this state."""
         entry = TABLE(self.state, event)
         if isinstance(entry, Refusal):
-            return
+            return False
         if entry.state is not self.state and entry.action is not Action.RESTART:
             self._progress_us = now_us
         self.state = entry.state
         self._actions[entry.action](message, now_us)
+        return True
 
     # What is done.
 
@@ -258,7 +283,7 @@ class UploadSender:
             return
         before, newest = self._held, 0
         if self._asked is not None:  # this is the whole truth, what it does not name is not there
-            newest, self._asked = self._asked, None
+            self._asked = None
             self._held, self._base = bytearray(self.chunks), 0
         bitmap = decode_bitmap(bytes(message.bitmap), message.base)
         for index in (*range(self._base, message.base), *bitmap):
@@ -269,8 +294,8 @@ class UploadSender:
             self._held[index] = 1
             flight = self._flight.pop(index, None)
             if flight is not None:
-                newest = max(newest, flight.number)
                 if not flight.again:
+                    newest = max(newest, flight.number)
                     self._rtt_us += (now_us - flight.sent_us - self._rtt_us) // 8
         self._base = max(self._base, message.base)
         if before is not self._held:
@@ -290,15 +315,45 @@ class UploadSender:
             index = self._pick()
             if index is None:
                 break
-            self._chunk_us = now_us + self._interval_us
-            data = self._blob[index * CHUNK_BYTES : (index + 1) * CHUNK_BYTES].ljust(CHUNK_BYTES, b"\0")
-            out.append(m.UploadChunk(self._tag, index, self._target, data))
             self._number += 1
             again = bool(self._sent_once[index])
-            self._flight[index] = _Flight(self._number, now_us, again)
+            self._flight[index] = _Flight(self._number, now_us, again, now_us)
             self.chunks_repeated += again
             self._sent_once[index] = 1
+            out.append(self._chunk(index))
+            self._pace(now_us, 1)
         return out
+
+    def _copies(self, now_us: int) -> list[Message]:
+        """The chunk under way that left longest ago, where it is time to repeat one."""
+        if now_us < self._copy_due_us():
+            return []
+        index, flight = min(self._flight.items(), key=lambda item: item[1].copy_us)
+        self._flight[index] = flight._replace(again=True, copy_us=now_us)
+        self.chunks_repeated += 1
+        self._pace(now_us, _COPY_INTERVALS)
+        return [self._chunk(index)]
+
+    def _copy_due_us(self) -> int:
+        """When the next chunk under way is to be repeated; far away where none is."""
+        if not self._flight or not self.chunks_repeated:
+            return _NEVER_US
+        quiet_us = 0 if self._exhausted() else self._status_us + _QUIET_US
+        oldest_us = min(flight.copy_us for flight in self._flight.values())
+        return max(self._chunk_us, oldest_us + _COPY_US, quiet_us)
+
+    def _exhausted(self) -> bool:
+        """Whether every chunk is under way or held."""
+        return not self._lost and self._next >= self.chunks
+
+    def _chunk(self, index: int) -> Message:
+        data = self._blob[index * CHUNK_BYTES : (index + 1) * CHUNK_BYTES].ljust(CHUNK_BYTES, b"\0")
+        return m.UploadChunk(self._tag, index, self._target, data)
+
+    def _pace(self, now_us: int, intervals: int) -> None:
+        """Nothing comes back; the next chunk leaves so many intervals later, a late one does not delay it."""
+        started_us = max(self._chunk_us, now_us - self._interval_us)
+        self._chunk_us = started_us + intervals * self._interval_us
 
     def _pick(self) -> int | None:
         """The next chunk to send: lost ones first, then new ones as far as a status can report them."""
@@ -314,9 +369,10 @@ class UploadSender:
         return None
 
     def _overdue_us(self) -> int:
-        once = _OVERDUE_MIN_US
+        """Time without an answer after which it is asked for again; it doubles where none comes."""
+        once = _ASK_US
         if self.state is SenderState.SENDING:
-            once = max(once, self._rtt_us + self._rtt_us // 4 + 10_000)
+            once = max(_OVERDUE_MIN_US, self._rtt_us + self._rtt_us // 4 + 10_000)
         return min(once << max(0, min(self._overdue - 4, 8)), max(once, _OVERDUE_MAX_US))
 
     def _abort(self, message: Message | None, now_us: int) -> None:

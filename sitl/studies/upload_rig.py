@@ -1,0 +1,223 @@
+"""An upload in simulated time, all of its parts the real ones: sender, serial line, radio, air, radio, serial
+line, flight processor with receiver and store.
+
+The vehicle stands on the floor. Its flight processor is whole but for the law, which has nothing to control
+and is left out, and it is ticked only when there is something to do: a byte, or a look every 10 ms. Host and
+processors act on whole milliseconds.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable
+from functools import lru_cache
+
+from firmware_model.flight_mcu import LOOK_US, FlightMcu
+from firmware_model.law import step as law
+from firmware_model.parameters import ParameterValues
+from firmware_model.radio_mcu import RadioMcu
+from firmware_model.store import ReferenceStore
+from firmware_model.uart import UartPort, connect
+from firmware_model.verdict import check_blob
+from host.vehicle import Vehicle, load_vehicle, to_parameters
+from protocol.blobs import Kind
+from protocol.codec import Codec
+from protocol.messages import HOST, HOST_RADIO, VEHICLE_RADIO, Message
+from protocol.telemetry import TICK_US
+from protocol.upload import UploadSender, Verdict
+from protocol.uwb import FRAME_BYTES
+from sitl.radio import RadioChannel
+from sitl.seeds import Purpose, flight_generator
+from sitl.vehicle import HOST_BAUD, HOST_RX_BYTES, HOST_TX_BYTES
+from sitl.world import RadioSettings
+
+OFF_US = 300_000
+"""From the loss of power until the flight processor listens again: power back after 100 ms, 200 ms of boot."""
+_GYRO, _FORCE, _VOLTS = (0.0, 0.0, 0.0), (0.0, 0.0, -9.80665), 16.0
+
+
+class AtRest:
+    """An engine in place of the law: its memory stays what it is, motors stand still."""
+
+    def __init__(self) -> None:
+        self.inputs = {block.name: memoryview(array("d", bytes(8 * block.size))) for block in law.INPUTS}
+        self.outputs = {block.name: memoryview(array("d", bytes(8 * block.size))) for block in law.OUTPUTS}
+        self._memory, self._memory_out = self.inputs["memory"], self.outputs["memory"]
+
+    def __call__(self) -> None:
+        """Nothing comes back; the memory goes through."""
+        self._memory_out[:] = self._memory
+
+
+def remembered(vehicle: Vehicle) -> Callable[..., Verdict]:
+    """`check_blob` of this vehicle with its parameters as they are, which finds each verdict once."""
+    values = ParameterValues(to_parameters(vehicle))
+
+    @lru_cache(maxsize=64)
+    def verdict(kind: int, data: bytes, battery_v: float) -> Verdict:
+        return check_blob(kind, data, parameters=values, vehicle_id=vehicle.id, battery_v=battery_v)
+
+    def check(kind: int, data: bytes, *, battery_v: float, **same: object) -> Verdict:
+        return verdict(kind, data, battery_v)
+
+    return check
+
+
+@lru_cache(maxsize=4)
+def _vehicle(name: str) -> tuple[Vehicle, Callable[..., Verdict]]:
+    vehicle = load_vehicle(name)
+    return vehicle, remembered(vehicle)
+
+
+class VehicleEnd:
+    """Radio and flight processor of the vehicle, which may be reset; the store outlives that.
+
+    The channel sees it as a radio. `resets`: how often it was reset.
+    """
+
+    def __init__(self, vehicle: str, store: ReferenceStore) -> None:
+        craft, self._check = _vehicle(vehicle)
+        self.store = store
+        self.resets = 0
+        self._parameters = to_parameters(craft)
+        self._id = craft.id_bytes
+        self._on_us = 0
+        self._look_us = 0
+        self._power_up()
+
+    @property
+    def due_us(self) -> int:
+        """When it next has something to do."""
+        due_us = min(self.radio.due_us, self.flight.uart.due_us, self._look_us)
+        return due_us if due_us > self._on_us else self._on_us
+
+    def reset(self, now_us: int) -> None:
+        """Nothing comes back; power is lost, and what the store does not hold is gone."""
+        self.resets += 1
+        self._on_us = now_us + OFF_US
+        self._look_us = 0
+        self._power_up()
+
+    def air_send(self, now_us: int, limit: int = FRAME_BYTES) -> bytes | None:
+        """The next frame for the air, None where there is none or no power."""
+        return self.radio.air_send(now_us, limit) if now_us >= self._on_us else None
+
+    def air_receive(self, frame: bytes, now_us: int) -> None:
+        """Nothing comes back; the frame is in the radio, or nowhere while there is no power."""
+        if now_us >= self._on_us:
+            self.radio.air_receive(frame, now_us)
+
+    def tick(self, now_us: int) -> bool:
+        """Whether something waits for the air."""
+        if now_us < self._on_us:
+            return False
+        waits = now_us >= self.radio.due_us and self.radio.tick(now_us)
+        if now_us >= min(self.flight.uart.due_us, self._look_us):
+            self._look_us = now_us - now_us % LOOK_US + LOOK_US
+            self.flight.tick(now_us, _GYRO, _FORCE, _VOLTS)
+        return waits
+
+    def _power_up(self) -> None:
+        self.radio = RadioMcu(address=VEHICLE_RADIO)
+        self.flight = FlightMcu(
+            engine=AtRest(),
+            parameters=self._parameters,
+            store=self.store,
+            uid=1 + self.resets,
+            vehicle_id=self._id,
+            check=self._check,
+        )
+        connect(self.flight.uart, self.radio.uart)
+
+
+class UploadRig:
+    """One upload of `blob` to a vehicle that has `old` live.
+
+    Args:
+        seed, number: chance of the air, and the instant at which the upload begins.
+        make_sender: makes the sender, also after the host was killed.
+        on_message: is told of each message that the host says (True) or hears (False).
+
+    `now_us` is the time since power-up, `begin_us` when the upload began.
+    """
+
+    def __init__(
+        self,
+        blob: bytes,
+        *,
+        old: bytes | None,
+        radio: RadioSettings,
+        seed: int,
+        number: int,
+        vehicle: str = "research",
+        make_sender: Callable[[bytes], UploadSender] = lambda blob: UploadSender(blob, Kind.REFERENCE),
+        on_message: Callable[[int, bool, Message], None] = lambda now_us, said, message: None,
+    ) -> None:
+        self.blob, self.old = blob, old
+        self.store = ReferenceStore()
+        if old is not None:
+            self.store.stage(Kind.REFERENCE, old)
+            self.store.commit(Kind.REFERENCE)
+        self.vehicle = VehicleEnd(vehicle, self.store)
+        self.ground = RadioMcu(address=HOST_RADIO)
+        self.now_us = 0
+        up_rng = flight_generator(seed, number, Purpose.RADIO_UP)
+        self.begin_us = 250_000 + TICK_US * int(up_rng.integers(100))
+        self._make_sender = make_sender
+        self._on_message = on_message
+        self._port = UartPort(baud=HOST_BAUD, rx_bytes=HOST_RX_BYTES, tx_bytes=HOST_TX_BYTES)
+        connect(self._port, self.ground.uart)
+        self.channel = RadioChannel(
+            ground=self.ground,
+            vehicle=self.vehicle,
+            settings=radio,
+            up_rng=up_rng,
+            down_rng=flight_generator(seed, number, Purpose.RADIO_DOWN),
+        )
+        self.start_host()
+
+    def start_host(self) -> None:
+        """Nothing comes back; a host that knows nothing but the blob begins, or begins anew."""
+        self.sender = self._make_sender(self.blob)
+        self._codec = Codec(*HOST)
+
+    @property
+    def live(self) -> bytes | None:
+        """What is live on board."""
+        return self.store.live(Kind.REFERENCE)
+
+    def run(self, until_us: int) -> None:
+        """Nothing comes back; time has gone on to `until_us`, or to the upload's end."""
+        while self.now_us < until_us and not self.sender.over:
+            self.step(until_us)
+
+    def step(self, until_us: int) -> None:
+        """Nothing comes back; time has gone on to the next instant at which something happens."""
+        due_us = min(self.channel.due_us, self.ground.due_us, self.vehicle.due_us, self._host_due_us())
+        due_us = -(-max(due_us, self.now_us + TICK_US) // TICK_US) * TICK_US
+        self.now_us = now_us = min(due_us, until_us)
+        channel, ground = self.channel, self.ground
+        if now_us >= channel.due_us:
+            channel.tick(now_us)
+        if now_us >= ground.due_us and ground.tick(now_us):
+            channel.wake(now_us, ground=True)
+        if now_us >= self.vehicle.due_us and self.vehicle.tick(now_us):
+            channel.wake(now_us, ground=False)
+        if now_us >= self._host_due_us():
+            self._host(now_us)
+
+    def _host_due_us(self) -> int:
+        if self.now_us < self.begin_us:
+            return self.begin_us
+        deadline_us = self.sender.next_deadline_us()
+        return self._port.due_us if deadline_us is None else min(self._port.due_us, deadline_us)
+
+    def _host(self, now_us: int) -> None:
+        sender, codec = self.sender, self._codec
+        for message in codec.decode(self._port.read(now_us)):
+            sender.receive(message, now_us)
+            self._on_message(now_us, False, message)
+        sender.advance(now_us)
+        for message in sender.send(now_us):
+            self._port.write(codec.encode(message), now_us)
+            self._on_message(now_us, True, message)
