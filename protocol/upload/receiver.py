@@ -32,7 +32,7 @@ REPORT_CHUNKS, REPORT_US = 24, 40_000
 """Chunks after which a status goes out, and time after a chunk by which it does. Each takes a slot from the
 chunks, so there are few of them ...
 """
-LAST_CHUNKS = 12
+LAST_CHUNKS = 8
 LAST_REPORT_CHUNKS, LAST_REPORT_US = 4, 1_000
 """... until so many are missing: then the sender waits to hear which, and slots are free."""
 UNDER_WAY_US = 200_000

@@ -34,8 +34,8 @@ from protocol.upload.transfer import (
 
 WINDOW = 40
 """Chunks under way at a time: 4.4 kB, which fit the radio's queue for uploads and the air."""
-INTERVAL_US = 2_200
-"""Least time between two chunks: a slot of the radio, and a tenth for what comes back."""
+INTERVAL_US = 2_150
+"""Least time between two chunks: a slot of the radio, and a little for what comes back."""
 _COPY_INTERVALS = 2
 """A chunk under way is repeated at most every so many intervals ..."""
 _COPY_US = 20_000

@@ -25,7 +25,6 @@ from protocol.codec import Codec
 from protocol.messages import HOST, HOST_RADIO, VEHICLE_RADIO, Message
 from protocol.telemetry import TICK_US
 from protocol.upload import UploadSender, Verdict
-from protocol.uwb import FRAME_BYTES
 from sitl.radio import RadioChannel
 from sitl.seeds import Purpose, flight_generator
 from sitl.vehicle import HOST_BAUD, HOST_RX_BYTES, HOST_TX_BYTES
@@ -98,9 +97,9 @@ class VehicleEnd:
         self._look_us = 0
         self._power_up()
 
-    def air_send(self, now_us: int, limit: int = FRAME_BYTES) -> bytes | None:
+    def air_send(self, now_us: int) -> bytes | None:
         """The next frame for the air, None where there is none or no power."""
-        return self.radio.air_send(now_us, limit) if now_us >= self._on_us else None
+        return self.radio.air_send(now_us) if now_us >= self._on_us else None
 
     def air_receive(self, frame: bytes, now_us: int) -> None:
         """Nothing comes back; the frame is in the radio, or nowhere while there is no power."""
