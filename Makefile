@@ -62,3 +62,4 @@ docs: $(READY)
 	$(PYTHON) -m host.report.effects_page docs/effects.md
 	$(PYTHON) -m host.report.manoeuvres_page docs/manoeuvres.md
 	$(PYTHON) -m firmware_model.failsafe_page docs/failsafes.md
+	$(PYTHON) -m sitl.studies.upload_picture docs/upload.svg

@@ -31,7 +31,8 @@ def command(
     Parameters
     ----------
     name
-        Study to run: blind (tracing in sealed worlds), paper-learning, paper-planning (the paper's sections).
+        Study to run: blind (tracing in sealed worlds), link (uploads over lossy air, interrupted ones, fuzz),
+        paper-learning, paper-planning (the paper's sections).
     seed
         Worlds, flights and first weights are drawn from it.
     worlds
@@ -39,7 +40,7 @@ def command(
     jobs
         Processes at a time; one for each core by default.
     quick
-        paper-learning, paper-planning: a small one, to see that everything works.
+        link, paper-learning, paper-planning: a small one, to see that everything works.
     baselines
         blind: judge other methods on the same logs too.
     real

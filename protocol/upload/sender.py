@@ -81,7 +81,7 @@ class UploadSender:
         reason: why it failed, for people; empty before.
         verdict: what the vehicle's check said, None before.
         chunks: number of chunks; `held`: how many the vehicle has.
-        messages_sent, chunks_repeated: counts.
+        messages_sent, chunks_sent, chunks_repeated: counts; chunks_sent holds those repeated.
         restarts: how often the vehicle had to be told everything again.
     """
 
@@ -108,6 +108,7 @@ class UploadSender:
         self.digest = hashlib.sha256(blob).digest()
         self.chunks = chunk_count(len(blob))
         self.messages_sent = 0
+        self.chunks_sent = 0
         self.chunks_repeated = 0
         self.restarts = 0
         self._blob = bytes(blob)
@@ -293,10 +294,9 @@ class UploadSender:
                 self._progress_us = now_us
             self._held[index] = 1
             flight = self._flight.pop(index, None)
-            if flight is not None:
-                if not flight.again:
-                    newest = max(newest, flight.number)
-                    self._rtt_us += (now_us - flight.sent_us - self._rtt_us) // 8
+            if flight is not None and not flight.again:
+                newest = max(newest, flight.number)
+                self._rtt_us += (now_us - flight.sent_us - self._rtt_us) // 8
         self._base = max(self._base, message.base)
         if before is not self._held:
             for index in range(self._base, self._next):
@@ -347,6 +347,7 @@ class UploadSender:
         return not self._lost and self._next >= self.chunks
 
     def _chunk(self, index: int) -> Message:
+        self.chunks_sent += 1
         data = self._blob[index * CHUNK_BYTES : (index + 1) * CHUNK_BYTES].ljust(CHUNK_BYTES, b"\0")
         return m.UploadChunk(self._tag, index, self._target, data)
 

@@ -1,4 +1,4 @@
-"""The blob that is uploaded: a flyable reference of 399 nodes, 20,806 B, as long as the table of targets asks."""
+"""The blob that is uploaded: a reference that flies, of 399 nodes and one of yaw, 20,806 B."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from host.vehicle import load_vehicle
-from protocol.blobs import Node, Reference
+from protocol.blobs import Node, Reference, YawNode
 
 NODES, SPACING_S = 399, 0.1
 _RAMP_S, _FINE = 3.0, 10
@@ -16,13 +16,13 @@ _OMEGA = 0.8
 
 
 @lru_cache(maxsize=64)
-def reference_blob(vehicle: str, number: int) -> bytes:
+def reference_blob(vehicle: str, number: int, nodes: int = NODES) -> bytes:
     """A reference as it travels, the same for the same number; each number has other bytes.
 
-    A lemniscate at 1.2 m, about 40 s long, that swings in and out gently, with 399 nodes and one of yaw.
+    A lemniscate at 1.2 m that swings in and out gently, with a node every 0.1 s (at least 61) and one of yaw.
     """
-    t = np.arange(NODES) * SPACING_S
-    fine = np.arange((NODES - 1) * _FINE + 1) * SPACING_S / _FINE
+    t = np.arange(nodes) * SPACING_S
+    fine = np.arange((nodes - 1) * _FINE + 1) * SPACING_S / _FINE
     x = np.clip(np.minimum(fine, fine[-1] - fine) / _RAMP_S, 0.0, 1.0)
     rate = x**5 * (126 - 420 * x + 540 * x**2 - 315 * x**3 + 70 * x**4)
     steps = 0.5 * (rate[1:] + rate[:-1]) * SPACING_S / _FINE
@@ -34,8 +34,13 @@ def reference_blob(vehicle: str, number: int) -> bytes:
     spline = make_interp_spline(t, path, k=9)
     rows = np.hstack([spline(t, k) for k in range(4)])
     rows[0, 3:] = rows[-1, 3:] = 0.0
-    nodes = tuple(
+    states = tuple(
         Node(round(s * 1e6), tuple(map(float, row))) for s, row in zip(t.tolist(), rows, strict=True)
     )
-    blob = Reference(vehicle_id=load_vehicle(vehicle).id, origin_ned=(0.0, 0.0, 0.0), nodes=nodes)
+    blob = Reference(
+        vehicle_id=load_vehicle(vehicle).id,
+        origin_ned=(0.0, 0.0, 0.0),
+        nodes=states,
+        yaws=(YawNode(0, 0.0, 0.0),),
+    )
     return blob.to_bytes()

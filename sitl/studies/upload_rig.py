@@ -12,12 +12,13 @@ from array import array
 from collections.abc import Callable
 from functools import lru_cache
 
+from firmware_model.flash import Flash
 from firmware_model.flight_mcu import LOOK_US, FlightMcu
 from firmware_model.law import step as law
 from firmware_model.parameters import ParameterValues
-from firmware_model.radio_mcu import RadioMcu
+from firmware_model.radio_mcu import BAUD, RadioMcu
 from firmware_model.store import ReferenceStore
-from firmware_model.uart import UartPort, connect
+from firmware_model.uart import NEVER_US, UartPort, connect
 from firmware_model.verdict import check_blob
 from host.vehicle import Vehicle, load_vehicle, to_parameters
 from protocol.blobs import Kind
@@ -25,14 +26,20 @@ from protocol.codec import Codec
 from protocol.messages import HOST, HOST_RADIO, VEHICLE_RADIO, Message
 from protocol.telemetry import TICK_US
 from protocol.upload import UploadSender, Verdict
-from sitl.radio import RadioChannel
+from sitl.radio import Radio, RadioChannel
 from sitl.seeds import Purpose, flight_generator
-from sitl.vehicle import HOST_BAUD, HOST_RX_BYTES, HOST_TX_BYTES
+from sitl.vehicle import HOST_RX_BYTES, HOST_TX_BYTES
 from sitl.world import RadioSettings
 
 OFF_US = 300_000
-"""From the loss of power until the flight processor listens again: power back after 100 ms, 200 ms of boot."""
+"""From the loss of power until the flight processor listens again."""
 _GYRO, _FORCE, _VOLTS = (0.0, 0.0, 0.0), (0.0, 0.0, -9.80665), 16.0
+
+
+def begin_us(seed: int, number: int) -> int:
+    """When an upload begins, after power-up: any phase to the vehicle's own messages."""
+    phase = int(flight_generator(seed, number, Purpose.MOCAP).integers(100))
+    return 250_000 + TICK_US * phase
 
 
 class AtRest:
@@ -71,7 +78,7 @@ def _vehicle(name: str) -> tuple[Vehicle, Callable[..., Verdict]]:
 class VehicleEnd:
     """Radio and flight processor of the vehicle, which may be reset; the store outlives that.
 
-    The channel sees it as a radio. `resets`: how often it was reset.
+    The channel sees it as a radio. `store`: what it keeps; `resets`: how often it was reset.
     """
 
     def __init__(self, vehicle: str, store: ReferenceStore) -> None:
@@ -93,6 +100,7 @@ class VehicleEnd:
     def reset(self, now_us: int) -> None:
         """Nothing comes back; power is lost, and what the store does not hold is gone."""
         self.resets += 1
+        self.store = ReferenceStore(Flash(self.store.flash.image))
         self._on_us = now_us + OFF_US
         self._look_us = 0
         self._power_up()
@@ -136,6 +144,7 @@ class UploadRig:
         seed, number: chance of the air, and the instant at which the upload begins.
         make_sender: makes the sender, also after the host was killed.
         on_message: is told of each message that the host says (True) or hears (False).
+        tap: what the channel is given in place of a radio (the ground's: True), to watch its frames.
 
     `now_us` is the time since power-up, `begin_us` when the upload began.
     """
@@ -151,26 +160,26 @@ class UploadRig:
         vehicle: str = "research",
         make_sender: Callable[[bytes], UploadSender] = lambda blob: UploadSender(blob, Kind.REFERENCE),
         on_message: Callable[[int, bool, Message], None] = lambda now_us, said, message: None,
+        tap: Callable[[Radio, bool], Radio] = lambda radio, of_ground: radio,
     ) -> None:
         self.blob, self.old = blob, old
-        self.store = ReferenceStore()
+        store = ReferenceStore()
         if old is not None:
-            self.store.stage(Kind.REFERENCE, old)
-            self.store.commit(Kind.REFERENCE)
-        self.vehicle = VehicleEnd(vehicle, self.store)
+            store.stage(Kind.REFERENCE, old)
+            store.commit(Kind.REFERENCE)
+        self.vehicle = VehicleEnd(vehicle, store)
         self.ground = RadioMcu(address=HOST_RADIO)
         self.now_us = 0
-        up_rng = flight_generator(seed, number, Purpose.RADIO_UP)
-        self.begin_us = 250_000 + TICK_US * int(up_rng.integers(100))
+        self.begin_us = begin_us(seed, number)
         self._make_sender = make_sender
         self._on_message = on_message
-        self._port = UartPort(baud=HOST_BAUD, rx_bytes=HOST_RX_BYTES, tx_bytes=HOST_TX_BYTES)
+        self._port = UartPort(baud=BAUD, rx_bytes=HOST_RX_BYTES, tx_bytes=HOST_TX_BYTES)
         connect(self._port, self.ground.uart)
         self.channel = RadioChannel(
-            ground=self.ground,
-            vehicle=self.vehicle,
+            ground=tap(self.ground, True),
+            vehicle=tap(self.vehicle, False),
             settings=radio,
-            up_rng=up_rng,
+            up_rng=flight_generator(seed, number, Purpose.RADIO_UP),
             down_rng=flight_generator(seed, number, Purpose.RADIO_DOWN),
         )
         self.start_host()
@@ -179,11 +188,12 @@ class UploadRig:
         """Nothing comes back; a host that knows nothing but the blob begins, or begins anew."""
         self.sender = self._make_sender(self.blob)
         self._codec = Codec(*HOST)
+        self._deadline_us = max(self.begin_us, self.now_us)
 
     @property
     def live(self) -> bytes | None:
         """What is live on board."""
-        return self.store.live(Kind.REFERENCE)
+        return self.vehicle.store.live(Kind.REFERENCE)
 
     def run(self, until_us: int) -> None:
         """Nothing comes back; time has gone on to `until_us`, or to the upload's end."""
@@ -192,7 +202,8 @@ class UploadRig:
 
     def step(self, until_us: int) -> None:
         """Nothing comes back; time has gone on to the next instant at which something happens."""
-        due_us = min(self.channel.due_us, self.ground.due_us, self.vehicle.due_us, self._host_due_us())
+        host_us = min(self._deadline_us, self._port.due_us)
+        due_us = min(self.channel.due_us, self.ground.due_us, self.vehicle.due_us, host_us)
         due_us = -(-max(due_us, self.now_us + TICK_US) // TICK_US) * TICK_US
         self.now_us = now_us = min(due_us, until_us)
         channel, ground = self.channel, self.ground
@@ -202,17 +213,14 @@ class UploadRig:
             channel.wake(now_us, ground=True)
         if now_us >= self.vehicle.due_us and self.vehicle.tick(now_us):
             channel.wake(now_us, ground=False)
-        if now_us >= self._host_due_us():
+        if now_us >= self._deadline_us or now_us >= self._port.due_us:
             self._host(now_us)
-
-    def _host_due_us(self) -> int:
-        if self.now_us < self.begin_us:
-            return self.begin_us
-        deadline_us = self.sender.next_deadline_us()
-        return self._port.due_us if deadline_us is None else min(self._port.due_us, deadline_us)
 
     def _host(self, now_us: int) -> None:
         sender, codec = self.sender, self._codec
+        if now_us < self.begin_us:
+            self._port.read(now_us)
+            return
         for message in codec.decode(self._port.read(now_us)):
             sender.receive(message, now_us)
             self._on_message(now_us, False, message)
@@ -220,3 +228,5 @@ class UploadRig:
         for message in sender.send(now_us):
             self._port.write(codec.encode(message), now_us)
             self._on_message(now_us, True, message)
+        deadline_us = sender.next_deadline_us()
+        self._deadline_us = NEVER_US if deadline_us is None else deadline_us

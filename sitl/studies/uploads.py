@@ -8,7 +8,7 @@ damage and jitter are the simulator's own. Loss is of full frames, short ones fa
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from protocol.messages import UploadStatus
@@ -62,7 +62,7 @@ def time_upload(channel: str, seed: int, number: int) -> dict[str, Any]:
     return {
         "seconds": (rig.now_us - rig.begin_us) * 1e-6 if whole else None,
         "answered_s": (answered[0] - rig.begin_us) * 1e-6 if answered else None,
-        "chunks_sent": rig.sender.chunks + rig.sender.chunks_repeated,
+        "chunks_sent": rig.sender.chunks_sent,
     }
 
 
@@ -72,7 +72,7 @@ def percentile(values: Iterable[float], share: float) -> float:
     return ordered[max(0, math.ceil(share * len(ordered)) - 1)]
 
 
-def figures(rows: Sequence[dict[str, Any]]) -> dict[str, float | int | None]:
+def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | int | None]:
     """Of uploads: how many, how many failed, seconds in the mean, median, 99th percentile and at most."""
     times = [row["seconds"] for row in rows if row["seconds"] is not None]
     failed = len(rows) - len(times)

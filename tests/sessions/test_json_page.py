@@ -29,8 +29,11 @@ from host.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS
 from host.paper.planning.summary import summary as planning_summary
 from host.vehicle import load_vehicle
 from protocol.blobs import Reference
+from sitl.studies.link import summary as link_summary
 from sitl.studies.real import Group, real_row
 from sitl.studies.scoring.metrics import baseline_rows, summary
+from sitl.studies.upload_cuts import INTERRUPTIONS
+from sitl.studies.uploads import CHANNELS
 
 ROOT = Path(__file__).parent.parent.parent
 MADE = ROOT / "tests" / "data"
@@ -228,6 +231,18 @@ def test_study_prints_what_the_page_says() -> None:
     refused = {"answer": {}, "errors": "", "exit_code": 2, "trace_s": 1.0}
     beside = {"baselines": baseline_rows(scores), "real": [real_row(group, refused)]}
     check("study", {**told, **summary(scores), **beside})
+
+
+def test_study_link_prints_what_the_page_says() -> None:
+    upload = {"seconds": 0.6, "answered_s": 0.02}
+    trial = {"failed": False, "resent": 0, "held": 9, "seconds": 0.3}
+    found = {
+        **{channel: [upload] for channel in CHANNELS},
+        "cuts": [dict.fromkeys(INTERRUPTIONS, trial)],
+        "fuzz": [{"inputs": 9, "crashes": []}],
+    }
+    outcome = link_summary({"seed": 1, "quick": True, "folder": "f"}, found)
+    check("study link", {**outcome["answer"], "report": "f/report.html"})
 
 
 def test_study_paper_learning_prints_what_the_page_says() -> None:

@@ -1,0 +1,29 @@
+"""The page of the study of the link: its tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from host.report.figures import Figure
+from host.report.html import render, script_data
+
+
+def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
+    """No pictures: the sequence picture is a file of its own."""
+    return {}
+
+
+def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
+    """The HTML of the study's report; offline, one file."""
+    answer = outcome["answer"]
+    scope = "a quick look, no figure of record" if answer["quick"] else f"{answer['runs']} uploads a channel"
+    return render(
+        "tables.html.j2",
+        title=f"The link: {scope}, seed {answer['seed']}",
+        tables=outcome["tables"],
+        figures=list(drawn.values()),
+        provenance=json.dumps(dict(provenance), indent=1, default=str),
+        data=script_data(answer),
+    )

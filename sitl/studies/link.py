@@ -1,0 +1,242 @@
+"""The study of the link: uploads over lossy air, interrupted uploads, and bytes that nobody should send.
+
+    trimtab study link --seed 2030
+
+Every part leaves a file in the folder, so a study that was cut short goes on where it was.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from host.vehicle import load_vehicle
+from sitl.studies.files import StudyError, read_json, write_json, write_whole
+from sitl.studies.fuzz.run import run_fuzz
+from sitl.studies.upload_blob import reference_blob
+from sitl.studies.upload_cuts import INTERRUPTIONS, interrupt
+from sitl.studies.upload_peers import PEERS, peer_s
+from sitl.studies.upload_picture import picture
+from sitl.studies.uploads import CHANNELS, bound_s, figures, time_upload
+
+NAME = "link"
+RUNS, TRIALS, FUZZ_INPUTS = 200, 1_000, 100_000
+QUICK_RUNS, QUICK_TRIALS, QUICK_FUZZ_INPUTS = 8, 4, 2_000
+ORDER, PARTS, PICTURE = "study.json", "parts", "upload.svg"
+_RUNS_A_PART, _TRIALS_A_PART, _INPUTS_A_PART = 25, 10, 10_000
+_TARGETS = {
+    "upload": "mean <= 0.62 s, p99 <= 1.0 s",
+    "burst5": "p99 <= 2.5 s",
+    "burst20": "p99 <= 3.5 s",
+}
+_TITLES = {
+    "clean": "no loss",
+    "upload": "10 % loss",
+    "burst5": "30 % loss in bursts of 5",
+    "burst20": "10 % loss in bursts of 20",
+}
+_INTERRUPTED = {
+    "cut": "link cut for 5 s",
+    "host": "host killed",
+    "vehicle": "vehicle reset, 0.3 s without power",
+}
+Row = dict[str, str]
+Report = Callable[[float, float, str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """Some of the work, `count` items from `first` on; `weight` is its share of all."""
+
+    kind: str
+    channel: str = ""
+    first: int
+    count: int
+    weight: float
+
+    @property
+    def name(self) -> str:
+        """Stem of the part's file."""
+        return "-".join(word for word in (self.kind, self.channel, f"{self.first:06d}") if word)
+
+
+def run(
+    *,
+    folder: Path,
+    seed: int,
+    vehicle: str,
+    jobs: int,
+    quick: bool = False,
+    report: Report = lambda done, total, detail: None,
+) -> dict[str, Any]:
+    """The study's outcome: `answer` (the machine's object), `lines` and `tables` (for people), `scores`.
+
+    quick: a small one, to see that everything works. Raises StudyError where the folder holds another study,
+    or the vehicle is not the one that the uploaded references are for.
+    """
+    if load_vehicle(vehicle).id != load_vehicle("research").id:
+        raise StudyError(f"--vehicle {vehicle}: the link is studied with research, leave it out")
+    folder = folder.absolute()
+    (folder / PARTS).mkdir(parents=True, exist_ok=True)
+    _same_order(folder, {"study": NAME, "seed": seed, "quick": quick})
+    sizes = (QUICK_RUNS, QUICK_TRIALS, QUICK_FUZZ_INPUTS) if quick else (RUNS, TRIALS, FUZZ_INPUTS)
+    parts = list(_parts(*sizes))
+    found = _work(parts, folder, seed, jobs, report)
+    write_whole(folder / PICTURE, picture().encode())
+    return {**summary({"seed": seed, "quick": quick, "folder": str(folder)}, found), "scores": found}
+
+
+def _parts(runs: int, trials: int, inputs: int) -> Iterator[Part]:
+    for first in range(0, runs, _RUNS_A_PART):
+        for channel in CHANNELS:
+            count = min(_RUNS_A_PART, runs - first)
+            yield Part(kind="uploads", channel=channel, first=first, count=count, weight=0.1 * count)
+    for first in range(0, trials, _TRIALS_A_PART):
+        count = min(_TRIALS_A_PART, trials - first)
+        yield Part(kind="cuts", first=first, count=count, weight=0.6 * count)
+    for first in range(0, inputs, _INPUTS_A_PART):
+        count = min(_INPUTS_A_PART, inputs - first)
+        yield Part(kind="fuzz", first=first, count=count, weight=1e-3 * count)
+
+
+def _work(
+    parts: Sequence[Part], folder: Path, seed: int, jobs: int, report: Report
+) -> dict[str, list[dict[str, Any]]]:
+    """Rows of all parts, by channel or kind, in order; parts whose files are there are not done again."""
+    files = {part: folder / PARTS / f"{part.name}.json" for part in parts}
+    total = sum(part.weight for part in parts)
+    waiting = [part for part in parts if not files[part].is_file()]
+    done = total - sum(part.weight for part in waiting)
+    report(done, total, "")
+    if waiting:
+        with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+            running = {pool.submit(do, part, seed): part for part in waiting}
+            try:
+                for future in as_completed(running):
+                    part = running[future]
+                    write_json(files[part], {"rows": future.result()})
+                    done += part.weight
+                    report(done, total, part.name)
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+    found: dict[str, list[dict[str, Any]]] = {}
+    for part in parts:
+        found.setdefault(part.channel or part.kind, []).extend(read_json(files[part])["rows"])
+    return found
+
+
+def do(part: Part, seed: int) -> list[dict[str, Any]]:
+    """The rows of a part."""
+    numbers = range(part.first, part.first + part.count)
+    if part.kind == "uploads":
+        return [time_upload(part.channel, seed, number) for number in numbers]
+    if part.kind == "cuts":
+        return [interrupt(seed, number) for number in numbers]
+    fuzzed = run_fuzz(part.count, seed * 1_000 + part.first // _INPUTS_A_PART)
+    return [{"inputs": fuzzed.inputs, "crashes": [crash.error for crash in fuzzed.crashes]}]
+
+
+def summary(answer: Mapping[str, Any], found: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+    """`answer`, `lines` and `tables` of a study's rows."""
+    uploads = {channel: figures(found[channel]) for channel in CHANNELS}
+    size, seed = len(reference_blob("research", 1)), answer["seed"]
+    bounds = {channel: bound_s(size, radio) for channel, radio in CHANNELS.items()}
+    answered = sorted(row["answered_s"] for row in found["clean"])
+    round_trip_s = answered[len(answered) // 2]
+    peers = {
+        name: _mean([peer_s(peer, size, CHANNELS["upload"], round_trip_s, seed + k) for k in range(100)])
+        for name, peer in PEERS.items()
+    }
+    trials = [row[kind] for row in found["cuts"] for kind in INTERRUPTIONS]
+    crashes = [crash for row in found["fuzz"] for crash in row["crashes"]]
+    told = {
+        "study": NAME,
+        **answer,
+        "runs": uploads["upload"]["runs"],
+        "blob_bytes": size,
+        "round_trip_s": round_trip_s,
+        "clean_mean_s": uploads["clean"]["mean_s"],
+        "upload_mean_s": uploads["upload"]["mean_s"],
+        "upload_p99_s": uploads["upload"]["p99_s"],
+        "upload_max_s": uploads["upload"]["max_s"],
+        "burst5_p99_s": uploads["burst5"]["p99_s"],
+        "burst20_p99_s": uploads["burst20"]["p99_s"],
+        "uploads_failed": sum(found["failed"] or 0 for found in uploads.values()),
+        "bound_s": bounds["upload"],
+        "peers_mean_s": peers,
+        "cut_trials": len(trials),
+        "cut_failures": sum(trial["failed"] for trial in trials),
+        "cut_resent": sum(trial["resent"] for trial in trials),
+        "fuzz_inputs": sum(row["inputs"] for row in found["fuzz"]),
+        "fuzz_crashes": len(crashes),
+    }
+    tables = {
+        "Uploads of 20.8 kB": _uploads_table(uploads, bounds),
+        "Other ways over the same air, 10 % loss": [
+            {"way": name, "mean": _text(seconds, "s")} for name, seconds in peers.items()
+        ],
+        "Interrupted uploads, 10 % loss": _cuts_table(found["cuts"]),
+        "Fuzz": [{"inputs": str(told["fuzz_inputs"]), "crashes": str(told["fuzz_crashes"])}],
+    }
+    return {"answer": told, "lines": list(_lines(tables)), "tables": tables}
+
+
+def _uploads_table(uploads: Mapping[str, Any], bounds: Mapping[str, float]) -> list[Row]:
+    return [
+        {
+            "channel": _TITLES[channel],
+            "runs": str(found["runs"]),
+            "mean": _text(found["mean_s"], "s"),
+            "median": _text(found["p50_s"], "s"),
+            "p99": _text(found["p99_s"], "s"),
+            "most": _text(found["max_s"], "s"),
+            "bound": _text(bounds[channel], "s"),
+            "target": _TARGETS.get(channel, ""),
+        }
+        for channel, found in uploads.items()
+    ]
+
+
+def _cuts_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
+    table = []
+    for kind in INTERRUPTIONS:
+        trials = [row[kind] for row in rows]
+        rest = [trial["seconds"] for trial in trials]
+        table.append({
+            "interrupted": _INTERRUPTED[kind],
+            "trials": str(len(trials)),
+            "failed": str(sum(trial["failed"] for trial in trials)),
+            "chunks resent": str(sum(trial["resent"] for trial in trials)),
+            "held before, mean": _text(_mean([trial["held"] for trial in trials]), ""),
+            "afterwards, mean": _text(_mean(rest), "s"),
+            "most": _text(max(rest), "s"),
+        })  # fmt: skip
+    return table
+
+
+def _lines(tables: Mapping[str, Sequence[Row]]) -> Iterator[str]:
+    for title, rows in tables.items():
+        yield title
+        columns = {key: [key, *(row[key] for row in rows)] for key in rows[0]}
+        padded = [[cell.ljust(max(map(len, cells))) for cell in cells] for cells in columns.values()]
+        yield from ("  " + "  ".join(row).rstrip() for row in zip(*padded, strict=True))
+
+
+def _same_order(folder: Path, order: Mapping[str, Any]) -> None:
+    path = folder / ORDER
+    if path.is_file() and read_json(path) != order:
+        raise StudyError(f"{folder}: holds another study, choose another folder with -o")
+    write_json(path, order)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)
+
+
+def _text(value: float | None, unit: str) -> str:
+    return "-" if value is None else f"{value:.3g} {unit}".rstrip()
