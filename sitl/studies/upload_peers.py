@@ -35,7 +35,7 @@ a radio with longer frames one.
 def peer_s(peer: StopAndWait, size: int, radio: RadioSettings, round_trip_s: float, seed: int) -> float:
     """Seconds that `size` bytes take. Further frames of a message take a slot each; all must arrive."""
     draw = random.Random(seed).random
-    up, down = (BurstLoss(radio.loss, radio.burst_frames, draw) for _ in range(2))
+    up, down = (BurstLoss(radio.loss, radio.burst_frames, radio.short_risk, draw) for _ in range(2))
     once_s = round_trip_s + (peer.frames - 1) * radio.slot_us * 1e-6
     total_s, messages = 0.0, -(-size // peer.data_bytes)
     while messages:
