@@ -33,6 +33,8 @@ from sitl.world import RadioSettings
 
 OFF_US = 300_000
 """From the loss of power until the flight processor listens again."""
+HOST_OFF_US = 500_000
+"""From the kill of a host until the next one listens: a process starts."""
 _GYRO, _FORCE, _VOLTS = (0.0, 0.0, 0.0), (0.0, 0.0, -9.80665), 16.0
 
 
@@ -185,10 +187,10 @@ class UploadRig:
         self.start_host()
 
     def start_host(self) -> None:
-        """Nothing comes back; a host that knows nothing but the blob begins, or begins anew."""
+        """Nothing comes back; a host that knows nothing but the blob begins, or after a kill the next one."""
         self.sender = self._make_sender(self.blob)
         self._codec = Codec(*HOST)
-        self._deadline_us = max(self.begin_us, self.now_us)
+        self._on_us = self._deadline_us = self.begin_us if self.now_us == 0 else self.now_us + HOST_OFF_US
 
     @property
     def live(self) -> bytes | None:
@@ -218,7 +220,7 @@ class UploadRig:
 
     def _host(self, now_us: int) -> None:
         sender, codec = self.sender, self._codec
-        if now_us < self.begin_us:
+        if now_us < self._on_us:
             self._port.read(now_us)
             return
         for message in codec.decode(self._port.read(now_us)):
