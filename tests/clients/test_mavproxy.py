@@ -1,0 +1,136 @@
+"""MAVProxy's console, fed through its standard input, from the first parameter to the landing."""
+
+from __future__ import annotations
+
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = [pytest.mark.full, pytest.mark.xdist_group("serial")]
+
+AGAIN_S = 10.0
+
+
+class Console:
+    """MAVProxy as a person has it before them: commands in, lines out. `said` is every line so far."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.said: list[str] = []
+        self._process = process
+        self._lines: queue.Queue[str] = queue.Queue()
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self._lines.put(line.rstrip())
+
+    def type(self, command: str) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(command + "\n")
+        self._process.stdin.flush()
+
+    def until(self, text: str, command: str | None = None) -> str:
+        """The next line with that text; the command is typed before, and again where nothing comes of it."""
+        if command is not None:
+            self.type(command)
+        while True:
+            try:
+                line = self._lines.get(timeout=AGAIN_S)
+            except queue.Empty:
+                assert self._process.poll() is None, "MAVProxy has ended"
+                if command is not None:
+                    self.type(command)
+                continue
+            self.said.append(line)
+            print(line)  # shown where the test fails
+            if text in line:
+                return line
+
+
+@contextmanager
+def mavproxy(address: str, folder: Path) -> Iterator[Console]:
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "MAVProxy.mavproxy", f"--master=udpout:{address}"),
+            *("--dialect=common", "--mav20", "--state-basedir=."),
+        ],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONUNBUFFERED": "1", "HOME": str(folder), "MPLBACKEND": "agg"},
+    )
+    try:
+        yield Console(process)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_mavproxy_uploads_commits_flies_and_reads_back(
+    serve: Callable[..., str],
+    station: Callable[..., Any],
+    require: Callable[[str], None],
+    reference_file: Path,
+    commit_words: Callable[[Path], tuple[int, int, int]],
+    flown: Callable[[Any], bool],
+    tmp_path: Path,
+) -> None:
+    require("clients")
+    data = reference_file.read_bytes()
+    size = f"live.ref\t{len(data)}"
+    address = serve()
+    beside = station(f"udpout:{address}")  # a second station, which sees what MAVProxy brings about
+    beside.answer("HEARTBEAT")
+    with mavproxy(address, tmp_path) as console:
+        console.until("Received 81 parameters")
+        console.until("1.5", "param set HOLD_S 1.5\nparam show HOLD_S")
+        console.until("start refused", "long MISSION_START 0 0 0 0 0 0 0")
+
+        console.until("staged.ref accepted", f"ftp put {reference_file} /ref/staged.ref")
+        first, second, third = commit_words(reference_file)
+        console.until("USER_1: ACCEPTED", f"long USER_1 {first} {second} {third} 0 0 0 0")
+        console.until(size, "ftp list /ref")
+        console.until(f"Wrote {len(data)} bytes", "ftp get /ref/live.ref back.ref")
+        assert (tmp_path / "back.ref").read_bytes() == data
+
+        console.until("COMPONENT_ARM_DISARM: ACCEPTED", "arm throttle")
+        beside.until(lambda: beside.armed)
+        console.until("MISSION_START: ACCEPTED", "long MISSION_START 0 0 0 0 0 0 0")
+        beside.until(lambda: not beside.armed)
+        console.until("disarmed")
+    assert flown(beside.track)
+    assert beside.parameters()["HOLD_S"][0] == 1.5
+    assert not any("breach" in line for line in console.said)
+
+
+def test_mavproxy_sets_a_whole_number(
+    serve: Callable[..., str], station: Callable[..., Any], require: Callable[[str], None], tmp_path: Path
+) -> None:
+    """MAVProxy sends every number as a float to vehicles that are not PX4's."""
+    require("clients")
+    address = serve()
+    beside = station(f"udpout:{address}")
+    with mavproxy(address, tmp_path) as console:
+        console.until("Received 81 parameters")
+        console.type("param set BAT_CELLS 6")
+        changed = beside.answer(
+            "PARAM_VALUE",
+            lambda: beside.link.mav.param_request_read_send(1, 1, b"BAT_CELLS", -1),
+            lambda m: m.param_id == "BAT_CELLS" and m.param_value == BITS_OF_6,
+        )
+    assert changed.param_type == 6  # MAV_PARAM_TYPE_INT32
+
+
+BITS_OF_6 = 8.407790785948902e-45
+"""The float whose bits are the int32 6."""

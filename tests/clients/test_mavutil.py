@@ -1,0 +1,169 @@
+"""pymavlink's mavutil with the stock dialect: every port, every small service, several stations at once."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+pytestmark = [pytest.mark.full, pytest.mark.xdist_group("serial")]
+
+ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3
+REAL32, INT32 = 9, 6
+ARM, TAKEOFF, LAND, START = 400, 22, 21, 300
+REQUEST_MESSAGE, SET_INTERVAL, GET_INTERVAL = 512, 511, 510
+AUTOPILOT_VERSION, HOME_POSITION, ATTITUDE, LOCAL_POSITION = 148, 242, 30, 32
+
+
+def as_int(value: float) -> int:
+    """The int32 whose bits travel in a float."""
+    return struct.unpack("<i", struct.pack("<f", value))[0]
+
+
+def as_float(value: int) -> float:
+    """The float that has the bits of an int32."""
+    return struct.unpack("<f", struct.pack("<i", value))[0]
+
+
+@pytest.mark.parametrize(
+    ("port", "url"), [("pty", ""), ("tcp:127.0.0.1:0", "tcp:"), ("udp:127.0.0.1:0", "udpout:")]
+)
+def test_mavutil_reads_and_sets_parameters_over(
+    port: str,
+    url: str,
+    serve: Callable[..., str],
+    station: Callable[..., Any],
+    require: Callable[[str], None],
+) -> None:
+    require("pty")
+    own = station(url + serve(port))
+    heartbeat = own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
+    assert heartbeat.mavlink_version == 3
+    everything = own.parameters()
+    assert everything["MASS"] == (pytest.approx(0.752), REAL32)
+    assert everything["BAT_CELLS"][1] == INT32
+    assert as_int(everything["BAT_CELLS"][0]) == 4
+
+    assert own.set_parameter("HOLD_S", 1.5, REAL32).param_value == 1.5
+    assert as_int(own.set_parameter("BAT_CELLS", as_float(6), INT32).param_value) == 6
+    assert own.set_parameter("MASS", -1.0, REAL32).param_value == pytest.approx(0.752)  # refused
+    assert any("MASS" in text for text in own.texts)
+    again = own.parameters()
+    assert again.keys() == everything.keys()
+    assert again["HOLD_S"][0] == 1.5
+    assert as_int(again["BAT_CELLS"][0]) == 6
+
+
+def test_mavutil_small_services(serve: Callable[..., str], station: Callable[..., Any]) -> None:
+    own = station("udpout:" + serve())
+    own.answer("HEARTBEAT")
+
+    # Commands, long and int alike.
+    assert own.command(START) == own.command_int(START) == TEMPORARILY_REJECTED
+    own.until(lambda: any("start refused" in text for text in own.texts))
+    assert own.command(31999) == own.command_int(31999) == UNSUPPORTED
+
+    # A message once, then at a rate, then no more.
+    assert own.command(REQUEST_MESSAGE, AUTOPILOT_VERSION) == ACCEPTED
+    version = own.answer("AUTOPILOT_VERSION", lambda: own.command(REQUEST_MESSAGE, AUTOPILOT_VERSION))
+    assert version.capabilities & own.mavlink.MAV_PROTOCOL_CAPABILITY_FTP
+    home = own.answer("HOME_POSITION", lambda: own.command(REQUEST_MESSAGE, HOME_POSITION))
+    assert (home.x, home.y, home.z) == pytest.approx((0.0, 0.0, 0.0), abs=0.1)
+    assert own.command(REQUEST_MESSAGE, 65000) in (DENIED, UNSUPPORTED)
+    assert own.command(SET_INTERVAL, LOCAL_POSITION, 100_000) == ACCEPTED
+    interval = own.answer("MESSAGE_INTERVAL", lambda: own.command(GET_INTERVAL, LOCAL_POSITION))
+    assert (interval.message_id, interval.interval_us) == (LOCAL_POSITION, 100_000)
+    own.until(lambda: len(own.track) > 20)
+    assert own.track[-1] == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
+    assert own.command(SET_INTERVAL, 65000, 100_000) in (DENIED, UNSUPPORTED)
+
+    # Clocks.
+    first = own.answer("TIMESYNC", lambda: own.link.mav.timesync_send(0, 1234), lambda m: m.ts1 == 1234)
+    second = own.answer("TIMESYNC", lambda: own.link.mav.timesync_send(0, 1235), lambda m: m.ts1 == 1235)
+    assert 0 < first.tc1 < second.tc1
+
+    # Missions: there are none, and nobody waits for that answer.
+    for kind in (0, 1, 2):
+        count = own.answer(
+            "MISSION_COUNT",
+            lambda kind=kind: own.link.mav.mission_request_list_send(1, 1, kind),
+            lambda m, kind=kind: m.mission_type == kind,
+        )
+        assert count.count == 0
+
+
+def test_mavutil_cannot_arm_where_no_poses_come(
+    serve: Callable[..., str], station: Callable[..., Any]
+) -> None:
+    own = station("tcp:" + serve("tcp:127.0.0.1:0"))
+    own.answer("HEARTBEAT")
+    assert own.command(ARM, 1) == own.command_int(ARM, 1) == TEMPORARILY_REJECTED
+    own.until(lambda: any("no mocap" in text for text in own.texts))
+    assert not own.armed
+
+
+def test_mavutil_streams_what_a_station_watches(
+    serve: Callable[..., str], station: Callable[..., Any]
+) -> None:
+    """A heartbeat is enough for modest telemetry; REQUEST_DATA_STREAM is understood too."""
+    own = station("udpout:" + serve())
+    own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
+    own.link.mav.request_data_stream_send(1, 1, own.mavlink.MAV_DATA_STREAM_ALL, 4, 1)
+    attitude = own.answer("ATTITUDE")
+    assert abs(attitude.roll) < 0.05
+    assert own.answer("BATTERY_STATUS").voltages[0] > 12_000
+    assert own.answer("EXTENDED_SYS_STATE").landed_state == own.mavlink.MAV_LANDED_STATE_ON_GROUND
+    needed = own.mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION | own.mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    own.answer("SYS_STATUS", fits=lambda m: m.onboard_control_sensors_health & needed == needed)
+
+
+def test_several_stations_each_get_their_own_answers(
+    serve: Callable[..., str], station: Callable[..., Any]
+) -> None:
+    address = serve()
+    stations = [station(f"udpout:{address}", system=system) for system in (201, 202, 203)]
+    for own in stations:
+        own.answer("HEARTBEAT")
+    assert [own.command(REQUEST_MESSAGE, AUTOPILOT_VERSION) for own in stations] == [ACCEPTED] * 3
+    wanted = [1.1, 1.2, 1.3]
+    for own, value in zip(stations, wanted, strict=True):
+        set_to = own.set_parameter("HOLD_S", value, REAL32)
+        assert set_to.param_value == pytest.approx(value)
+    everything = [own.parameters() for own in stations]
+    assert everything[0] == everything[1] == everything[2]
+    assert everything[0]["HOLD_S"][0] == pytest.approx(1.3)
+
+
+def test_qgroundcontrols_handshake(serve: Callable[..., str], station: Callable[..., Any]) -> None:
+    """The requests of QGroundControl's initial connection, in its order: each one is answered."""
+    own = station("udpout:" + serve(), system=255)
+    heartbeat = own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
+    assert heartbeat.type == own.mavlink.MAV_TYPE_QUADROTOR
+    own.answer("AUTOPILOT_VERSION", lambda: own.command(REQUEST_MESSAGE, AUTOPILOT_VERSION))
+    # AVAILABLE_MODES, COMPONENT_METADATA and COMPONENT_INFORMATION: it goes on at once where there are none.
+    for number in (435, 397, 395):
+        assert own.command(REQUEST_MESSAGE, number) in (DENIED, UNSUPPORTED)
+    assert len(own.parameters()) > 80
+    for kind in (0, 1, 2):
+        own.answer(
+            "MISSION_COUNT",
+            lambda kind=kind: own.link.mav.mission_request_list_send(1, 1, kind),
+            lambda m, kind=kind: m.mission_type == kind and m.count == 0,
+        )
+    own.answer("HOME_POSITION", lambda: own.command(REQUEST_MESSAGE, HOME_POSITION))
+    assert own.command(SET_INTERVAL, HOME_POSITION, 1_000_000) == ACCEPTED
+
+
+def test_mavutil_takes_off_and_lands(serve: Callable[..., str], station: Callable[..., Any]) -> None:
+    own = station("udpout:" + serve())
+    own.answer("HEARTBEAT")
+    assert own.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 1.0) == TEMPORARILY_REJECTED  # not armed
+    own.arm()
+    assert own.command(SET_INTERVAL, LOCAL_POSITION, 50_000) == ACCEPTED
+    assert own.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 1.0) == ACCEPTED
+    own.until(lambda: bool(own.track) and own.track[-1][2] < -0.9)
+    assert own.command(LAND) == ACCEPTED
+    own.until(lambda: not own.armed)
+    assert own.track[-1][2] == pytest.approx(0.0, abs=0.15)
