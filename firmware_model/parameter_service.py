@@ -10,7 +10,7 @@ from firmware_model.parameters import ParameterValues, index_of, name_at
 from firmware_model.supervisor import State
 from protocol import messages as m
 from protocol.messages import Message, mavlink
-from protocol.parameter_wire import decode, encode, type_of
+from protocol.parameter_wire import REAL32, decode, encode, type_of
 from protocol.parameters import BY_NAME
 
 VALUES_PER_LOOK = 2
@@ -66,7 +66,10 @@ class ParameterService:
             self._send_value(index)
 
     def set(self, message: m.ParamSet, now_us: int) -> None:
-        """Set in standby alone; the answer is the value on board, whatever became of the request."""
+        """Set in standby alone; the answer is the value on board, whatever became of the request.
+
+        A whole number may come as REAL32 too: MAVProxy sends all of them so.
+        """
         name = message.param_id
         index = index_of(name)
         if index is None:
@@ -74,7 +77,7 @@ class ParameterService:
             return
         if self._flight.state is not State.STANDBY:
             self._text(_WARNING, f"{name} kept: set in standby only")
-        elif message.param_type != type_of(BY_NAME[name]):
+        elif message.param_type not in (REAL32, type_of(BY_NAME[name])):
             self._text(_WARNING, f"{name} kept: set it as {_TYPE_NAMES[BY_NAME[name].integer]}")
         else:
             self._set(name, decode(message.param_value, message.param_type))

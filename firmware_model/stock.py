@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 
+from firmware_model.failsafe import Failsafe
 from firmware_model.flight import Flight
 from firmware_model.law import step as law
 from firmware_model.law.ops import FLOAT
@@ -25,7 +26,8 @@ _GYRO = mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
 _MOCAP = mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
 _BATTERY = mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
 _PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-_PRESENT = _ALWAYS | _GYRO | _MOCAP | _BATTERY | _PREARM
+_FENCE = mavlink.MAV_SYS_STATUS_GEOFENCE
+_PRESENT = _ALWAYS | _GYRO | _MOCAP | _BATTERY | _FENCE | _PREARM
 
 _LANDED = {
     State.BOOT: mavlink.MAV_LANDED_STATE_ON_GROUND,
@@ -43,8 +45,13 @@ _CELL_NONE = 0xFFFF
 
 
 def sys_status(flight: Flight, now_us: int, battery_v: float) -> m.SysStatus:
-    """SYS_STATUS: the gyro is healthy once calibrated, vision while poses come, the check if it passes."""
+    """SYS_STATUS: the gyro is healthy once calibrated, vision while poses come, the check if it passes.
+
+    The fence is healthy until it was left: MAVProxy calls anything else a breach.
+    """
     health = _ALWAYS | _BATTERY
+    if flight.failsafe is not Failsafe.GEOFENCE:
+        health |= _FENCE
     if flight.calibration.bias is not None:
         health |= _GYRO
     if flight.has_pose(now_us):

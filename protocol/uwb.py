@@ -187,7 +187,11 @@ class Priority(IntEnum):
     UPLOAD = 3
 
 
-_URGENT = ("ATT_POS_MOCAP", "TIMESYNC", "COMMAND_LONG", "COMMAND_ACK")
+_URGENT = (
+    *("ATT_POS_MOCAP", "TIMESYNC", "COMMAND_LONG", "COMMAND_INT", "COMMAND_ACK"),
+    # A client streams setpoints and then asks for them to be followed: the command must not overtake them.
+    *("SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET"),
+)
 _CONTROL = ("FC_CONTROL", "FC_ESTIMATE", "FC_OBSERVER")
 _BULK = ("UPLOAD_", "FILE_TRANSFER_PROTOCOL")
 

@@ -93,7 +93,7 @@ def test_mavproxy_uploads_commits_flies_and_reads_back(
     beside = station(f"udpout:{address}")  # a second station, which sees what MAVProxy brings about
     beside.answer("HEARTBEAT")
     with mavproxy(address, tmp_path) as console:
-        console.until("Received 81 parameters")
+        console.until(" parameters to ./mav.parm")
         console.until("1.5", "param set HOLD_S 1.5\nparam show HOLD_S")
         console.until("start refused", "long MISSION_START 0 0 0 0 0 0 0")
 
@@ -102,6 +102,7 @@ def test_mavproxy_uploads_commits_flies_and_reads_back(
         console.until("USER_1: ACCEPTED", f"long USER_1 {first} {second} {third} 0 0 0 0")
         console.until(size, "ftp list /ref")
         console.until(f"Wrote {len(data)} bytes", "ftp get /ref/live.ref back.ref")
+        console.until("crc: /ref/live.ref", "ftp crc /ref/live.ref")  # by then the file is closed
         assert (tmp_path / "back.ref").read_bytes() == data
 
         console.until("COMPONENT_ARM_DISARM: ACCEPTED", "arm throttle")
@@ -122,7 +123,7 @@ def test_mavproxy_sets_a_whole_number(
     address = serve()
     beside = station(f"udpout:{address}")
     with mavproxy(address, tmp_path) as console:
-        console.until("Received 81 parameters")
+        console.until(" parameters to ./mav.parm")
         console.type("param set BAT_CELLS 6")
         changed = beside.answer(
             "PARAM_VALUE",

@@ -110,12 +110,15 @@ class Watched:
 
     def take_off(self, height_m: float) -> None:
         """Armed as soon as it may be, then in the air at that height."""
+        from mavsdk.plugins.telemetry import LandedState
+
         self.until(lambda: self.health is not None and self.health.is_armable)
         self.telemetry.set_rate_position_velocity_ned(20.0)
         self.action.arm()
         self.action.set_takeoff_altitude(height_m)
         self.action.takeoff()
-        self.until(lambda: abs(self.place[2] + height_m) < 0.1)
+        self.until(lambda: self.landed_state == LandedState.IN_AIR)
+        assert abs(self.place[2] + height_m) < 0.15
 
     def land(self) -> None:
         """Back on the floor and disarmed."""
@@ -155,7 +158,7 @@ def test_mavsdk_connects_and_reads_parameters_over(
     require("pty")
     vehicle = connect(url.format(serve(port)))
     found = vehicle.param.get_all_params()
-    assert {row.name: row.value for row in found.int_params} == {"BAT_CELLS": 4}
+    assert {row.name: row.value for row in found.int_params}["BAT_CELLS"] == 4
     assert {row.name: row.value for row in found.float_params}["MASS"] == pytest.approx(0.752)
     vehicle.param.set_param_int("BAT_CELLS", 6)
     assert vehicle.param.get_param_int("BAT_CELLS") == 6
@@ -164,14 +167,14 @@ def test_mavsdk_connects_and_reads_parameters_over(
 
 
 def test_mavsdk_takes_off_and_lands(serve: Callable[..., str], connect: Callable[[str], Watched]) -> None:
-    from mavsdk.plugins.telemetry import Telemetry
+    from mavsdk.plugins.telemetry import LandedState
 
     vehicle = connect(f"udpout://{serve()}")
-    vehicle.until(lambda: vehicle.landed_state == Telemetry.LandedState.ON_GROUND)
+    vehicle.until(lambda: vehicle.landed_state == LandedState.ON_GROUND)
     vehicle.take_off(1.0)
-    vehicle.until(lambda: vehicle.landed_state == Telemetry.LandedState.IN_AIR)
+    vehicle.until(lambda: vehicle.landed_state == LandedState.IN_AIR)
     vehicle.land()
-    vehicle.until(lambda: vehicle.landed_state == Telemetry.LandedState.ON_GROUND)
+    vehicle.until(lambda: vehicle.landed_state == LandedState.ON_GROUND)
     assert vehicle.place == pytest.approx((0.0, 0.0, 0.0), abs=0.2)
 
 

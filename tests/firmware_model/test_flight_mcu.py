@@ -198,12 +198,16 @@ def test_param_whole_numbers_travel_as_bits_both_ways(make_session):
     assert answer.param_type == INT32
     assert struct.pack("<f", answer.param_value) == struct.pack("<i", 6)
     assert session.flight.parameters["BAT_CELLS"] == 6.0
+    session.send(m.ParamSet(1, 1, b"BAT_CELLS", 5.0, REAL32))  # as MAVProxy does
+    session.run(0.2)
+    assert session.flight.parameters["BAT_CELLS"] == 5.0
 
 
 @pytest.mark.parametrize(
     ("name", "raw", "kind", "text"),
     [
-        (b"BAT_CELLS", 3.0, REAL32, "BAT_CELLS kept: set it as INT32"),
+        (b"BAT_CELLS", 3.0, 1, "BAT_CELLS kept: set it as INT32"),
+        (b"BAT_CELLS", 3.5, REAL32, "BAT_CELLS: 3.5 is no whole number"),
         (b"MASS", encode(1.0, INT32), INT32, "MASS kept: set it as REAL32"),
         (b"MASS", 1.0, 1, "MASS kept: set it as REAL32"),
         (b"BAT_CELLS", encode(99.0, INT32), INT32, "BAT_CELLS: 99 is outside 1..24"),
