@@ -109,7 +109,7 @@ def test_mavproxy_uploads_commits_flies_and_reads_back(
         beside.until(lambda: beside.armed)
         console.until("MISSION_START: ACCEPTED", "long MISSION_START 0 0 0 0 0 0 0")
         beside.until(lambda: not beside.armed)
-        console.until("disarmed")
+        console.until("DISARMED")
     assert flown(beside.track)
     assert beside.parameters()["HOLD_S"][0] == 1.5
     assert not any("breach" in line for line in console.said)
