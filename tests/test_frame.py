@@ -58,6 +58,34 @@ def test_missing_part_that_is_required_fails(tmp_path: Path) -> None:
     assert "TRIMTAB_REQUIRE names this part: browser" in said
 
 
+def test_grouped_tests_share_a_worker(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path / "conftest.py")
+    (tmp_path / "test_probe.py").write_text(
+        "import pytest\n\n"
+        "@pytest.mark.xdist_group('one')\n"
+        "@pytest.mark.parametrize('k', range(8))\n"
+        "def test_it(k, worker_id):\n    print('ran on', worker_id)\n"
+    )
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-n",
+        "2",
+        "--dist",
+        "loadgroup",
+        "-rP",
+        "-p",
+        "no:cacheprovider",
+    ]
+    done = subprocess.run(
+        [*command, "--rootdir", str(tmp_path), "."], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    found = re.findall(r"^ran on (\w+)$", done.stdout, flags=re.MULTILINE)
+    assert len(found) == 8
+    assert len(set(found)) == 1
+
+
 def test_unknown_required_part_stops_the_run(tmp_path: Path) -> None:
     assert "TRIMTAB_REQUIRE: unknown browsr; known: browser, clients, compiler" in run_probe(
         tmp_path, "browsr"
