@@ -2531,22 +2531,22 @@ class MAVLink_upload_begin_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_UPLOAD_BEGIN
     msgname = "UPLOAD_BEGIN"
-    fieldnames = ["size", "target_system", "kind", "chunk", "digest"]
-    ordered_fieldnames = ["size", "target_system", "kind", "chunk", "digest"]
-    fieldtypes = ["uint32_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fieldnames = ["size", "target_system", "kind", "chunk", "query", "digest"]
+    ordered_fieldnames = ["size", "target_system", "kind", "chunk", "query", "digest"]
+    fieldtypes = ["uint32_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {"kind": "TRIMTAB_BLOB"}
     fieldunits_by_name: Dict[str, str] = {"size": "bytes", "chunk": "bytes"}
-    native_format = bytearray(b"<IBBBB")
-    orders = [0, 1, 2, 3, 4]
-    lengths = [1, 1, 1, 1, 32]
-    array_lengths = [0, 0, 0, 0, 32]
-    crc_extra = 112
-    unpacker = struct.Struct("<IBBB32B")
+    native_format = bytearray(b"<IBBBBB")
+    orders = [0, 1, 2, 3, 4, 5]
+    lengths = [1, 1, 1, 1, 1, 32]
+    array_lengths = [0, 0, 0, 0, 0, 32]
+    crc_extra = 202
+    unpacker = struct.Struct("<IBBBB32B")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, size: int, target_system: int, kind: int, chunk: int, digest: Sequence[int]):
+    def __init__(self, size: int, target_system: int, kind: int, chunk: int, query: int, digest: Sequence[int]):
         MAVLink_message.__init__(self, MAVLink_upload_begin_message.id, MAVLink_upload_begin_message.msgname)
         self._fieldnames = MAVLink_upload_begin_message.fieldnames
         self._instance_field = MAVLink_upload_begin_message.instance_field
@@ -2555,10 +2555,11 @@ class MAVLink_upload_begin_message(MAVLink_message):
         self.target_system = target_system
         self.kind = kind
         self.chunk = chunk
+        self.query = query
         self.digest = digest
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.size, self.target_system, self.kind, self.chunk, self.digest[0], self.digest[1], self.digest[2], self.digest[3], self.digest[4], self.digest[5], self.digest[6], self.digest[7], self.digest[8], self.digest[9], self.digest[10], self.digest[11], self.digest[12], self.digest[13], self.digest[14], self.digest[15], self.digest[16], self.digest[17], self.digest[18], self.digest[19], self.digest[20], self.digest[21], self.digest[22], self.digest[23], self.digest[24], self.digest[25], self.digest[26], self.digest[27], self.digest[28], self.digest[29], self.digest[30], self.digest[31]), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.size, self.target_system, self.kind, self.chunk, self.query, self.digest[0], self.digest[1], self.digest[2], self.digest[3], self.digest[4], self.digest[5], self.digest[6], self.digest[7], self.digest[8], self.digest[9], self.digest[10], self.digest[11], self.digest[12], self.digest[13], self.digest[14], self.digest[15], self.digest[16], self.digest[17], self.digest[18], self.digest[19], self.digest[20], self.digest[21], self.digest[22], self.digest[23], self.digest[24], self.digest[25], self.digest[26], self.digest[27], self.digest[28], self.digest[29], self.digest[30], self.digest[31]), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -2614,22 +2615,22 @@ class MAVLink_upload_status_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_UPLOAD_STATUS
     msgname = "UPLOAD_STATUS"
-    fieldnames = ["tag", "base", "held", "state", "result", "kind", "bitmap"]
-    ordered_fieldnames = ["tag", "base", "held", "state", "result", "kind", "bitmap"]
-    fieldtypes = ["uint16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fieldnames = ["tag", "base", "held", "state", "result", "kind", "query", "bitmap"]
+    ordered_fieldnames = ["tag", "base", "held", "state", "result", "kind", "query", "bitmap"]
+    fieldtypes = ["uint16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {"state": "TRIMTAB_UPLOAD_STATE", "result": "TRIMTAB_UPLOAD_RESULT", "kind": "TRIMTAB_BLOB"}
     fieldunits_by_name: Dict[str, str] = {}
-    native_format = bytearray(b"<HHHBBBB")
-    orders = [0, 1, 2, 3, 4, 5, 6]
-    lengths = [1, 1, 1, 1, 1, 1, 64]
-    array_lengths = [0, 0, 0, 0, 0, 0, 64]
-    crc_extra = 143
-    unpacker = struct.Struct("<HHHBBB64B")
+    native_format = bytearray(b"<HHHBBBBB")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 64]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 64]
+    crc_extra = 135
+    unpacker = struct.Struct("<HHHBBBB64B")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, tag: int, base: int, held: int, state: int, result: int, kind: int, bitmap: Sequence[int]):
+    def __init__(self, tag: int, base: int, held: int, state: int, result: int, kind: int, query: int, bitmap: Sequence[int]):
         MAVLink_message.__init__(self, MAVLink_upload_status_message.id, MAVLink_upload_status_message.msgname)
         self._fieldnames = MAVLink_upload_status_message.fieldnames
         self._instance_field = MAVLink_upload_status_message.instance_field
@@ -2640,10 +2641,11 @@ class MAVLink_upload_status_message(MAVLink_message):
         self.state = state
         self.result = result
         self.kind = kind
+        self.query = query
         self.bitmap = bitmap
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.tag, self.base, self.held, self.state, self.result, self.kind, self.bitmap[0], self.bitmap[1], self.bitmap[2], self.bitmap[3], self.bitmap[4], self.bitmap[5], self.bitmap[6], self.bitmap[7], self.bitmap[8], self.bitmap[9], self.bitmap[10], self.bitmap[11], self.bitmap[12], self.bitmap[13], self.bitmap[14], self.bitmap[15], self.bitmap[16], self.bitmap[17], self.bitmap[18], self.bitmap[19], self.bitmap[20], self.bitmap[21], self.bitmap[22], self.bitmap[23], self.bitmap[24], self.bitmap[25], self.bitmap[26], self.bitmap[27], self.bitmap[28], self.bitmap[29], self.bitmap[30], self.bitmap[31], self.bitmap[32], self.bitmap[33], self.bitmap[34], self.bitmap[35], self.bitmap[36], self.bitmap[37], self.bitmap[38], self.bitmap[39], self.bitmap[40], self.bitmap[41], self.bitmap[42], self.bitmap[43], self.bitmap[44], self.bitmap[45], self.bitmap[46], self.bitmap[47], self.bitmap[48], self.bitmap[49], self.bitmap[50], self.bitmap[51], self.bitmap[52], self.bitmap[53], self.bitmap[54], self.bitmap[55], self.bitmap[56], self.bitmap[57], self.bitmap[58], self.bitmap[59], self.bitmap[60], self.bitmap[61], self.bitmap[62], self.bitmap[63]), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.tag, self.base, self.held, self.state, self.result, self.kind, self.query, self.bitmap[0], self.bitmap[1], self.bitmap[2], self.bitmap[3], self.bitmap[4], self.bitmap[5], self.bitmap[6], self.bitmap[7], self.bitmap[8], self.bitmap[9], self.bitmap[10], self.bitmap[11], self.bitmap[12], self.bitmap[13], self.bitmap[14], self.bitmap[15], self.bitmap[16], self.bitmap[17], self.bitmap[18], self.bitmap[19], self.bitmap[20], self.bitmap[21], self.bitmap[22], self.bitmap[23], self.bitmap[24], self.bitmap[25], self.bitmap[26], self.bitmap[27], self.bitmap[28], self.bitmap[29], self.bitmap[30], self.bitmap[31], self.bitmap[32], self.bitmap[33], self.bitmap[34], self.bitmap[35], self.bitmap[36], self.bitmap[37], self.bitmap[38], self.bitmap[39], self.bitmap[40], self.bitmap[41], self.bitmap[42], self.bitmap[43], self.bitmap[44], self.bitmap[45], self.bitmap[46], self.bitmap[47], self.bitmap[48], self.bitmap[49], self.bitmap[50], self.bitmap[51], self.bitmap[52], self.bitmap[53], self.bitmap[54], self.bitmap[55], self.bitmap[56], self.bitmap[57], self.bitmap[58], self.bitmap[59], self.bitmap[60], self.bitmap[61], self.bitmap[62], self.bitmap[63]), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -4319,7 +4321,7 @@ class MAVLink(object):
         """
         self.send(self.fc_observer_encode(tick, disturbance), force_mavlink1=force_mavlink1)
 
-    def upload_begin_encode(self, size: int, target_system: int, kind: int, chunk: int, digest: Sequence[int]) -> MAVLink_upload_begin_message:
+    def upload_begin_encode(self, size: int, target_system: int, kind: int, chunk: int, query: int, digest: Sequence[int]) -> MAVLink_upload_begin_message:
         """
         Announces a blob, or asks how far its transfer is; answered by
         UPLOAD_STATUS. Begins or resumes.
@@ -4328,12 +4330,13 @@ class MAVLink(object):
         target_system             : Receiver. (type:uint8_t)
         kind                      : Kind of the blob. (type:uint8_t, values:TRIMTAB_BLOB)
         chunk                     : Bytes in each chunk but the last. [bytes] (type:uint8_t)
+        query                     : Number of the question, 1 to 255, which every status from then on repeats. (type:uint8_t)
         digest                    : SHA-256 of the blob. (type:uint8_t)
 
         """
-        return MAVLink_upload_begin_message(size, target_system, kind, chunk, digest)
+        return MAVLink_upload_begin_message(size, target_system, kind, chunk, query, digest)
 
-    def upload_begin_send(self, size: int, target_system: int, kind: int, chunk: int, digest: Sequence[int], force_mavlink1: bool = False) -> None:
+    def upload_begin_send(self, size: int, target_system: int, kind: int, chunk: int, query: int, digest: Sequence[int], force_mavlink1: bool = False) -> None:
         """
         Announces a blob, or asks how far its transfer is; answered by
         UPLOAD_STATUS. Begins or resumes.
@@ -4342,10 +4345,11 @@ class MAVLink(object):
         target_system             : Receiver. (type:uint8_t)
         kind                      : Kind of the blob. (type:uint8_t, values:TRIMTAB_BLOB)
         chunk                     : Bytes in each chunk but the last. [bytes] (type:uint8_t)
+        query                     : Number of the question, 1 to 255, which every status from then on repeats. (type:uint8_t)
         digest                    : SHA-256 of the blob. (type:uint8_t)
 
         """
-        self.send(self.upload_begin_encode(size, target_system, kind, chunk, digest), force_mavlink1=force_mavlink1)
+        self.send(self.upload_begin_encode(size, target_system, kind, chunk, query, digest), force_mavlink1=force_mavlink1)
 
     def upload_chunk_encode(self, tag: int, index: int, target_system: int, data: Sequence[int]) -> MAVLink_upload_chunk_message:
         """
@@ -4371,7 +4375,7 @@ class MAVLink(object):
         """
         self.send(self.upload_chunk_encode(tag, index, target_system, data), force_mavlink1=force_mavlink1)
 
-    def upload_status_encode(self, tag: int, base: int, held: int, state: int, result: int, kind: int, bitmap: Sequence[int]) -> MAVLink_upload_status_message:
+    def upload_status_encode(self, tag: int, base: int, held: int, state: int, result: int, kind: int, query: int, bitmap: Sequence[int]) -> MAVLink_upload_status_message:
         """
         What the receiver holds of a blob.
 
@@ -4381,12 +4385,13 @@ class MAVLink(object):
         state                     : What the receiver holds of the blob. (type:uint8_t, values:TRIMTAB_UPLOAD_STATE)
         result                    : How the last message was taken. (type:uint8_t, values:TRIMTAB_UPLOAD_RESULT)
         kind                      : Kind of the blob. (type:uint8_t, values:TRIMTAB_BLOB)
+        query                     : Of the last UPLOAD_BEGIN since power-up, 0 where there was none. (type:uint8_t)
         bitmap                    : Bit i, lowest first: chunk base + i is held. What is clear is missing. (type:uint8_t)
 
         """
-        return MAVLink_upload_status_message(tag, base, held, state, result, kind, bitmap)
+        return MAVLink_upload_status_message(tag, base, held, state, result, kind, query, bitmap)
 
-    def upload_status_send(self, tag: int, base: int, held: int, state: int, result: int, kind: int, bitmap: Sequence[int], force_mavlink1: bool = False) -> None:
+    def upload_status_send(self, tag: int, base: int, held: int, state: int, result: int, kind: int, query: int, bitmap: Sequence[int], force_mavlink1: bool = False) -> None:
         """
         What the receiver holds of a blob.
 
@@ -4396,10 +4401,11 @@ class MAVLink(object):
         state                     : What the receiver holds of the blob. (type:uint8_t, values:TRIMTAB_UPLOAD_STATE)
         result                    : How the last message was taken. (type:uint8_t, values:TRIMTAB_UPLOAD_RESULT)
         kind                      : Kind of the blob. (type:uint8_t, values:TRIMTAB_BLOB)
+        query                     : Of the last UPLOAD_BEGIN since power-up, 0 where there was none. (type:uint8_t)
         bitmap                    : Bit i, lowest first: chunk base + i is held. What is clear is missing. (type:uint8_t)
 
         """
-        self.send(self.upload_status_encode(tag, base, held, state, result, kind, bitmap), force_mavlink1=force_mavlink1)
+        self.send(self.upload_status_encode(tag, base, held, state, result, kind, query, bitmap), force_mavlink1=force_mavlink1)
 
     def upload_verdict_encode(self, value: float, bound: float, tag: int, node: int, ok: int, reason: int, message: bytes) -> MAVLink_upload_verdict_message:
         """

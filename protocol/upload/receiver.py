@@ -133,6 +133,7 @@ class UploadReceiver:
         self._remind_us = 0
         self._reminders = 0
         self._stray_tag: int | None = None
+        self._query = 0
         self._out: list[Message] = []
         self._events: list[ReceiverEvent] = []
         self._actions: dict[Action, Callable[[_Blob, int], None]] = {
@@ -173,6 +174,7 @@ class UploadReceiver:
         if isinstance(message, m.UploadChunk):
             self._on_chunk(message, now_us)
         elif isinstance(message, m.UploadBegin):
+            self._query = message.query
             blob = _Blob(bytes(message.digest), message.kind, message.size)
             self._do(self._begin_event(blob, message.chunk), blob, now_us)
         elif isinstance(message, m.UploadCommit):
@@ -287,6 +289,8 @@ class UploadReceiver:
     def _on_chunk(self, message: m.UploadChunk, now_us: int) -> None:
         index = message.index
         if self._blob is _NONE or message.tag != tag_of(self._blob.digest) or index >= self.chunks:
+            if any(message.tag == tag_of(digest) for digest in self._live.values()):
+                return  # a copy that comes late: nobody need begin anew
             self._stray_tag = message.tag
             self._do(Event.CHUNK_FOREIGN, _NONE, now_us)
         elif self._map[index]:
@@ -490,7 +494,7 @@ class UploadReceiver:
             base, held = self._base, self.held
             bitmap = encode_bitmap(self._map, base)
         kind = self._blob.kind
-        self._out.append(m.UploadStatus(tag, base, held, state, result, kind, bitmap))
+        self._out.append(m.UploadStatus(tag, base, held, state, result, kind, self._query, bitmap))
 
     def _verdict_message(self, verdict: Verdict) -> Message:
         return m.UploadVerdict(

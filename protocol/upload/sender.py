@@ -3,7 +3,8 @@
 Selective repeat: every status says which chunks are held. A chunk counts as lost once one that was sent at
 least `_REORDER` later is held; only chunks that were sent once show that, of others it is not known which
 copy arrived. Where answers stay out, the announcement goes out again; the answer to it is the receiver's full
-word on what it holds, also after it was started anew.
+word on what it holds, also after it was started anew. Every question has a number that answers repeat: what
+was said before, perhaps to a host that was killed, is not taken for the answer.
 
 Chunks leave at the pace of the channel and not as fast as the line takes them: the radio's queue stays
 short, so that a status soon shows what was lost and what is sent again is not behind others. Where a link has
@@ -44,6 +45,11 @@ _QUIET_US = 60_000
 """Time without a status after which chunks under way are repeated also before the end."""
 _ASK_US = 10_000
 """Time after which an announcement or a commit that is not answered goes out again."""
+_QUERY_US = 10_000
+"""Questions are numbered from the time of the first in these: a host that follows another at once has other
+numbers, for none asks more often.
+"""
+_QUERIES = 255
 _REORDER = 3
 _RESTARTS_MAX = 8
 _RTT_FIRST_US = 100_000
@@ -129,7 +135,8 @@ class UploadSender:
         self._flight: dict[int, _Flight] = {}
         self._lost: list[int] = []
         self._number = 0
-        self._asked: int | None = None
+        self._query = 0
+        self._asked = False
         self._rtt_us = _RTT_FIRST_US
         self._overdue = 0
         self._active_us: int | None = None
@@ -170,6 +177,8 @@ class UploadSender:
             self.verdict = _read_verdict(message)
             event = self._staged() if self.verdict.ok else Event.REFUSED_WHY
         elif isinstance(message, m.UploadStatus) and message.tag == self._tag:
+            if self.state is SenderState.OPENING and message.query != self._query:
+                return True  # said before the vehicle heard the question
             event = self._status_event(message)
         else:
             return False
@@ -196,6 +205,7 @@ class UploadSender:
         """The messages that are due; the first call announces the blob."""
         if self._active_us is None:
             self._active_us = self._progress_us = now_us
+            self._query = now_us // _QUERY_US
             self._ask(None, now_us)
         out, self._out = self._out, []
         if self.state is SenderState.SENDING:
@@ -263,9 +273,11 @@ class UploadSender:
 
     def _ask(self, message: Message | None, now_us: int) -> None:
         self._number += _REORDER
-        self._asked = self._number
+        if not self._asked:  # a repeated question keeps its number: whichever answer comes first will do
+            self._asked = True
+            self._query = self._query % _QUERIES + 1
         size, digest = len(self._blob), self.digest
-        self._out.append(m.UploadBegin(size, self._target, self._kind, CHUNK_BYTES, digest))
+        self._out.append(m.UploadBegin(size, self._target, self._kind, CHUNK_BYTES, self._query, digest))
 
     def _restart(self, message: Message | None, now_us: int) -> None:
         self.restarts += 1
@@ -274,6 +286,7 @@ class UploadSender:
         self._flight.clear()
         self._lost.clear()
         self._base = self._next = 0
+        self._asked = False
         self._ask(message, now_us)
 
     def _commit(self, message: Message | None, now_us: int) -> None:
@@ -283,8 +296,9 @@ class UploadSender:
         if not isinstance(message, m.UploadStatus) or message.base > self.chunks:
             return
         before, newest = self._held, 0
-        if self._asked is not None:  # this is the whole truth, what it does not name is not there
-            self._asked = None
+        if self._asked and message.query == self._query:
+            # This is the whole truth, what it does not name is not there.
+            self._asked = False
             self._held, self._base = bytearray(self.chunks), 0
         bitmap = decode_bitmap(bytes(message.bitmap), message.base)
         for index in (*range(self._base, message.base), *bitmap):

@@ -41,7 +41,7 @@ _TITLES = {
 }
 _INTERRUPTED = {
     "cut": "link cut for 5 s",
-    "host": "host killed, the next one 0.5 s later",
+    "host": "host killed, the next one at once",
     "vehicle": "vehicle reset, 0.3 s without power",
 }
 Row = dict[str, str]

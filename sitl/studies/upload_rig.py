@@ -33,8 +33,6 @@ from sitl.world import RadioSettings
 
 OFF_US = 300_000
 """From the loss of power until the flight processor listens again."""
-HOST_OFF_US = 500_000
-"""From the kill of a host until the next one listens: a process starts."""
 _GYRO, _FORCE, _VOLTS = (0.0, 0.0, 0.0), (0.0, 0.0, -9.80665), 16.0
 
 
@@ -106,6 +104,11 @@ class VehicleEnd:
         self._on_us = now_us + OFF_US
         self._look_us = 0
         self._power_up()
+
+    @property
+    def pose_waits(self) -> bool:
+        """Whether a pose waits for the air: a vehicle sends none."""
+        return False
 
     def air_send(self, now_us: int) -> bytes | None:
         """The next frame for the air, None where there is none or no power."""
@@ -187,10 +190,10 @@ class UploadRig:
         self.start_host()
 
     def start_host(self) -> None:
-        """Nothing comes back; a host that knows nothing but the blob begins, or after a kill the next one."""
+        """Nothing comes back; a host that knows nothing but the blob begins, or at a kill the next one."""
         self.sender = self._make_sender(self.blob)
         self._codec = Codec(*HOST)
-        self._on_us = self._deadline_us = self.begin_us if self.now_us == 0 else self.now_us + HOST_OFF_US
+        self._deadline_us = max(self.now_us, self.begin_us)
 
     @property
     def live(self) -> bytes | None:
@@ -220,7 +223,7 @@ class UploadRig:
 
     def _host(self, now_us: int) -> None:
         sender, codec = self.sender, self._codec
-        if now_us < self._on_us:
+        if now_us < self.begin_us:
             self._port.read(now_us)
             return
         for message in codec.decode(self._port.read(now_us)):

@@ -487,7 +487,7 @@ def test_receive_buffer_overrun_is_counted_and_the_link_recovers(make_session):
 
 def test_messages_of_another_dialect_version_are_told_apart_from_silence(make_session):
     session = make_session()
-    frame = bytearray(session.host.encode(m.UploadBegin(10, 1, 1, 99, bytes(32))))
+    frame = bytearray(session.host.encode(m.UploadBegin(10, 1, 1, 99, 1, bytes(32))))
     frame[-2:] = struct.pack("<H", (int.from_bytes(frame[-2:], "little") + 1) & 0xFFFF)
     for _ in range(5):
         session.radio.uart.write(bytes(frame), session.now_us)

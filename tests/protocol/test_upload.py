@@ -273,7 +273,7 @@ def test_upload_whose_receiver_restarts_behind_a_late_begin_still_arrives() -> N
     store.begun = None
     link.receiver = make_receiver(store)
     link.receiver.receive(
-        m.UploadBegin(len(blob), 1, REFERENCE, CHUNK_BYTES, link.sender.digest), link.now_us
+        m.UploadBegin(len(blob), 1, REFERENCE, CHUNK_BYTES, 1, link.sender.digest), link.now_us
     )
     link.run()
     assert store.lives == {REFERENCE: blob}
@@ -402,11 +402,41 @@ def test_upload_of_unknown_kind_or_chunk_size_is_rejected() -> None:
         (1, 50, 10, UploadResult.BAD_REQUEST),
         (1, CHUNK_BYTES, 0, UploadResult.BAD_REQUEST),
     ):
-        assert receiver.receive(m.UploadBegin(size, 1, kind, chunk, digest), 0) == []
+        assert receiver.receive(m.UploadBegin(size, 1, kind, chunk, 1, digest), 0) == []
         (status,) = receiver.send(0)
         assert isinstance(status, m.UploadStatus)
         assert (status.state, status.result) == (UploadState.IDLE, result)
         assert receiver.state is UploadState.IDLE
+
+
+def test_answer_to_a_former_host_is_not_taken_for_the_own_one() -> None:
+    receiver = make_receiver(Store())
+    blob = make_blob(500)
+    former, sender = UploadSender(blob, REFERENCE), UploadSender(blob, REFERENCE)
+    receiver.receive(former.send(0)[0], 0)
+    (stale,) = receiver.send(0)
+    (question,) = sender.send(20_000)
+    assert sender.receive(stale, 20_000)
+    assert sender.state is SenderState.OPENING
+    sender.advance(30_000)
+    (again,) = sender.send(30_000)
+    assert again.query == question.query != stale.query
+    receiver.receive(question, 30_000)
+    (answer,) = receiver.send(30_000)
+    sender.receive(answer, 40_000)
+    assert sender.state is SenderState.SENDING
+
+
+def test_late_copy_of_a_chunk_of_what_is_live_is_not_answered() -> None:
+    blob, store = make_blob(500), Store()
+    link = make_link(blob, store)
+    link.run()
+    tag = link.sender.digest[0] | link.sender.digest[1] << 8
+    link.receiver.receive(m.UploadChunk(tag, 0, 1, blob[:99]), link.now_us)
+    assert link.receiver.send(link.now_us + 1_000_000) == []
+    link.receiver.receive(m.UploadChunk(tag ^ 1, 0, 1, blob[:99]), link.now_us)
+    (status,) = link.receiver.send(link.now_us + 2_000_000)
+    assert status.result == UploadResult.UNKNOWN
 
 
 def test_commit_while_flying_is_refused_as_busy() -> None:
@@ -461,7 +491,7 @@ def test_receiver_given_arbitrary_messages_never_raises_and_commits_only_what_ma
         message = data.draw(
             st.sampled_from(
                 [
-                    m.UploadBegin(len(blobs[which]), 1, REFERENCE, CHUNK_BYTES, digests[which]),
+                    m.UploadBegin(len(blobs[which]), 1, REFERENCE, CHUNK_BYTES, 1, digests[which]),
                     m.UploadCommit(m.NO_TICK, 1, REFERENCE, digests[which]),
                     m.UploadAbort(1, digests[which]),
                     *(
