@@ -68,6 +68,11 @@ class RadioMcu:
         line_us, own_us = self.uart.due_us, self._own_due_us
         return line_us if line_us < own_us else own_us
 
+    @property
+    def pose_waits(self) -> bool:
+        """Whether a pose waits for the air."""
+        return self.packer.pose_waits
+
     def tick(self, now_us: int) -> bool:
         """Whether something waits for the air; moves what line and air have brought since the last tick."""
         if self._air:

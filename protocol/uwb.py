@@ -262,6 +262,11 @@ class FramePacker:
         self._pieces: list[deque[bytes]] = [deque() for _ in Priority]  # of the first message of each queue
         self._cut = 0
 
+    @property
+    def pose_waits(self) -> bool:
+        """Whether a pose waits."""
+        return bool(self._poses)
+
     def offer(self, message: bytes) -> bool:
         """True where the whole message was queued, False where it was dropped and counted."""
         size = len(message)

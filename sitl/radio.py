@@ -23,8 +23,10 @@ _FLIPS_MAX = 6
 
 
 class Radio(Protocol):
-    """What the channel sees of a radio: frames out on request, frames in."""
+    """What the channel sees of a radio: whether a pose waits, frames out on request, frames in."""
 
+    @property
+    def pose_waits(self) -> bool: ...
     def air_send(self, now_us: int) -> bytes | None: ...
     def air_receive(self, frame: bytes, now_us: int) -> None: ...
 
@@ -105,6 +107,7 @@ class RadioChannel:
         self._up = _Direction(ground, vehicle, settings, up_rng)
         self._down = _Direction(vehicle, ground, settings, down_rng)
         self._turn, self._other = self._up, self._down
+        self._ahead = False  # whether the last slot was given out of turn
         self._slot_us = 0
         self._air: list[tuple[int, int, _Direction, bytes]] = []
         self._serial = 0
@@ -145,8 +148,14 @@ class RadioChannel:
         self.due_us = air[0][0] if air and air[0][0] < due_us else due_us
 
     def _give_slot(self, now_us: int) -> None:
-        """The slot goes to the side whose turn it is, else to the other; the turn then passes on."""
-        for direction in (self._turn, self._other):
+        """The slot goes to the side whose turn it is, else to the other; the turn then passes on.
+
+        A pose goes ahead of the other side's turn, which stays its turn: so a pose waits for one slot at
+        most. No two slots in succession go out of turn, so that the other side has every third at least.
+        """
+        ahead = not self._ahead and self._other.source.pose_waits
+        self._ahead = ahead
+        for direction in (self._other, self._turn) if ahead else (self._turn, self._other):
             if not direction.may_have:
                 continue
             frame = direction.source.air_send(now_us)

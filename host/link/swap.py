@@ -22,6 +22,12 @@ PACE_US = 10_000
 """Least time between two chunks in flight: 100 a second, and about 45 answers, of the 500 slots."""
 _INTERVAL_US = PACE_US - TICK_US
 """Of the sender: poses that come a tick early still take a chunk along."""
+_BEHIND_US = 2 * TICK_US
+"""From a pose to what follows it: the serial line goes idle between them, else the radio would be handed both
+at once, when the chunk is there.
+"""
+_NO_POSE_US = 3 * PACE_US
+"""Without poses for so long things go out all the same."""
 SLOTS_PER_S = 500
 """Of the radio in its default setting."""
 
@@ -88,8 +94,8 @@ class SwapEnd:
 class Swap:
     """Sends `reference` while another is flown, to take over `at_us` after that one's start.
 
-    poses: how many poses have gone to the vehicle. What is sent leaves right behind one, so that it is
-    through the air before the next.
+    poses: how many poses have gone to the vehicle. What is sent leaves shortly behind one, so that it delays
+    neither that one nor, being through the air by then, the next.
     """
 
     wants = (m.UploadStatus, m.UploadVerdict)
@@ -98,7 +104,7 @@ class Swap:
         self.deadline_us = NEVER_US
         self._poses = poses
         self._posed = 0
-        self._sent_us = 0
+        self._due_us = 0
         self._reference = reference
         self._at_us = at_us
         self._sender: UploadSender | None = None
@@ -154,10 +160,13 @@ class Swap:
         sender = self._sender
         assert sender is not None
         poses = self._poses()
-        if poses == self._posed and now_us - self._sent_us < 3 * PACE_US and not sender.over:
+        if poses != self._posed:
+            self._posed = poses
+            self._due_us = min(self._due_us, now_us + _BEHIND_US)
+        if now_us < self._due_us and not sender.over:
             self.deadline_us = now_us + TICK_US
             return
-        self._posed, self._sent_us = poses, now_us
+        self._due_us = now_us + _NO_POSE_US
         for message in sender.send(now_us):
             client.send(message)
         if sender.over and not self._end_us:

@@ -53,6 +53,10 @@ class _Tap:
     def __init__(self, radio: Radio, up: bool, frames: list[Frame]) -> None:
         self._radio, self._up, self._frames = radio, up, frames
 
+    @property
+    def pose_waits(self) -> bool:
+        return self._radio.pose_waits
+
     def air_send(self, now_us: int) -> bytes | None:
         data = self._radio.air_send(now_us)
         if data is not None:

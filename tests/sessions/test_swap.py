@@ -115,7 +115,7 @@ def test_upload_that_is_not_done_in_time_leaves_the_first_reference_flown(
     assert flight.tracking_whole
 
 
-def test_upload_in_flight_takes_its_share_of_the_slots_and_delays_poses_by_one_rarely_two(
+def test_upload_in_flight_takes_its_share_of_the_slots_and_delays_poses_by_one_at_most(
     fly: Fly, simulate: Simulate, reference: Reference, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same flight with and without an upload, on a radio without chance: only the upload differs."""
@@ -146,10 +146,8 @@ def test_upload_in_flight_takes_its_share_of_the_slots_and_delays_poses_by_one_r
     end_us = begin_us + round(1e6 * swap["upload_s"])
     shared = sorted(t for t in arrivals[0].keys() & arrivals[1].keys() if begin_us <= t <= end_us)
     late = [arrivals[0][t] - arrivals[1][t] for t in shared]
-    # One slot for nearly all; two where a chunk is in the air and the next slot is the vehicle's turn.
     assert len(late) > 150
-    assert max(late) <= 4_000
-    assert sum(x <= 2_000 for x in late) >= 0.95 * len(late)
+    assert 0 < max(late) <= 2_000
     passed = [np.interp([begin_us, end_us], *np.array(rows).T) for rows in frames]
     extra = float(np.diff(passed[0])[0] - np.diff(passed[1])[0])
     slots = SLOTS_PER_S * swap["upload_s"]

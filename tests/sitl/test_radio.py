@@ -24,6 +24,7 @@ class Endless:
         self.frame = frame
         self.sent_us: list[int] = []
         self.received: list[tuple[int, bytes]] = []
+        self.pose_waits = False
 
     def air_send(self, now_us: int) -> bytes | None:
         if not self.left:
@@ -141,6 +142,28 @@ def test_two_eager_radios_share_the_slots_evenly() -> None:
     assert min(np.diff(times)) == 2000
     assert ground.sent_us[:3] == [0, 4000, 8000]
     assert vehicle.sent_us[:3] == [2000, 6000, 10_000]
+
+
+def test_pose_takes_the_next_slot_and_the_other_side_keeps_its_turn() -> None:
+    ground, vehicle = Endless(50), Endless(50)
+    rngs = [np.random.default_rng((0, k)) for k in range(2)]
+    channel = RadioChannel(ground=ground, vehicle=vehicle, settings=CLEAN, up_rng=rngs[0], down_rng=rngs[1])
+    for now_us in range(0, 12_000, 1000):
+        ground.pose_waits = now_us == 2000
+        channel.tick(now_us)
+    assert ground.sent_us == [0, 2000, 6000, 10_000]
+    assert vehicle.sent_us == [4000, 8000]
+
+
+def test_poses_without_end_leave_every_third_slot_to_the_other_side() -> None:
+    ground, vehicle = Endless(200), Endless(200)
+    ground.pose_waits = True
+    rngs = [np.random.default_rng((0, k)) for k in range(2)]
+    channel = RadioChannel(ground=ground, vehicle=vehicle, settings=CLEAN, up_rng=rngs[0], down_rng=rngs[1])
+    for now_us in range(0, 120_000, 1000):
+        channel.tick(now_us)
+    assert (len(ground.sent_us), len(vehicle.sent_us)) == (40, 20)
+    assert max(np.diff(vehicle.sent_us)) == 6000
 
 
 def test_idle_side_leaves_every_slot_to_the_other() -> None:
