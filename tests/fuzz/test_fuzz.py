@@ -18,6 +18,7 @@ from firmware_model.services import Services
 from firmware_model.store import ReferenceStore
 from firmware_model.supervisor import State
 from host.link.client import Client
+from protocol import uwb
 from protocol.codec import Codec
 from protocol.messages import HOST, CommandLong, ParamSet, StatusText
 from protocol.uwb import StreamSplitter
@@ -165,6 +166,22 @@ def test_host_that_answers_to_noise_is_found(monkeypatch: pytest.MonkeyPatch) ->
     before = Client.receive
     monkeypatch.setattr(Client, "receive", receive)
     assert "not in the state" in _crashes("host-recording").crashes[0].error
+
+
+def test_long_messages_leave_the_ground_radio_in_pieces() -> None:
+    """Inputs 45 and 233, among others, are longer than a frame."""
+    assert run_fuzz(400, 77_000, kinds=("radio",)).crashes == ()
+
+
+def test_pieces_that_make_no_message_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def cut(message: bytes, number: int, frame_bytes: int = uwb.FRAME_BYTES) -> list[bytes]:
+        return [piece[:-1] for piece in before(message, number, frame_bytes)]
+
+    before = uwb.cut
+    monkeypatch.setattr(uwb, "cut", cut)
+    crashes = _crashes("radio").crashes
+    assert crashes
+    assert all("the ground radio sends 02" in crash.error for crash in crashes)
 
 
 # The measure itself.

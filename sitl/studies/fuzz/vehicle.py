@@ -30,7 +30,7 @@ from protocol.blobs import Kind
 from protocol.messages import HOST_RADIO, VEHICLE, mavlink
 from protocol.telemetry import TICK_US
 from protocol.upload.transfer import CHUNK_BYTES, tag_of
-from protocol.uwb import FRAME_BYTES, StreamSplitter
+from protocol.uwb import FRAME_BYTES, PIECE, PIECE_HEADER_BYTES, StreamSplitter
 from sitl.studies.fuzz import inputs
 from sitl.studies.fuzz.inputs import FLUSH, Found, frame, pack, valid_messages
 from sitl.studies.fuzz.source import Source
@@ -317,7 +317,7 @@ class RadioTarget:
     """Radio processors: the vehicle's between air and flight processor, the host's between port and air.
 
     Frames without a valid message must not change the flight processor, whose twin hears nothing; whatever
-    the host's port gets, only whole valid messages leave for the air.
+    the host's port gets, only valid messages leave for the air, whole or in pieces that make one.
     """
 
     def __init__(self, source: Source, rng: Random, situation: int) -> None:
@@ -330,6 +330,7 @@ class RadioTarget:
         self.now_us = 0
         self.valid = 0
         self._tail = b""
+        self._pieces: dict[int, list[bytes]] = {}
 
     def give(self, data: bytes) -> None:
         """Nothing comes back; the bytes went through the air and into the host's port."""
@@ -345,9 +346,26 @@ class RadioTarget:
         for _ in range(4):
             sent = self._ground.air_send(self.now_us)
             if sent is not None:
-                whole = valid_messages(sent)
-                if len(sent) > FRAME_BYTES or sum(len(one.frame) for one in whole) != len(sent):
-                    raise Broken(f"the ground radio sends {sent.hex()}")
+                self._check_sent(sent)
+
+    def _check_sent(self, sent: bytes) -> None:
+        """A frame holds whole messages, or the next piece of one that is too long for a frame."""
+        what = f"the ground radio sends {sent.hex()}"
+        if len(sent) > FRAME_BYTES:
+            raise Broken(what)
+        data, most = sent, len(sent)
+        if sent[0] == PIECE:
+            number, index, count = sent[1], sent[2] >> 4, sent[2] & 0x0F
+            pieces = self._pieces.setdefault(number, [])
+            if index != len(pieces) or index >= count:
+                raise Broken(f"{what}, a piece out of order")
+            pieces.append(sent[PIECE_HEADER_BYTES:])
+            if index + 1 < count:
+                return
+            data, most = b"".join(self._pieces.pop(number)), 1
+        whole = valid_messages(data)
+        if sum(len(one.frame) for one in whole) != len(data) or len(whole) > most:
+            raise Broken(what)
 
     def _tick(self) -> None:
         self.now_us += TICK_US
