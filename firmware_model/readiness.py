@@ -1,4 +1,4 @@
-"""What must hold before the vehicle may arm, and the gyro calibration that is part of it."""
+"""What must hold before the vehicle may arm or start, and the gyro calibration that is part of it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import NamedTuple
 from firmware_model.law.constants import GRAVITY
 from firmware_model.law.step import GYRO_COUNTS, TICK_S
 from firmware_model.supervisor import Event
+from firmware_model.track import Track
 from firmware_model.watch import Box, within
 
 WINDOW_US = 500_000
@@ -121,3 +122,17 @@ def contradiction(parameters: Mapping[str, float]) -> str | None:
     if 4.0 * parameters["THRUST_MAX"] * parameters["LIM_THR_HI"] <= parameters["MASS"] * GRAVITY:
         return "MASS too great for THRUST_MAX"
     return None
+
+
+def start_refusal(reference: Track | None, *, rising: bool, flown: bool) -> str | None:
+    """Why the live reference is not flown, None where it is.
+
+    rising: a take-off to a hover is under way. flown: it has been, since the last arming.
+    """
+    if rising:
+        return "still taking off"
+    if flown:
+        return "the reference has been flown: land, then arm again"
+    if reference is None:
+        return "no live reference: upload one"
+    return None if reference.rests else "reference not at rest at its ends"
