@@ -13,7 +13,8 @@ from typing import NamedTuple, Protocol
 from protocol import messages as m
 from protocol.blobs import Kind
 from protocol.messages import Message, UploadResult, UploadState
-from protocol.upload.receiver_table import STATES, TABLE, Action, Event, Refusal
+from protocol.upload.receiver_reports import Reports
+from protocol.upload.receiver_table import TABLE, Action, Event, Refusal
 from protocol.upload.transfer import (
     CHUNK_BYTES,
     SIZE_MAX,
@@ -23,24 +24,11 @@ from protocol.upload.transfer import (
     UploadEvent,
     Verdict,
     chunk_count,
-    encode_bitmap,
-    encode_text,
     tag_of,
 )
 
-REPORT_CHUNKS, REPORT_US = 24, 40_000
-"""Chunks after which a status goes out, and time after a chunk by which it does. Each takes a slot from the
-chunks, so there are few of them ...
-"""
-LAST_CHUNKS = 8
-LAST_REPORT_CHUNKS, LAST_REPORT_US = 4, 1_000
-"""... until so many are missing: then the sender waits to hear which, and slots are free."""
 UNDER_WAY_US = 200_000
 """Time without a message about it after which an upload no longer counts as under way."""
-REMIND_US = (60_000, 1_000_000)
-"""Time of quiet after which the last status goes out again: at first, and at most, doubling in between."""
-
-
 _STAGED = (UploadState.STAGED, UploadState.SCHEDULED)
 
 
@@ -120,21 +108,12 @@ class UploadReceiver:
         self._agreed_tick = m.NO_TICK
         self._agreement = Agreement()
         self._capacity = capacity
-        self._silence_us = silence_us
         self._live: dict[int, bytes] = {}
         for kind in Kind:
             self._note_live(kind)
         self._blob = _NONE
         self._map = bytearray()
-        self._base = 0
-        self._heard_us = -silence_us
-        self._unreported = 0
-        self._report_us: int | None = None
-        self._remind_us = 0
-        self._reminders = 0
-        self._stray_tag: int | None = None
-        self._query = 0
-        self._out: list[Message] = []
+        self._reports = Reports(silence_us)
         self._events: list[ReceiverEvent] = []
         self._actions: dict[Action, Callable[[_Blob, int], None]] = {
             Action.BEGIN: self._begin,
@@ -174,7 +153,7 @@ class UploadReceiver:
         if isinstance(message, m.UploadChunk):
             self._on_chunk(message, now_us)
         elif isinstance(message, m.UploadBegin):
-            self._query = message.query
+            self._reports.query = message.query
             blob = _Blob(bytes(message.digest), message.kind, message.size)
             self._do(self._begin_event(blob, message.chunk), blob, now_us)
         elif isinstance(message, m.UploadCommit):
@@ -216,7 +195,7 @@ class UploadReceiver:
         OK: it is staged, and stays so until it is committed or another upload begins, or it is live already.
         BUSY: another upload is under way. Any other result leaves nothing of it.
         """
-        if self.state is UploadState.RECEIVING and self._reminding(now_us):
+        if self.state is UploadState.RECEIVING and self._reports.reminding(now_us):
             return UploadResult.BUSY, None, []
         blob = _Blob(hashlib.sha256(data).digest(), kind, len(data))
         event = self._begin_event(blob, CHUNK_BYTES)
@@ -234,7 +213,7 @@ class UploadReceiver:
             self._on_complete(now_us)
         verdict = self.verdict
         if self.state is UploadState.STAGED:
-            self._fall_silent(now_us)
+            self._reports.fall_silent(now_us)
             return UploadResult.OK, verdict, self._take_events()
         self._do(Event.ABORT_SAME, blob, now_us)
         return UploadResult.REFUSED, verdict, self._take_events()
@@ -252,26 +231,17 @@ class UploadReceiver:
 
     def send(self, now_us: int) -> list[Message]:
         """The messages that are due."""
-        if self._report_us is not None and now_us >= self._report_us:
+        if self._reports.due(now_us, self._blob is not _NONE):
             self._report(self._blob, now_us)
-        elif self._reminding(now_us) and now_us >= self._remind_us:
-            self._reminders += 1
-            self._report(self._blob, now_us)
-        out, self._out = self._out, []
-        return out
+        return self._reports.take()
 
     def under_way(self, now_us: int) -> bool:
         """Whether chunks are coming in: something about the blob in hand was heard a short while ago."""
-        return self.state is UploadState.RECEIVING and now_us - self._heard_us < UNDER_WAY_US
+        return self.state is UploadState.RECEIVING and now_us - self._reports.heard_us < UNDER_WAY_US
 
     def next_deadline_us(self) -> int | None:
         """Time by which to call `advance` and `send`; None while nothing is under way."""
-        if self._out:
-            return 0
-        deadlines = [] if self._report_us is None else [self._report_us]
-        if self._reminding(self._remind_us):
-            deadlines.append(self._remind_us)
-        return min(deadlines, default=None)
+        return self._reports.next_us(self._blob is not _NONE)
 
     # Which event a message is.
 
@@ -291,7 +261,7 @@ class UploadReceiver:
         if self._blob is _NONE or message.tag != tag_of(self._blob.digest) or index >= self.chunks:
             if any(message.tag == tag_of(digest) for digest in self._live.values()):
                 return  # a copy that comes late: nobody need begin anew
-            self._stray_tag = message.tag
+            self._reports.stray_tag = message.tag
             self._do(Event.CHUNK_FOREIGN, _NONE, now_us)
         elif self._map[index]:
             self.repeated += 1
@@ -339,7 +309,7 @@ class UploadReceiver:
         entry = TABLE(self.state, event)
         same = self._in_hand(blob.digest)
         if same:
-            self._hear(now_us)
+            self._reports.hear(now_us)
         if isinstance(entry, Refusal):
             if entry.result is not None:
                 self._answer(blob.digest, self.state if same else UploadState.IDLE, entry.result)
@@ -356,33 +326,26 @@ class UploadReceiver:
         self.chunks = chunk_count(blob.size)
         self._map = bytearray(self.chunks)
         self._store.begin(blob.kind, blob.size, blob.digest)
-        self._hear(now_us)
+        self._reports.hear(now_us)
         self._tell(UploadEvent.BEGAN, f"receiving {blob.size} bytes")
         self._report(blob, now_us)
 
     def _report(self, blob: _Blob, now_us: int) -> None:
-        self._report_us = None
-        self._unreported = 0
+        self._reports.reported()
         if self._blob is _NONE:
-            if self._stray_tag is not None:
-                self._answer_tag(self._stray_tag, UploadState.IDLE, UploadResult.UNKNOWN)
-                self._stray_tag = None
+            if self._reports.stray_tag is not None:
+                self._answer_tag(self._reports.stray_tag, UploadState.IDLE, UploadResult.UNKNOWN)
+                self._reports.stray_tag = None
             return
-        self._remind_us = now_us + min(REMIND_US[0] << min(self._reminders, 8), REMIND_US[1])
+        self._reports.remind(now_us)
         refused = self.state is UploadState.REFUSED
         result = UploadResult.REFUSED if refused else UploadResult.OK
         self._answer(self._blob.digest, self.state, result)
         if self.verdict is not None:
-            self._out.append(self._verdict_message(self.verdict))
+            self._reports.verdict(self._blob.digest, self.verdict)
 
     def _report_soon(self, blob: _Blob, now_us: int) -> None:
-        last = self.chunks - self.held <= LAST_CHUNKS
-        self._unreported += 1
-        if self._unreported >= (LAST_REPORT_CHUNKS if last else REPORT_CHUNKS):
-            self._unreported = 0
-            self._report_us = now_us
-        elif self._report_us is None:
-            self._report_us = now_us + (LAST_REPORT_US if last else REPORT_US)
+        self._reports.soon(self.chunks - self.held, now_us)
 
     def _stage(self, blob: _Blob, now_us: int) -> None:
         self._store.stage(self._blob.kind, self._store.gathered(self._blob.kind))
@@ -411,7 +374,7 @@ class UploadReceiver:
     def _refuse_commit(self, blob: _Blob, now_us: int) -> None:
         self._answer(self._blob.digest, self.state, self._agreement.result)
         if self._agreement.verdict is not None:
-            self._out.append(self._verdict_message(self._agreement.verdict))
+            self._reports.verdict(self._blob.digest, self._agreement.verdict)
 
     def _say_busy(self, blob: _Blob, now_us: int) -> None:
         self._answer(self._blob.digest, self.state, UploadResult.BUSY)
@@ -441,17 +404,7 @@ class UploadReceiver:
         self.state = UploadState.RECEIVING
         if self.held == self.chunks:
             self._on_complete(0)
-        self._out.clear()
-
-    def _reminding(self, at_us: int) -> bool:
-        """Whether the blob in hand is one that the host still asks about at that time."""
-        return self._blob is not _NONE and at_us - self._heard_us < self._silence_us
-
-    def _fall_silent(self, now_us: int) -> None:
-        """Nothing comes back; nobody waits for reports of the blob in hand."""
-        self._heard_us = now_us - self._silence_us
-        self._report_us = None
-        self._out.clear()
+        self._reports.take()  # who asks is answered
 
     def _clear(self, event: UploadEvent, text: str) -> None:
         self._tell(event, text)
@@ -459,14 +412,9 @@ class UploadReceiver:
             self._store.discard(self._blob.kind)
         self._blob = _NONE
         self._map = bytearray()
-        self.chunks = self.held = self._base = self._unreported = 0
+        self.chunks = self.held = 0
         self.verdict = None
-        self._report_us = None
-
-    def _hear(self, now_us: int) -> None:
-        self._heard_us = now_us
-        self._reminders = 0
-        self._remind_us = now_us + REMIND_US[0]
+        self._reports.forget()
 
     def _in_hand(self, digest: bytes) -> bool:
         return self._blob is not _NONE and digest == self._blob.digest
@@ -487,22 +435,4 @@ class UploadReceiver:
         self._answer_tag(tag_of(digest), state, result)
 
     def _answer_tag(self, tag: int, state: UploadState, result: UploadResult) -> None:
-        base, held, bitmap = 0, 0, bytes(64)
-        if state in STATES[1:]:
-            while self._base < self.chunks and self._map[self._base]:
-                self._base += 1
-            base, held = self._base, self.held
-            bitmap = encode_bitmap(self._map, base)
-        kind = self._blob.kind
-        self._out.append(m.UploadStatus(tag, base, held, state, result, kind, self._query, bitmap))
-
-    def _verdict_message(self, verdict: Verdict) -> Message:
-        return m.UploadVerdict(
-            verdict.value,
-            verdict.bound,
-            tag_of(self._blob.digest),
-            m.NO_NODE if verdict.node is None else verdict.node,
-            int(verdict.ok),
-            verdict.reason,
-            encode_text(verdict.message),
-        )
+        self._reports.answer(tag, state, result, kind=self._blob.kind, held=self.held, have=self._map)
