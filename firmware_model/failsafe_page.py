@@ -11,6 +11,7 @@ from pathlib import Path
 from firmware_model.failsafe import CONDITIONS, Action, Condition, Failsafe
 from firmware_model.flight import LOOK_TICKS
 from firmware_model.offboard import LOWEST
+from firmware_model.phases import CLEAR_HEIGHT
 from firmware_model.readiness import ARM_TILT_DEG, CHECKS
 from firmware_model.setpoints import SHORTEST_S
 from firmware_model.supervisor import COMMANDS, FAILURES, Event, State, update
@@ -73,7 +74,10 @@ What ends by itself, and what fails:
 _OFFBOARD = """
 ## Setpoints
 
-OFFBOARD is entered while setpoints arrive, that is the last is at most FS_OFFB_S old.
+OFFBOARD is entered while setpoints arrive, that is the last is at most FS_OFFB_S old: in the air, in a
+takeoff, or armed on the floor. There the rotors turn and the reference begins at rest where the vehicle
+stands; below {clear:g} m it only rises, then it follows. A setpoint that asks for no height leaves it
+standing.
 
 | message | what is followed |
 |---|---|
@@ -104,7 +108,7 @@ def page() -> str:
             _table(tuple(event for event in Event if event not in COMMANDS and event not in FAILURES)),
             "\n",
             _table(FAILURES),
-            _OFFBOARD.format(shortest=SHORTEST_S, lowest=LOWEST),
+            _OFFBOARD.format(shortest=SHORTEST_S, lowest=LOWEST, clear=CLEAR_HEIGHT),
         )
     )
 

@@ -29,8 +29,9 @@ LOOK_TICKS = 10
 _CRITICAL, _WARNING, _INFO = 2, 4, 6  # MAV_SEVERITY
 
 OBSERVED = (State.TRACKING, State.HOLD, State.OFFBOARD)
-"""States in which the disturbance observer runs, as it does in a take-off well above the floor. In a landing
-what it found stays: the floor would be taken for a disturbance.
+"""States in which the disturbance observer runs, as it does in a take-off, once the vehicle is or has been
+well above the floor; in TRACKING at once. In a landing what it found stays: the floor would be taken for a
+disturbance.
 """
 _END = {
     State.TRACKING: Event.REFERENCE_ENDED,
@@ -115,6 +116,11 @@ class Flight:
     def home_ned(self) -> tuple[float, float, float] | None:
         """Where the last take-off began, None before the first."""
         return self._phases.home_ned
+
+    @property
+    def height_m(self) -> float:
+        """Estimated height above the floor of the last take-off."""
+        return self._phases.floor - self._memory[2]
 
     def has_pose(self, now_us: int) -> bool:
         """Whether poses come."""
@@ -208,7 +214,7 @@ class Flight:
         elif self.state in (State.LANDING, State.FAILSAFE):
             if self._touched(now_us):
                 self.command(Event.TOUCHDOWN, now_us)
-        elif self._phases.floor - self._memory[2] > 2.0 * TOUCH_HEIGHT:
+        elif self.height_m > 2.0 * TOUCH_HEIGHT:
             self.watch.aloft(force=-self._force[2], thrust=self._phases.thrust)
             self._observing[0] = 1.0
 
@@ -230,7 +236,10 @@ class Flight:
     def _enter(self, state: State, event: Event, now_us: int, height_m: float | None = None) -> None:
         before, self.state, self.state_us, self.changed = self.state, state, now_us, True
         self._flying = state in FLYING
-        self._observing[0] = 1.0 if state in OBSERVED else 0.0
+        if state not in OBSERVED:
+            self._observing[0] = 0.0
+        elif state is State.TRACKING:
+            self._observing[0] = 1.0
         self.watch.start(now_us)
         self.watch.setpoint_us = self._offboard.heard_us if state is State.OFFBOARD else NEVER_US
         phases = self._phases
@@ -261,7 +270,10 @@ class Flight:
                 lost = event is Event.SETPOINTS_LOST
                 phases.stop(present, now_us, self.parameters["FS_OFFB_HOLD_S"] if lost else None)
         elif state is State.OFFBOARD:
-            phases.stop(present, now_us)
+            if before is State.ARMED:
+                phases.lift_off(now_us)
+            else:
+                phases.stop(present, now_us)
             phases.follow(now_us)
         elif state is State.LANDING:
             phases.land(present, now_us)
@@ -327,7 +339,7 @@ class Flight:
             return self.watch.carried(now_us, force=-self._force[2], thrust=self._phases.thrust)
         return self.watch.landed(
             now_us,
-            height=self._phases.floor - memory[2],
+            height=self.height_m,
             speed=math.hypot(memory[3], memory[4], memory[5]),
             descending=self.outputs["reference"][2] > memory[2] + 0.05,
         )

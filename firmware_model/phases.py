@@ -18,8 +18,9 @@ from firmware_model.law.rotations import quat_to_matrix
 from firmware_model.offboard import Offboard
 from firmware_model.parameters import ParameterValues
 from firmware_model.player import Player
-from firmware_model.setpoints import PositionTarget, towards, turned
+from firmware_model.setpoints import PositionTarget, towards, turned, upwards
 from firmware_model.uart import NEVER_US
+from firmware_model.watch import FLOOR_HEIGHT
 from protocol.telemetry import TICK_US
 
 BLIND_US = 5_000_000
@@ -31,8 +32,14 @@ FALL_US = 2_000_000
 HARDEST = 8.0
 """m/s^2 that a reference begins with at most where it takes over from commanded attitude."""
 
+CLEAR_HEIGHT = 0.15
+"""m above the floor below which it goes straight up, whatever place is asked for: no foot is dragged."""
+
 Present = tuple[track.Node, track.YawState]
 """The reference's state (p, v, a, j) and its yaw and yaw rate."""
+
+
+_REST = (0.0,) * 9
 
 
 class Phases:
@@ -84,6 +91,8 @@ class Phases:
             reference = self.player.reference(now_us)
             return reference[:12], (reference[12], reference[13])
         memory = self._memory
+        if self.floor - memory[2] < FLOOR_HEIGHT:  # which carries what thrust does not
+            return (*self._place(), *_REST), (self._yaw(), 0.0)
         R = quat_to_matrix(FLOAT, memory[law.EST_Q])
         thrust = self.thrust
         a = (-R[2] * thrust, -R[5] * thrust, GRAVITY - R[8] * thrust)
@@ -127,6 +136,12 @@ class Phases:
         self._leave_floor(p)
         self.player.start(climb, now_us)
 
+    def lift_off(self, now_us: int) -> None:
+        """Nothing comes back; the rotors turn, the reference rests where it stands."""
+        p = self._place()
+        self._leave_floor(p)
+        self.player.start(track.hold(p, self._yaw(), track.ENDLESS_US), now_us)
+
     def _leave_floor(self, p: track.Vector) -> None:
         """The rotors turn, and here is home."""
         self.floor, self.home_ned = p[2], p
@@ -136,7 +151,7 @@ class Phases:
     # In the air.
 
     def go_to_start(self, reference: track.Track, present: Present, now_us: int) -> None:
-        """Nothing comes back; it goes to the reference's first node and hovers there."""
+        """Nothing comes back; it goes to the reference's first node and hovers; from the floor up first."""
         values = self._parameters
         way = track.transit(
             *present,
@@ -145,6 +160,7 @@ class Phases:
             speed=values["TAKEOFF_SPEED"],
             deceleration=values["LAND_DECEL"],
             hover_us=max(TICK_US, track.seconds_us(values["HOVER_S"])),
+            upright=self._low(present[0]),
         )
         self.player.start(way, now_us)
 
@@ -171,8 +187,12 @@ class Phases:
             return
         node, yaw = self.present(now_us)
         offboard.release()
-        offboard.followed = target
-        way, bounded = towards(turned(target, self._yaw()), node, yaw, offboard.bounds(self.floor))
+        aim = turned(target, self._yaw())
+        if self._low(node):
+            aim = upwards(aim, node)
+        else:
+            offboard.followed = target
+        way, bounded = towards(aim, node, yaw, offboard.bounds(self.floor))
         if bounded and not self._bounded:
             self._tell("setpoint bounded by fence, floor or speed")
         self._bounded = bounded
@@ -220,6 +240,9 @@ class Phases:
         """Nothing comes back; rotors off in the air."""
         self._armed[0] = 0.0
         self.player.start(track.hold((0.0, 0.0, 0.0), 0.0, FALL_US), now_us)
+
+    def _low(self, node: track.Node) -> bool:
+        return self.floor - node[2] < CLEAR_HEIGHT
 
     def _place(self) -> track.Vector:
         return (self._memory[0], self._memory[1], self._memory[2])

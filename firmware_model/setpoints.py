@@ -108,6 +108,16 @@ def turned(target: PositionTarget, yaw: float) -> PositionTarget:
     )
 
 
+def upwards(target: PositionTarget, state: Node) -> PositionTarget:
+    """What is left of a target in NED where the vehicle may only rise from here (p, v, a, j): the height."""
+    return replace(
+        target,
+        p=(state[0], state[1], target.p[2]),
+        v=(None, None, target.v[2]),
+        a=(0.0, 0.0, target.a[2]),
+    )
+
+
 def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) -> tuple[Track, bool]:
     """The track from the reference state (p, v, a, j) to the target and on, and whether bounds changed it.
 

@@ -13,6 +13,7 @@ from firmware_model.law import step as law
 from firmware_model.law.ops import FLOAT
 from firmware_model.law.rotations import mat_t_vec, matrix_to_euler, quat_to_matrix
 from firmware_model.supervisor import State
+from firmware_model.watch import FLOOR_HEIGHT
 from protocol import messages as m
 from protocol.messages import mavlink
 
@@ -37,7 +38,7 @@ _LANDED = {
     State.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
     State.FAILSAFE: mavlink.MAV_LANDED_STATE_LANDING,
 }
-"""In the air in all other states."""
+"""In all other states by height: offboard may begin on the floor."""
 _MV_MAX = 0xFFFE
 _NOT_MEASURED = -1
 _TEMPERATURE_NONE = 0x7FFF
@@ -86,7 +87,10 @@ def battery_status(flight: Flight, now_us: int, battery_v: float) -> m.BatterySt
 
 def extended_sys_state(flight: Flight, now_us: int, battery_v: float) -> m.ExtendedSysState:
     """EXTENDED_SYS_STATE: on the ground, taking off, in the air or landing."""
-    landed = _LANDED.get(flight.state, mavlink.MAV_LANDED_STATE_IN_AIR)
+    landed = _LANDED.get(flight.state)
+    if landed is None:
+        on_floor = flight.height_m < FLOOR_HEIGHT
+        landed = mavlink.MAV_LANDED_STATE_ON_GROUND if on_floor else mavlink.MAV_LANDED_STATE_IN_AIR
     return m.ExtendedSysState(mavlink.MAV_VTOL_STATE_UNDEFINED, landed)
 
 

@@ -75,8 +75,6 @@ _BOOTING = "still booting"
 _DISARMED = "not armed"
 _ON_FLOOR = "still on the floor"
 _ARM_FIRST = "arm first"
-_TAKE_OFF_FIRST = "take off first"
-_TAKING_OFF = "still taking off"
 _IN_AIR = "in the air already"
 _IN_FLIGHT = "in flight: land first, or force it"
 _LANDING = "landing"
@@ -126,7 +124,7 @@ _ROWS: dict[State, _Row] = {
         _E.START: _S.TAKEOFF,
         _E.TAKEOFF: _S.TAKEOFF,
         _E.HOLD: _ON_FLOOR,
-        _E.OFFBOARD: _TAKE_OFF_FIRST,
+        _E.OFFBOARD: _S.OFFBOARD,
         _E.LAND: _ON_FLOOR,
         _E.DISARM: _S.STANDBY,
         _E.KILL: _S.STANDBY,
@@ -139,7 +137,7 @@ _ROWS: dict[State, _Row] = {
         _E.START: _S.TAKEOFF,
         _E.TAKEOFF: _S.TAKEOFF,
         _E.HOLD: _S.HOLD,
-        _E.OFFBOARD: _TAKING_OFF,
+        _E.OFFBOARD: _S.OFFBOARD,
         _E.LAND: _S.LANDING,
         _E.DISARM: _IN_FLIGHT,
         _E.KILL: _S.STANDBY,

@@ -145,13 +145,16 @@ def transit(
     speed: float,
     deceleration: float,
     hover_us: int,
+    upright: bool = False,
 ) -> Track:
     """From the reference state (p, v, a, j) in the air to a stop, then straight to rest at `target`; hover.
 
-    Speeds, times and yaw as `climb` has them.
+    upright: first straight up to its height. Speeds, times and yaw as `climb` has them.
     """
     nodes = _stopping(state, deceleration)
-    return _legs(nodes, yaw, [target], yaw_end, speed=speed, hover_us=hover_us)
+    north, east, _ = _position(nodes[-1][1])
+    corners = [(north, east, target[2]), target] if upright else [target]
+    return _legs(nodes, yaw, corners, yaw_end, speed=speed, hover_us=hover_us)
 
 
 def _legs(

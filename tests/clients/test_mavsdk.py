@@ -205,3 +205,23 @@ def test_mavsdk_flies_offboard(serve: Callable[..., str], connect: Callable[[str
     vehicle.offboard.stop()
     vehicle.land()
     assert not any("fail" in text or "lost" in text for text in vehicle.texts)
+
+
+def test_mavsdk_lifts_off_in_offboard(serve: Callable[..., str], connect: Callable[[str], Watched]) -> None:
+    """MAVSDK's own example: arm, a first setpoint of zeros, start, and then up."""
+    from mavsdk.plugins import offboard as o
+    from mavsdk.plugins.telemetry import LandedState
+
+    vehicle = connect(f"udpout://{serve()}")
+    vehicle.until(lambda: vehicle.health is not None and vehicle.health.is_armable)
+    vehicle.telemetry.set_rate_position_velocity_ned(20.0)
+    vehicle.action.arm()
+    vehicle.offboard.set_position_ned(o.PositionNedYaw(0.0, 0.0, 0.0, 0.0))
+    vehicle.offboard.start()
+    vehicle.offboard.set_position_ned(o.PositionNedYaw(0.0, 0.0, -1.0, 0.0))
+    vehicle.until(lambda: near(vehicle.place, (0.0, 0.0, -1.0), 0.1))
+    vehicle.until(lambda: vehicle.landed_state == LandedState.IN_AIR)
+    vehicle.offboard.set_position_ned(o.PositionNedYaw(0.6, 0.0, -1.0, 90.0))
+    vehicle.until(lambda: near(vehicle.place, (0.6, 0.0, -1.0), 0.1) and abs(vehicle.yaw_deg - 90.0) < 5.0)
+    vehicle.offboard.stop()
+    vehicle.land()

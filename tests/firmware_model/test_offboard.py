@@ -7,12 +7,14 @@ import math
 import pytest
 
 from firmware_model.failsafe import Failsafe
+from firmware_model.law import step as law
 from firmware_model.setpoints import AttitudeTarget, PositionTarget
 from firmware_model.supervisor import Event, State
 from firmware_model.watch import FLOOR_HEIGHT
 from protocol.parameters import DEFAULTS
 
 NONE3 = (None, None, None)
+HOVER = DEFAULTS["MASS"] * 9.81 / (4.0 * DEFAULTS["THRUST_MAX"])
 
 
 def position(*p, v=NONE3, **more):
@@ -111,7 +113,6 @@ def test_start_during_a_takeoff_to_a_hover_is_refused_and_a_second_takeoff_too(m
     rig.flight.command(Event.TAKEOFF, rig.now_us)
     rig.run(0.5)
     assert rig.flight.command(Event.START, rig.now_us) == "still taking off"
-    assert rig.flight.command(Event.OFFBOARD, rig.now_us) == "still taking off"
     assert rig.flight.command(Event.TAKEOFF, rig.now_us) is None  # said twice, done once
     rig.run(10.0, until=State.HOLD)
     assert rig.flight.command(Event.TAKEOFF, rig.now_us) == "in the air already"
@@ -165,12 +166,12 @@ def test_land_works_from_everything_in_the_air(make_rig, state):
 # Setpoints.
 
 
-def test_offboard_needs_setpoints_and_a_flight(make_rig):
+def test_offboard_needs_setpoints_and_arming(make_rig):
     rig = make_rig(reference=False)
     rig.standby()
     assert rig.flight.command(Event.OFFBOARD, rig.now_us) == "not armed"
     rig.flight.command(Event.ARM, rig.now_us)
-    assert rig.flight.command(Event.OFFBOARD, rig.now_us) == "take off first"
+    assert rig.flight.command(Event.OFFBOARD, rig.now_us) == "no setpoints: stream them first"
     rig.flight.command(Event.TAKEOFF, rig.now_us)
     rig.run(10.0, until=State.HOLD)
     assert rig.flight.command(Event.OFFBOARD, rig.now_us) == "no setpoints: stream them first"
@@ -306,9 +307,153 @@ def test_setpoints_that_come_back_need_the_command_again(make_rig):
     assert rig.flight.state is State.OFFBOARD
 
 
-# Attitude and rate.
+# From the floor.
 
-HOVER = DEFAULTS["MASS"] * 9.81 / (4.0 * DEFAULTS["THRUST_MAX"])
+
+def armed(rig):
+    rig.standby()
+    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    return rig
+
+
+def test_offboard_from_the_floor_rises_first_and_then_goes_where_asked(make_rig, make_body):
+    rig = armed(make_rig(reference=False, body=make_body(p=(0.5, -0.3, 0.0), yaw=0.7)))
+    ticks = rig.flight.flight_ticks
+    checks = offboard(rig, position(2.0, 1.0, -1.2))
+    assert rig.flight.rotors_on
+    assert rig.flight.home_ned == pytest.approx((0.5, -0.3, 0.0), abs=0.01)
+    target = position(2.0, 1.0, -1.2, yaw=0.7)
+    while rig.body.p[2] > -0.1:
+        checks.stream(0.05, lambda t: target)
+        assert math.dist(rig.body.p[:2], (0.5, -0.3)) < 0.01
+        assert rig.now_us < 5_000_000
+    checks.stream(6.0, lambda t: target)
+    assert rig.body.p == pytest.approx([2.0, 1.0, -1.2], abs=0.02)
+    assert checks.worst < 0.06
+    assert checks.hardest < 1.01 * DEFAULTS["OFFB_ACCEL"]
+    assert rig.flight.flight_ticks > ticks + 6_000
+    assert rig.seen[-2:] == [State.STANDBY, State.OFFBOARD]
+    assert rig.flight.command(Event.LAND, rig.now_us) is None
+    rig.run(10.0, until=State.STANDBY)
+    assert -FLOOR_HEIGHT < rig.body.p[2] <= 0.0
+    assert rig.flight.failsafe is Failsafe.NONE
+
+
+def test_position_on_the_floor_is_flown_at_the_lowest_height(make_rig):
+    """What examples begin with: zeros."""
+    rig = armed(make_rig(reference=False))
+    offboard(rig, position(0.0, 0.0, 0.0)).stream(4.0, lambda t: position(0.0, 0.0, 0.0))
+    assert rig.body.p == pytest.approx([0.0, 0.0, -0.2], abs=0.02)
+
+
+def test_velocity_on_the_floor_leads_nowhere_until_it_is_upwards(make_rig):
+    rig = armed(make_rig(reference=False))
+    checks = offboard(rig, velocity(0.5, 0.0, 0.0))
+    checks.stream(2.0, lambda t: velocity(0.5, 0.0, 0.2))
+    assert math.dist(rig.body.p, (0.0, 0.0, 0.0)) < 0.02
+    assert rig.flight.state is State.OFFBOARD
+    checks.stream(3.0, lambda t: velocity(0.5, 0.0, -0.4))
+    assert rig.body.v == pytest.approx([0.5, 0.0, -0.4], abs=0.03)
+    assert rig.body.p[2] < -0.8
+
+
+def test_offboard_left_on_the_floor_lands_at_once_and_setpoints_lost_there_land_too(make_rig):
+    rig = armed(make_rig(reference=False, parameters={"FS_OFFB_HOLD_S": 1.0}))
+    offboard(rig, velocity(0.0, 0.0, 0.0)).stream(1.0, lambda t: velocity(0.0, 0.0, 0.0))
+    rig.run(1.0, until=State.HOLD)
+    rig.run(3.0, until=State.STANDBY)
+    armed(rig)
+    offboard(rig, velocity(0.0, 0.0, 0.0))
+    assert rig.flight.command(Event.LAND, rig.now_us) is None
+    rig.run(0.05, until=State.STANDBY)
+    assert rig.flight.failsafe is Failsafe.NONE
+
+
+def test_start_from_a_hold_on_the_floor_climbs_before_it_goes_to_the_side(make_rig, make_body):
+    rig = armed(make_rig(body=make_body(p=(-1.0, 0.5, 0.0))))
+    offboard(rig, velocity(0.0, 0.0, 0.0)).stream(0.5, lambda t: velocity(0.0, 0.0, 0.0))
+    rig.flight.command(Event.HOLD, rig.now_us)
+    assert rig.flight.command(Event.START, rig.now_us) is None
+    while rig.body.p[2] > -0.9:
+        rig.run(0.05)
+        assert math.dist(rig.body.p[:2], (-1.0, 0.5)) < 0.02
+        assert rig.now_us < 10_000_000
+    rig.run(10.0, until=State.TRACKING)
+
+
+@pytest.mark.parametrize("height", [0.02, 0.5])
+def test_offboard_takes_over_a_takeoff(make_rig, height):
+    rig = armed(make_rig(reference=False))
+    assert rig.flight.command(Event.TAKEOFF, rig.now_us) is None
+    while rig.body.p[2] > -height:
+        rig.tick()
+    checks = offboard(rig, position(0.5, 0.0, -1.0))
+    checks.stream(5.0, lambda t: position(0.5, 0.0, -1.0))
+    assert rig.body.p == pytest.approx([0.5, 0.0, -1.0], abs=0.02)
+    assert checks.worst < 0.1
+
+
+def test_rates_and_thrust_lift_off_and_hold_takes_over(make_rig):
+    rig = armed(make_rig(reference=False))
+    low = AttitudeTarget(thrust=0.5 * HOVER, rate=(0.0, 0.0, 0.0))
+    checks = offboard(rig, low)
+    checks.stream(1.0, lambda t: low)
+    assert rig.body.p == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert rig.flight.rotors_on
+    checks.stream(1.0, lambda t: AttitudeTarget(thrust=1.1 * HOVER, rate=(0.0, 0.0, 0.0)))
+    assert rig.body.p[2] < -0.3
+    assert rig.flight.command(Event.HOLD, rig.now_us) is None
+    rig.run(3.0)
+    assert math.hypot(*rig.body.v) < 0.05
+    assert rig.flight.failsafe is Failsafe.NONE
+
+
+def test_position_after_rates_that_did_not_lift_it_rises_without_a_dip(make_rig):
+    rig = armed(make_rig(reference=False))
+    low = AttitudeTarget(thrust=0.5 * HOVER, rate=(0.0, 0.0, 0.0))
+    offboard(rig, low).stream(1.0, lambda t: low)
+    checks = Checks(rig)
+    rig.flight.setpoint(position(0.0, 0.0, -1.0), rig.now_us)
+    for _ in range(400):
+        checks.tick()
+        assert rig.flight.outputs["reference"][2] < 1e-3
+    checks.stream(4.0, lambda t: position(0.0, 0.0, -1.0))
+    assert rig.body.p == pytest.approx([0.0, 0.0, -1.0], abs=0.02)
+
+
+def test_observer_begins_well_above_the_floor_in_offboard_too(make_rig, make_body):
+    rig = armed(make_rig(reference=False, parameters={"OBS_GAIN": 5.0}, body=make_body(gain=0.9)))
+    checks = offboard(rig, position(0.0, 0.0, -1.2))
+    while rig.body.p[2] > -0.4:
+        checks.stream(0.05, lambda t: position(0.0, 0.0, -1.2))
+        assert list(rig.flight._memory[law.OBSERVER]) == [0.0] * 3
+        assert rig.now_us < 8_000_000
+    checks.stream(4.0, lambda t: position(0.0, 0.0, -1.2))
+    assert rig.flight._memory[law.OBSERVER][2] == pytest.approx(9.81 / 0.9 - 9.81, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "failsafe"),
+    [("mocap", Failsafe.MOCAP_LOST), ("host", Failsafe.LINK_LOST), ("battery", Failsafe.BATTERY_LOW)],
+)
+def test_failsafes_hold_in_a_flight_that_began_by_setpoints(make_rig, spoil, failsafe):
+    rig = armed(make_rig(reference=False))
+    checks = offboard(rig, position(0.0, 0.0, -1.0))
+    checks.stream(4.0, lambda t: position(0.0, 0.0, -1.0))
+    if spoil == "battery":
+        rig.battery_v = 12.0
+    else:
+        setattr(rig, spoil, False)
+    while rig.flight.state is State.OFFBOARD:
+        rig.flight.setpoint(position(0.0, 0.0, -1.0), rig.now_us)
+        rig.run(0.05)
+        assert rig.now_us < 20_000_000
+    assert (rig.flight.state, rig.flight.failsafe) == (State.FAILSAFE, failsafe)
+    rig.run(12.0, until=State.STANDBY)
+    assert "no touchdown noticed: motors off" not in rig.texts
+
+
+# Attitude and rate.
 
 
 def test_rates_and_thrust_are_flown_as_commanded_and_hold_takes_over_without_a_jolt(make_rig):

@@ -120,6 +120,26 @@ def test_square_by_setpoints_from_takeoff_to_landing_over_a_lossy_link(pilot: Pi
     assert pilot.states[-5:] == [mavlink.TRIMTAB_STATE_TAKEOFF, HOLD, OFFBOARD, LANDING, STANDBY]
 
 
+def test_armed_vehicle_lifts_off_by_setpoints_as_stock_examples_do(pilot: Pilot) -> None:
+    pilot.run(1.5)
+    pilot.ask(ARM, 1.0, until=mavlink.TRIMTAB_STATE_ARMED)
+    pilot.setpoint = lambda: position(0.0, 0.0, 0.0)
+    pilot.run(0.3)
+    pilot.ask(SET_MODE, 129.0, 6.0, until=OFFBOARD)
+    pilot.setpoint = lambda: position(0.0, 0.0, -1.2)
+    pilot.run(4.0)
+    assert math.dist(pilot.simulated.true_position(), (0.0, 0.0, -1.2)) < 0.12
+    pilot.setpoint = lambda: position(0.8, -0.4, -1.0)
+    pilot.run(4.0)
+    assert math.dist(pilot.simulated.true_position(), (0.8, -0.4, -1.0)) < 0.12
+    pilot.ask(LAND, until=LANDING)
+    pilot.run(10.0, until=STANDBY)
+    assert pilot.status is not None
+    assert (pilot.status.failsafe, pilot.status.flight_ticks > 8_000) == (0, True)
+    armed = mavlink.TRIMTAB_STATE_ARMED
+    assert pilot.states[-5:] == [STANDBY, armed, OFFBOARD, LANDING, STANDBY]
+
+
 def test_host_that_falls_silent_in_offboard_leaves_a_hold_and_then_a_landing(pilot: Pilot) -> None:
     pilot.take_off(1.0)
     pilot.setpoint = lambda: position(0.5, 0.0, -1.0)
