@@ -15,6 +15,7 @@ from firmware_model.phases import CLEAR_HEIGHT
 from firmware_model.readiness import ARM_TILT_DEG, CHECKS
 from firmware_model.setpoints import SHORTEST_S
 from firmware_model.supervisor import COMMANDS, FAILURES, Event, State, update
+from firmware_model.verdict import BATTERY_LOW_CELL_V
 from protocol.parameters import BY_NAME
 from protocol.telemetry import TICK_US
 
@@ -52,7 +53,8 @@ the first.
 
 _REFERENCE = """
 Tilt must be within {tilt:g} deg. Arming needs no reference (it warns where there is none); a start needs one
-that is at rest at its ends.
+that is at rest at its ends. With a live reference on board both are refused below BAT_EMPTY_V + {cell:g} V a
+cell, where no reference is accepted either; a measured 0 V says nothing.
 
 ## Modes
 
@@ -102,7 +104,7 @@ def page() -> str:
             *map(_row, CONDITIONS),
             _BEHIND.format(ranks=ranks),
             *(f"| {check.what} | {_text(check.text)} |\n" for check in CHECKS),
-            _REFERENCE.format(tilt=ARM_TILT_DEG),
+            _REFERENCE.format(tilt=ARM_TILT_DEG, cell=BATTERY_LOW_CELL_V),
             _table(COMMANDS),
             _EVENTS.format(hold_s=_default("HOLD_S"), lost_s=_default("FS_OFFB_HOLD_S")),
             _table(tuple(event for event in Event if event not in COMMANDS and event not in FAILURES)),
@@ -139,7 +141,8 @@ def _table(events: tuple[Event, ...]) -> str:
 
 
 def _text(text: str) -> str:
-    return text.replace("{contradiction}", "what does not go together")
+    text = text.replace("{contradiction}", "what does not go together")
+    return text.replace("{battery}", "battery at its voltage, below the bound")
 
 
 def _words(name: str) -> str:

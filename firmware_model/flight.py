@@ -20,6 +20,7 @@ from firmware_model.setpoints import Target
 from firmware_model.supervisor import FLYING, Event, State, update
 from firmware_model.track import Track
 from firmware_model.uart import NEVER_US
+from firmware_model.verdict import battery_verdict
 from firmware_model.watch import TOUCH_HEIGHT, Seen, Watch, fence
 
 BOOT_US = 200_000
@@ -359,7 +360,8 @@ class Flight:
             rising = state is State.TAKEOFF
             if rising and self._climb_end is Event.CLIMBED:
                 return None  # said twice, done once
-            return start_refusal(self.reference, rising=rising, flown=self.tracking_us is not None)
+            flown = self.tracking_us is not None
+            return start_refusal(self.reference, rising=rising, flown=flown, battery=self._battery())
         if event is Event.OFFBOARD and not self._offboard.arriving(now_us):
             return "no setpoints: stream them first"
         return None
@@ -374,9 +376,18 @@ class Flight:
             p=(memory[0], memory[1], memory[2]),
             fence=fence(values),
             holding=frozenset(row.event for row in self.watch.holding()),
+            battery=self._battery(),
             contradiction=contradiction(values),
         )
         return reasons(facts)
+
+    def _battery(self) -> str | None:
+        """Why the live reference is not flown with this battery."""
+        volts = self.watch.volts
+        if self.reference is None or volts is None:
+            return None
+        verdict = battery_verdict(self.parameters, volts)
+        return None if verdict is None else verdict.message
 
     def _tell(self, severity: int, text: str) -> None:
         self.texts.append((severity, text))

@@ -70,8 +70,9 @@ class Facts(NamedTuple):
     """What the arming checks judge.
 
     calibrated: the gyro is; posed: poses are being used; cos_tilt: of the estimate; p: estimated position
-    (NED); fence: the flight volume; holding: conditions of the failsafe table that hold; contradiction: of
-    the parameters, None where there is none.
+    (NED); fence: the flight volume; holding: conditions of the failsafe table that hold; battery: why the
+    live reference is not flown with this battery, None where it may be; contradiction: of the parameters,
+    None where there is none.
     """
 
     calibrated: bool
@@ -80,6 +81,7 @@ class Facts(NamedTuple):
     p: tuple[float, float, float]
     fence: Box
     holding: frozenset[Event]
+    battery: str | None
     contradiction: str | None
 
 
@@ -103,6 +105,7 @@ CHECKS: tuple[Check, ...] = (
     Check("tilt", lambda facts: not facts.cos_tilt >= math.cos(math.radians(ARM_TILT_DEG)), "tilted"),
     Check("fence", lambda facts: not within(facts.p, facts.fence), "outside the fence"),
     Check("battery", _holds(Event.BATTERY_LOW), "battery low: charge it"),
+    Check("battery for the live reference", lambda facts: facts.battery is not None, "{battery}"),
     Check("loop", _holds(Event.LOOP_OVERRUN), "ticks too late"),
     Check("link", _holds(Event.LINK_LOST), "no host heard"),
     Check("parameters", lambda facts: facts.contradiction is not None, "parameters: {contradiction}"),
@@ -112,7 +115,8 @@ CHECKS: tuple[Check, ...] = (
 
 def reasons(facts: Facts) -> list[str]:
     """Every reason why the vehicle must not arm; none where it may."""
-    return [check.text.format(contradiction=facts.contradiction) for check in CHECKS if check.fails(facts)]
+    found = {"battery": facts.battery, "contradiction": facts.contradiction}
+    return [check.text.format(**found) for check in CHECKS if check.fails(facts)]
 
 
 def contradiction(parameters: Mapping[str, float]) -> str | None:
@@ -124,10 +128,11 @@ def contradiction(parameters: Mapping[str, float]) -> str | None:
     return None
 
 
-def start_refusal(reference: Track | None, *, rising: bool, flown: bool) -> str | None:
+def start_refusal(reference: Track | None, *, rising: bool, flown: bool, battery: str | None) -> str | None:
     """Why the live reference is not flown, None where it is.
 
-    rising: a take-off to a hover is under way. flown: it has been, since the last arming.
+    rising: a take-off to a hover is under way. flown: it has been, since the last arming. battery: as in
+    Facts.
     """
     if rising:
         return "still taking off"
@@ -135,4 +140,4 @@ def start_refusal(reference: Track | None, *, rising: bool, flown: bool) -> str 
         return "the reference has been flown: land, then arm again"
     if reference is None:
         return "no live reference: upload one"
-    return None if reference.rests else "reference not at rest at its ends"
+    return battery if reference.rests else "reference not at rest at its ends"

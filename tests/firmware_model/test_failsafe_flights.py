@@ -214,6 +214,33 @@ def test_what_would_end_a_flight_refuses_arming(make_rig, spoil, reason):
     assert rig.flight.command(Event.ARM, rig.now_us) == rig.flight.arming_reasons(rig.now_us)[0]
 
 
+def test_battery_too_low_for_the_live_reference_refuses_arming_and_start(make_rig):
+    """13.58 V: above what counts as low, below what any reference is accepted with."""
+    text = "battery at 13.58 V, below 13.60 V"
+    rig = make_rig()
+    rig.battery_v = 13.58
+    rig.standby()
+    assert rig.flight.arming_reasons(rig.now_us) == [text]
+    assert rig.flight.command(Event.ARM, rig.now_us) == text
+    assert len(f"start refused: {text}") <= 50
+    rig.battery_v = 16.8
+    rig.run(3.0)
+    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    rig.battery_v = 13.58
+    rig.run(30.0)
+    assert rig.flight.command(Event.START, rig.now_us) == text
+    assert rig.flight.state is State.ARMED
+    assert rig.flight.command(Event.TAKEOFF, rig.now_us) is None  # nothing is known of what it is for
+
+
+@pytest.mark.parametrize("spare", ["no reference", "no voltage"])
+def test_battery_is_not_held_against_a_reference_that_is_not_there_nor_where_not_measured(make_rig, spare):
+    rig = make_rig(reference=spare != "no reference", parameters={"FS_BAT_SHARE": 0.0})
+    rig.battery_v = 13.58 if spare == "no reference" else 0.0
+    rig.standby()
+    assert rig.flight.arming_reasons(rig.now_us) == []
+
+
 def test_arming_checks_the_parameters_together(make_rig):
     rig = make_rig(parameters={"BAT_EMPTY_V": 17.0})
     rig.standby()

@@ -16,6 +16,7 @@ READY = Facts(
     p=(0.0, 0.0, 0.0),
     fence=((-3.0, 3.0), (-3.0, 3.0), (-2.0, 0.3)),
     holding=frozenset(),
+    battery=None,
     contradiction=None,
 )
 
@@ -69,6 +70,7 @@ def test_calibration_never_ends_while_falling_or_turning(gyro, force):
         ({"holding": frozenset([Event.BATTERY_LOW])}, "battery low: charge it"),
         ({"holding": frozenset([Event.LOOP_OVERRUN])}, "ticks too late"),
         ({"holding": frozenset([Event.LINK_LOST])}, "no host heard"),
+        ({"battery": "battery at 13.40 V, below 13.60 V"}, "battery at 13.40 V, below 13.60 V"),
         ({"contradiction": "no good"}, "parameters: no good"),
     ],
 )
