@@ -31,7 +31,8 @@ class RadioMcu:
         baud, rx_bytes, tx_bytes, chunk_bytes, idle_us: the serial line.
         frame_bytes: what a radio frame holds.
 
-    `due_us` is when the next tick has something to do; ticks before may be left out.
+    `due_us` is when the next tick has something to do, the sooner of the line's `uart.due_us` and of
+    `own_due_us`; ticks before may be left out.
     """
 
     def __init__(
@@ -60,13 +61,12 @@ class RadioMcu:
         self._air: deque[bytes] = deque()
         self._air_bytes = 0
         self._stats_us = STATS_US
-        self._own_due_us = STATS_US
+        self.own_due_us = STATS_US
 
     @property
     def due_us(self) -> int:
         """When the next tick has something to do."""
-        line_us, own_us = self.uart.due_us, self._own_due_us
-        return line_us if line_us < own_us else own_us
+        return min(self.uart.due_us, self.own_due_us)
 
     @property
     def pose_waits(self) -> bool:
@@ -83,7 +83,7 @@ class RadioMcu:
                 packer.offer(message)
         if now_us >= self._stats_us:
             self._report(now_us)
-        self._own_due_us = 0 if self._air else self._stats_us
+        self.own_due_us = 0 if self._air else self._stats_us
         return packer.waiting > 0
 
     def air_send(self, now_us: int) -> bytes | None:
@@ -106,7 +106,7 @@ class RadioMcu:
             return
         self._air.append(frame)
         self._air_bytes += len(frame)
-        self._own_due_us = 0
+        self.own_due_us = 0
 
     def _pass_down(self, now_us: int) -> None:
         """Frames go out on the line as they came; those that find no room wait."""

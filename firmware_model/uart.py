@@ -62,12 +62,16 @@ class UartPort:
         An unconnected port sends into the air: the bytes take their time and are gone.
         """
         size = len(data)
-        if size > self.tx_free(now_us):
+        now = now_us * self.baud
+        start = self._busy_until
+        if start <= now:
+            free, start = self.tx_bytes, now
+        else:
+            free = self.tx_free(now_us)
+        if size > free:
             self.refused += 1
             return False
         if size:
-            now = now_us * self.baud
-            start = now if now > self._busy_until else self._busy_until
             self._busy_until = start + size * _BYTE_UNITS
             self.sent += size
             if self._peer is not None:
@@ -83,7 +87,10 @@ class UartPort:
         """All bytes that arrived up to `now_us` and found room, oldest first; empties the receive buffer."""
         self._arrive(now_us)
         data, self._buffer = self._buffer, b""
-        self._plan_due()
+        if self._incoming:
+            self._plan_due()
+        else:
+            self.due_us = NEVER_US
         return data
 
     def _carry(self, start: int, data: bytes) -> None:
@@ -103,11 +110,12 @@ class UartPort:
             if arrived <= self._taken:
                 return
             fresh = data[self._taken : arrived]
-            room = self.rx_bytes - len(self._buffer)
-            if len(fresh) > room:
-                self.overruns += len(fresh) - room
-            self._buffer += fresh[:room]
-            self.received += len(fresh)
+            count, room = len(fresh), self.rx_bytes - len(self._buffer)
+            self.received += count
+            if count > room:
+                self.overruns += count - room
+                fresh = fresh[:room]
+            self._buffer += fresh
             if arrived < len(data):
                 self._taken = arrived
                 return

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from protocol.messages import FcControl, FcEstimate, FcObserver
 
@@ -122,8 +122,7 @@ def observer_message(tick: int, *, disturbance_ned: Sequence[float]) -> FcObserv
     return FcObserver(tick & _MASK, disturbance_ned)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ControlInterval:
+class ControlInterval(NamedTuple):
     """Means between two FC_CONTROL messages, over the ticks after `start_tick` up to and with `end_tick`."""
 
     start_tick: int

@@ -153,6 +153,8 @@ class SimulatedVehicle:
 
     def mocap_read(self) -> list[bytes]:
         """Datagrams of the camera system that have arrived since the last call, one a pose."""
+        if not self._camera.ready:
+            return []
         encode = self._camera_codec.encode
         return [
             encode(AttPosMocap(pose.stamp_us, list(pose.q_ned_frd), *pose.p_ned))
@@ -270,9 +272,10 @@ class SimulatedVehicle:
         ground, air = self._ground_radio, self._air_radio
         if now_us >= channel.due_us:
             channel.tick(now_us)
-        if now_us >= ground.due_us and ground.tick(now_us):
+        # `due_us` of the radios, written out: it is asked for twice a tick.
+        if (now_us >= ground.own_due_us or now_us >= ground.uart.due_us) and ground.tick(now_us):
             channel.wake(now_us, ground=True)
-        if now_us >= air.due_us and air.tick(now_us):
+        if (now_us >= air.own_due_us or now_us >= air.uart.due_us) and air.tick(now_us):
             channel.wake(now_us, ground=False)
         p, q, r, x, y, z, volts = self._sensed
         dp, dq, dr, dx, dy, dz, dv = next(self._imu_errors)
