@@ -510,7 +510,9 @@ def test_session_interrupted_twice_leaves_the_vehicle_to_its_failsafe(
     assert phases[-1] == "landing"
     assert simulated.true_position()[2] < -0.3
     assert caught.value.result.end is None
-    assert read_flight(tmp_path / "x.mcap").tracking is not None
+    status = read_flight(tmp_path / "x.mcap").status
+    assert status is not None
+    assert [int(state) for state in status.state[-2:]] == [4, 6]  # tracking, landing
 
 
 def test_session_with_hangups_ignored_is_not_ended_by_one(fly: Fly) -> None:

@@ -19,6 +19,7 @@ from typing import Any
 
 from firmware_model.flight_mcu import FlightMcu
 from firmware_model.law import step as law
+from firmware_model.law.constants import GRAVITY
 from firmware_model.radio_mcu import RadioMcu
 from firmware_model.store import ReferenceStore
 from firmware_model.supervisor import FLYING, State
@@ -236,7 +237,7 @@ class VehicleTarget:
         self.now_us += TICK_US
         now_us, noise = self.now_us, 1e-3 * (self.now_us // TICK_US % 7)
         for board in (self._a, self._b):
-            board.mcu.tick(now_us, (noise, -noise, noise), (0.0, noise, -9.81), 16.0)
+            board.mcu.tick(now_us, (noise, -noise, noise), (0.0, noise, -GRAVITY), 16.0)
         self._check_rotors()
         a, b = self._a.state(), self._b.state()
         self._state = a
@@ -374,7 +375,7 @@ class RadioTarget:
         self._port.read(now_us)
         for board, radio in zip((self._a, self._b), self._radios, strict=True):
             radio.tick(now_us)
-            board.mcu.tick(now_us, (0.0, 0.0, 0.0), (0.0, 0.0, -9.81), 16.0)
+            board.mcu.tick(now_us, (0.0, 0.0, 0.0), (0.0, 0.0, -GRAVITY), 16.0)
             radio.air_send(now_us)
         if self._a.state() != self._b.state():
             raise Broken("frames without a valid message changed the flight processor")
