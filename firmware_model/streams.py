@@ -91,6 +91,7 @@ class Streams:
         self._own_due_us: dict[int, int] = {}
         self._next_us = NEVER_US
         self._gone_us = 0
+        self._home: tuple[float, float, float] | None = None  # as it was told last
 
     def requests(self) -> dict[int, Callable[[int], Message]]:
         """What MAV_CMD_REQUEST_MESSAGE may ask for here, by message id."""
@@ -119,12 +120,16 @@ class Streams:
         self._heard(now_us)
 
     def look(self, now_us: int) -> None:
-        """Nothing comes back; sends what is due."""
-        if now_us < self._next_us:
+        """Nothing comes back; sends what is due, and where home is once it has moved."""
+        home = self._flight.home_ned
+        moved, self._home = home is not self._home, home
+        if now_us < self._next_us and not moved:
             return
         if now_us >= self._gone_us:
             self._stop()
             return
+        if moved:
+            self._send(self._make(m.HomePosition.id, now_us))
         self._next_us = self._gone_us
         for number, stream in STREAMS.items():
             interval_us = self._asked.get(number, stream.default_us)

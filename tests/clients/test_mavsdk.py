@@ -170,6 +170,11 @@ def test_mavsdk_takes_off_and_lands(serve: Callable[..., str], connect: Callable
     vehicle.until(lambda: vehicle.landed_state == LandedState.ON_GROUND)
     vehicle.take_off(1.0)
     vehicle.until(lambda: vehicle.landed_state == LandedState.IN_AIR)
+    vehicle.until(lambda: vehicle.health.is_home_position_ok)
+    health = vehicle.health
+    assert (health.is_armable, health.is_local_position_ok, health.is_gyrometer_calibration_ok) == (True,) * 3
+    assert (health.is_global_position_ok, health.is_magnetometer_calibration_ok) == (False, False)
+    assert vehicle.telemetry.home().local_down_m == pytest.approx(0.0, abs=0.1)
     vehicle.land()
     vehicle.until(lambda: vehicle.landed_state == LandedState.ON_GROUND)
     assert vehicle.place == pytest.approx((0.0, 0.0, 0.0), abs=0.2)

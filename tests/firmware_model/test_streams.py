@@ -59,6 +59,21 @@ def test_station_heard_gets_default_rates_and_its_leaving_ends_them(make_line):
     assert counts(line) == before
 
 
+def test_home_is_told_where_a_takeoff_moves_it_to_stations_that_are_there(make_session):
+    session = make_session()
+    session.body.p[0] = 0.4
+    session.send(beat())
+    session.run(1.0)
+    assert session.received(m.HomePosition) == []
+    for command in (400, 22):
+        session.command(command, 1.0)
+        session.send(beat())
+        session.run(0.3)
+    session.run_to(State.HOLD)
+    (home,) = session.received(m.HomePosition)
+    assert (home.x, home.y, home.z) == pytest.approx((0.4, 0.0, 0.0), abs=0.02)
+
+
 def test_another_vehicle_on_the_air_is_no_station(make_line):
     line = make_line()
     line.send(m.vehicle_heartbeat(1, armed=False), source=(2, 1))
