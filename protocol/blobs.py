@@ -100,7 +100,7 @@ class Reference:
         origin_ned: m; positions of the nodes are relative to it.
         nodes: at least two, the first at t_us 0, times strictly increasing.
         yaws: none means yaw 0 throughout; times strictly increasing.
-        free_ends: it need not start and end at rest; the vehicle does not arm for one whose ends move.
+        free_ends: it need not start and end at rest; the vehicle does not start one whose ends move.
 
     Raises BlobError naming the field.
     """

@@ -206,7 +206,7 @@ def _lines(plan: Plan, target: Path, report: Path | None) -> list[str]:
         share = 100.0 * plan.outside_region
         lines.append(f"  {share:.0f} % of it is beyond the region that the model's data covers")
     if plan.reference.free_ends:
-        lines.append("  it moves at its ends: the vehicle keeps it, but arms only for one at rest at both")
+        lines.append("  it moves at its ends: the vehicle keeps it, but starts only one at rest at both")
     margins = ", ".join(f"{name} {value:.3g}" for name, value in plan.margins.items())
     lines.append(f"  margins: {margins}")
     if report is not None:
