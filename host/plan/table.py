@@ -141,7 +141,8 @@ def flat_states(vehicle: Vehicle, table: Table, yaws: Sequence[YawNode], times_u
 def to_reference(table: Table, yaws: Sequence[YawNode], vehicle_id: str) -> Reference:
     """The reference blob; its origin is near the middle of the nodes, so that float32 loses least.
 
-    A table that moves at an end makes a reference with free ends, which the vehicle does not start, but takes over in flight.
+    A table that moves at an end makes a reference with free ends, which the vehicle does not start; one that
+    begins in motion may take over in flight.
     """
     low, high = table.states_ned[:, :3].min(axis=0), table.states_ned[:, :3].max(axis=0)
     steps = np.rint(0.5 * (low + high) / _ORIGIN_STEP_M)
