@@ -88,7 +88,8 @@ class RadioChannel:
     """The channel between a ground and a vehicle radio.
 
     `due_us` is when the channel next has work: a slot that somebody may want, or a delivery. A radio that got
-    something new to send is announced by `wake`.
+    something new to send is announced by `wake`. `watch`, where set, is told when a frame leaves, and its
+    bytes.
 
     Args:
         ground, vehicle: the two radios. up_rng, down_rng: chance of ground to vehicle and back.
@@ -115,6 +116,7 @@ class RadioChannel:
             (round(start * 1e6), round((start + length) * 1e6)) for start, length in settings.cuts_s
         ]
         self.due_us = 0
+        self.watch: Callable[[int, bytes], None] | None = None
 
     @property
     def up(self) -> DirectionCounts:
@@ -171,6 +173,8 @@ class RadioChannel:
     def _transmit(self, direction: _Direction, frame: bytes, now_us: int) -> None:
         settings, counts, draw = self._settings, direction.counts, direction.draw
         counts.sent += 1
+        if self.watch is not None:
+            self.watch(now_us, frame)
         lost = direction.loss.lost(len(frame))
         if self._cuts_us and any(start <= now_us < end for start, end in self._cuts_us):
             counts.cut += 1

@@ -202,6 +202,11 @@ class SimulatedVehicle:
             "down": dataclasses.asdict(self._channel.down),
         }
 
+    def watch_air(self, told: Callable[[int, bytes], None]) -> None:
+        """Nothing comes back; until the next power cycle `told` hears of every frame that leaves a radio."""
+
+        self._channel.watch = told
+
     # Inside.
 
     def _power_up(self, flight: int) -> None:

@@ -27,6 +27,8 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "sitl.studies.scoring": ("sitl", "protocol", "firmware_model", *LEAVES, *OPENED),
     # What takes bytes from outside is on both sides of the link.
     "sitl.studies.fuzz": ("sitl", "protocol", "firmware_model", "host"),
+    # The pace of an upload in flight is the host's.
+    "sitl.studies.upload_flight": ("sitl", "protocol", "firmware_model", "host"),
     "sitl": ("sitl", "protocol", "firmware_model", *LEAVES),
 }
 """Package to what of ours it may import; the longest matching name decides."""

@@ -1,4 +1,4 @@
-"""The study of the link: uploads over lossy air, interrupted uploads, and bytes that nobody should send.
+"""The study of the link: uploads over lossy air, in flight, interrupted, and bytes that nobody should send.
 
     trimtab study link --seed 2030
 
@@ -19,15 +19,16 @@ from sitl.studies.files import StudyError, read_json, write_json, write_whole
 from sitl.studies.fuzz.run import run_fuzz
 from sitl.studies.upload_blob import reference_blob
 from sitl.studies.upload_cuts import INTERRUPTIONS, interrupt
+from sitl.studies.upload_flight import RADIOS, fly_upload
 from sitl.studies.upload_peers import PEERS, peer_s
 from sitl.studies.upload_picture import picture
 from sitl.studies.uploads import CHANNELS, bound_s, figures, time_upload
 
 NAME = "link"
-RUNS, TRIALS, FUZZ_INPUTS = 200, 1_000, 100_000
-QUICK_RUNS, QUICK_TRIALS, QUICK_FUZZ_INPUTS = 8, 4, 2_000
+RUNS, FLIGHTS, TRIALS, FUZZ_INPUTS = 200, 10, 1_000, 100_000
+QUICK_RUNS, QUICK_FLIGHTS, QUICK_TRIALS, QUICK_FUZZ_INPUTS = 8, 1, 4, 2_000
 ORDER, PARTS, PICTURE = "study.json", "parts", "upload.svg"
-_RUNS_A_PART, _TRIALS_A_PART, _INPUTS_A_PART = 25, 10, 10_000
+_RUNS_A_PART, _FLIGHTS_A_PART, _TRIALS_A_PART, _INPUTS_A_PART = 25, 2, 10, 10_000
 _TARGETS = {
     "upload": "mean <= 0.62 s, p99 <= 1.0 s",
     "burst5": "p99 <= 2.5 s",
@@ -38,6 +39,8 @@ _TITLES = {
     "upload": "10 % loss",
     "burst5": "30 % loss in bursts of 5",
     "burst20": "10 % loss in bursts of 20",
+    "flight": "as the simulator's: 1 % in bursts of 5",
+    "flight-loss": "10 % loss",
 }
 _INTERRUPTED = {
     "cut": "link cut for 5 s",
@@ -83,18 +86,24 @@ def run(
     folder = folder.absolute()
     (folder / PARTS).mkdir(parents=True, exist_ok=True)
     _same_order(folder, {"study": NAME, "seed": seed, "quick": quick})
-    sizes = (QUICK_RUNS, QUICK_TRIALS, QUICK_FUZZ_INPUTS) if quick else (RUNS, TRIALS, FUZZ_INPUTS)
-    parts = list(_parts(*sizes))
+    if quick:
+        parts = list(_parts(QUICK_RUNS, QUICK_FLIGHTS, QUICK_TRIALS, QUICK_FUZZ_INPUTS))
+    else:
+        parts = list(_parts(RUNS, FLIGHTS, TRIALS, FUZZ_INPUTS))
     found = _work(parts, folder, seed, jobs, report)
     write_whole(folder / PICTURE, picture().encode())
     return {**summary({"seed": seed, "quick": quick, "folder": str(folder)}, found), "scores": found}
 
 
-def _parts(runs: int, trials: int, inputs: int) -> Iterator[Part]:
+def _parts(runs: int, flights: int, trials: int, inputs: int) -> Iterator[Part]:
     for first in range(0, runs, _RUNS_A_PART):
         for channel in CHANNELS:
             count = min(_RUNS_A_PART, runs - first)
             yield Part(kind="uploads", channel=channel, first=first, count=count, weight=0.1 * count)
+    for first in range(0, flights, _FLIGHTS_A_PART):
+        for channel in RADIOS:
+            count = min(_FLIGHTS_A_PART, flights - first)
+            yield Part(kind="flights", channel=channel, first=first, count=count, weight=4.0 * count)
     for first in range(0, trials, _TRIALS_A_PART):
         count = min(_TRIALS_A_PART, trials - first)
         yield Part(kind="cuts", first=first, count=count, weight=0.6 * count)
@@ -135,6 +144,8 @@ def do(part: Part, seed: int) -> list[dict[str, Any]]:
     numbers = range(part.first, part.first + part.count)
     if part.kind == "uploads":
         return [time_upload(part.channel, seed, number) for number in numbers]
+    if part.kind == "flights":
+        return [fly_upload(part.channel, seed, number) for number in numbers]
     if part.kind == "cuts":
         return [interrupt(seed, number) for number in numbers]
     fuzzed = run_fuzz(part.count, seed * 1_000 + part.first // _INPUTS_A_PART)
@@ -152,6 +163,8 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Sequence[Mapping[str,
         name: _mean([peer_s(peer, size, CHANNELS["upload"], round_trip_s, seed + k) for k in range(100)])
         for name, peer in PEERS.items()
     }
+    flown = {channel: figures(found[channel]) for channel in RADIOS}
+    flights = [row for channel in RADIOS for row in found[channel]]
     trials = [row[kind] for row in found["cuts"] for kind in INTERRUPTIONS]
     crashes = [crash for row in found["fuzz"] for crash in row["crashes"]]
     told = {
@@ -168,6 +181,12 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Sequence[Mapping[str,
         "burst20_p99_s": uploads["burst20"]["p99_s"],
         "uploads_failed": sum(found["failed"] or 0 for found in uploads.values()),
         "bound_s": bounds["upload"],
+        "flights": len(flights),
+        "flights_failed": sum(found["failed"] or 0 for found in flown.values()),
+        "flight_upload_s": flown["flight"]["mean_s"],
+        "flight_loss_upload_s": flown["flight-loss"]["mean_s"],
+        "flight_slot_share": max(row["slot_share"] for row in flights),
+        "flight_mocap_delay_max_us": max(max(row["mocap_delays_us"]) for row in flights),
         "peers_mean_s": peers,
         "cut_trials": len(trials),
         "cut_failures": sum(trial["failed"] for trial in trials),
@@ -177,6 +196,9 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Sequence[Mapping[str,
     }
     tables = {
         "Uploads of 20.8 kB": _uploads_table(uploads, bounds),
+        "Uploads of 20.8 kB in flight": [
+            _flights_row(channel, flown[channel], found[channel]) for channel in RADIOS
+        ],
         "Other ways over the same air, 10 % loss": [
             {"way": name, "mean": _text(seconds, "s")} for name, seconds in peers.items()
         ],
@@ -200,6 +222,22 @@ def _uploads_table(uploads: Mapping[str, Any], bounds: Mapping[str, float]) -> l
         }
         for channel, found in uploads.items()
     ]
+
+
+def _flights_row(channel: str, found: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Row:
+    delays_us = [delay_us for row in rows for delay_us in row["mocap_delays_us"]]
+    return {
+        "channel": _TITLES[channel],
+        "flights": str(found["runs"]),
+        "failed": str(found["failed"]),
+        "upload, mean": _text(found["mean_s"], "s"),
+        "most": _text(found["max_s"], "s"),
+        "share of the slots, most": _text(100 * max(row["slot_share"] for row in rows), "%"),
+        "poses": str(len(delays_us)),
+        "delay of a pose, mean": _text(1e-3 * _mean(delays_us), "ms"),
+        "the longest": _text(1e-3 * max(delays_us), "ms"),
+        "target": "<= 30 % of the slots, <= 2 ms",
+    }
 
 
 def _cuts_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:

@@ -33,6 +33,7 @@ from sitl.studies.link import summary as link_summary
 from sitl.studies.real import Group, real_row
 from sitl.studies.scoring.metrics import baseline_rows, summary
 from sitl.studies.upload_cuts import INTERRUPTIONS
+from sitl.studies.upload_flight import RADIOS
 from sitl.studies.uploads import CHANNELS
 
 ROOT = Path(__file__).parent.parent.parent
@@ -235,9 +236,11 @@ def test_study_prints_what_the_page_says() -> None:
 
 def test_study_link_prints_what_the_page_says() -> None:
     upload = {"seconds": 0.6, "answered_s": 0.02}
+    flight = {"seconds": 2.0, "slot_share": 0.2, "mocap_delays_us": [0, 1000]}
     trial = {"failed": False, "resent": 0, "held": 9, "seconds": 0.3}
     found = {
         **{channel: [upload] for channel in CHANNELS},
+        **{channel: [flight] for channel in RADIOS},
         "cuts": [dict.fromkeys(INTERRUPTIONS, trial)],
         "fuzz": [{"inputs": 9, "crashes": []}],
     }

@@ -8,9 +8,10 @@ from xml.etree import ElementTree
 
 import pytest
 
+from host.link import swap
 from protocol.blobs import Kind, Reference
 from protocol.upload import UploadSender
-from sitl.studies import link, upload_picture
+from sitl.studies import link, upload_flight, upload_picture
 from sitl.studies.files import StudyError
 from sitl.studies.upload_blob import reference_blob
 from sitl.studies.upload_cuts import INTERRUPTIONS, interrupt
@@ -125,6 +126,7 @@ def test_quick_study_ends_with_the_figures_and_goes_on_where_it_was(
 ) -> None:
     monkeypatch.setattr(link, "QUICK_RUNS", 2)
     monkeypatch.setattr(link, "QUICK_TRIALS", 1)
+    monkeypatch.setattr(link, "QUICK_FLIGHTS", 1)
     monkeypatch.setattr(link, "QUICK_FUZZ_INPUTS", 20)
     order: dict[str, Any] = {"folder": tmp_path, "vehicle": "research", "jobs": 1, "quick": True}
     outcome = link.run(seed=SEED, **order)
@@ -132,12 +134,22 @@ def test_quick_study_ends_with_the_figures_and_goes_on_where_it_was(
     assert answer["cut_trials"] == 3
     assert answer["cut_failures"] == answer["uploads_failed"] == 0
     assert answer["fuzz_inputs"] == 20
+    assert (answer["flights"], answer["flights_failed"]) == (2, 0)
+    assert 0.1 < answer["flight_slot_share"] <= 0.30
+    assert 0 < answer["flight_mocap_delay_max_us"] <= 2_000
+    assert 1.5 < answer["flight_upload_s"] < 3.0
     assert answer["upload_mean_s"] > answer["bound_s"]
     assert (tmp_path / "upload.svg").is_file()
     monkeypatch.setattr(link, "do", lambda part, seed: pytest.fail("done before"))
     assert link.run(seed=SEED, **order)["answer"] == answer
     with pytest.raises(StudyError, match="another study"):
         link.run(seed=SEED + 1, **order)
+
+
+def test_reference_sent_in_flight_is_of_the_size_that_the_targets_name() -> None:
+    first, then, at_us = upload_flight.references()
+    assert len(then.to_bytes()) == 20_806
+    assert swap.swap_time_us(first, then, at_us) == at_us
 
 
 def test_picture_in_the_docs_is_that_of_the_code() -> None:
