@@ -66,8 +66,13 @@ class Plant:
         self._line_m = values["payload"][1]
         delays = [world.value("actuation-delay", "delay_s") / TICK_S * (1.0 + e) for e in _DELAY_SPREAD]
         self._delayed = max(delays) > 0.0
-        self._delays = [(i, int(ticks), ticks - int(ticks)) for i, ticks in enumerate(delays)]
-        self._sent: deque[Sequence[float]] = deque(maxlen=int(max(delays)) + 2)
+        # Commands sent, the newest tick first and in it the last motor; where each motor's delay begins and
+        # ends there, and its share of a tick.
+        self._sent: deque[float] = deque(maxlen=4 * (int(max(delays)) + 2))
+        self._delays = [
+            (i, 4 * int(ticks) + 3 - i, 4 * int(ticks) + 7 - i, ticks - int(ticks))
+            for i, ticks in enumerate(delays)
+        ]
         self._gust_sd = (world.turbulence.force_m_s2, world.turbulence.torque_rad_s2)
         self._block = memoryview(b"")
         self._at = self._end = 0
@@ -98,7 +103,7 @@ class Plant:
         }
         self.state[:] = pack(STATE, state)
         self._at = self._end = 0
-        self._sent.extend([(0.0, 0.0, 0.0, 0.0)] * (self._sent.maxlen or 0))
+        self._sent.extend([0.0] * (self._sent.maxlen or 0))
         self.pose[:] = memoryview(array("d", [*p_ned, 0.0, 0.0, 0.0, *q_ned_frd]))
         self.sensed[:] = memoryview(array("d", [0.0, 0.0, 0.0, 0.0, 0.0, -GRAVITY_M_S2, self._full_v]))
 
@@ -111,10 +116,10 @@ class Plant:
         command = self._command
         if self._delayed:
             sent = self._sent
-            sent.appendleft(tuple(motor_command))
-            for i, whole, part in self._delays:
-                new = sent[whole][i]
-                command[i] = new + part * (sent[whole + 1][i] - new)
+            sent.extendleft(motor_command)
+            for i, later, earlier, part in self._delays:
+                new = sent[later]
+                command[i] = new + part * (sent[earlier] - new)
         else:
             command[0], command[1], command[2], command[3] = motor_command
         if not self._calm:
