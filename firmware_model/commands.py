@@ -99,6 +99,8 @@ class Commands:
         return _NOT_NOW
 
     def _arm(self, message: m.CommandLong, now_us: int) -> int:
+        if not math.isfinite(message.param1):
+            return mavlink.MAV_RESULT_DENIED
         if message.param1 > 0.5:
             return self._event(Event.ARM, now_us)
         return self._event(Event.KILL if message.param2 == m.FORCE else Event.DISARM, now_us)

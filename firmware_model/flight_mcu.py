@@ -27,7 +27,7 @@ from protocol.messages import (
     UploadResult,
     mavlink,
 )
-from protocol.telemetry import TICK_US
+from protocol.telemetry import TICK_US, whole_tick
 from protocol.upload import Agreement, ReceiverEvent, UploadEvent, UploadReceiver, Verdict
 
 BAUD = 921_600
@@ -286,7 +286,7 @@ class FlightMcu:
             return Agreement(result=UploadResult.BUSY)
         blob = Reference.from_bytes(data)
         following = track.track(blob.nodes_ned(), blob.yaw_nodes())
-        at_us = at_tick * TICK_US
+        at_us = TICK_US * whole_tick(at_tick, now_us // TICK_US)
         agreement = agree_swap(
             live,
             blob,

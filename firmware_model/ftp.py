@@ -162,7 +162,7 @@ class FtpServer:
         session = self._sessions.pop(key, None)
         if session is None:
             return _nak(asked, Error.INVALID_SESSION)
-        if session.held is None or not session.held:
+        if session.held is None:
             return _ack(asked)
         held, size = sum(session.held), len(session.held)
         if held < size:

@@ -107,6 +107,7 @@ class Phases:
         self._armed[0] = 0.0
         self._weights[0] = self._weights[1] = 1.0
         self._blind_until_us = NEVER_US
+        self._bounded = False
         self.player.rest(track.hold(self._place(), 0.0, 1_000_000), now_us)
 
     def climb_to(self, reference: track.Track, now_us: int) -> None:

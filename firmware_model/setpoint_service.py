@@ -50,7 +50,7 @@ class SetpointService:
         (yaw_rate,) = self._given((message.yaw_rate,), mask >> 11)
         if frame not in (_LOCAL, _OFFSET, _BODY):
             self._refuse(f"setpoint refused: frame {frame} not known")
-        elif mask & _FORCE:
+        elif mask & _FORCE and any(x is not None for x in a):
             self._refuse("setpoint refused: forces are not followed")
         elif frame != _LOCAL and any(x is not None for x in p):
             self._refuse("setpoint refused: position in LOCAL_NED only")

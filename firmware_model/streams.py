@@ -57,6 +57,8 @@ OWN: Mapping[int, int] = {
 }
 """Intervals of what is sent to every host (us). They can be made longer, not shorter and not endless."""
 OWN_MOST_US = 1_000_000
+ASKED_MOST_US = 1_800_000_000
+"""Longest interval of other messages: MESSAGE_INTERVAL has room for it."""
 
 GROUPS: Mapping[int, tuple[int, ...]] = {
     mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
@@ -184,7 +186,8 @@ class Streams:
         elif interval_us == 0:
             self._asked.pop(number, None)
         else:
-            self._asked[number] = max(interval_us, STREAMS[number].least_us) if interval_us > 0 else _OFF
+            bounded_us = min(max(interval_us, STREAMS[number].least_us), ASKED_MOST_US)
+            self._asked[number] = bounded_us if interval_us > 0 else _OFF
 
     def _set_interval(self, message: m.CommandLong, now_us: int) -> int:
         number, interval_us = message.param1, message.param2

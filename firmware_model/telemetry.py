@@ -110,7 +110,7 @@ def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
     return FcStatus(
         tick=now_us // TICK_US & _MASK32,
         state_tick=flight.state_us // TICK_US & _MASK32,
-        reference_tick=NO_TICK if tracking_us is None else tracking_us // TICK_US,
+        reference_tick=NO_TICK if tracking_us is None else tracking_us // TICK_US & _MASK32,
         saturated_ticks=flight.saturated_ticks & _MASK32,
         flight_ticks=flight.flight_ticks & _MASK32,
         poses_used=flight.poses.used & _MASK32,

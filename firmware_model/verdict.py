@@ -59,11 +59,11 @@ def check_blob(
 
 
 def battery_verdict(parameters: ParameterValues, battery_v: float) -> Verdict | None:
-    """The refusal of any reference where the battery is as good as empty, else None; also where 0 V says
-    that it has not been measured.
+    """The refusal of any reference where the battery is as good as empty, else None; also where 0 V or
+    NaN says that it has not been measured.
     """
     bound = parameters["BAT_EMPTY_V"] + BATTERY_LOW_CELL_V * parameters["BAT_CELLS"]
-    if battery_v <= 0.0 or battery_v >= bound:
+    if not 0.0 < battery_v < bound:
         return None
     text = f"battery at {battery_v:.2f} V, below {bound:.2f} V"
     return _refused(checks.Reason.BATTERY, text, battery_v, bound)

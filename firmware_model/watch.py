@@ -50,8 +50,8 @@ class Seen(NamedTuple):
     """What conditions are judged by, at one look.
 
     cos_tilt: of the estimate. age_us: of the newest pose used, None before the first. p: estimated position
-    (NED). battery_v: as measured. imu: gyro and specific force as read. flight_ticks, saturated_ticks:
-    counts.
+    (NED). battery_v: as measured; what is not finite counts as not measured. imu: gyro and specific force as
+    read. flight_ticks, saturated_ticks: counts.
     """
 
     cos_tilt: float
@@ -132,10 +132,11 @@ class Watch:
             self._imu, self._imu_us = seen.imu, now_us
         passed_us = now_us - self._look_us
         self._look_us = now_us
-        if self.volts is None:
-            self.volts = seen.battery_v
-        self.volts += (seen.battery_v - self.volts) * passed_us / (self._smooth_us + passed_us)
-        if self.volts >= self._low_v:
+        if math.isfinite(seen.battery_v):  # one sample that is no number would stay for good
+            if self.volts is None:
+                self.volts = seen.battery_v
+            self.volts += (seen.battery_v - self.volts) * passed_us / (self._smooth_us + passed_us)
+        if self.volts is None or self.volts >= self._low_v:
             self._charged_us = now_us
 
     def holding(self) -> list[Condition]:

@@ -59,6 +59,12 @@ def decode_quaternion(q: Sequence[int]) -> tuple[float, float, float, float]:
     return (w / norm, x / norm, y / norm, z / norm) if norm else (1.0, 0.0, 0.0, 0.0)
 
 
+def whole_tick(tick: int, now: int) -> int:
+    """The tick nearest to `now` of which a message has the last 32 bits; they begin anew after 49.7 days."""
+    ahead = (tick - now) & _MASK
+    return now + (ahead if ahead <= _MASK >> 1 else ahead - _MASK - 1)
+
+
 def encode_age(age_us: int | None) -> int:
     """Age of a pose as FC_ESTIMATE carries it, rounded to 0.1 ms; None is for no pose."""
     if age_us is None:

@@ -122,6 +122,18 @@ def test_battery_low_lands_in_place(make_rig):
     assert rig.flight.command(Event.ARM, rig.now_us) == "battery low: charge it"
 
 
+def test_one_voltage_that_is_no_number_ends_nothing_and_hides_nothing(make_rig):
+    rig = make_rig()
+    rig.track()
+    rig.battery_v = math.nan
+    rig.run(0.05)
+    rig.battery_v = 16.8
+    rig.run(0.5)
+    assert rig.flight.failsafe is Failsafe.NONE
+    rig.battery_v = 12.0
+    struck_after(rig, Event.BATTERY_LOW)
+
+
 def test_motors_saturated_for_long_land_in_place(make_rig, make_body):
     """Rotors that carry it with little to spare, and then something that hangs on to it."""
     limits = {"THRUST_MAX": 2.5, "LIM_THR_HI": 1.0, "FS_SAT_S": 0.5}

@@ -248,6 +248,18 @@ def test_file_with_a_hole_leaves_nothing_and_says_so():
     assert server.texts == ["staged.ref refused: 200 of 2304 bytes missing"]
 
 
+def test_empty_file_is_refused_with_a_text_and_leaves_what_was_staged():
+    server = Server()
+    for data in (b"staged", b""):
+        server.ask(Opcode.CREATE_FILE, data=STAGED.encode())
+        if data:
+            server.ask(Opcode.WRITE_FILE, data=data)
+        (answer,) = server.ask(Opcode.TERMINATE_SESSION)
+    assert (answer.opcode, answer.data[0]) == (Opcode.NAK, Error.FAIL)
+    assert server.texts[-1] == "staged.ref refused: empty"
+    assert server.store.staged(Kind.REFERENCE) == b"staged"
+
+
 def test_file_that_is_too_large_is_refused_while_it_is_written():
     server = Server()
     server.one(Opcode.CREATE_FILE, data=STAGED.encode())

@@ -71,7 +71,7 @@ def test_position_mask_and_frame_say_what_is_followed(sink, mask, frame, target)
     ("mask", "frame", "text"),
     [
         (NO_V | NO_A, 5, "setpoint refused: frame 5 not known"),
-        (NO_A | 512, LOCAL, "setpoint refused: forces are not followed"),
+        (512, LOCAL, "setpoint refused: forces are not followed"),
         (NO_V | NO_A, OFFSET, "setpoint refused: position in LOCAL_NED only"),
         (NO_V | NO_A, BODY, "setpoint refused: position in LOCAL_NED only"),
         (NO_P | NO_V, LOCAL, "setpoint refused: axis without position, velocity"),
@@ -83,6 +83,13 @@ def test_position_that_is_not_supported_is_refused_and_said_once(sink, mask, fra
     assert sink.targets == []
     assert sink.texts == [text]
     assert len(text) <= 50
+
+
+def test_force_bit_beside_an_ignored_acceleration_says_nothing(sink):
+    """Masks with all bits set but the position's are common."""
+    sink.position(0b1111_1111_1000)
+    assert sink.targets == [PositionTarget(p=(1.0, 2.0, -3.0), v=NONE3)]
+    assert sink.texts == []
 
 
 def test_numbers_that_are_not_finite_are_left_out_and_said_once(sink):
@@ -197,3 +204,11 @@ def test_takeoff_height_that_is_none_is_denied(make_session, height):
     ask(session, 400, 1.0)
     assert ask(session, 22, 0, 0, 0, 0, 0, 0, height) == (22, mavlink.MAV_RESULT_DENIED)
     assert session.flight.state is State.ARMED
+
+
+def test_arm_command_without_a_number_is_denied(make_session):
+    session = make_session()
+    session.run(1.0)
+    session.command(400, NAN, float(m.FORCE))
+    session.run(0.1)
+    assert acknowledged(session) == (400, mavlink.MAV_RESULT_DENIED)

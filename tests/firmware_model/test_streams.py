@@ -1,10 +1,11 @@
 """Stock telemetry: silent for Trimtab's own host, at modest rates for others, within its share of the air."""
 
 import math
+from array import array
 
 import pytest
 
-from firmware_model.streams import GROUPS, OWN, STATION_US, STREAMS
+from firmware_model.streams import ASKED_MOST_US, GROUPS, OWN, STATION_US, STREAMS
 from firmware_model.supervisor import State
 from protocol import messages as m
 from protocol.generated.frames import MESSAGES
@@ -265,3 +266,25 @@ def test_command_int_is_taken_like_command_long(make_line):
     line.run(0.2)
     assert acks(line) == [(REQUEST, 0, STATION), (9999, 3, STATION)]
     assert len(line.received(m.AutopilotVersion)) == 1
+
+
+def test_interval_without_end_is_bounded_by_what_an_answer_can_say(make_line):
+    line = make_line()
+    line.run(0.5)
+    for command, *more in ((SET, 1e12), (GET,)):
+        line.command(command, float(m.Attitude.id), *more)
+        line.run(0.1)
+    (answer,) = line.received(m.MessageInterval)
+    assert (answer.message_id, answer.interval_us) == (m.Attitude.id, ASKED_MOST_US)
+    assert line.flight.unsendable == 0
+
+
+def test_estimate_that_is_broken_ends_nothing(make_line):
+    """What can carry it goes out as it is; the rest is counted, not sent."""
+    line = make_line()
+    line.run(1.0)
+    line.flight.flight._memory[0:13] = memoryview(array("d", [math.nan] * 13))
+    with_station(line, 2)
+    assert math.isnan(line.received(m.Attitude)[-1].roll)
+    assert math.isnan(line.received(m.LocalPositionNed)[-1].x)
+    assert line.flight.state is State.STANDBY

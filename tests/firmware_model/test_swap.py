@@ -150,6 +150,24 @@ def test_swap_happens_at_the_agreed_tick_and_is_told(make_session, flown_blob):
     assert any("not at rest" in text for text in session.texts())  # it began in flight
 
 
+def test_swap_and_status_count_on_where_ticks_begin_anew(make_session, flown_blob):
+    """After 49.7 days: the flight is tracked before, the swap comes behind."""
+    session, wrap_us = make_session(), 2**32 * 1000
+    session.now_us = wrap_us - 7_000_000
+    start_us = fly(session, flown_blob)
+    assert start_us < wrap_us < start_us + AT_US
+    at_us = start_us + AT_US
+    after = following(flown_blob)
+    upload = put_at(session, after, at_us // 1000 & 0xFFFF_FFFF)
+    assert upload.state.name == "DONE", upload.reason
+    session.run_to(State.HOLD)
+    assert session.flight.flight.tracking_us == at_us
+    session.run(0.2)
+    status = session.received(m.FcStatus)[-1]
+    assert (status.reference_tick, status.state) == ((at_us - wrap_us) // 1000, State.HOLD)
+    assert session.flight.unsendable == 0
+
+
 @pytest.mark.parametrize("loss", [0.1, 0.3])
 def test_swap_is_agreed_over_a_radio_that_loses_frames(make_session, make_blob, loss):
     chance = random.Random(8401)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from protocol import messages as m
 from protocol import telemetry
 from protocol.codec import Codec
-from protocol.telemetry import ControlInterval, IntervalDecoder
+from protocol.telemetry import ControlInterval, IntervalDecoder, whole_tick
 
 
 class Vehicle:
@@ -194,3 +194,9 @@ def test_estimate_survives_the_wire() -> None:
     assert telemetry.decode_quaternion(back.q) == (1.0, 0.0, 0.0, 0.0)
     assert telemetry.decode_age(back.mocap_age) == 7_300
     assert back.gyro_bias == (0.0, 0.0, 0.125)
+
+
+@pytest.mark.parametrize("now", [0, 5, 2**31, 2**32 - 1, 2**32, 3 * 2**32 + 7])
+@pytest.mark.parametrize("ahead", [-3, 0, 4000, 2**31 - 1])
+def test_whole_tick_is_the_nearest_with_those_bits(now, ahead):
+    assert whole_tick((now + ahead) % 2**32, now) == now + ahead
