@@ -288,3 +288,28 @@ def test_estimate_that_is_broken_ends_nothing(make_line):
     assert math.isnan(line.received(m.Attitude)[-1].roll)
     assert math.isnan(line.received(m.LocalPositionNed)[-1].x)
     assert line.flight.state is State.STANDBY
+
+
+def test_landed_state_in_offboard_is_told_by_height(make_session):
+    session = make_session()
+    session.run(1.0)
+    session.command(400, 1.0)
+    session.run_to(State.ARMED, 1.0)
+
+    def stream(height, seconds):
+        for _ in range(round(10 * seconds)):
+            session.send(m.SetPositionTarget(0, 1, 1, 1, 0b1101_1100_0111, 0, 0, 0, 0, 0, -height, *[0] * 5))
+            session.run(0.1)
+
+    def landed():
+        session.command(REQUEST, float(m.ExtendedSysState.id))
+        session.run(0.1)
+        return session.received(m.ExtendedSysState)[-1].landed_state
+
+    stream(0.0, 0.2)
+    session.command(176, 1.0, 6.0)
+    stream(0.0, 1.0)
+    assert session.flight.state is State.OFFBOARD
+    assert landed() == mavlink.MAV_LANDED_STATE_ON_GROUND
+    stream(0.5, 2.0)
+    assert landed() == mavlink.MAV_LANDED_STATE_IN_AIR
