@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -593,3 +594,27 @@ def test_fly_lockstep_leaves_the_vehicle_open(
         simulated.power_cycle(k + 1)
     logs = [read_flight(tmp_path / f"{k}.mcap") for k in range(2)]
     assert logs[0].metadata["session_uid"] != logs[1].metadata["session_uid"]
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_fly_lockstep_leaves_the_collector_as_it_was(
+    vehicle: Vehicle,
+    reference: Reference,
+    simulate: Simulate,
+    world_file: Callable[[str], str],
+    tmp_path: Path,
+    frozen: bool,
+) -> None:
+    simulated = simulate(world=world_file("[mocap]\ngaps_s = [[0.0, 60.0]]\n"))
+    order = FlightOrder(vehicle=vehicle, reference=reference, log_path=tmp_path / "flight.mcap")
+    inside = []
+    try:
+        if frozen:
+            gc.freeze()
+        with pytest.raises(LinkError, match="no poses in 5 s"):
+            fly_lockstep(order, simulated, on_phase=lambda phase: inside.append(gc.get_freeze_count()))
+        after = gc.get_freeze_count()
+    finally:
+        gc.unfreeze()
+    assert min(inside) > 0, "what existed before is left out while it flies"
+    assert (after > 0) == frozen
