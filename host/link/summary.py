@@ -9,7 +9,7 @@ from typing import Any
 
 from host.link.drivers import DriveStatistics
 from host.link.flight import FlightDirector, FlightEnd
-from host.log import Flight, link_report, read_flight
+from host.log import Flight, link_report, read_flight, topics
 from host.log.tracking import tracking_error
 
 
@@ -73,7 +73,7 @@ class FlightResult:
 
 def summarise(director: FlightDirector, log: Path, driven: DriveStatistics) -> FlightResult:
     """The result of a flight whose log is closed. Raises LogError where the log cannot be read back."""
-    flight = read_flight(log)
+    flight = read_flight(log, leave_out=[topics.FC_CONTROL])  # the result tells nothing of it
     error = tracking_error(flight)
     return FlightResult(
         log=log,

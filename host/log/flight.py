@@ -7,7 +7,7 @@ moment.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,9 +51,12 @@ CAMERAS_SET_US = 25_000
 """Where the cameras' clock against the host's jumps by more, it was set."""
 
 
-def read_flight(path: Path | str) -> Flight:
-    """The flight in a closed log. Raises LogError (exit code 5) where it is cut, damaged or not ours."""
-    return to_flight(scan_closed(Path(path)))
+def read_flight(path: Path | str, *, leave_out: Collection[str] = ()) -> Flight:
+    """The flight in a closed log, as if it had no messages of the topics in `leave_out`.
+
+    Raises LogError (exit code 5) where it is cut, damaged or not ours.
+    """
+    return to_flight(scan_closed(Path(path)), leave_out=leave_out)
 
 
 def scan_closed(path: Path) -> Scan:
@@ -70,10 +73,13 @@ def scan_closed(path: Path) -> Scan:
     return found
 
 
-def to_flight(found: Scan) -> Flight:
-    """The arrays of a closed log's records. Raises LogError where they contradict each other."""
+def to_flight(found: Scan, *, leave_out: Collection[str] = ()) -> Flight:
+    """The arrays of a closed log's records, without the topics in `leave_out`.
+
+    Raises LogError where they contradict each other.
+    """
     try:
-        return _to_flight(found)
+        return _to_flight(found, leave_out)
     except (DecodeError, ValueError, KeyError, ConfigurationError) as error:
         text = " ".join(str(error).split())
         raise LogError(
@@ -81,7 +87,7 @@ def to_flight(found: Scan) -> Flight:
         ) from error
 
 
-def _to_flight(found: Scan) -> Flight:
+def _to_flight(found: Scan, leave_out: Collection[str]) -> Flight:
     told = found.metadata[PROVENANCE]
     attached = {name: data for name, (_, data) in found.attachments.items()}
     vehicle = parse_vehicle(attached[VEHICLE_FILE].decode(), f"{found.path}:{VEHICLE_FILE}")
@@ -98,7 +104,7 @@ def _to_flight(found: Scan) -> Flight:
     if vehicle.id != told["vehicle_id"]:
         raise ValueError(f"the attached vehicle is {vehicle.id}, not {told['vehicle_id']}")
     reference = None if reference_bytes is None else Reference.from_bytes(reference_bytes)
-    entries = found.by_topic()
+    entries = {topic: rows for topic, rows in found.by_topic().items() if topic not in leave_out}
     link = _read_link(entries)
     offset_us = float(link.clock_offset_us[-1]) if link is not None else 0.0
     camera_us = float(link.camera_offset_us[-1]) if link is not None else 0.0
