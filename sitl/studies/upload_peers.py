@@ -24,8 +24,10 @@ class StopAndWait:
 
 PEERS = {
     "stop-and-wait": StopAndWait(data_bytes=99, frames=1, timeout_s=0.5),
-    "MAVLink FTP, frames as long as a message": StopAndWait(data_bytes=239, frames=1, timeout_s=0.5),
-    "MAVLink FTP": StopAndWait(data_bytes=239, frames=3, timeout_s=0.5),
+    "MAVLink FTP one by one, frames as long as a message": StopAndWait(
+        data_bytes=239, frames=1, timeout_s=0.5
+    ),
+    "MAVLink FTP one by one": StopAndWait(data_bytes=239, frames=3, timeout_s=0.5),
 }
 """A chunk a frame; and the file transfer of MAVLink: its message of 263 B takes three frames of 116 B, and on
 a radio with longer frames one.
