@@ -100,7 +100,7 @@ def put(seed: int, number: int, settings: dict[str, int]) -> tuple[float, int]:
 
 
 def main(seed: int, runs: int) -> None:
-    """Prints mean and 99th percentile for mavftp as it comes, and for one message of full length at a time."""
+    """Prints mean and 99th percentile, for mavftp as it comes and with messages of full length."""
     for name, settings in (
         ("as it comes (80 B, 5 under way)", {}),
         ("239 B, one under way", {"write_size": 239, "write_qsize": 1}),
