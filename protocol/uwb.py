@@ -76,8 +76,12 @@ class StreamSplitter:
         """Bytes kept for the next call: the beginning of what may become a message."""
         return len(self._pending)
 
-    def feed(self, data: bytes) -> list[bytes]:
-        """The messages that `data` completes, oldest first, each exactly as it was in the stream."""
+    def feed(self, data: bytes, *, last: bool = False) -> list[bytes]:
+        """The messages that `data` completes, oldest first, each exactly as it was in the stream.
+
+        After the `last` bytes nothing is waited for: what has begun and not ended is no message, and may
+        have one inside.
+        """
         data = self._pending + data if self._pending else bytes(data)
         found: list[bytes] = []
         at, end = 0, len(data)
@@ -99,7 +103,11 @@ class StreamSplitter:
             stop = at + HEADER_BYTES + length
             after = stop + 2 + SIGNATURE_BYTES if flags else stop + 2
             if after > end:
-                break
+                if not last:
+                    break
+                self.bad_bytes += 1
+                at += 1
+                continue
             if mcrf4xx(data[at + 1 : stop] + known[0]) != data[stop] | data[stop + 1] << 8:
                 self.bad_checksums += 1
                 self.bad_bytes += 1
@@ -107,6 +115,9 @@ class StreamSplitter:
                 continue
             found.append(data[at:after])
             at = after
+        if last:
+            self.bad_bytes += end - at
+            at = end
         self._pending = data[at:]
         self.messages += len(found)
         return found
@@ -114,7 +125,7 @@ class StreamSplitter:
 
 def split(data: bytes) -> list[bytes]:
     """The messages in `data` alone, a datagram: what began in it and did not end is none."""
-    return StreamSplitter().feed(data + bytes(LONGEST_BYTES))
+    return StreamSplitter().feed(data, last=True)
 
 
 def cut(message: bytes, number: int, frame_bytes: int = FRAME_BYTES) -> list[bytes]:

@@ -40,14 +40,38 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """The plain data of a TOML text. Raises ConfigurationError naming `source`, line and column."""
+    """The plain data of a TOML text.
+
+    Raises ConfigurationError naming `source`, line and column, or the keys of whole numbers beyond 64 bits,
+    which TOML does not promise and no field has use for.
+    """
     try:
-        return tomllib.loads(text)
+        data = tomllib.loads(text)
     except ValueError as error:  # a TOMLDecodeError, or a whole number of thousands of digits
         raise ConfigurationError([f"{source}: not valid TOML: {error}; mend the syntax there"]) from None
     except RecursionError:
         told = f"{source}: not valid TOML: brackets nested hundreds deep; mend the syntax there"
         raise ConfigurationError([told]) from None
+    too_large = [
+        f"{source}: {path}: a whole number beyond 64 bits, write a smaller one"
+        for path, value in _leaves(data)
+        if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63
+    ]
+    if too_large:
+        raise ConfigurationError(too_large)
+    return data
+
+
+def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """(key path, value) of everything in plain data that is neither a table nor a list."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _leaves(item, f"{path}.{key}" if path else key)
+    elif isinstance(value, list):
+        for index, item in enumerate(value):
+            yield from _leaves(item, f"{path}[{index}]")
+    else:
+        yield path, value
 
 
 def validate(data: dict[str, Any], source: str, model: type[ModelT]) -> ModelT:

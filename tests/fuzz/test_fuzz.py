@@ -21,10 +21,10 @@ from host.link.client import Client
 from protocol import uwb
 from protocol.codec import Codec
 from protocol.messages import HOST, CommandLong, ParamSet, StatusText
-from protocol.uwb import StreamSplitter
+from protocol.uwb import StreamSplitter, split
 from sitl.studies.fuzz import KINDS, FuzzReport, replay, run_fuzz
 from sitl.studies.fuzz.__main__ import main
-from sitl.studies.fuzz.inputs import FLUSH, valid_messages
+from sitl.studies.fuzz.inputs import FLUSH, frame, pack, valid_messages
 from sitl.studies.fuzz.source import record
 
 INPUTS = 100_000
@@ -193,6 +193,13 @@ def test_measure_finds_what_the_codec_finds(text: bytes, noise: bytes, cut: int)
     data = noise + whole + whole[:cut] + whole + noise
     splitter = StreamSplitter()
     assert [one.frame for one in valid_messages(data + FLUSH)] == splitter.feed(data + FLUSH)
+
+
+@given(noise=st.binary(max_size=20), flags=st.sampled_from((0, 1)), cut=st.integers(0, 60))
+def test_measure_finds_what_a_datagram_holds(noise: bytes, flags: int, cut: int) -> None:
+    whole = frame(StatusText.id, pack(StatusText.id, text=b"ready"), flags=flags)
+    data = whole + noise + whole[:cut] + whole[: len(whole) - cut]
+    assert [one.frame for one in valid_messages(data)] == split(data)
 
 
 def test_measure_of_bytes_with_any_place_damaged_is_no_message() -> None:

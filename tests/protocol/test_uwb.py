@@ -15,6 +15,7 @@ from protocol.uwb import (
     CAPACITY_BYTES,
     FRAME_BYTES,
     FRAME_LEAST,
+    HEADER_BYTES,
     LONGEST_BYTES,
     MAGIC,
     PIECE,
@@ -28,6 +29,7 @@ from protocol.uwb import (
     StreamSplitter,
     cut,
     message_id,
+    split,
 )
 
 CODEC = Codec(1, 1)
@@ -99,6 +101,25 @@ def test_splitter_loses_only_the_message_that_a_lost_byte_belongs_to() -> None:
         damaged = frames[1][:lost] + frames[1][lost + 1 :]
         splitter = StreamSplitter()
         assert splitter.feed(frames[0] + damaged + frames[2] + bytes(LONGEST_BYTES)) == [frames[0], frames[2]]
+
+
+def signed(message: bytes, signature: bytes) -> bytes:
+    """The message with the mark of a signed one, and this for a signature."""
+    body = bytes([message[1], 1]) + message[3:-2]
+    seed = m.mavlink.mavlink_map[message_id(message)].crc_extra
+    crc = m.mavlink.x25crc(body + bytes([seed])).crc
+    return message[:1] + body + crc.to_bytes(2, "little") + signature
+
+
+@pytest.mark.parametrize("whole", [pose(), signed(pose(), bytes(range(13)))], ids=["plain", "signed"])
+def test_datagram_that_ends_within_a_message_has_none_of_it(whole: bytes) -> None:
+    assert split(b"\xfd" + whole) == [whole]
+    assert [end for end in range(len(whole)) if split(whole[:end])] == []
+
+
+def test_datagram_that_ends_within_a_message_still_has_the_one_inside() -> None:
+    inside = pose()
+    assert split(text()[:HEADER_BYTES] + inside) == [inside]
 
 
 def test_splitter_skips_mavlink_1_and_unknown_ids() -> None:

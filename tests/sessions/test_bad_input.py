@@ -43,6 +43,8 @@ BAD_TOML = {
     "syntax": ("name = \n", ["not valid TOML"]),
     "unknown key": ("wings = 2\n", ["wings: unknown key"]),
     "binary": ("\x00\x01", ["not valid TOML"]),
+    "a whole number of thousands of digits": (f"wings = {'9' * 5000}\n", ["not valid TOML"]),
+    "the same in hex": (f"wings = [1, 0x{'f' * 5000}]\n", ["wings[1]: a whole number beyond 64 bits"]),
 }
 
 MAP = """
