@@ -87,9 +87,10 @@ class Bank:
 
     def append(self, record: Record) -> None:
         """Nothing comes back; the record is the newest. Raises ValueError where the log is full."""
-        if not self.slots_free():
+        free = self.slots_free()
+        if not free:
             raise ValueError("the log of the bank is full")
-        start = self._log + (SLOTS - self.slots_free()) * SLOT_BYTES
+        start = self._log + (SLOTS - free) * SLOT_BYTES
         body = _RECORD.pack(*record)
         self._flash.program(start, body + _CRC.pack(zlib.crc32(body)))
 

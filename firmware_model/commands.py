@@ -76,8 +76,7 @@ class Commands:
         """The command has been carried out or refused, and is acknowledged."""
         act = self._commands.get(message.command)
         result = _UNSUPPORTED if act is None else act(message, now_us)
-        asker = (message.get_srcSystem(), message.get_srcComponent())
-        self._send(m.CommandAck(message.command, result, 0, 0, *asker))
+        self._send(m.CommandAck(message.command, result, 0, 0, *m.sender_of(message)))
 
     def int(self, message: m.CommandInt, now_us: int) -> None:
         """As `long`; the place is in 1e-4 m in a local frame, and none in any other."""
@@ -87,8 +86,7 @@ class Commands:
         first = (message.param1, message.param2, message.param3, message.param4)
         target = (message.target_system, message.target_component)
         long = m.CommandLong(*target, message.command, 0, *first, *place, message.z)
-        long._header.srcSystem = message.get_srcSystem()
-        long._header.srcComponent = message.get_srcComponent()
+        long._header.srcSystem, long._header.srcComponent = m.sender_of(message)
         self.long(long, now_us)
 
     def _event(self, event: Event, now_us: int, height_m: float | None = None) -> int:

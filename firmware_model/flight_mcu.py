@@ -94,7 +94,7 @@ class FlightMcu:
         self._upload = UploadReceiver(
             store,
             check=self._check,
-            may_commit=self._may_commit,
+            may_commit=lambda kind: self._on_floor(),
             agree=self._agree,
             capacity=store.bank_bytes,
         )
@@ -263,15 +263,12 @@ class FlightMcu:
             battery_v=self._battery_v,
         )
 
-    def _may_commit(self, kind: int) -> bool:
-        return self._on_floor()
-
     def _on_floor(self) -> bool:
         return self.flight.state in (State.BOOT, State.STANDBY)
 
     def _uploaded(self, event: ReceiverEvent) -> None:
         self.flight.changed = True
-        if event.event is UploadEvent.COMMITTED and self._may_commit(event.kind):
+        if event.event is UploadEvent.COMMITTED and self._on_floor():
             self._load(event.kind)  # in flight it has been taken over already
 
     # A reference that takes over in flight.

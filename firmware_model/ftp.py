@@ -83,7 +83,7 @@ class FtpServer:
         asked = Packet.decode(payload)
         if asked.opcode in (Opcode.ACK, Opcode.NAK):
             return  # an answer, of another server
-        key = (message.get_srcSystem(), message.get_srcComponent(), asked.session)
+        key = (*m.sender_of(message), asked.session)
         answered = self._answered.get(key)
         if answered and answered.request == payload and now_us - answered.now_us < REPLAY_US:
             self._answer(key, answered.answer)

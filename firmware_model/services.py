@@ -170,16 +170,13 @@ class Services:
 
     def _ping(self, message: m.Ping, now_us: int) -> None:
         if message.target_system == 0:
-            asker = (message.get_srcSystem(), message.get_srcComponent())
-            self._send(m.Ping(message.time_usec, message.seq, *asker))
+            self._send(m.Ping(message.time_usec, message.seq, *m.sender_of(message)))
 
     def _mission_list(self, message: m.MissionRequestList, now_us: int) -> None:
-        asker = (message.get_srcSystem(), message.get_srcComponent())
-        self._send(m.MissionCount(*asker, 0, message.mission_type))
+        self._send(m.MissionCount(*m.sender_of(message), 0, message.mission_type))
 
     def _mission_clear(self, message: m.MissionClearAll, now_us: int) -> None:
-        asker = (message.get_srcSystem(), message.get_srcComponent())
-        self._send(m.MissionAck(*asker, mavlink.MAV_MISSION_ACCEPTED, message.mission_type))
+        self._send(m.MissionAck(*m.sender_of(message), mavlink.MAV_MISSION_ACCEPTED, message.mission_type))
 
     def _version(self) -> Message:
         identity = self._identity

@@ -122,6 +122,11 @@ def host_heartbeat() -> Heartbeat:
     return Heartbeat(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, mode, _MARK << 24, status, 3)
 
 
+def sender_of(message: Message) -> tuple[int, int]:
+    """System and component that sent a message."""
+    return message.get_srcSystem(), message.get_srcComponent()
+
+
 def is_own_host(heartbeat: Heartbeat) -> bool:
     """Whether the sender is Trimtab's own ground station, which understands the private messages."""
     return heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID and heartbeat.custom_mode >> 24 == _MARK

@@ -61,8 +61,7 @@ def decode_quaternion(q: Sequence[int]) -> tuple[float, float, float, float]:
 
 def whole_tick(tick: int, now: int) -> int:
     """The tick nearest to `now` of which a message has the last 32 bits; they begin anew after 49.7 days."""
-    ahead = (tick - now) & _MASK
-    return now + (ahead if ahead <= _MASK >> 1 else ahead - _MASK - 1)
+    return now + difference(tick, now)
 
 
 def encode_age(age_us: int | None) -> int:

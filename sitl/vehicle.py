@@ -204,7 +204,6 @@ class SimulatedVehicle:
 
     def watch_air(self, told: Callable[[int, bytes], None]) -> None:
         """Nothing comes back; until the next power cycle `told` hears of every frame that leaves a radio."""
-
         self._channel.watch = told
 
     # Inside.
@@ -234,7 +233,7 @@ class SimulatedVehicle:
         self._timing = TickTimes(world.timing, flight_generator(seed, flight, Purpose.TIMING))
         serial = world.serial.model_dump()
         self._flight_mcu = FlightMcu(
-            engine=function_engine(_traced_law(), law.INPUTS, law.OUTPUTS),
+            engine=function_engine(traced_law(), law.INPUTS, law.OUTPUTS),
             parameters=self._parameters,
             store=self.store,
             uid=session_uid(seed, flight),
@@ -310,7 +309,8 @@ class SimulatedVehicle:
 
 
 @lru_cache(maxsize=1)
-def _traced_law() -> Any:
+def traced_law() -> Any:
+    """The law as a symbolic function, traced once for all vehicles of the process."""
     return sx_function(law.step, law.INPUTS, law.OUTPUTS, "flight")
 
 

@@ -218,19 +218,11 @@ def download_port(name: str, port: str, on_phase: Callable[[str], None] | None =
     session = download_session(name, port, on_phase)
     with contextlib.closing(open_port(port)) as line:
         run_port(session, line)
-    return _downloaded(session)
+    return session.outcome()
 
 
 def download_lockstep(name: str, vehicle: Vehicle) -> Download:
     """The same with a vehicle in this process."""
     session = download_session(name, "vehicle")
     run_lockstep(session, vehicle)
-    return _downloaded(session)
-
-
-def _downloaded(session: Session) -> Download:
-    if session.error is not None:
-        raise session.error
-    result = session.result
-    assert isinstance(result, Download)
-    return result
+    return session.outcome()

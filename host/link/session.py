@@ -94,6 +94,12 @@ class Session:
             self._guard(task.advance, client, now_us)
         return client.take()
 
+    def outcome(self) -> Any:
+        """What the script returned, once the session is done. Raises what it raised instead."""
+        if self.error is not None:
+            raise self.error
+        return self.result
+
     def fail(self, error: BaseException) -> None:
         """Ends the script by raising `error` in it; it may yield another task instead and go on."""
         if not self.done and self._script is not None:

@@ -115,7 +115,7 @@ def upload_port(
     session = upload_session(blob, port, on_phase, compare=compare)
     with contextlib.closing(open_port(port)) as line:
         run_port(session, line)
-    return _uploaded(session)
+    return session.outcome()
 
 
 def upload_lockstep(
@@ -128,12 +128,4 @@ def upload_lockstep(
     """The same with a vehicle in this process."""
     session = upload_session(blob, "vehicle", on_phase, compare=compare)
     run_lockstep(session, vehicle)
-    return _uploaded(session)
-
-
-def _uploaded(session: Session) -> UploadResult:
-    if session.error is not None:
-        raise session.error
-    result = session.result
-    assert isinstance(result, UploadResult)
-    return result
+    return session.outcome()

@@ -8,9 +8,10 @@ frames, short ones fare better.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from protocol.messages import UploadStatus
 from protocol.upload import SenderState
@@ -69,8 +70,7 @@ def time_upload(channel: str, seed: int, number: int) -> dict[str, Any]:
 
 def percentile(values: Iterable[float], share: float) -> float:
     """The smallest of the values that is not exceeded by at least this share of them."""
-    ordered = sorted(values)
-    return ordered[max(0, math.ceil(share * len(ordered)) - 1)]
+    return float(np.quantile(list(values), share, method="inverted_cdf"))
 
 
 def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | int | None]:

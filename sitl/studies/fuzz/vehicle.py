@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-from functools import lru_cache
 from random import Random
 from typing import Any
 
@@ -24,17 +23,18 @@ from firmware_model.radio_mcu import RadioMcu
 from firmware_model.store import ReferenceStore
 from firmware_model.supervisor import FLYING, State
 from firmware_model.uart import UartPort, connect
-from host.codegen import function_engine, sx_function
+from host.codegen import function_engine
 from host.vehicle import to_parameters
 from protocol import messages as m
 from protocol.blobs import Kind
 from protocol.messages import HOST_RADIO, VEHICLE, mavlink
 from protocol.telemetry import TICK_US
 from protocol.upload.transfer import CHUNK_BYTES, tag_of
-from protocol.uwb import FRAME_BYTES, PIECE, PIECE_HEADER_BYTES, StreamSplitter
+from protocol.uwb import FRAME_BYTES, PIECE, PIECE_HEADER_BYTES, StreamSplitter, message_id
 from sitl.studies.fuzz import inputs
 from sitl.studies.fuzz.inputs import FLUSH, Found, frame, pack, valid_messages
 from sitl.studies.fuzz.source import Source
+from sitl.vehicle import traced_law
 
 BAUD = 100 * 921_600
 """So fast that an input arrives within one tick."""
@@ -49,11 +49,6 @@ class Broken(Exception):
     """Something happened that must not; the text says what."""
 
 
-@lru_cache(maxsize=1)
-def _law() -> Any:
-    return sx_function(law.step, law.INPUTS, law.OUTPUTS, "flight")
-
-
 class _Board:
     """A flight processor with its store; `port` is the other end of its line."""
 
@@ -64,7 +59,7 @@ class _Board:
             for kind, blob in ((Kind.REFERENCE, source.reference), (Kind.FEEDFORWARD, source.feedforward)):
                 self.store.stage(kind, blob)
                 self.store.commit(kind)
-        self.engine = function_engine(_law(), law.INPUTS, law.OUTPUTS)
+        self.engine = function_engine(traced_law(), law.INPUTS, law.OUTPUTS)
         self.mcu = FlightMcu(
             engine=self.engine,
             parameters=to_parameters(vehicle),
@@ -104,7 +99,7 @@ class _Board:
     def said(self, now_us: int) -> list[bytes]:
         """Messages sent since the last call, without their numbers, and without those that count damage."""
         frames = self._splitter.feed(self.port.read(now_us))
-        return [f[5:-2] for f in frames if (f[7] | f[8] << 8 | f[9] << 16) not in _TOLD]
+        return [f[5:-2] for f in frames if message_id(f) not in _TOLD]
 
 
 def _fast_port() -> UartPort:
