@@ -1,9 +1,11 @@
 """Position, velocity, attitude and gyro bias: gyro and accelerometer, corrected by poses that arrive late.
 
 Prediction is strapdown integration at the base tick. A correction compares the late pose with what the
-present estimate says about that moment, under constant acceleration and constant body rate since then; no
-history is kept. Gains are continuous rates, multiplied by the time since the last correction, so that a model
-of the loop may take the limit of many small corrections.
+present estimate says about that moment, under constant acceleration and constant body rate since then, and
+corrects the state of that moment: what is wrong with velocity and gyro bias has since moved position and
+attitude too. So errors die out in the same way however old the poses are. No history is kept. Gains are
+continuous rates, multiplied by the time since the last correction, so that a model of the loop may take the
+limit of many small corrections.
 """
 
 from __future__ import annotations
@@ -75,12 +77,14 @@ def correct(
     """The estimate drawn towards a pose measured `age_s` ago; unchanged where `dt_s_since_last` is 0.
 
     Position is compared `age_s` back, p - v age + a age^2 / 2 (exact for constant acceleration); attitude by
-    turning the measured one forward by exp(rate age). The sign of either quaternion does not matter. The
-    next prediction takes rounding out of the quaternion's length.
+    turning the measured one forward by exp(rate age). The sign of either quaternion does not matter. What
+    this does to velocity and gyro bias has acted for `age_s`. The next prediction takes rounding out of the
+    quaternion's length.
     """
     dt = ops.minimum(dt_s_since_last, LONGEST_INTERVAL_S)
     half = 0.5 * age_s
-    k_p, k_v = dt * gains.position, dt * gains.velocity
+    k_v = dt * gains.velocity
+    k_p = dt * gains.position + age_s * k_v
     p, v = [], []
     for measured, p_i, v_i, a_i in zip(p_meas, est.p, est.v, accel_ned, strict=True):
         innovation = measured - (p_i - age_s * (v_i - half * a_i))
@@ -95,7 +99,8 @@ def correct(
         sign * y,
         sign * z,
     )  # rotation vector from the estimate to the pose, FRD, for small angles
-    k_q, k_b = dt * gains.attitude, dt * gains.bias
+    k_b = dt * gains.bias
+    k_q = dt * gains.attitude + age_s * k_b
     q = quat_multiply(est.q, quat_exp(ops, [k_q * e for e in error]))
     bias = tuple(b - k_b * e for b, e in zip(est.bias, error, strict=True))
     return Estimate(tuple(p), tuple(v), q, bias)

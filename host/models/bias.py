@@ -1,8 +1,8 @@
 """The accelerometer's bias in a flight, from what it does to the on-board estimate.
 
 A bias b makes the estimator stand off the poses: its corrections must undo b, so the estimated velocity is
-wrong by (K_p / K_v) R b, and the vehicle flies millimetres beside its reference. It differs from flight to
-flight, is no effect, and shows in the log as the mean of estimate less camera.
+wrong by (K_p / K_v + age) R b, and the vehicle flies millimetres beside its reference. It differs from flight
+to flight, is no effect, and shows in the log as the mean of estimate less camera.
 
 So does what late poses do to the estimated attitude: turning while leaning, it is wrong to one side, and
 thrust that points elsewhere than estimated looks like a bias. In quick flight that is more than the bias, so
@@ -27,8 +27,8 @@ def standing_errors(gains: EstimatorGains, age_s: Any, interval_s: Any) -> tuple
 
     Where corrections balance it: `host.models.estimator` at rest.
     """
-    jump = 1.0 / (1.0 - 0.5 * interval_s * (gains.position - age_s * gains.velocity))
-    velocity = gains.position / gains.velocity
+    jump = 1.0 / (1.0 - 0.5 * interval_s * gains.position)
+    velocity = gains.position / gains.velocity + age_s
     return 1.0 / (gains.velocity * jump) + age_s * velocity - 0.5 * age_s**2, velocity
 
 
@@ -55,12 +55,12 @@ def accelerometer_bias(
     """
     k_p, k_v, k_q, k_b = (float(gain) for gain in gains)
     # Position and velocity behind an excess of acceleration, and behind a displacement of the poses.
-    jump = 1.0 / (1.0 - 0.5 * interval_s * (k_p - age_s * k_v))
-    corrected = jump * np.array([k_p, k_v])
+    jump = 1.0 / (1.0 - 0.5 * interval_s * k_p)
+    corrected = jump * np.array([k_p + age_s * k_v, k_v])
     walk = np.array([[0.0, 1.0], [0.0, 0.0]]) + np.outer(corrected, (-1.0, age_s))
     # Attitude and gyro bias behind a turn of the poses, about NED: the bias is taken to turn along.
-    jump = 1.0 / (1.0 - 0.5 * interval_s * (k_q - age_s * k_b))
-    turned = jump * np.array([k_q, -k_b])
+    jump = 1.0 / (1.0 - 0.5 * interval_s * k_q)
+    turned = jump * np.array([k_q + age_s * k_b, -k_b])
     turn = np.array([[0.0, -1.0], [0.0, 0.0]]) + np.outer(turned, (-1.0, -age_s))
 
     turning = np.einsum("nij,njk->nik", R, np.stack([rate, np.gradient(rate, step_s, axis=0)], axis=2))

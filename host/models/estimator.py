@@ -78,18 +78,18 @@ def error_rates(
     lead = back - late
     bend = 0.5 * (late * late - back * back)
     half_back = 0.5 * back * back
-    jump = 1.0 / (1.0 - 0.5 * interval_s * (gains.position - back * gains.velocity))
+    jump = 1.0 / (1.0 - 0.5 * interval_s * gains.position)
     innovation = [
         jump * (lead * v[i] + bend * a[i] - e_p[i] + back * e_v[i] - half_back * e_a[i]) for i in range(3)
     ]
     # Turning the late attitude forward by exp(rate back) leaves rate_dot late^2/2 that it does not know of.
-    jump = 1.0 / (1.0 - 0.5 * interval_s * (gains.attitude - back * gains.bias))
+    jump = 1.0 / (1.0 - 0.5 * interval_s * gains.attitude)
     swing = 0.5 * late * late
     attitude = [jump * (lead * rate[i] + swing * rate_dot[i] - back * e_b[i] - e_q[i]) for i in range(3)]
     carried = cross(rate, e_q)
     return [
-        *(e_v[i] + gains.position * innovation[i] for i in range(3)),
+        *(e_v[i] + (gains.position + back * gains.velocity) * innovation[i] for i in range(3)),
         *(e_a[i] + gains.velocity * innovation[i] for i in range(3)),
-        *(gains.attitude * attitude[i] - e_b[i] - carried[i] for i in range(3)),
+        *((gains.attitude + back * gains.bias) * attitude[i] - e_b[i] - carried[i] for i in range(3)),
         *(-gains.bias * attitude[i] for i in range(3)),
     ]

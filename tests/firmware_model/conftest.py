@@ -184,6 +184,11 @@ def make_rig(engine):
 
 
 @pytest.fixture
+def make_track():
+    return there_and_back
+
+
+@pytest.fixture
 def make_body():
     return Body
 

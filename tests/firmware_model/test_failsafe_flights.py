@@ -59,6 +59,26 @@ def test_mocap_late_lands_in_place(make_rig):
     landed_softly(rig)
 
 
+@pytest.mark.parametrize("age_ms", [120, 160, 195])
+def test_mocap_that_stays_late_in_quick_flight_is_flown_and_landed_with(make_rig, make_track, age_ms):
+    rig = make_rig()
+    rig.flight.reference = make_track(reach=3.0, seconds=1.6)
+    rig.track()
+    rig.run(0.5)
+    rig.mocap_age_us = 1_000 * age_ms
+    tilt, off_m = 0.0, 0.0
+    while rig.flight.state is not State.STANDBY:
+        rig.run(0.01)
+        tilt = max(tilt, math.degrees(math.acos(min(1.0, rig.body.R[2][2]))))
+        off_m = max(off_m, math.dist(rig.estimate(), rig.body.p))
+        assert rig.now_us < 20_000_000
+    assert rig.flight.failsafe is Failsafe.MOCAP_LOST
+    assert BY_EVENT[Event.MOCAP_LATE].text in rig.texts
+    assert tilt < 60.0  # 54 deg with poses in time
+    assert off_m < 0.25
+    landed_softly(rig)
+
+
 def test_mocap_lost_and_then_late_is_the_level_descent(make_rig):
     rig = make_rig()
     rig.track()

@@ -122,6 +122,30 @@ def test_estimator_from_a_wrong_start_finds_the_state_and_the_bias():
     assert bias < 1e-2
 
 
+@pytest.mark.parametrize("age_s", [0.05, 0.1, 0.15, 0.2])
+def test_errors_die_out_however_old_the_poses_are(age_s: float):
+    """At 0.2 s the circle's jerk, of which the age knows nothing, is worth 9 mm."""
+    p, v, attitude, bias = _fly(age_s, age_s)
+    assert p < 0.01
+    assert v < 0.1
+    assert attitude < 2e-3
+    assert bias < 1e-2
+
+
+def test_correction_of_an_old_pose_is_that_of_its_moment_carried_on():
+    q = quat_exp(FLOAT, (0.0, 0.0, 0.02))
+    at_rest = Estimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
+    rest = (0.0,) * 3, (0.0,) * 3, (0.1, 0.0, 0.0), q
+    then = correct(FLOAT, at_rest, *rest, 0.0, 0.01, GAINS)
+    carried = then
+    for _ in range(200):
+        carried, *_ = predict(FLOAT, carried, (0.0,) * 3, (0.0, 0.0, -GRAVITY), TICK_S)
+    late = correct(FLOAT, at_rest, *rest, 0.2, 0.01, GAINS)
+    assert late.p == pytest.approx(carried.p, abs=1e-12)
+    assert (late.v[0], late.bias[2]) == (then.v[0], then.bias[2])
+    assert late.q == pytest.approx(carried.q, abs=1e-9)
+
+
 def test_estimator_told_no_age_lags_by_the_latency():
     """At 3 m/s a pose 15 ms old is 45 mm behind; the age takes that away."""
     assert _fly(0.015, 0.0)[0] > 0.03
