@@ -108,7 +108,7 @@ CHECKS: tuple[Check, ...] = (
     Check("battery for the live reference", lambda facts: facts.battery is not None, "{battery}"),
     Check("loop", _holds(Event.LOOP_OVERRUN), "ticks too late"),
     Check("link", _holds(Event.LINK_LOST), "no host heard"),
-    Check("parameters", lambda facts: facts.contradiction is not None, "parameters: {contradiction}"),
+    Check("parameters", lambda facts: facts.contradiction is not None, "{contradiction}"),
 )
 """In the order in which reasons are told."""
 
@@ -137,7 +137,7 @@ def start_refusal(reference: Track | None, *, rising: bool, flown: bool, battery
     if rising:
         return "still taking off"
     if flown:
-        return "the reference has been flown: land, then arm again"
+        return "flown already: land, then arm again"
     if reference is None:
         return "no live reference: upload one"
     return battery if reference.rests else "reference not at rest at its ends"

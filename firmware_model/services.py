@@ -7,6 +7,7 @@ One handler a message type. Handlers return nothing; their answers go out throug
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -151,9 +152,9 @@ class Services:
             self.take(self._upload.advance(now_us), now_us)
 
     def text(self, severity: int, text: str) -> None:
-        """Nothing comes back; people read `text`, or its first 50 bytes."""
-        data = text.encode()[:TEXT_BYTES].decode(errors="ignore").encode()
-        self._send(m.StatusText(severity, data))
+        """Nothing comes back; people read `text`, in lines of 50 bytes."""
+        for line in textwrap.wrap(text, TEXT_BYTES):
+            self._send(m.StatusText(severity, line.encode("ascii", errors="replace")))
 
     def take(self, events: list[ReceiverEvent], now_us: int) -> None:
         """Nothing comes back; the upload's events are passed on and its answers sent."""

@@ -80,7 +80,7 @@ _IN_FLIGHT = "in flight: land first, or force it"
 _LANDING = "landing"
 _LANDING_ALREADY = "landing in place already"
 _GROUNDED = "motors are off"
-_ENDING = "the flight is being ended by a failsafe"
+_ENDING = "a failsafe ends the flight"
 
 _S, _E = State, Event
 _Row = dict[Event, State | str]

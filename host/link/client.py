@@ -72,8 +72,8 @@ class Client:
         ground_radio: whether the host's own radio reports.
         radio_counts: as the two radios reported them last within one second; None before.
         bytes_sent, bytes_received: on the port. texts: what the vehicle said, oldest first, the
-        last 50. heard_us: when the vehicle was last heard. others: MAVLink systems that were heard and are
-        neither the vehicle nor its radios.
+        last 50; said: how many there were in all. heard_us: when the vehicle was last heard.
+        others: MAVLink systems that were heard and are neither the vehicle nor its radios.
     """
 
     def __init__(self) -> None:
@@ -86,6 +86,7 @@ class Client:
         self.bytes_sent = 0
         self.bytes_received = 0
         self.texts: list[tuple[int, str]] = []
+        self.said = 0
         self.heard_us: int | None = None
         self.others: set[int] = set()
         self.next_deadline_us = 0
@@ -141,6 +142,10 @@ class Client:
         self.bytes_sent += len(data)
         return data
 
+    def said_since(self, before: int) -> list[str]:
+        """The texts since `said` was `before`, as far as they are kept."""
+        return [text for _, text in self.texts][-(self.said - before) :] if self.said > before else []
+
     def _on_heartbeat(self, message: m.Heartbeat, now_us: int) -> bool:
         if message.get_srcComponent() != m.VEHICLE[1] or not m.is_vehicle(message):
             return False
@@ -162,6 +167,7 @@ class Client:
         return True
 
     def _on_text(self, message: m.StatusText, now_us: int) -> bool:
+        self.said += 1
         self.texts.append((message.severity, message.text))
         del self.texts[:-50]
         return True

@@ -270,10 +270,10 @@ class FlightDirector:
         while True:
             try:
                 if land:
-                    yield from self._command(mavlink.MAV_CMD_NAV_LAND, "land", must=False)
+                    yield from self._land()
                 else:
                     self._open_log(session.now_us)
-                    yield from self._command(mavlink.MAV_CMD_MISSION_START, "start")
+                    yield from self._start()
                 status = yield FollowFlight(self._follow, None if land else self._swap)
                 break
             except TrimtabError:
@@ -339,12 +339,22 @@ class FlightDirector:
         except Refused as error:
             raise FlightFailed(str(error)) from error
 
-    def _command(self, number: int, what: str, must: bool = True) -> Generator[Task, Any, None]:
+    def _start(self) -> Generator[Task, Any, None]:
+        """Refused by a vehicle that flies or has failed since it was armed, there is a flight to follow.
+
+        A status that comes with the refusal may be older than it.
+        """
         try:
-            yield Command(number, what=what)
+            yield Command(mavlink.MAV_CMD_MISSION_START, what="start")
         except Refused as error:
-            if must:
+            status: m.FcStatus = yield FreshStatus()
+            failed = status.failsafe != mavlink.TRIMTAB_FAILSAFE_NONE
+            if not failed and status.state <= mavlink.TRIMTAB_STATE_ARMED:
                 raise FlightFailed(str(error)) from error
+
+    def _land(self) -> Generator[Task, Any, None]:
+        with contextlib.suppress(Refused):
+            yield Command(mavlink.MAV_CMD_NAV_LAND, what="land")
 
     def _open_log(self, now_us: int) -> None:
         order, client = self._order, self.session.client

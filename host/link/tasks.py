@@ -209,6 +209,7 @@ class SetParameter(Task):
         self._attempts = attempts
 
     def begin(self, client: Client, now_us: int) -> None:
+        self._said = client.said
         self.advance(client, now_us)
 
     def advance(self, client: Client, now_us: int) -> None:
@@ -224,8 +225,8 @@ class SetParameter(Task):
             return
         value = _value(message)
         if not isfinite(value) or not equal(value, self._value):
-            said = f" ({client.texts[-1][1]})" if client.texts else ""
-            raise Refused(f"{self._name} stays {value:g} on board{said}")
+            said = " ".join(client.said_since(self._said))
+            raise Refused(f"{self._name} stays {value:g} on board" + (f" ({said})" if said else ""))
         self.finish(value)
 
 
@@ -252,6 +253,7 @@ class Command(Task):
         self._refused: int | None = None
 
     def begin(self, client: Client, now_us: int) -> None:
+        self._said = client.said
         self._end_us = now_us + self._patience_us
         self._silent_us = now_us + PATIENCE_US
         self._send(client, now_us)
@@ -283,10 +285,10 @@ class Command(Task):
         self._send(client, now_us)
 
     def _words(self, client: Client) -> str:
-        """The last thing the vehicle said, which it says with every refusal."""
-        if not client.texts:
-            return f"result {self._refused}"
-        return client.texts[-1][1].partition("refused: ")[2] or client.texts[-1][1]
+        """The reason that the vehicle says with every refusal, unless the radio lost it."""
+        said = client.said_since(self._said)
+        reasons = [text.partition("refused: ")[2] for text in said if "refused: " in text]
+        return (reasons or said or [f"its reason was lost on the way, result {self._refused}"])[-1]
 
 
 class SendBlob(Task):

@@ -276,7 +276,7 @@ def test_battery_is_not_held_against_a_reference_that_is_not_there_nor_where_not
 def test_arming_checks_the_parameters_together(make_rig):
     rig = make_rig(parameters={"BAT_EMPTY_V": 17.0})
     rig.standby()
-    assert "parameters: BAT_EMPTY_V not below BAT_FULL_V" in rig.flight.arming_reasons(rig.now_us)
+    assert "BAT_EMPTY_V not below BAT_FULL_V" in rig.flight.arming_reasons(rig.now_us)
 
 
 def test_next_arming_clears_the_failsafe(make_rig):

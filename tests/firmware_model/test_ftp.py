@@ -1,6 +1,7 @@
 """Files over MAVLink FTP: the rules that stock clients rely on, and what becomes of what they write."""
 
 import random
+from dataclasses import replace
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -434,10 +435,24 @@ def test_reference_put_as_a_file_that_is_too_fast_is_refused_with_node_and_reaso
     line.run(0.3)
     answer = put_file(line, make_blob(reach=3.0, seconds=0.7).to_bytes())
     assert nak(answer, Error.FAIL)
-    node, reason = line.texts()[-2:]
+    node, *reason = line.texts()[-3:]
     assert node.startswith("staged.ref refused at node ")
-    assert "above" in reason or "below" in reason
+    assert "above" in " ".join(reason)
     assert line.store.staged(Kind.REFERENCE) is None
+
+
+def test_reason_longer_than_a_text_comes_in_lines(make_line, make_blob):
+    line = make_line()
+    line.run(0.3)
+    blob = make_blob(pieces=20)
+    nodes = list(blob.nodes)
+    state = nodes[7].state
+    nodes[7] = nodes[7]._replace(state=(*state[:6], state[6] + 0.5, *state[7:]))
+    assert nak(put_file(line, replace(blob, nodes=tuple(nodes)).to_bytes()), Error.FAIL)
+    node, *reason = line.texts()[-3:]
+    assert node == "staged.ref refused at node 7:"
+    assert all(len(text) <= 50 for text in reason)
+    assert " ".join(reason).endswith(" m/s^2")
 
 
 def test_feedforward_in_the_references_place_is_refused(make_line, make_blob):

@@ -132,7 +132,7 @@ def test_hold_in_full_flight_stops_and_stays_and_the_reference_is_not_flown_agai
     assert rig.flight.state is State.HOLD
     assert math.dist(rig.body.p, place) < 0.01
     assert checks.worst < 0.06
-    assert rig.flight.command(Event.START, rig.now_us) == "the reference has been flown: land, then arm again"
+    assert rig.flight.command(Event.START, rig.now_us) == "flown already: land, then arm again"
 
 
 def test_hold_after_a_reference_lands_unless_told_to_hold(make_rig):

@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from firmware_model.readiness import CHECKS, Facts, GyroCalibration, contradiction, reasons
+from firmware_model.readiness import CHECKS, Facts, GyroCalibration, contradiction, reasons, start_refusal
+from firmware_model.services import TEXT_BYTES
 from firmware_model.supervisor import Event
 from protocol.parameters import DEFAULTS
 
@@ -71,7 +72,7 @@ def test_calibration_never_ends_while_falling_or_turning(gyro, force):
         ({"holding": frozenset([Event.LOOP_OVERRUN])}, "ticks too late"),
         ({"holding": frozenset([Event.LINK_LOST])}, "no host heard"),
         ({"battery": "battery at 13.40 V, below 13.60 V"}, "battery at 13.40 V, below 13.60 V"),
-        ({"contradiction": "no good"}, "parameters: no good"),
+        ({"contradiction": "no good"}, "no good"),
     ],
 )
 def test_reasons_name_what_is_missing(change, reason):
@@ -81,7 +82,23 @@ def test_reasons_name_what_is_missing(change, reason):
 def test_reasons_are_told_all_at_once_and_fit_a_text():
     told = reasons(READY._replace(calibrated=False, posed=False, cos_tilt=0.0, p=(9.0, 9.0, 9.0)))
     assert told == ["gyro not calibrated: keep still", "no mocap", "tilted", "outside the fence"]
-    assert all(len(f"not ready: {check.text}") <= 50 for check in CHECKS)
+    assert all(len(f"arm refused: {check.text}") <= TEXT_BYTES for check in CHECKS)
+    assert len("arm refused: battery at 13.40 V, below 13.60 V") <= TEXT_BYTES
+
+
+@pytest.mark.parametrize(
+    ("rising", "flown", "reference"),
+    [
+        (True, False, True),
+        (False, True, True),
+        (False, False, False),
+        (False, False, True),
+    ],
+)
+def test_refusals_of_a_start_fit_a_text(make_track, rising, flown, reference):
+    track = make_track() if reference else None
+    text = start_refusal(track, rising=rising, flown=flown, battery="battery at 13.40 V, below 13.60 V")
+    assert len(f"start refused: {text}") <= TEXT_BYTES
 
 
 @pytest.mark.parametrize(
@@ -94,4 +111,4 @@ def test_reasons_are_told_all_at_once_and_fit_a_text():
 )
 def test_contradiction_of_parameters(change, text):
     assert contradiction({**DEFAULTS, **change}) == text
-    assert text is None or len(f"not ready: parameters: {text}") <= 60
+    assert text is None or len(f"arm refused: {text}") <= TEXT_BYTES

@@ -134,3 +134,47 @@ def test_flight_whose_processor_fails_it_ends_by_the_row(
         fly(simulated, on_phase=lambda phase: spoil(simulated) if phase == "tracking" else None)
     assert caught.value.exit_code == 1
     judged(read_flight(caught.value.result.log), event)
+
+
+def seen_first(simulated: Any, state: State, act: Callable[[Any, int], None]) -> None:
+    """Nothing comes back; once the vehicle is in `state`, `act` gets the flight and the time, once."""
+    run, waiting = simulated.run_until, [act]
+
+    def watch(t_us: int) -> int:
+        now_us = run(t_us)
+        flight = simulated._flight_mcu.flight
+        if waiting and flight.state is state:
+            waiting.pop()(flight, now_us)
+        return now_us
+
+    simulated.run_until = watch
+
+
+def test_flight_that_fails_between_arming_and_start_is_told_as_one(
+    fly: Callable[..., Any], simulate: Callable[..., Any]
+) -> None:
+    simulated = simulate(world_seed=8643)
+    late = BY_EVENT[Event.LOOP_OVERRUN]
+    seen_first(simulated, State.ARMED, lambda flight, now_us: flight._strike(late, now_us))
+    with pytest.raises(FlightEnded, match="ended in failsafe: ticks too late") as caught:
+        fly(simulated)
+    flight = read_flight(caught.value.result.log)
+    assert flight.failsafe == "loop-overrun"
+    assert flight.tracking is None
+
+
+def test_start_whose_answer_is_lost_and_that_fails_meanwhile_is_followed_down(
+    fly: Callable[..., Any], simulate: Callable[..., Any], world_file: Callable[[str], str]
+) -> None:
+    risen: list[int] = []
+    simulated = simulate(world_seed=8643, world=world_file(""))
+    seen_first(simulated, State.TAKEOFF, lambda flight, now_us: risen.append(now_us))
+    fly(simulated)
+    cut = f"[radio]\ncuts_s = [[{risen[0] / 1e6 + 0.001:.3f}, 1.2]]\n"
+    with pytest.raises(FlightEnded, match="ended in failsafe: mocap lost") as caught:
+        fly(simulate(world_seed=8643, world=world_file(cut)))
+    flight = read_flight(caught.value.result.log)
+    said = [entry.data for entry in scan(flight.path).by_topic()[topics.LOG]]
+    assert any(b"start refused: " in text for text in said)
+    assert flight.status is not None
+    assert flight.status.state[-1] == State.STANDBY

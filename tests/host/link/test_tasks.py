@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from host.errors import LinkError, Refused
-from host.link.session import Session
+from host.link.session import Script, Session
 from host.link.tasks import (
     Command,
     FindVehicle,
@@ -177,6 +177,19 @@ def test_command_denied_repeats_the_vehicles_words(run: Run, fake: Any) -> None:
     fake.text = "arm refused: no mocap"
     text = failure(run(one(Command(ARM, (1.0,), what="arm", patience_us=9_000_000)), fake), Refused)
     assert text == "the vehicle refuses to arm: no mocap"
+
+
+def test_command_denied_in_words_that_got_lost_does_not_repeat_older_ones(run: Run, fake: Any) -> None:
+    fake.refuse = lambda number: mavlink.MAV_RESULT_DENIED
+    fake.send(m.StatusText(4, b"start refused: arm first"))
+
+    def script(session: Session) -> Script:
+        yield SettleClock()
+        assert session.client.texts
+        yield Command(ARM, (1.0,), what="arm")
+
+    text = failure(run(script, fake), Refused)
+    assert text == "the vehicle refuses to arm: its reason was lost on the way, result 2"
 
 
 def test_command_not_now_is_asked_again_until_it_is_accepted(run: Run, fake: Any) -> None:
