@@ -91,7 +91,11 @@ Fields masked out or not finite are left out; what then makes no setpoint is ref
 The reference never steps: every setpoint begins a polynomial in its present position, velocity, acceleration
 and jerk, at least {shortest:g} s long, within LIM_SPEED and OFFB_ACCEL. A stream of positions alone is
 followed about 0.3 s late. Positions end at the fence and {lowest:g} m above the floor, velocities stop there.
+Where no such way is gentle and stays inside, it first takes out the acceleration, or stops and goes on.
 Rates stay within LIM_RATE_* and thrust above THRUST_FLOOR; no position is held then.
+
+A stop (hold, land, landing in place) brakes by LAND_DECEL, sideways and in height each in its own time; where
+it would lead through the fence or below {lowest:g} m, it brakes up to twice as hard.
 """
 
 

@@ -8,6 +8,7 @@ from firmware_model.law.constants import GRAVITY
 from firmware_model.law.step import NO_OFFBOARD
 from firmware_model.parameters import ParameterValues
 from firmware_model.setpoints import AttitudeTarget, Bounds, PositionTarget, Target
+from firmware_model.track import Room
 from firmware_model.uart import NEVER_US
 
 LOWEST = 0.2
@@ -66,8 +67,7 @@ class Offboard:
         low = (values["FENCE_N_MIN"], values["FENCE_E_MIN"], values["FENCE_D_MIN"])
         bottom = max(low[2], min(values["FENCE_D_MAX"], floor - LOWEST))
         return Bounds(
-            low=low,
-            high=(values["FENCE_N_MAX"], values["FENCE_E_MAX"], bottom),
+            room=Room(low, (values["FENCE_N_MAX"], values["FENCE_E_MAX"], bottom)),
             speed=values["LIM_SPEED"],
             accel=values["OFFB_ACCEL"],
             yaw_rate=values["LIM_RATE_Z"],

@@ -160,6 +160,7 @@ class Phases:
             reference.start_yaw,
             speed=values["TAKEOFF_SPEED"],
             deceleration=values["LAND_DECEL"],
+            room=self._room(),
             hover_us=max(TICK_US, track.seconds_us(values["HOVER_S"])),
             upright=self._low(present[0]),
         )
@@ -174,7 +175,8 @@ class Phases:
         """Nothing comes back; it stops and stays, until told otherwise or for `hold_s`."""
         hold_us = track.ENDLESS_US if hold_s is None else max(TICK_US, track.seconds_us(hold_s))
         deceleration = self._parameters["LAND_DECEL"]
-        self.player.start(track.stop(*present, deceleration=deceleration, hold_us=hold_us), now_us)
+        way = track.stop(*present, deceleration=deceleration, room=self._room(), hold_us=hold_us)
+        self.player.start(way, now_us)
 
     def follow(self, now_us: int) -> None:
         """Nothing comes back; the newest setpoint is what is flown from now on."""
@@ -205,7 +207,11 @@ class Phases:
         """Nothing comes back; it stops and goes straight down."""
         values = self._parameters
         descent = track.land(
-            *present, floor=self.floor, speed=values["LAND_SPEED"], deceleration=values["LAND_DECEL"]
+            *present,
+            floor=self.floor,
+            speed=values["LAND_SPEED"],
+            deceleration=values["LAND_DECEL"],
+            room=self._room(),
         )
         self.player.start(descent, now_us)
 
@@ -241,6 +247,9 @@ class Phases:
         """Nothing comes back; rotors off in the air."""
         self._armed[0] = 0.0
         self.player.start(track.hold((0.0, 0.0, 0.0), 0.0, FALL_US), now_us)
+
+    def _room(self) -> track.Room:
+        return self.offboard.bounds(self.floor).room
 
     def _low(self, node: track.Node) -> bool:
         return self.floor - node[2] < CLEAR_HEIGHT

@@ -11,17 +11,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
-from firmware_model.law.reference import septic_at
+from firmware_model.law.reference import septic_at, septic_coefficients
 from firmware_model.track import (
+    EASE_S,
     ENDLESS_US,
     QUINTIC_PEAK,
     SEPTIC_PEAK,
     Node,
+    Room,
     Track,
     Vector,
     YawState,
+    braked,
     coast,
+    eased,
     seconds_us,
     track,
 )
@@ -32,8 +37,10 @@ TURN_RATE = 1.5
 """rad/s at which a new yaw is turned to at most."""
 SEPTIC_ACCEL = 7.52
 """Greatest acceleration of a septic from rest to rest, times its length squared over its way."""
-EASE_S = 1.0
+RENEWAL_S = 1.0
 """Time in which an acceleration ends that no newer setpoint renews."""
+ASIDE_M = 0.2
+"""How far a piece may swing out beyond both its ends and beyond what a stop takes."""
 _FIRST = 0.6  # of the time that rest to rest would take: who moves already needs less
 _STRETCH = 1.15
 _STRETCHES = 12
@@ -85,10 +92,9 @@ Target = PositionTarget | AttitudeTarget
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """What setpoints are kept within: a box (NED, m), speed (m/s), acceleration (m/s^2), yaw rate (rad/s)."""
+    """What setpoints are kept within: a room, speed (m/s), acceleration (m/s^2), yaw rate (rad/s)."""
 
-    low: Vector
-    high: Vector
+    room: Room
     speed: float
     accel: float
     yaw_rate: float
@@ -124,19 +130,12 @@ def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) 
     It has no end of its own. `target.ahead` is for whoever knows the heading: here it must be False.
     """
     aims, asked = _aims(target, state, bounds)
-    length_s = _length_s(aims, asked, state, bounds)
-    for _ in range(_STRETCHES):
-        end = _end(aims, asked, target.a, state, length_s, bounds)
-        nodes = [(0, state), (seconds_us(length_s), end)]
-        begun = track(nodes, [(0, 0.0, 0.0)])
-        if _gentle(begun.blocks[0], length_s, state, bounds):
-            break
-        length_s *= _STRETCH
+    nodes = _nodes(aims, asked, target.a, state, bounds)
     t_us, end = nodes[-1]
     velocity: Vector = (end[3], end[4], end[5])
-    if any(target.a):
-        t_us += seconds_us(EASE_S)
-        end = _moving(coast(end, velocity, EASE_S), velocity)
+    if any(end[6:9]):
+        t_us += seconds_us(RENEWAL_S)
+        end = _moving(coast(end, velocity, RENEWAL_S), velocity)
         nodes.append((t_us, end))
     far = ENDLESS_US * 1e-6
     p: Vector = (end[0] + far * end[3], end[1] + far * end[4], end[2] + far * end[5])
@@ -147,6 +146,37 @@ def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) 
     return track(nodes, _turn(target, yaw, t_us + ENDLESS_US, bounds.yaw_rate)), bounded
 
 
+def _nodes(aims: Axes, asked: Vector, accel: Vector, state: Node, bounds: Bounds) -> list[tuple[int, Node]]:
+    """From the state to where the setpoint leads: in one piece, else behind what takes out the acceleration
+    or, where that is not enough, behind a stop. At worst it stays there.
+    """
+    stopped: list[tuple[int, Node]] = []
+    for begin in (_at_once, _eased, _stopped):
+        stopped = begun = begin(state, bounds)
+        t_us, node = begun[-1]
+        length_s = _length_s(aims, asked, node, bounds)
+        for _ in range(_STRETCHES):
+            end = _end(aims, asked, accel, node, length_s, bounds)
+            piece = [(t_us, node), (t_us + seconds_us(length_s), end)]
+            if _gentle(piece if begin is _stopped else [*begun, piece[-1]], bounds):
+                return [*begun, piece[-1]]
+            length_s *= _STRETCH
+    t_us, node = stopped[-1]
+    return [*stopped, (t_us + seconds_us(SHORTEST_S), node)]
+
+
+def _at_once(state: Node, bounds: Bounds) -> list[tuple[int, Node]]:
+    return [(0, state)]
+
+
+def _eased(state: Node, bounds: Bounds) -> list[tuple[int, Node]]:
+    return [(0, state), (seconds_us(EASE_S), eased(state, EASE_S))]
+
+
+def _stopped(state: Node, bounds: Bounds) -> list[tuple[int, Node]]:
+    return braked(state, bounds.accel, bounds.room)
+
+
 def _aims(target: PositionTarget, state: Node, bounds: Bounds) -> tuple[Axes, Vector]:
     """Positions and velocities asked for, within the box and the speed."""
     wanted = [v or 0.0 for v in target.v]
@@ -154,7 +184,7 @@ def _aims(target: PositionTarget, state: Node, bounds: Bounds) -> tuple[Axes, Ve
     if speed > bounds.speed:
         wanted = [v * bounds.speed / speed for v in wanted]
     aims: list[float | None] = []
-    for i, (p, low, high) in enumerate(zip(target.p, bounds.low, bounds.high, strict=True)):
+    for i, (p, low, high) in enumerate(zip(target.p, *bounds.room, strict=True)):
         aim = None if p is None else min(max(p, low), high)
         aims.append(aim)
         here = state[i] if aim is None else aim
@@ -180,33 +210,66 @@ def _length_s(aims: Axes, velocity: Vector, state: Node, bounds: Bounds) -> floa
 
 
 def _end(aims: Axes, velocity: Vector, accel: Vector, state: Node, length_s: float, bounds: Bounds) -> Node:
-    """The node at the end of a piece: the aims have moved on as the setpoint says."""
+    """The node at the end of a piece: the aims have moved on as the setpoint says, within the bounds."""
     size = math.hypot(*accel)
     most = min(1.0, bounds.accel / size) if size else 1.0
-    a = (most * accel[0], most * accel[1], most * accel[2])
-    v = tuple(w + b * length_s for w, b in zip(velocity, a, strict=True))
-    moved = coast(state, (v[0], v[1], v[2]), length_s, a)
+    a = [most * x for x in accel]
+    v = [w + b * length_s for w, b in zip(velocity, a, strict=True)]
+    speed = math.hypot(*v)
+    if speed > bounds.speed:
+        v = [x * bounds.speed / speed for x in v]
     p = [
-        m if aim is None else aim + (w + 0.5 * b * length_s) * length_s
-        for m, aim, w, b in zip(moved, aims, velocity, a, strict=True)
+        here if aim is None else aim + (w + 0.5 * b * length_s) * length_s
+        for here, aim, w, b in zip(_coasted(state, v, length_s, a), aims, velocity, a, strict=True)
     ]
-    for i, (low, high) in enumerate(zip(bounds.low, bounds.high, strict=True)):
-        if aims[i] is not None and not low <= p[i] <= high:
-            p[i] = min(max(p[i], low), high)
-            v = (*v[:i], 0.0, *v[i + 1 :])
-            a = (*a[:i], 0.0, *a[i + 1 :])
-    return (p[0], p[1], p[2], *v, *a, 0.0, 0.0, 0.0)
+    for i, (low, high) in enumerate(zip(*bounds.room, strict=True)):
+        if aims[i] is None:
+            within = min(max(v[i], -_speed_left(p[i] - low, bounds)), _speed_left(high - p[i], bounds))
+            if within != v[i]:
+                v[i], a[i] = within, 0.0
+                p[i] = _coasted(state, v, length_s, a)[i]
+        elif not low <= p[i] <= high:
+            p[i], v[i], a[i] = min(max(p[i], low), high), 0.0, 0.0
+    return (*p, *v, *a, 0.0, 0.0, 0.0)
 
 
-def _gentle(block: Sequence[float], length_s: float, state: Node, bounds: Bounds) -> bool:
-    """Whether the piece stays within speed and acceleration, or within those it begins with."""
-    fastest = max(bounds.speed, math.hypot(*state[3:6])) * 1.001 + 1e-6
-    hardest = max(bounds.accel, math.hypot(*state[6:9])) * 1.001 + 1e-6
-    for k in range(1, _SAMPLES + 1):
-        _, v, a, _, _ = septic_at(block[1:], length_s * k / _SAMPLES)
-        if math.hypot(*v) > fastest or math.hypot(*a) > hardest:
-            return False
+def _coasted(state: Node, v: Sequence[float], length_s: float, a: Sequence[float]) -> Vector:
+    return coast(state, (v[0], v[1], v[2]), length_s, (a[0], a[1], a[2]))
+
+
+def _gentle(nodes: Sequence[tuple[int, Node]], bounds: Bounds) -> bool:
+    """Whether the way stays within speed, acceleration and room, or within those of its nodes, and swings out
+    no further than it has to.
+    """
+    state, end = nodes[0][1], nodes[-1][1]
+    fastest = max(bounds.speed, *(math.hypot(*node[3:6]) for _, node in nodes)) * 1.001 + 1e-6
+    hardest = max(bounds.accel, *(math.hypot(*node[6:9]) for _, node in nodes)) * 1.001 + 1e-6
+    beyond = bounds.room.beyond(state) + 1e-3
+    swing = Room(*(_swing(state, end, side, bounds) for side in (-1.0, 1.0)))
+    for (t0, node0), (t1, node1) in pairwise(nodes):
+        length_s = 1e-6 * (t1 - t0)
+        coefficients = septic_coefficients(length_s, node0, node1)
+        for k in range(1, _SAMPLES + 1):
+            p, v, a, _, _ = septic_at(coefficients, length_s * k / _SAMPLES)
+            if (
+                math.hypot(*v) > fastest
+                or math.hypot(*a) > hardest
+                or bounds.room.beyond(p) > beyond
+                or swing.beyond(p) > 0.0
+            ):
+                return False
     return True
+
+
+def _swing(state: Node, end: Node, side: float, bounds: Bounds) -> Vector:
+    """How far a way from the state to the end may lead to this side (-1 or 1) of both, by axis."""
+    least = []
+    for i in range(3):
+        on = max(0.0, side * (state[3 + i] + 0.5 * EASE_S * state[6 + i]))
+        off = max(0.0, -side * end[3 + i])
+        out = max(side * state[i] + on**2 / bounds.accel, side * end[i] + off**2 / bounds.accel)
+        least.append(side * (out + ASIDE_M))
+    return (least[0], least[1], least[2])
 
 
 def _moving(p: Vector, velocity: Vector) -> Node:

@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 from array import array
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 from firmware_model.law.checks import REST, REST_YAW_RATE
 from firmware_model.law.reference import (
@@ -20,6 +21,7 @@ from firmware_model.law.reference import (
     SEPTIC_SIZE,
     cubic_at,
     cubic_coefficients,
+    septic,
     septic_at,
     septic_coefficients,
 )
@@ -39,9 +41,27 @@ TURN_US = 500_000
 """Time in which a turn that nothing continues ends."""
 SINK = 1.5
 """m/s^2 by which thrust falls short of hover once velocity is unknown too."""
+EASE_S = 0.4
+"""Time in which a stop takes out the acceleration it begins with, before the speed."""
+SHORTEST_STOP_S = 0.8
+HARDER = (1.0, 0.85, 0.7, 0.6, 0.5)
+"""Shares of its time that a stop is tried with, one after the other, where it leads out of its room."""
 ENDLESS_US = 1_000_000_000_000
 """How long something lasts that nothing but an event ends: eleven days."""
 _ZERO: Vector = (0.0, 0.0, 0.0)
+_SIDEWAYS, _DOWN = (0, 1), (2,)
+_SAMPLES = 8  # of a piece
+
+
+class Room(NamedTuple):
+    """Where a reference may lead: between two corners, NED."""
+
+    low: Vector
+    high: Vector
+
+    def beyond(self, p: Sequence[float], axes: Sequence[int] = (0, 1, 2)) -> float:
+        """How far (m) a position lies outside, along the worst of the axes; 0 inside."""
+        return max(0.0, *(max(p[i] - self.high[i], self.low[i] - p[i]) for i in axes))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,6 +164,7 @@ def transit(
     *,
     speed: float,
     deceleration: float,
+    room: Room,
     hover_us: int,
     upright: bool = False,
 ) -> Track:
@@ -151,7 +172,7 @@ def transit(
 
     upright: first straight up to its height. Speeds, times and yaw as `climb` has them.
     """
-    nodes = _stopping(state, deceleration)
+    nodes = braked(state, deceleration, room)
     north, east, _ = _position(nodes[-1][1])
     corners = [(north, east, target[2]), target] if upright else [target]
     return _legs(nodes, yaw, corners, yaw_end, speed=speed, hover_us=hover_us)
@@ -187,20 +208,20 @@ def hold(p: Vector, yaw: float, duration_us: int) -> Track:
     return track([(0, _rest(p)), (duration_us, _rest(p))], [(0, yaw, 0.0)])
 
 
-def stop(state: Node, yaw: YawState, *, deceleration: float, hold_us: int = ENDLESS_US) -> Track:
+def stop(state: Node, yaw: YawState, *, deceleration: float, room: Room, hold_us: int = ENDLESS_US) -> Track:
     """From the reference state (p, v, a, j) to a stop, then at rest for `hold_us`."""
-    nodes = _stopping(state, deceleration)
+    nodes = braked(state, deceleration, room)
     t_us, last = nodes[-1]
     nodes[-1] = (t_us, _rest(_position(last)))
     return track([*nodes, (t_us + hold_us, nodes[-1][1])], _turning(*yaw))
 
 
-def land(state: Node, yaw: YawState, *, floor: float, speed: float, deceleration: float) -> Track:
+def land(state: Node, yaw: YawState, *, floor: float, speed: float, deceleration: float, room: Room) -> Track:
     """From the reference state (p, v, a, j) to a stop, then straight down at `speed` to 1 m below `floor`.
 
     A vehicle at rest begins to descend at once. The end of the track is a timeout: touchdown comes before.
     """
-    nodes = _stopping(state, deceleration, still=0.05)
+    nodes = braked(state, deceleration, room, still=0.05)
     t_us, last = nodes[-1]
     p = _position(last)
     down: Vector = (0.0, 0.0, speed)
@@ -263,13 +284,95 @@ def coast(state: Node, velocity: Vector, dt_s: float, acceleration: Vector = _ZE
     return (x, y, z)
 
 
-def _stopping(state: Node, deceleration: float, still: float = 1e-9) -> list[tuple[int, Node]]:
-    """Nodes from the state to rest; the state alone where neither speed nor acceleration exceeds `still`."""
-    speed = math.hypot(*state[3:6])
-    if speed <= still and math.hypot(*state[6:9]) <= still:
+def eased(state: Node, dt_s: float) -> Node:
+    """The node `dt_s` on at which acceleration and jerk are gone; the speed is what they made of it."""
+    v = [state[3 + i] + dt_s * state[6 + i] / 2.0 + dt_s**2 * state[9 + i] / 12.0 for i in range(3)]
+    velocity: Vector = (v[0], v[1], v[2])
+    return (*coast(state, velocity, dt_s), *velocity, *_ZERO, *_ZERO)
+
+
+def braked(state: Node, deceleration: float, room: Room, still: float = 1e-9) -> list[tuple[int, Node]]:
+    """Nodes from the state to rest; the state alone where neither speed nor acceleration exceeds `still`.
+
+    A stop sideways goes straight ahead; the one up or down takes its own time. Where one would lead out of
+    the room, it brakes harder than `deceleration`, up to twice; where that is no help, as little as can be.
+    """
+    if math.hypot(*state[3:6]) <= still and math.hypot(*state[6:9]) <= still:
         return [(0, state)]
-    t_us = seconds_us(max(0.8, QUINTIC_PEAK * speed / deceleration))
-    return [(0, state), (t_us, _rest(coast(state, _ZERO, t_us * 1e-6)))]
+    sideways, down = (_within(_along(state, axes), deceleration, room, axes) for axes in (_SIDEWAYS, _DOWN))
+    times = sorted({t_us for t_us, _ in (*sideways, *down)})
+    return [(t_us, tuple(map(sum, zip(_at(sideways, t_us), _at(down, t_us), strict=True)))) for t_us in times]
+
+
+def _along(state: Node, axes: Sequence[int]) -> Node:
+    """The state's share of these axes, 0 for the others."""
+    return tuple(x if k % 3 in axes else 0.0 for k, x in enumerate(state))
+
+
+def _within(state: Node, deceleration: float, room: Room, axes: Sequence[int]) -> list[tuple[int, Node]]:
+    """The gentlest stop that stays in the room along these axes, or no further out than it begins."""
+    if not any(state[3:]):
+        return [(0, state)]
+    allowed = room.beyond(state, axes) + 1e-6
+    best, least = [(0, state)], math.inf
+    for nodes in _stops(state, deceleration):
+        beyond = max(room.beyond(p, axes) for p, _ in _samples(nodes))
+        if beyond < least:
+            best, least = nodes, beyond
+        if beyond <= allowed:
+            break
+    return best
+
+
+def _stops(state: Node, deceleration: float) -> Iterator[list[tuple[int, Node]]]:
+    """Ways from the state to rest: the shortest that are gentle, then harder ones."""
+    begun = [(0, state)]
+    whole_s = _stop_s(state, deceleration)
+    if any(state[6:12]):
+        at_once = [*begun, _stopped(0, state, whole_s)]
+        if _hardest(at_once) <= 1.01 * max(deceleration, math.hypot(*state[6:9])):
+            yield at_once
+        begun.append((seconds_us(EASE_S), eased(state, EASE_S)))
+    t_us, node = begun[-1]
+    for share in HARDER:
+        yield [*begun, _stopped(t_us, node, share * _stop_s(node, deceleration))]
+    for share in HARDER:
+        yield [(0, state), _stopped(0, state, share * whole_s)]
+
+
+def _stop_s(node: Node, deceleration: float) -> float:
+    """Time of a stop that brakes no harder than `deceleration`, where nothing accelerates at its start."""
+    return max(SHORTEST_STOP_S, QUINTIC_PEAK * math.hypot(*node[3:6]) / deceleration)
+
+
+def _stopped(t_us: int, node: Node, dt_s: float) -> tuple[int, Node]:
+    """Rest, `dt_s` after the node at `t_us`."""
+    dt_us = seconds_us(dt_s)
+    return t_us + dt_us, _rest(coast(node, _ZERO, dt_us * 1e-6))
+
+
+def _hardest(nodes: Sequence[tuple[int, Node]]) -> float:
+    """Greatest acceleration on the way through the nodes."""
+    return max(math.hypot(*a) for _, a in _samples(nodes))
+
+
+def _samples(nodes: Sequence[tuple[int, Node]]) -> Iterator[tuple[Vector, Vector]]:
+    """Positions and accelerations on the way through the nodes."""
+    for (t0, node0), (t1, node1) in pairwise(nodes):
+        dt_s = _duration_s(t0, t1)
+        coefficients = septic_coefficients(dt_s, node0, node1)
+        for k in range(1, _SAMPLES + 1):
+            p, _, a, _, _ = septic_at(coefficients, dt_s * k / _SAMPLES)
+            yield p, a
+
+
+def _at(nodes: Sequence[tuple[int, Node]], t_us: int) -> Node:
+    """p, v, a, j at a time, on the way through the nodes or behind the last."""
+    for (t0, node0), (t1, node1) in pairwise(nodes):
+        if t_us < t1:
+            p, v, a, j, _ = septic(_duration_s(t0, t1), 1e-6 * (t_us - t0), node0, node1)
+            return (*p, *v, *a, *j)
+    return nodes[-1][1]
 
 
 def _turning(yaw: float, rate: float) -> list[tuple[int, float, float]]:

@@ -6,9 +6,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from firmware_model.track import Track, climb, hold, land, level_descent, seconds_us, track
+from firmware_model.track import Room, Track, climb, hold, land, level_descent, seconds_us, stop, track
 
 REST = (0.0,) * 9
+WIDE = Room((-99.0,) * 3, (99.0,) * 3)
+LAB = Room((-5.0, -5.0, -5.0), (5.0, 5.0, -0.2))
 
 
 def septic(block, s):
@@ -71,7 +73,7 @@ def test_hold_stays():
 
 
 def test_land_from_rest_goes_straight_down_through_the_floor():
-    t = land((1.0, 2.0, -1.5, *REST), (0.3, 0.0), floor=0.0, speed=0.5, deceleration=5.0)
+    t = land((1.0, 2.0, -1.5, *REST), (0.3, 0.0), floor=0.0, speed=0.5, deceleration=5.0, room=WIDE)
     assert_pieces_join(t)
     end, v, *_ = septic(t.blocks[-1], durations(t)[-1])
     np.testing.assert_allclose(end, [1.0, 2.0, 1.0], atol=1e-3)
@@ -82,13 +84,43 @@ def test_land_from_rest_goes_straight_down_through_the_floor():
 
 def test_land_at_speed_brakes_within_its_deceleration_first():
     state = (0.0, 0.0, -2.0, 5.0, 0.0, 0.0, *(0.0,) * 6)
-    t = land(state, (0.0, 0.0), floor=0.0, speed=0.5, deceleration=5.0)
+    t = land(state, (0.0, 0.0), floor=0.0, speed=0.5, deceleration=5.0, room=WIDE)
     assert_pieces_join(t)
     accelerations = [np.linalg.norm(a) for _, _, a, _ in sampled(t)]
     assert max(accelerations) == pytest.approx(5.0, rel=1e-2)
     braking_s = durations(t)[0]
     x = septic(t.blocks[0], braking_s)[0][0]
     assert x == pytest.approx(5.0 * braking_s / 2.0)
+
+
+@pytest.mark.parametrize(
+    ("height", "velocity", "acceleration"),
+    [
+        (1.5, (4.5, 0.0, 1.7), (0.0,) * 3),
+        (2.2, (6.0, 0.0, 2.5), (2.0, 0.0, 1.0)),
+        (1.0, (0, 0, 1), (0, 0, -6)),
+    ],
+)
+def test_stop_out_of_a_dive_ends_above_the_floor(height, velocity, acceleration):
+    state = (-4.5, 0.0, -height, *velocity, *acceleration, 0.0, 0.0, 0.0)
+    t = stop(state, (0.0, 0.0), deceleration=4.0, room=LAB)
+    assert_pieces_join(t)
+    assert max(p[2] for p, *_ in sampled(t)) <= -0.2
+    np.testing.assert_allclose(list(sampled(t))[-1][1], 0.0, atol=1e-9)
+    down = land(state, (0.0, 0.0), floor=0.0, speed=0.5, deceleration=4.0, room=LAB)
+    assert_pieces_join(down)
+    assert down.blocks[0] == t.blocks[0]
+
+
+def test_stop_towards_the_fence_brakes_harder_and_one_without_room_as_hard_as_it_may():
+    def run(velocity):
+        state = (0.0, 0.0, -2.0, velocity, 0.0, 0.0, *(0.0,) * 6)
+        t = stop(state, (0.0, 0.0), deceleration=4.0, room=LAB, hold_us=1_000_000)
+        return t.end_ned[0], max(np.linalg.norm(a) for _, _, a, _ in sampled(t))
+
+    assert run(4.0) == (pytest.approx(3.75), pytest.approx(4.0, rel=0.01))  # 1.875 / 2 * 16 / 4
+    assert run(5.0) == (pytest.approx(4.98, abs=0.01), pytest.approx(4.7, rel=0.01))
+    assert run(9.0) == (pytest.approx(9.49, abs=0.01), pytest.approx(8.0, rel=0.01))
 
 
 def test_level_descent_is_smooth_down_to_the_open_loop_part():
