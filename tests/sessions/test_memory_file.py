@@ -56,13 +56,13 @@ def test_killed_vehicle_started_again_on_its_memory_takes_the_rest_of_the_upload
         command = (*TRIMTAB, "upload", str(wanted), "--port", port)
         uploader = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         try:
-            while held_in(memory) < 20:
+            while held_in(memory) < chunks // 3:
                 assert uploader.poll() is None
         finally:
             uploader.kill()
             uploader.wait()
     held = held_in(memory)
-    assert 20 <= held < chunks
+    assert chunks // 3 <= held < chunks
     assert memory_in(memory).live(Kind.REFERENCE) is None
     sent = []
     for _ in range(2):
