@@ -13,9 +13,10 @@ from firmware_model.engine import Engine, doubles
 from firmware_model.estimate import Estimate
 from firmware_model.failsafe import BY_EVENT, Action, Condition, Failsafe, escalate
 from firmware_model.feedforward import FeedForwardInput
+from firmware_model.law import step as law
 from firmware_model.parameters import ParameterValues
 from firmware_model.phases import Phases, Present
-from firmware_model.readiness import Facts, contradiction, reasons, start_refusal
+from firmware_model.readiness import Facts, Rest, contradiction, reasons, start_refusal
 from firmware_model.setpoints import Target
 from firmware_model.supervisor import FLYING, Event, State, update
 from firmware_model.track import Track
@@ -93,6 +94,7 @@ class Flight:
 
         self._estimate = Estimate(inputs)
         self.poses, self.calibration = self._estimate.poses, self._estimate.calibration
+        self._rest = Rest()
         self._poses_waiting = self.poses.waiting
         self._flying = False
         for view in (*inputs.values(), *self.outputs.values()):
@@ -204,6 +206,7 @@ class Flight:
             if condition.failsafe is not Failsafe.NONE:
                 self.conditions |= 1 << condition.failsafe
         if state is State.STANDBY:
+            self._rest.look(now_us, math.hypot(*self._memory[law.EST_V]), self._force)
             if self._estimate.calibrate(now_us, self.parameters["EST_BIAS_MAX"]):
                 self._tell(_INFO, "gyro calibrated")
             return
@@ -248,6 +251,7 @@ class Flight:
         self._offboard.release()
         if state is State.STANDBY:
             self.action = Action.NONE
+            self._rest.begin(now_us)
             self.feedforward.resume()
             phases.rest(now_us)
             if before is not State.BOOT:
@@ -372,6 +376,7 @@ class Flight:
         facts = Facts(
             calibrated=self.calibration.bias is not None,
             posed=self.has_pose(now_us),
+            still=self._rest.still,
             cos_tilt=self._cos_tilt[0],
             p=(memory[0], memory[1], memory[2]),
             fence=fence(values),

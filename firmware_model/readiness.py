@@ -20,6 +20,12 @@ STILL_FORCE = 1.0
 """m/s^2 by which the length of the specific force may differ from g."""
 ARM_TILT_DEG = 20.0
 """Greatest tilt at arming."""
+REST_US = 100_000
+"""Stillness that arming takes: three times a rotor's lag, so that one just killed counts as falling."""
+REST_SPEED = 0.3
+"""m/s of the estimate at which a vehicle moves."""
+REST_FORCE = 2.0
+"""m/s^2 by which the length of the specific force differs from g then; less steady, no gyro is calibrated."""
 
 
 class GyroCalibration:
@@ -66,17 +72,36 @@ class GyroCalibration:
         return True
 
 
+class Rest:
+    """Whether the vehicle stands still: `still` after REST_US of looks that found it so."""
+
+    def __init__(self) -> None:
+        self.still = False
+        self._since_us = 0
+
+    def begin(self, now_us: int) -> None:
+        """Nothing comes back; nothing is known yet."""
+        self.still, self._since_us = False, now_us
+
+    def look(self, now_us: int, speed: float, force: Sequence[float]) -> None:
+        """Nothing comes back. speed: estimated, m/s. force: a sample of this tick, FRD."""
+        if speed > REST_SPEED or not abs(math.hypot(*force) - GRAVITY) < REST_FORCE:
+            self._since_us = now_us
+        self.still = now_us - self._since_us >= REST_US
+
+
 class Facts(NamedTuple):
     """What the arming checks judge.
 
-    calibrated: the gyro is; posed: poses are being used; cos_tilt: of the estimate; p: estimated position
-    (NED); fence: the flight volume; holding: conditions of the failsafe table that hold; battery: why the
-    live reference is not flown with this battery, None where it may be; contradiction: of the parameters,
-    None where there is none.
+    calibrated: the gyro is; posed: poses are being used; still: the vehicle stands, as Rest has it; cos_tilt:
+    of the estimate; p: estimated position (NED); fence: the flight volume; holding: conditions of the
+    failsafe table that hold; battery: why the live reference is not flown with this battery, None where it
+    may be; contradiction: of the parameters, None where there is none.
     """
 
     calibrated: bool
     posed: bool
+    still: bool
     cos_tilt: float
     p: tuple[float, float, float]
     fence: Box
@@ -103,6 +128,7 @@ CHECKS: tuple[Check, ...] = (
     Check("mocap", lambda facts: not facts.posed, "no mocap"),
     Check("age of poses", _holds(Event.MOCAP_LATE), "mocap late"),
     Check("tilt", lambda facts: not facts.cos_tilt >= math.cos(math.radians(ARM_TILT_DEG)), "tilted"),
+    Check("rest", lambda facts: facts.posed and not facts.still, "moving: let it stand still"),
     Check("fence", lambda facts: not within(facts.p, facts.fence), "outside the fence"),
     Check("battery", _holds(Event.BATTERY_LOW), "battery low: charge it"),
     Check("battery for the live reference", lambda facts: facts.battery is not None, "{battery}"),

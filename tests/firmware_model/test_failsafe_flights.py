@@ -139,6 +139,7 @@ def test_battery_low_lands_in_place(make_rig):
     expected = DEFAULTS["FS_BAT_S"] * math.log((16.8 - 12.0) / (low - 12.0))
     assert struck_after(rig, Event.BATTERY_LOW) == pytest.approx(expected, rel=0.02)
     landed_softly(rig)
+    rig.run(0.2)
     assert rig.flight.command(Event.ARM, rig.now_us) == "battery low: charge it"
 
 
@@ -244,6 +245,30 @@ def test_what_would_end_a_flight_refuses_arming(make_rig, spoil, reason):
     rig.run(12.0)
     assert reason in rig.flight.arming_reasons(rig.now_us)
     assert rig.flight.command(Event.ARM, rig.now_us) == rig.flight.arming_reasons(rig.now_us)[0]
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.01, 0.1, 0.4])
+def test_vehicle_that_was_killed_in_the_air_is_not_armed_in_its_fall(make_rig, after_s):
+    """It would take the height where it was armed for the floor."""
+    rig = make_rig(reference=False)
+    hovering(rig, 3.0)
+    assert rig.flight.command(Event.KILL, rig.now_us) is None
+    rig.run(after_s)
+    assert rig.body.p[2] < -2.0
+    assert rig.flight.command(Event.ARM, rig.now_us) == "moving: let it stand still"
+    rig.run(3.0)
+    assert rig.flight.command(Event.ARM, rig.now_us) is None
+
+
+def test_vehicle_is_not_armed_while_it_is_carried_about(make_rig):
+    rig = make_rig(reference=False)
+    rig.standby()
+    rig.body.p[2] = -1.0
+    for _ in range(1_000):
+        rig.tick()
+        rig.body.p[0], rig.body.p[2], rig.body.v = 0.5e-6 * rig.now_us, -1.0, [0.5, 0.0, 0.0]
+        rig.body.force = (0.0, 0.0, -9.81)
+    assert rig.flight.arming_reasons(rig.now_us) == ["moving: let it stand still"]
 
 
 def test_battery_too_low_for_the_live_reference_refuses_arming_and_start(make_rig):

@@ -4,7 +4,15 @@ import math
 
 import pytest
 
-from firmware_model.readiness import CHECKS, Facts, GyroCalibration, contradiction, reasons, start_refusal
+from firmware_model.readiness import (
+    CHECKS,
+    Facts,
+    GyroCalibration,
+    Rest,
+    contradiction,
+    reasons,
+    start_refusal,
+)
 from firmware_model.services import TEXT_BYTES
 from firmware_model.supervisor import Event
 from protocol.parameters import DEFAULTS
@@ -13,6 +21,7 @@ LEVEL = (0.0, 0.0, -9.81)
 READY = Facts(
     calibrated=True,
     posed=True,
+    still=True,
     cos_tilt=1.0,
     p=(0.0, 0.0, 0.0),
     fence=((-3.0, 3.0), (-3.0, 3.0), (-2.0, 0.3)),
@@ -57,6 +66,29 @@ def test_calibration_never_ends_while_falling_or_turning(gyro, force):
 
 
 @pytest.mark.parametrize(
+    ("speed", "force", "still"),
+    [
+        (0.0, LEVEL, True),
+        (0.29, (4.0, 0.0, -9.0), True),
+        (0.31, LEVEL, False),
+        (0.0, (0.0, 0.0, 0.0), False),
+        (0.0, (0.0, 0.0, -12.0), False),
+        (0.0, (0.0, 0.0, math.nan), False),
+    ],
+)
+def test_vehicle_is_still_once_it_has_been_for_a_tenth_of_a_second(speed, force, still):
+    rest = Rest()
+    rest.begin(1_000_000)
+    told = []
+    for k in range(12):
+        rest.look(1_000_000 + 10_000 * k, speed, force)
+        told.append(rest.still)
+    assert told == [False] * 10 + [still] * 2
+    rest.look(1_120_000, 0.0, (0.0, 0.0, -7.0))
+    assert not rest.still
+
+
+@pytest.mark.parametrize(
     ("change", "reason"),
     [
         ({}, None),
@@ -65,6 +97,8 @@ def test_calibration_never_ends_while_falling_or_turning(gyro, force):
         ({"cos_tilt": math.cos(math.radians(21.0))}, "tilted"),
         ({"cos_tilt": math.nan}, "tilted"),
         ({"cos_tilt": math.cos(math.radians(19.0))}, None),
+        ({"still": False}, "moving: let it stand still"),
+        ({"still": False, "posed": False}, "no mocap"),  # without poses speed is a guess
         ({"p": (0.0, 3.1, 0.0)}, "outside the fence"),
         ({"holding": frozenset([Event.IMU_STUCK])}, "IMU stuck: it repeats one sample"),
         ({"holding": frozenset([Event.MOCAP_LATE])}, "mocap late"),
