@@ -12,7 +12,7 @@ from firmware_model.failsafe import CONDITIONS, Action, Condition, Failsafe
 from firmware_model.flight import LOOK_TICKS
 from firmware_model.offboard import LOWEST
 from firmware_model.phases import CLEAR_HEIGHT
-from firmware_model.readiness import ARM_TILT_DEG, CHECKS
+from firmware_model.readiness import ARM_TILT_DEG, ASKEW_DEG, CHECKS, REST_FORCE, REST_SPEED, REST_US
 from firmware_model.setpoints import SHORTEST_S
 from firmware_model.supervisor import COMMANDS, FAILURES, Event, State, update
 from firmware_model.verdict import BATTERY_LOW_CELL_V
@@ -52,9 +52,12 @@ the first.
 """
 
 _REFERENCE = """
-Tilt must be within {tilt:g} deg. Arming needs no reference (it warns where there is none); a start needs one
-that is at rest at its ends. With a live reference on board both are refused below BAT_EMPTY_V + {cell:g} V a
-cell, where no reference is accepted either; a measured 0 V says nothing.
+Tilt must be within {tilt:g} deg. At rest is what for {rest:g} s has been slower than {speed:g} m/s and felt g
+within {force:g} m/s^2. Poses are askew where their down is over {askew:g} deg from the accelerometer's: the
+camera frame is not level, or the rigid body was defined on a slope. Arming needs no reference (it warns
+where there is none); a start needs one that is at rest at its ends. With a live reference on board both are
+refused below BAT_EMPTY_V + {cell:g} V a cell, where no reference is accepted either; a measured 0 V says
+nothing.
 
 ## Modes
 
@@ -108,7 +111,14 @@ def page() -> str:
             *map(_row, CONDITIONS),
             _BEHIND.format(ranks=ranks),
             *(f"| {check.what} | {_text(check.text)} |\n" for check in CHECKS),
-            _REFERENCE.format(tilt=ARM_TILT_DEG, cell=BATTERY_LOW_CELL_V),
+            _REFERENCE.format(
+                tilt=ARM_TILT_DEG,
+                rest=1e-6 * REST_US,
+                speed=REST_SPEED,
+                force=REST_FORCE,
+                askew=ASKEW_DEG,
+                cell=BATTERY_LOW_CELL_V,
+            ),
             _table(COMMANDS),
             _EVENTS.format(hold_s=_default("HOLD_S"), lost_s=_default("FS_OFFB_HOLD_S")),
             _table(tuple(event for event in Event if event not in COMMANDS and event not in FAILURES)),

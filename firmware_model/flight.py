@@ -14,6 +14,8 @@ from firmware_model.estimate import Estimate
 from firmware_model.failsafe import BY_EVENT, Action, Condition, Failsafe, escalate
 from firmware_model.feedforward import FeedForwardInput
 from firmware_model.law import step as law
+from firmware_model.law.ops import FLOAT
+from firmware_model.law.rotations import mat_vec, quat_to_matrix
 from firmware_model.parameters import ParameterValues
 from firmware_model.phases import Phases, Present
 from firmware_model.readiness import Facts, Rest, contradiction, reasons, start_refusal
@@ -206,7 +208,8 @@ class Flight:
             if condition.failsafe is not Failsafe.NONE:
                 self.conditions |= 1 << condition.failsafe
         if state is State.STANDBY:
-            self._rest.look(now_us, math.hypot(*self._memory[law.EST_V]), self._force)
+            R = quat_to_matrix(FLOAT, self._memory[law.EST_Q])
+            self._rest.look(now_us, math.hypot(*self._memory[law.EST_V]), mat_vec(R, self._force))
             if self._estimate.calibrate(now_us, self.parameters["EST_BIAS_MAX"]):
                 self._tell(_INFO, "gyro calibrated")
             return
@@ -377,6 +380,7 @@ class Flight:
             calibrated=self.calibration.bias is not None,
             posed=self.has_pose(now_us),
             still=self._rest.still,
+            askew_deg=self._rest.askew_deg,
             cos_tilt=self._cos_tilt[0],
             p=(memory[0], memory[1], memory[2]),
             fence=fence(values),

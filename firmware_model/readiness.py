@@ -26,6 +26,9 @@ REST_SPEED = 0.3
 """m/s of the estimate at which a vehicle moves."""
 REST_FORCE = 2.0
 """m/s^2 by which the length of the specific force differs from g then; less steady, no gyro is calibrated."""
+ASKEW_DEG = 10.0
+"""Angle between the accelerometer's down and that of poses. A world's camera frame leans by up to 8.1 deg."""
+_FELT_SHARE = 0.05  # of each look's specific force in the smoothed one: a fifth of a second
 
 
 class GyroCalibration:
@@ -73,35 +76,51 @@ class GyroCalibration:
 
 
 class Rest:
-    """Whether the vehicle stands still: `still` after REST_US of looks that found it so."""
+    """Whether the vehicle stands still, and whether poses know where down is.
+
+    `still`: REST_US of looks found it so. `askew_deg`: angle between up and the specific force, turned by the
+    estimate and smoothed.
+    """
 
     def __init__(self) -> None:
         self.still = False
         self._since_us = 0
+        self._felt: Sequence[float] = ()
 
     def begin(self, now_us: int) -> None:
         """Nothing comes back; nothing is known yet."""
-        self.still, self._since_us = False, now_us
+        self.still, self._since_us, self._felt = False, now_us, ()
 
-    def look(self, now_us: int, speed: float, force: Sequence[float]) -> None:
-        """Nothing comes back. speed: estimated, m/s. force: a sample of this tick, FRD."""
-        if speed > REST_SPEED or not abs(math.hypot(*force) - GRAVITY) < REST_FORCE:
+    def look(self, now_us: int, speed: float, force_ned: Sequence[float]) -> None:
+        """Nothing comes back. speed: estimated, m/s. force_ned: a sample of this tick, by the estimate."""
+        if speed > REST_SPEED or not abs(math.hypot(*force_ned) - GRAVITY) < REST_FORCE:
             self._since_us = now_us
         self.still = now_us - self._since_us >= REST_US
+        felt = self._felt or force_ned
+        self._felt = tuple(a + _FELT_SHARE * (b - a) for a, b in zip(felt, force_ned, strict=True))
+
+    @property
+    def askew_deg(self) -> float:
+        """See above; 0 before the first look."""
+        if not self._felt:
+            return 0.0
+        north, east, down = self._felt
+        return math.degrees(math.atan2(math.hypot(north, east), -down))
 
 
 class Facts(NamedTuple):
     """What the arming checks judge.
 
-    calibrated: the gyro is; posed: poses are being used; still: the vehicle stands, as Rest has it; cos_tilt:
-    of the estimate; p: estimated position (NED); fence: the flight volume; holding: conditions of the
-    failsafe table that hold; battery: why the live reference is not flown with this battery, None where it
-    may be; contradiction: of the parameters, None where there is none.
+    calibrated: the gyro is; posed: poses are being used; still: the vehicle stands, and askew_deg,
+    as Rest has them; cos_tilt: of the estimate; p: estimated position (NED); fence: the flight volume;
+    holding: conditions of the failsafe table that hold; battery: why the live reference is not flown with
+    this battery, None where it may be; contradiction: of the parameters, None where there is none.
     """
 
     calibrated: bool
     posed: bool
     still: bool
+    askew_deg: float
     cos_tilt: float
     p: tuple[float, float, float]
     fence: Box
@@ -128,6 +147,12 @@ CHECKS: tuple[Check, ...] = (
     Check("mocap", lambda facts: not facts.posed, "no mocap"),
     Check("age of poses", _holds(Event.MOCAP_LATE), "mocap late"),
     Check("tilt", lambda facts: not facts.cos_tilt >= math.cos(math.radians(ARM_TILT_DEG)), "tilted"),
+    # Before rest: poses askew make a vehicle that stands seem to move.
+    Check(
+        "poses' vertical",
+        lambda facts: facts.posed and not facts.askew_deg <= ASKEW_DEG,
+        "poses askew: mend frame or rigid body",
+    ),
     Check("rest", lambda facts: facts.posed and not facts.still, "moving: let it stand still"),
     Check("fence", lambda facts: not within(facts.p, facts.fence), "outside the fence"),
     Check("battery", _holds(Event.BATTERY_LOW), "battery low: charge it"),

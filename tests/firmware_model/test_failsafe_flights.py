@@ -271,6 +271,22 @@ def test_vehicle_is_not_armed_while_it_is_carried_about(make_rig):
     assert rig.flight.arming_reasons(rig.now_us) == ["moving: let it stand still"]
 
 
+@pytest.mark.parametrize(
+    ("askew_deg", "reason"), [(9.0, None), (12.0, "poses askew: mend frame or rigid body")]
+)
+def test_poses_askew_are_not_armed_with(make_rig, make_body, askew_deg, reason):
+    """The vehicle stands level, its rigid body was defined on a slope: it would lean as far, and drift."""
+    half = math.radians(askew_deg) / 2
+
+    class Askew(type(make_body())):
+        def quaternion(self):
+            return (math.cos(half), math.sin(half), 0.0, 0.0)
+
+    rig = make_rig(reference=False, body=Askew())
+    rig.standby()
+    assert rig.flight.command(Event.ARM, rig.now_us) == reason
+
+
 def test_battery_too_low_for_the_live_reference_refuses_arming_and_start(make_rig):
     """13.58 V: above what counts as low, below what any reference is accepted with."""
     text = "battery at 13.58 V, below 13.60 V"

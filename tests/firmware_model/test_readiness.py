@@ -22,6 +22,7 @@ READY = Facts(
     calibrated=True,
     posed=True,
     still=True,
+    askew_deg=0.0,
     cos_tilt=1.0,
     p=(0.0, 0.0, 0.0),
     fence=((-3.0, 3.0), (-3.0, 3.0), (-2.0, 0.3)),
@@ -88,6 +89,16 @@ def test_vehicle_is_still_once_it_has_been_for_a_tenth_of_a_second(speed, force,
     assert not rest.still
 
 
+def test_askew_is_the_smoothed_angle_of_what_is_felt_from_up():
+    rest = Rest()
+    assert rest.askew_deg == 0.0
+    for k in range(200):
+        rest.look(
+            10_000 * k, 0.0, (0.0, 9.81 * math.sin(0.2) + (2.0 if k % 2 else -2.0), -9.81 * math.cos(0.2))
+        )
+    assert rest.askew_deg == pytest.approx(math.degrees(0.2), abs=0.5)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -99,6 +110,10 @@ def test_vehicle_is_still_once_it_has_been_for_a_tenth_of_a_second(speed, force,
         ({"cos_tilt": math.cos(math.radians(19.0))}, None),
         ({"still": False}, "moving: let it stand still"),
         ({"still": False, "posed": False}, "no mocap"),  # without poses speed is a guess
+        ({"askew_deg": 10.1}, "poses askew: mend frame or rigid body"),
+        ({"askew_deg": math.nan}, "poses askew: mend frame or rigid body"),
+        ({"askew_deg": 9.9}, None),
+        ({"askew_deg": 19.0, "posed": False}, "no mocap"),
         ({"p": (0.0, 3.1, 0.0)}, "outside the fence"),
         ({"holding": frozenset([Event.IMU_STUCK])}, "IMU stuck: it repeats one sample"),
         ({"holding": frozenset([Event.MOCAP_LATE])}, "mocap late"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -118,6 +119,16 @@ def test_square_by_setpoints_from_takeoff_to_landing_over_a_lossy_link(pilot: Pi
     assert pilot.status is not None
     assert pilot.status.failsafe == 0
     assert pilot.states[-5:] == [mavlink.TRIMTAB_STATE_TAKEOFF, HOLD, OFFBOARD, LANDING, STANDBY]
+
+
+@pytest.mark.parametrize("lean", [0.1, -0.1])
+def test_camera_frame_that_leans_as_far_as_a_world_may_say_is_armed_with(tmp_path: Path, lean: float) -> None:
+    world = tmp_path / "lean.toml"
+    effect = f"[effects.frame-tilt]\ntilt_x = {lean}\ntilt_y = 0.1\n"
+    world.write_text(f'description = "leaning cameras"\ntolerances = true\n{effect}')
+    pilot = Pilot(SimulatedVehicle.create(load_vehicle("research"), world=str(world), world_seed=41_002))
+    pilot.run(1.5)
+    pilot.ask(ARM, 1.0, until=mavlink.TRIMTAB_STATE_ARMED)
 
 
 def test_armed_vehicle_lifts_off_by_setpoints_as_stock_examples_do(pilot: Pilot) -> None:
