@@ -10,9 +10,20 @@ from pathlib import Path
 
 from firmware_model.failsafe import CONDITIONS, Action, Condition, Failsafe
 from firmware_model.flight import LOOK_TICKS
+from firmware_model.law.estimator import LONGEST_INTERVAL_S
 from firmware_model.offboard import LOWEST
 from firmware_model.phases import CLEAR_HEIGHT
-from firmware_model.readiness import ARM_TILT_DEG, ASKEW_DEG, CHECKS, REST_FORCE, REST_SPEED, REST_US
+from firmware_model.readiness import (
+    ARM_TILT_DEG,
+    ASKEW_DEG,
+    CHECKS,
+    CURVE,
+    FLOOR_MAX,
+    IDLE_SHARE,
+    REST_FORCE,
+    REST_SPEED,
+    REST_US,
+)
 from firmware_model.setpoints import SHORTEST_S
 from firmware_model.supervisor import COMMANDS, FAILURES, Event, State, update
 from firmware_model.verdict import BATTERY_LOW_CELL_V
@@ -58,6 +69,11 @@ camera frame is not level, or the rigid body was defined on a slope. Arming need
 where there is none); a start needs one that is at rest at its ends. With a live reference on board both are
 refused below BAT_EMPTY_V + {cell:g} V a cell, where no reference is accepted either; a measured 0 V says
 nothing.
+
+Parameters go together where BAT_EMPTY_V is below BAT_FULL_V, 4 THRUST_MAX LIM_THR_HI above the weight,
+4 THRUST_MIN below {idle:g} of it, THRUST_FLOOR at most {floor:g}, THRUST_C1 + THRUST_C2 within {low:g}
+and {high:g}, EST_POS, EST_VEL and EST_ATT above 0, and the estimator's errors die out with poses at least
+every h = {interval:g} s: 2 h EST_POS + h^2 EST_VEL < 4, 2 h EST_ATT + h^2 EST_BIAS < 4.
 
 ## Modes
 
@@ -117,6 +133,11 @@ def page() -> str:
                 speed=REST_SPEED,
                 force=REST_FORCE,
                 askew=ASKEW_DEG,
+                idle=IDLE_SHARE,
+                floor=FLOOR_MAX,
+                low=CURVE[0],
+                high=CURVE[1],
+                interval=LONGEST_INTERVAL_S,
                 cell=BATTERY_LOW_CELL_V,
             ),
             _table(COMMANDS),

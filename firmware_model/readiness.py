@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from firmware_model.law.constants import GRAVITY
+from firmware_model.law.estimator import converges
 from firmware_model.law.step import GYRO_COUNTS, TICK_S
 from firmware_model.supervisor import Event
 from firmware_model.track import Track
@@ -28,6 +29,12 @@ REST_FORCE = 2.0
 """m/s^2 by which the length of the specific force differs from g then; less steady, no gyro is calibrated."""
 ASKEW_DEG = 10.0
 """Angle between the accelerometer's down and that of poses. A world's camera frame leans by up to 8.1 deg."""
+IDLE_SHARE = 0.5
+"""Share of the weight that rotors at their least thrust stay below: it comes down, and can be turned."""
+FLOOR_MAX = 0.7
+"""Greatest THRUST_FLOOR: it comes down with that."""
+CURVE = (0.8, 1.25)
+"""What THRUST_C1 + THRUST_C2, thrust at full command over THRUST_MAX, lies between."""
 _FELT_SHARE = 0.05  # of each look's specific force in the smoothed one: a fifth of a second
 
 
@@ -176,6 +183,17 @@ def contradiction(parameters: Mapping[str, float]) -> str | None:
         return "BAT_EMPTY_V not below BAT_FULL_V"
     if 4.0 * parameters["THRUST_MAX"] * parameters["LIM_THR_HI"] <= parameters["MASS"] * GRAVITY:
         return "MASS too great for THRUST_MAX"
+    if not 4.0 * parameters["THRUST_MIN"] < IDLE_SHARE * parameters["MASS"] * GRAVITY:
+        return "THRUST_MIN too great for MASS"
+    if not parameters["THRUST_FLOOR"] <= FLOOR_MAX:
+        return f"THRUST_FLOOR above {FLOOR_MAX:g}"
+    low, high = CURVE
+    if not low <= parameters["THRUST_C1"] + parameters["THRUST_C2"] <= high:
+        return "THRUST_C1 + THRUST_C2 is not near 1"
+    if not (parameters["EST_VEL"] > 0.0 and converges(parameters["EST_POS"], parameters["EST_VEL"])):
+        return "EST_POS, EST_VEL: estimate diverges"
+    if not converges(parameters["EST_ATT"], parameters["EST_BIAS"]):
+        return "EST_ATT, EST_BIAS: estimate diverges"
     return None
 
 

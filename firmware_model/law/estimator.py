@@ -104,3 +104,20 @@ def correct(
     q = quat_multiply(est.q, quat_exp(ops, [k_q * e for e in error]))
     bias = tuple(b - k_b * e for b, e in zip(est.bias, error, strict=True))
     return Estimate(tuple(p), tuple(v), q, bias)
+
+
+def converges(gain: float, rate_gain: float) -> bool:
+    """Whether errors of a value and of its rate die out, corrected every LONGEST_INTERVAL_S or more often.
+
+    gain (1/s) and rate_gain (1/s^2): EstimatorGains' position and velocity, or attitude and bias. Over h the
+    error e of the value grows by h times the rate's, f; then a correction takes h gain e from e and
+    h rate_gain e from f. Both roots of that step,
+
+        z^2 - (2 - h gain - h^2 rate_gain) z + 1 - h gain,
+
+    lie within the unit circle (Jury) where gain and rate_gain are above 0 and 2 h gain + h^2 rate_gain < 4;
+    with a rate_gain of 0 f stays as it is. The bound is tightest at the longest h. The age of poses is not in
+    it: e is that of the moment of measurement.
+    """
+    h = LONGEST_INTERVAL_S
+    return gain > 0.0 <= rate_gain and 2.0 * h * gain + h * h * rate_gain < 4.0

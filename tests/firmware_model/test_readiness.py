@@ -15,6 +15,7 @@ from firmware_model.readiness import (
 )
 from firmware_model.services import TEXT_BYTES
 from firmware_model.supervisor import Event
+from host.vehicle import list_vehicles, load_vehicle, to_parameters
 from protocol.parameters import DEFAULTS
 
 LEVEL = (0.0, 0.0, -9.81)
@@ -156,8 +157,29 @@ def test_refusals_of_a_start_fit_a_text(make_track, rising, flown, reference):
         ({}, None),
         ({"BAT_EMPTY_V": 16.8}, "BAT_EMPTY_V not below BAT_FULL_V"),
         ({"MASS": 2.3}, "MASS too great for THRUST_MAX"),
+        ({"THRUST_MIN": 0.9}, None),
+        ({"THRUST_MIN": 0.93}, "THRUST_MIN too great for MASS"),
+        ({"THRUST_MIN": 9.0}, "THRUST_MIN too great for MASS"),
+        ({"THRUST_FLOOR": 0.7}, None),
+        ({"THRUST_FLOOR": 0.71}, "THRUST_FLOOR above 0.7"),
+        ({"THRUST_C1": 0.57, "THRUST_C2": 0.43}, None),
+        ({"THRUST_C1": 0.0, "THRUST_C2": 0.0}, "THRUST_C1 + THRUST_C2 is not near 1"),
+        ({"THRUST_C1": 0.3, "THRUST_C2": 1.0}, "THRUST_C1 + THRUST_C2 is not near 1"),
+        ({"EST_POS": 47.0}, None),
+        ({"EST_POS": 48.0}, "EST_POS, EST_VEL: estimate diverges"),
+        ({"EST_POS": 0.0}, "EST_POS, EST_VEL: estimate diverges"),
+        ({"EST_VEL": 0.0}, "EST_POS, EST_VEL: estimate diverges"),
+        ({"EST_VEL": 1600.0}, "EST_POS, EST_VEL: estimate diverges"),
+        ({"EST_BIAS": 0.0}, None),
+        ({"EST_ATT": 0.0}, "EST_ATT, EST_BIAS: estimate diverges"),
+        ({"EST_ATT": 50.0}, "EST_ATT, EST_BIAS: estimate diverges"),
     ],
 )
 def test_contradiction_of_parameters(change, text):
     assert contradiction({**DEFAULTS, **change}) == text
     assert text is None or len(f"arm refused: {text}") <= TEXT_BYTES
+
+
+@pytest.mark.parametrize("name", list_vehicles())
+def test_vehicles_that_ship_do_not_contradict_themselves(name):
+    assert contradiction(to_parameters(load_vehicle(name))) is None

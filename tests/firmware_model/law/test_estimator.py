@@ -10,7 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_model.law.constants import GRAVITY
-from firmware_model.law.estimator import Estimate, EstimatorGains, correct, predict
+from firmware_model.law.estimator import (
+    LONGEST_INTERVAL_S,
+    Estimate,
+    EstimatorGains,
+    converges,
+    correct,
+    predict,
+)
 from firmware_model.law.ops import FLOAT
 from firmware_model.law.rotations import mat_t_vec, quat_exp, quat_from_euler, quat_multiply, quat_to_matrix
 from firmware_model.law.step import TICK_S
@@ -156,3 +163,37 @@ def test_estimator_after_a_long_gap_does_not_overshoot():
     est = Estimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
     after = correct(FLOAT, est, (0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0), est.q, 0.0, 3.0, GAINS)
     assert 0.0 < after.p[0] < 1.0
+
+
+def _worst_left(gains, interval, age):
+    """Errors of p and q, and of v and bias, left of 1 cm and 10 mrad after 400 poses of a vehicle at rest."""
+    est = Estimate((0.01, 0.0, 0.0), (0.0,) * 3, quat_exp(FLOAT, (0.01, 0.0, 0.0)), (0.0,) * 3)
+    level = ((0.0,) * 3, (1.0, 0.0, 0.0, 0.0))
+    still, steps = (0.0,) * 3, round(interval / 1e-3)
+    for k in range(400 * steps):
+        felt = mat_t_vec(quat_to_matrix(FLOAT, est.q), (0.0, 0.0, -GRAVITY))  # so that p and q do not mix
+        est, rate, a, _ = predict(FLOAT, est, still, felt, 1e-3)
+        if k % steps == steps - 1:
+            est = correct(FLOAT, est, rate, a, *level, age, interval, gains)
+    return max(abs(est.p[0]), abs(est.v[0])) / 0.01, max(abs(2.0 * est.q[1]), abs(est.bias[0])) / 0.01
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4, 0.7, 0.99])
+@pytest.mark.parametrize("age", [0.0, 0.1])
+def test_errors_die_out_within_the_bound_of_the_gains_and_grow_beyond_it(share, age):
+    """share: of 2 h gain in 2 h gain + h^2 rate_gain, which is 4 at the bound."""
+    h = LONGEST_INTERVAL_S
+    for size, stable in ((0.95, True), (1.05, False)):
+        gain, rate_gain = 4.0 * size * share / (2.0 * h), 4.0 * size * (1.0 - share) / (h * h)
+        assert converges(gain, rate_gain) == stable
+        for left in _worst_left(EstimatorGains(gain, rate_gain, gain, rate_gain), h, age):
+            assert left < 0.5 if stable else left > 10.0
+        for left in _worst_left(EstimatorGains(gain, rate_gain, gain, rate_gain), 0.02, age):
+            assert left < 0.5  # sooner, they die out in either case
+
+
+@pytest.mark.parametrize(
+    ("gain", "rate_gain", "stable"), [(0.0, 1.0, False), (5.0, 0.0, True), (5.0, -0.1, False)]
+)
+def test_gains_that_correct_nothing_do_not_converge(gain, rate_gain, stable):
+    assert converges(gain, rate_gain) == stable
