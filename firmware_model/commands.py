@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from firmware_model.flight import Flight
+from firmware_model.phases import TAKEOFF_LEAST
 from firmware_model.supervisor import Event, State
 from protocol import messages as m
 from protocol.messages import Message, mavlink
@@ -119,7 +120,7 @@ class Commands:
         height = message.param7
         if math.isnan(height) or height == 0.0:
             return self._event(Event.TAKEOFF, now_us)
-        if not 0.0 < height < math.inf:
+        if not TAKEOFF_LEAST <= height < math.inf:
             return mavlink.MAV_RESULT_DENIED
         return self._event(Event.TAKEOFF, now_us, height)
 

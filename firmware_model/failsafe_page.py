@@ -12,7 +12,7 @@ from firmware_model.failsafe import CONDITIONS, Action, Condition, Failsafe
 from firmware_model.flight import LOOK_TICKS
 from firmware_model.law.estimator import LONGEST_INTERVAL_S
 from firmware_model.offboard import LOWEST
-from firmware_model.phases import CLEAR_HEIGHT
+from firmware_model.phases import CLEAR_HEIGHT, TAKEOFF_LEAST
 from firmware_model.readiness import (
     ARM_TILT_DEG,
     ASKEW_DEG,
@@ -83,10 +83,11 @@ States by command; `-` is refused with a reason.
 
 _EVENTS = """
 Takeoff (MAV_CMD_NAV_TAKEOFF) climbs to its height above the floor, TAKEOFF_HEIGHT where it names none, at
-most to the fence, and hovers. Start (MAV_CMD_MISSION_START) goes to the first node and tracks the live
-reference, once an arming. MAV_CMD_DO_SET_MODE takes PX4's numbers: main mode 6 is offboard, 4 with sub mode 3
-hold, 4 with 6 land. A hold lasts until told otherwise, but {hold_s} after a reference and {lost_s} after
-lost setpoints; then it lands.
+least {least:g} m, at most to the fence, and hovers; less is denied, or refused where the fence leaves less.
+Start (MAV_CMD_MISSION_START) goes to the first node and tracks the live reference, once an arming.
+MAV_CMD_DO_SET_MODE takes PX4's numbers: main mode 6 is offboard, 4 with sub mode 3 hold, 4 with 6 land. A
+hold lasts until told otherwise, but {hold_s} after a reference and {lost_s} after lost setpoints; then it
+lands.
 
 What ends by itself, and what fails:
 
@@ -141,7 +142,7 @@ def page() -> str:
                 cell=BATTERY_LOW_CELL_V,
             ),
             _table(COMMANDS),
-            _EVENTS.format(hold_s=_default("HOLD_S"), lost_s=_default("FS_OFFB_HOLD_S")),
+            _EVENTS.format(least=TAKEOFF_LEAST, hold_s=_default("HOLD_S"), lost_s=_default("FS_OFFB_HOLD_S")),
             _table(tuple(event for event in Event if event not in COMMANDS and event not in FAILURES)),
             "\n",
             _table(FAILURES),

@@ -17,7 +17,7 @@ from firmware_model.law import step as law
 from firmware_model.law.ops import FLOAT
 from firmware_model.law.rotations import mat_vec, quat_to_matrix
 from firmware_model.parameters import ParameterValues
-from firmware_model.phases import Phases, Present
+from firmware_model.phases import TAKEOFF_LEAST, Phases, Present
 from firmware_model.readiness import Facts, Rest, contradiction, reasons, start_refusal
 from firmware_model.setpoints import Target
 from firmware_model.supervisor import FLYING, Event, State, update
@@ -369,6 +369,8 @@ class Flight:
                 return None  # said twice, done once
             flown = self.tracking_us is not None
             return start_refusal(self.reference, rising=rising, flown=flown, battery=self._battery())
+        if event is Event.TAKEOFF and state is State.ARMED and self._phases.headroom < TAKEOFF_LEAST:
+            return f"fence less than {TAKEOFF_LEAST:g} m above"
         if event is Event.OFFBOARD and not self._offboard.arriving(now_us):
             return "no setpoints: stream them first"
         return None

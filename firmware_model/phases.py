@@ -21,6 +21,7 @@ from firmware_model.player import Player
 from firmware_model.setpoints import PositionTarget, towards, turned, upwards
 from firmware_model.uart import NEVER_US
 from firmware_model.watch import FLOOR_HEIGHT
+from protocol.parameters import BY_NAME
 from protocol.telemetry import TICK_US
 
 BLIND_US = 5_000_000
@@ -32,6 +33,8 @@ FALL_US = 2_000_000
 HARDEST = 8.0
 """m/s^2 that a reference begins with at most where it takes over from commanded attitude."""
 
+TAKEOFF_LEAST = BY_NAME["TAKEOFF_HEIGHT"].min
+"""m that a takeoff climbs at least."""
 CLEAR_HEIGHT = 0.15
 """m above the floor below which it goes straight up, whatever place is asked for: no foot is dragged."""
 
@@ -85,6 +88,11 @@ class Phases:
         """Commanded thrust over mass (m/s^2)."""
         return self._collective[0] / self._parameters["MASS"]
 
+    @property
+    def headroom(self) -> float:
+        """m from the vehicle up to the ceiling of the flight volume."""
+        return self._memory[2] - self._parameters["FENCE_D_MIN"]
+
     def present(self, now_us: int) -> Present:
         """The reference now; the vehicle's own state where attitude is commanded."""
         if not self.offboard.direct:
@@ -116,9 +124,8 @@ class Phases:
 
     def rise(self, height_m: float | None, now_us: int) -> None:
         """Nothing comes back; it takes off to this height above the floor, TAKEOFF_HEIGHT for None."""
-        values, p = self._parameters, self._place()
-        height = values["TAKEOFF_HEIGHT"] if height_m is None else height_m
-        most = p[2] - values["FENCE_D_MIN"]
+        p, most = self._place(), self.headroom
+        height = self._parameters["TAKEOFF_HEIGHT"] if height_m is None else height_m
         if height > most:
             self._tell(f"takeoff bounded by the fence: {most:.2f} m")
         self._climb((p[0], p[1], p[2] - min(height, most)), self._yaw(), now_us)

@@ -187,7 +187,7 @@ def test_modes_that_are_not_known_are_unsupported(make_session, parameters):
     assert ask(session, 176, *parameters) == (176, mavlink.MAV_RESULT_UNSUPPORTED)
 
 
-@pytest.mark.parametrize(("height", "reached"), [(NAN, 1.0), (0.0, 1.0), (0.6, 0.6)])
+@pytest.mark.parametrize(("height", "reached"), [(NAN, 1.0), (0.0, 1.0), (0.3, 0.3), (0.6, 0.6)])
 def test_takeoff_height(make_session, height, reached):
     session = make_session()
     session.run(1.0)
@@ -197,12 +197,23 @@ def test_takeoff_height(make_session, height, reached):
     assert session.body.p[2] == pytest.approx(-reached, abs=0.02)
 
 
-@pytest.mark.parametrize("height", [-1.0, math.inf])
+@pytest.mark.parametrize("height", [-1.0, 0.001, 0.29, math.inf])
 def test_takeoff_height_that_is_none_is_denied(make_session, height):
     session = make_session()
     session.run(1.0)
     ask(session, 400, 1.0)
     assert ask(session, 22, 0, 0, 0, 0, 0, 0, height) == (22, mavlink.MAV_RESULT_DENIED)
+    assert session.flight.state is State.ARMED
+
+
+def test_takeoff_under_a_fence_that_is_too_low_is_refused_with_a_text(make_session):
+    session = make_session(parameters={"FENCE_D_MIN": -0.25})
+    session.run(1.0)
+    ask(session, 400, 1.0)
+    refused = (22, mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
+    assert ask(session, 22, 0, 0, 0, 0, 0, 0, NAN) == refused
+    assert ask(session, 22, 0, 0, 0, 0, 0, 0, 2.0) == refused
+    assert "takeoff refused: fence less than 0.3 m above" in session.texts()
     assert session.flight.state is State.ARMED
 
 
