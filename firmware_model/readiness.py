@@ -23,8 +23,8 @@ ARM_TILT_DEG = 20.0
 """Greatest tilt at arming."""
 REST_US = 100_000
 """Stillness that arming takes: three times a rotor's lag, so that one just killed counts as falling."""
-REST_SPEED = 0.3
-"""m/s of the estimate at which a vehicle moves."""
+REST_SPEED = 0.5
+"""m/s of the estimate at which a vehicle moves. Poses that are askew by ASKEW_DEG look like 0.3 m/s."""
 REST_FORCE = 2.0
 """m/s^2 by which the length of the specific force differs from g then; less steady, no gyro is calibrated."""
 ASKEW_DEG = 10.0

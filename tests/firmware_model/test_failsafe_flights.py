@@ -266,7 +266,7 @@ def test_vehicle_is_not_armed_while_it_is_carried_about(make_rig):
     rig.body.p[2] = -1.0
     for _ in range(1_000):
         rig.tick()
-        rig.body.p[0], rig.body.p[2], rig.body.v = 0.5e-6 * rig.now_us, -1.0, [0.5, 0.0, 0.0]
+        rig.body.p[0], rig.body.p[2], rig.body.v = 0.8e-6 * rig.now_us, -1.0, [0.8, 0.0, 0.0]
         rig.body.force = (0.0, 0.0, -9.81)
     assert rig.flight.arming_reasons(rig.now_us) == ["moving: let it stand still"]
 

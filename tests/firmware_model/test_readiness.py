@@ -71,8 +71,8 @@ def test_calibration_never_ends_while_falling_or_turning(gyro, force):
     ("speed", "force", "still"),
     [
         (0.0, LEVEL, True),
-        (0.29, (4.0, 0.0, -9.0), True),
-        (0.31, LEVEL, False),
+        (0.49, (4.0, 0.0, -9.0), True),
+        (0.51, LEVEL, False),
         (0.0, (0.0, 0.0, 0.0), False),
         (0.0, (0.0, 0.0, -12.0), False),
         (0.0, (0.0, 0.0, math.nan), False),
