@@ -51,7 +51,8 @@ _BEHIND = """
   too.
 - A landing goes on where a landing in place would be the action. Armed on the floor, every failure disarms.
   In standby the same conditions refuse arming.
-- Level descent: attitude and sink rate are kept, position is not; the rotors stop when something carries it.
+- Level descent: attitude and sink rate are kept, position is not; the rotors stop when something carries it,
+  that is when force exceeds, by a step, what their thrust has been worth in the descent so far.
 
 ## Arming checks
 

@@ -24,7 +24,7 @@ from firmware_model.supervisor import FLYING, Event, State, update
 from firmware_model.track import Track
 from firmware_model.uart import NEVER_US
 from firmware_model.verdict import battery_verdict
-from firmware_model.watch import TOUCH_HEIGHT, Seen, Watch, fence
+from firmware_model.watch import LEVEL, TOUCH_HEIGHT, Seen, Watch, fence
 
 BOOT_US = 200_000
 """Time from power to standby."""
@@ -222,7 +222,8 @@ class Flight:
             if self._touched(now_us):
                 self.command(Event.TOUCHDOWN, now_us)
         elif self.height_m > 2.0 * TOUCH_HEIGHT:
-            self.watch.aloft(force=-self._force[2], thrust=self._phases.thrust)
+            if self._cos_tilt[0] > LEVEL:
+                self.watch.aloft(force=-self._force[2], thrust=self._phases.lagged_thrust)
             self._observing[0] = 1.0
 
     def _see(self, now_us: int, battery_v: float) -> None:
@@ -343,8 +344,15 @@ class Flight:
             return False
         memory = self._memory
         if self.action is Action.LEVEL_DESCENT:
-            self._phases.go_blind(now_us)
-            return self.watch.carried(now_us, force=-self._force[2], thrust=self._phases.thrust)
+            phases, watch = self._phases, self.watch
+            phases.go_blind(watch.thrust_ratio, now_us)
+            return watch.carried(
+                now_us,
+                force=-self._force[2],
+                thrust=phases.lagged_thrust,
+                floor=phases.floor_force,
+                learn=not phases.blind,
+            )
         return self.watch.landed(
             now_us,
             height=self.height_m,

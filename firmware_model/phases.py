@@ -93,6 +93,22 @@ class Phases:
         """m from the vehicle up to the ceiling of the flight volume."""
         return self._memory[2] - self._parameters["FENCE_D_MIN"]
 
+    @property
+    def lagged_thrust(self) -> float:
+        """Thrust over mass (m/s^2) that the rotors give, by their nominal gain and lag."""
+        return self._memory[law.OBSERVER_THRUST.start] / self._parameters["MASS"]
+
+    @property
+    def blind(self) -> bool:
+        """Whether velocity is no longer followed: on the floor, too, thrust then sinks slowly."""
+        return self._weights[1] == 0.0
+
+    @property
+    def floor_force(self) -> float:
+        """m/s^2 by which the rotors carry less in a level descent once it stands on the floor."""
+        values = self._parameters
+        return track.SINK if self.blind else values["VEL_D_D"] * values["FS_SINK_SPEED"]
+
     def present(self, now_us: int) -> Present:
         """The reference now; the vehicle's own state where attitude is commanded."""
         if not self.offboard.direct:
@@ -225,7 +241,7 @@ class Phases:
     def descend_level(self, yaw: float, thrust_ratio: float, now_us: int) -> None:
         """Nothing comes back; it keeps attitude and sink rate, without position feedback.
 
-        thrust_ratio: real over commanded thrust, as it was while position was known.
+        thrust_ratio: real over nominal thrust, as it was while position was known.
         """
         memory = self._memory
         descent = track.level_descent(
@@ -241,14 +257,21 @@ class Phases:
         # What was observed rests on a velocity that is no longer measured.
         for k in range(law.OBSERVER.start, law.OBSERVER.stop):
             memory[k] = 0.0
-        # What thrust has been worth so far replaces the position feedback that made up for it.
-        self._feedforward.hold((0.0, 0.0, GRAVITY / thrust_ratio - GRAVITY))
+        self._make_up(thrust_ratio)
         self.player.start(descent, now_us)
 
-    def go_blind(self, now_us: int) -> None:
-        """Nothing comes back; velocity is followed no longer once dead reckoning is worth nothing."""
-        if now_us >= self._blind_until_us:
+    def go_blind(self, thrust_ratio: float, now_us: int) -> None:
+        """Nothing comes back; velocity is followed no longer once dead reckoning is worth nothing.
+
+        thrust_ratio: real over nominal thrust, as it was in the descent so far.
+        """
+        if now_us >= self._blind_until_us and not self.blind:
             self._weights[1] = 0.0
+            self._make_up(thrust_ratio)
+
+    def _make_up(self, thrust_ratio: float) -> None:
+        """What thrust has been worth so far replaces the feedback that made up for it."""
+        self._feedforward.hold((0.0, 0.0, GRAVITY / thrust_ratio - GRAVITY))
 
     def fall(self, now_us: int) -> None:
         """Nothing comes back; rotors off in the air."""

@@ -21,9 +21,16 @@ leaning: what levels and holds it in the air tips it over on the floor, in a qua
 TOUCH_SPEED = 0.15
 """m/s below which a descending vehicle has been stopped by something."""
 TOUCH_FORCE = 1.0
-"""m/s^2 by which specific force exceeds what the rotors give where something else carries the vehicle."""
+"""m/s^2 by which specific force must exceed what the rotors give, at least, where something else carries the
+vehicle.
+"""
+TOUCH_FORCE_MOST = 2.0
+"""m/s^2 by which it need not exceed that, however much the floor gives: near it air cushions rotors."""
+LEVEL = 0.94
+"""Cosine of the tilt up to which thrust is compared with force: beyond, air flows through the rotors."""
 _NEARLY_EVERY = 0.9  # of the ticks between two looks
-_RATIO_SHARE = 0.02  # of each look's thrust ratio
+_ALOFT_SHARE = 0.005  # of each look's thrust ratio: a memory of 2 s
+_DESCENT_SHARE = 0.02  # likewise: 0.5 s
 TOUCH_US = 200_000
 """Time a sign of touchdown must last."""
 
@@ -74,7 +81,7 @@ class Watch:
         self.host_us = 0
         self.setpoint_us = NEVER_US  # where none are followed, none are lost
         self.volts: float | None = None  # smoothed
-        self.thrust_ratio = 1.0  # real over commanded thrust, as last seen in normal flight
+        self.thrust_ratio = 1.0  # real over nominal thrust, as seen in the air
         self._level_us = 0  # when tilt was last within bounds
         self._aloft_us = 0  # when there was last no sign of touchdown
         self._fresh_us = 0  # when the newest pose was last fresh
@@ -162,14 +169,25 @@ class Watch:
         stopped = self._lasting(now_us, descending and height < TOUCH_HEIGHT and speed < TOUCH_SPEED)
         return stopped or height < FLOOR_HEIGHT
 
-    def aloft(self, *, force: float, thrust: float) -> None:
-        """Nothing comes back; in normal flight this force went with this thrust, over mass (m/s^2, up)."""
-        ratio = min(max(force / max(thrust, 1.0), 0.5), 2.0)
-        self.thrust_ratio += _RATIO_SHARE * (ratio - self.thrust_ratio)
+    def aloft(self, *, force: float, thrust: float, share: float = _ALOFT_SHARE) -> None:
+        """Nothing comes back; in level flight this force went with this thrust, over mass (m/s^2, up).
 
-    def carried(self, now_us: int, *, force: float, thrust: float) -> bool:
-        """Whether something carries the vehicle: more force over mass than thrust gave aloft (m/s^2, up)."""
-        return self._lasting(now_us, force - self.thrust_ratio * thrust > TOUCH_FORCE)
+        thrust: what the rotors give by their nominal lag; what is commanded is ahead of the force.
+        """
+        ratio = min(max(force / max(thrust, 1.0), 0.5), 2.0)
+        self.thrust_ratio += share * (ratio - self.thrust_ratio)
+
+    def carried(self, now_us: int, *, force: float, thrust: float, floor: float, learn: bool) -> bool:
+        """Whether something carries the vehicle: more force over mass than thrust gave aloft (m/s^2, up).
+
+        floor: the excess that a floor would make. learn: whether what comes on slowly is no floor but what
+        thrust is worth there: air at other heights, a line that slackens, the cushion over the floor.
+        """
+        bound = min(max(0.5 * floor, TOUCH_FORCE), TOUCH_FORCE_MOST)
+        sign = force - self.thrust_ratio * thrust > bound
+        if learn and not sign:
+            self.aloft(force=force, thrust=thrust, share=_DESCENT_SHARE)
+        return self._lasting(now_us, sign)
 
     def _lasting(self, now_us: int, sign: bool) -> bool:
         if not sign:

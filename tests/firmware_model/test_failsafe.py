@@ -216,12 +216,33 @@ def test_landed_on_the_floor_it_took_off_from_is_at_once(watch):
 
 
 def test_carried_allows_for_the_thrust_seen_aloft(watch):
-    for _ in range(1_000):
+    for _ in range(4_000):
         watch.aloft(force=9.81, thrust=7.0)
     assert watch.thrust_ratio == pytest.approx(9.81 / 7.0, rel=1e-6)
-    assert not watch.carried(1_100_000, force=9.81, thrust=7.0)
-    assert not watch.carried(1_350_000, force=9.81, thrust=7.0)
-    assert watch.carried(1_550_000, force=9.81, thrust=5.0)
+    assert not watch.carried(1_100_000, force=9.81, thrust=7.0, floor=4.2, learn=True)
+    assert not watch.carried(1_350_000, force=9.81, thrust=7.0, floor=4.2, learn=True)
+    assert watch.carried(1_550_000, force=9.81, thrust=5.0, floor=4.2, learn=True)
+
+
+def test_carried_takes_what_comes_on_slowly_for_thrust_and_a_step_for_the_floor(watch):
+    now_us = 1_000_000
+    for k in range(300):  # thrust is worth half as much again within 3 s
+        now_us += 10_000
+        assert not watch.carried(now_us, force=9.81, thrust=9.81 / (1.0 + 0.15e-2 * k), floor=4.2, learn=True)
+    thrust = 9.81 / watch.thrust_ratio
+    stepped_us = now_us
+    while not watch.carried(now_us, force=9.81, thrust=thrust - 2.5, floor=4.2, learn=True):
+        now_us += 10_000
+    assert now_us - stepped_us <= 250_000
+
+
+@pytest.mark.parametrize(
+    ("floor", "excess", "noticed"), [(1.5, 0.9, False), (1.5, 1.2, True), (3.0, 1.2, False), (9.0, 2.2, True)]
+)
+def test_carried_asks_for_half_of_what_a_floor_gives_within_bounds(watch, floor, excess, noticed):
+    signs = {"force": 9.81, "thrust": 9.81 - excess, "floor": floor, "learn": False}
+    assert not watch.carried(1_000_000, **signs)
+    assert watch.carried(1_210_000, **signs) is noticed
 
 
 def test_defaults_give_mocap_less_time_than_the_link():

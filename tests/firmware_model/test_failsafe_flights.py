@@ -88,6 +88,57 @@ def test_mocap_lost_and_then_late_is_the_level_descent(make_rig):
     assert rig.flight.action is Action.LEVEL_DESCENT
 
 
+@pytest.mark.parametrize(
+    ("high", "low"),
+    [
+        pytest.param(0.88, 1.04, id="a line that slackens"),
+        pytest.param(1.05, 0.9, id="air that sinks below"),
+        pytest.param(0.9, 0.9, id="weak rotors"),
+    ],
+)
+def test_level_descent_ends_on_the_floor_where_thrust_is_worth_more_or_less_below(make_rig, high, low):
+    rig = make_rig(reference=False)
+    rig.standby()
+    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.command(Event.TAKEOFF, rig.now_us, 2.0) is None
+
+    def fly():
+        share = min(max((-rig.body.p[2] - 0.5) / 1.5, 0.0), 1.0)
+        rig.body.gain = low + (high - low) * share
+        rig.run(0.01)
+
+    while rig.flight.state is not State.HOLD:
+        fly()
+    for _ in range(100):
+        fly()
+    rig.mocap = False
+    touched_us = None
+    while rig.flight.state is not State.STANDBY:
+        fly()
+        if touched_us is None and rig.body.p[2] > -0.01:
+            touched_us = rig.now_us
+    assert rig.flight.failsafe is Failsafe.MOCAP_LOST
+    assert touched_us is not None
+    assert rig.now_us - touched_us < 500_000
+    landed_softly(rig)
+
+
+def test_level_descent_that_touches_as_velocity_is_given_up_is_noticed(make_rig):
+    rig = make_rig(reference=False)
+    rig.standby()
+    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.command(Event.TAKEOFF, rig.now_us, 2.95) is None
+    rig.run(20.0, until=State.HOLD)
+    rig.run(1.0)
+    rig.mocap = False
+    while rig.body.p[2] < -0.01:
+        rig.run(0.01)
+    touched_us = rig.now_us
+    on_the_floor(rig)
+    assert rig.now_us - touched_us < 1_200_000
+    landed_softly(rig)
+
+
 def test_gap_of_poses_that_is_flown_through_is_not_late_either(make_rig):
     rig = make_rig(parameters={"FS_LATE_S": 0.5})
     rig.track()
