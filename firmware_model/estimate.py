@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 from firmware_model.law import step as law
 from firmware_model.poses import PoseInput
 from firmware_model.readiness import GyroCalibration
+
+STILL = 1e-3
+"""m/s and rad/s: a vehicle that is slower in both may have the same pose twice."""
 
 
 class Estimate:
@@ -25,6 +29,12 @@ class Estimate:
         """Nothing comes back; nothing is known yet."""
         for k, value in enumerate(law.initial_memory()):
             self._memory[k] = value
+
+    def offer(
+        self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int, *, aloft: bool
+    ) -> bool:
+        """Whether the pose waits for a tick now; one that repeats the last is none in the air."""
+        return self.poses.offer(time_us, p, q, now_us, moving=aloft and self._moving())
 
     def take_pose(self, now_us: int, restart_us: int | None) -> bool:
         """Whether the oldest waiting pose is in the engine's inputs, for one tick.
@@ -48,6 +58,11 @@ class Estimate:
         for k, value in enumerate(calibration.bias):
             memory[law.EST_BIAS.start + k] = value
         return True
+
+    def _moving(self) -> bool:
+        memory, gyro = self._memory, self._gyro
+        rate = (g - b for g, b in zip(gyro, memory[law.EST_BIAS], strict=True))
+        return math.hypot(*memory[law.EST_V]) > STILL or math.hypot(*rate) > STILL
 
     def _set(self, p: Sequence[float], q: Sequence[float]) -> None:
         """The estimate is this pose, at rest; the gyro bias stays."""

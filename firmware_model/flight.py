@@ -17,7 +17,7 @@ from firmware_model.law import step as law
 from firmware_model.law.ops import FLOAT
 from firmware_model.law.rotations import mat_vec, quat_to_matrix
 from firmware_model.parameters import ParameterValues
-from firmware_model.phases import TAKEOFF_LEAST, Phases, Present
+from firmware_model.phases import CLEAR_HEIGHT, TAKEOFF_LEAST, Phases, Present
 from firmware_model.readiness import Facts, Rest, contradiction, reasons, start_refusal
 from firmware_model.setpoints import Target
 from firmware_model.supervisor import FLYING, Event, State, update
@@ -150,7 +150,8 @@ class Flight:
 
     def pose(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
         """Whether the pose (NED; q_ned_frd, w first) measured at `time_us` will be used at the next tick."""
-        return self.state is not State.BOOT and self.poses.offer(time_us, p, q, now_us)
+        aloft = self._flying and self.height_m > CLEAR_HEIGHT
+        return self.state is not State.BOOT and self._estimate.offer(time_us, p, q, now_us, aloft=aloft)
 
     def host_heard(self, now_us: int) -> None:
         """Nothing comes back; the host has said something."""

@@ -21,28 +21,38 @@ class PoseInput:
     """Keeps the engine's mocap blocks.
 
     `measured_us` is when the newest pose handed on was measured, None before the first; `used` counts them.
+    `newest_us` is when the newest one believed was measured, handed on or waiting.
     """
 
     def __init__(self, inputs: Mapping[str, memoryview[float]]) -> None:
         self.waiting: deque[Pose] = deque(maxlen=WAITING)
         self.measured_us: int | None = None
         self.used = 0
-        self._newest_us = -1
+        self.newest_us = -1
+        self._last: tuple[float, ...] = ()  # numbers of the pose offered last
         self._oldest_us = 0
         self._new, self._p, self._q = inputs["mocap_new"], inputs["mocap_p"], inputs["mocap_q"]
         self._age, self._interval = inputs["mocap_age_s"], inputs["mocap_interval_s"]
 
-    def offer(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
-        """Whether the pose waits for a tick now: newer than the last one, recent, of sane numbers."""
+    def offer(
+        self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int, *, moving: bool
+    ) -> bool:
+        """Whether the pose waits for a tick now: newer than the last one, recent, of sane numbers.
+
+        One that repeats the last one to the bit while the vehicle is `moving` is none: a camera system that
+        sees nothing may go on sending what it saw last.
+        """
         length = math.hypot(*q)
+        last, self._last = self._last, (*p, *q)
         if (
-            time_us <= self._newest_us
+            time_us <= self.newest_us
             or not -AHEAD_US <= now_us - time_us <= AGE_MAX_US
             or not 0.9 < length < 1.1
             or not math.hypot(*p) < FARTHEST
+            or (moving and self._last == last)
         ):
             return False
-        self._newest_us = time_us
+        self.newest_us = time_us
         self.waiting.append((time_us, tuple(p), tuple(x / length for x in q)))
         return True
 

@@ -139,6 +139,23 @@ def test_level_descent_that_touches_as_velocity_is_given_up_is_noticed(make_rig)
     landed_softly(rig)
 
 
+@pytest.mark.parametrize("stay_s", [0.0, 0.5, 1.2])
+def test_poses_that_stand_still_in_flight_are_a_loss_of_poses(make_rig, make_track, stay_s):
+    rig = make_rig()
+    rig.flight.reference = make_track(reach=3.0, seconds=1.6)
+    rig.track()
+    rig.run(stay_s)
+    rig.mocap = False
+    p, q, start_us = tuple(rig.body.p), rig.body.quaternion(), rig.now_us
+    while rig.flight.state is not State.FAILSAFE:
+        rig.run(0.01)
+        rig.flight.pose(rig.now_us - 10_000, p, q, rig.now_us)
+        assert rig.now_us - start_us <= 1e6 * DEFAULTS["FS_MOCAP_S"] + 30_000
+    assert rig.flight.failsafe is Failsafe.MOCAP_LOST
+    assert math.dist(rig.estimate(), rig.body.p) < 0.15
+    landed_softly(rig)
+
+
 def test_gap_of_poses_that_is_flown_through_is_not_late_either(make_rig):
     rig = make_rig(parameters={"FS_LATE_S": 0.5})
     rig.track()

@@ -300,6 +300,32 @@ def test_pose_repeated_or_out_of_order_is_used_once(make_rig):
     assert rig.flight.poses.used == 2
 
 
+def test_poses_that_repeat_one_to_the_bit_are_used_on_the_floor_and_not_in_flight(make_rig):
+    rig = make_rig()
+    rig.take_off()  # its poses on the floor are all the same
+    assert rig.flight.poses.used > 70
+    while rig.flight.height_m < 0.4:
+        rig.run(0.01)
+    rig.mocap = False
+    p, q = tuple(rig.body.p), rig.body.quaternion()
+    now_us = rig.now_us
+    assert rig.flight.pose(now_us, p, q, now_us)
+    assert not rig.flight.pose(now_us + 1_000, p, q, now_us + 1_000)
+    assert not rig.flight.pose(now_us + 2_000, p, q, now_us + 2_000)
+    assert rig.flight.pose(now_us + 3_000, (*p[:2], p[2] - 1e-6), q, now_us + 3_000)
+
+
+def test_poses_that_repeat_one_to_the_bit_are_used_where_it_hovers_without_any_motion(make_session):
+    session = make_session()  # no noise anywhere, poses of single precision
+    session.run(1.0)
+    session.command(400, 1.0)
+    session.run_to(State.ARMED, 1.0)
+    session.command(22, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    session.run_to(State.HOLD)
+    session.run(8.0)
+    assert session.flight.state is State.HOLD
+
+
 def observed(rig):
     return rig.flight._memory[law.OBSERVER].tolist()
 
