@@ -6,11 +6,18 @@ import math
 from collections.abc import Mapping, Sequence
 
 from firmware_model.law import step as law
+from firmware_model.law.feedforward import PREDICTION_TIME
 from firmware_model.poses import PoseInput
 from firmware_model.readiness import GyroCalibration
 
 STILL = 1e-3
 """m/s and rad/s: a vehicle that is slower in both may have the same pose twice."""
+STRAY_M = 0.5
+"""m from the estimate beyond which a pose in flight is not believed, right after the last one."""
+STRAY_SPEED = 3.0
+"""m/s by which that bound grows while no pose is believed."""
+STRAY_ANGLE = math.radians(45.0)
+"""Turn from the estimate beyond which a pose in flight is not believed."""
 
 
 class Estimate:
@@ -24,6 +31,7 @@ class Estimate:
         self.calibration = GyroCalibration()
         self._memory = inputs["memory"]
         self._gyro, self._force = inputs["gyro"], inputs["specific_force"]
+        self._feedforward = inputs["feedforward"]
 
     def begin(self) -> None:
         """Nothing comes back; nothing is known yet."""
@@ -31,9 +39,21 @@ class Estimate:
             self._memory[k] = value
 
     def offer(
-        self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int, *, aloft: bool
+        self,
+        time_us: int,
+        p: Sequence[float],
+        q: Sequence[float],
+        now_us: int,
+        *,
+        flying: bool,
+        aloft: bool,
     ) -> bool:
-        """Whether the pose waits for a tick now; one that repeats the last is none in the air."""
+        """Whether the pose waits for a tick now.
+
+        While it is flying not where it strays from the estimate; aloft not where it repeats the last one.
+        """
+        if flying and self._strays(time_us, p, q, now_us):
+            return False
         return self.poses.offer(time_us, p, q, now_us, moving=aloft and self._moving())
 
     def take_pose(self, now_us: int, restart_us: int | None) -> bool:
@@ -60,9 +80,21 @@ class Estimate:
         return True
 
     def _moving(self) -> bool:
-        memory, gyro = self._memory, self._gyro
-        rate = (g - b for g, b in zip(gyro, memory[law.EST_BIAS], strict=True))
-        return math.hypot(*memory[law.EST_V]) > STILL or math.hypot(*rate) > STILL
+        return math.hypot(*self._memory[law.EST_V]) > STILL or self._rate() > STILL
+
+    def _rate(self) -> float:
+        bias = self._memory[law.EST_BIAS]
+        return math.hypot(*(g - b for g, b in zip(self._gyro, bias, strict=True)))
+
+    def _strays(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
+        """Whether the pose is far from what the estimate says about its moment, or of no numbers."""
+        memory = self._memory
+        age_s = 1e-6 * (now_us - time_us) + self._feedforward[PREDICTION_TIME]
+        then = [x - v * age_s for x, v in zip(memory[law.EST_P], memory[law.EST_V], strict=True)]
+        far_m = STRAY_M + STRAY_SPEED * 1e-6 * (time_us - self.poses.newest_us)
+        along = abs(sum(a * b for a, b in zip(memory[law.EST_Q], q, strict=True)))
+        turn = min(STRAY_ANGLE + self._rate() * abs(age_s), math.pi)
+        return not (math.dist(p, then) <= far_m and along >= math.hypot(*q) * math.cos(0.5 * turn))
 
     def _set(self, p: Sequence[float], q: Sequence[float]) -> None:
         """The estimate is this pose, at rest; the gyro bias stays."""

@@ -150,8 +150,11 @@ class Flight:
 
     def pose(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
         """Whether the pose (NED; q_ned_frd, w first) measured at `time_us` will be used at the next tick."""
-        aloft = self._flying and self.height_m > CLEAR_HEIGHT
-        return self.state is not State.BOOT and self._estimate.offer(time_us, p, q, now_us, aloft=aloft)
+        if self.state is State.BOOT:
+            return False
+        flying = self._flying
+        aloft = flying and self.height_m > CLEAR_HEIGHT
+        return self._estimate.offer(time_us, p, q, now_us, flying=flying, aloft=aloft)
 
     def host_heard(self, now_us: int) -> None:
         """Nothing comes back; the host has said something."""

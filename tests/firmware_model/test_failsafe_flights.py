@@ -139,6 +139,61 @@ def test_level_descent_that_touches_as_velocity_is_given_up_is_noticed(make_rig)
     landed_softly(rig)
 
 
+@pytest.mark.parametrize("down_m", [0.7, 3.0, 7.0, 20.0])
+@pytest.mark.parametrize("height_m", [0.3, 1.0, 1.5])
+def test_one_pose_far_below_during_a_landing_does_not_stop_the_rotors(make_rig, height_m, down_m):
+    rig = make_rig(reference=False)
+    rig.standby()
+    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.command(Event.TAKEOFF, rig.now_us, 2.0) is None
+    rig.run(15.0, until=State.HOLD)
+    assert rig.flight.command(Event.LAND, rig.now_us) is None
+    while -rig.body.p[2] > height_m:
+        rig.run(0.01)
+    n, e, d = rig.body.p
+    assert not rig.flight.pose(rig.now_us - 1_000, (n, e, d + down_m), rig.body.quaternion(), rig.now_us)
+    landed_softly(rig)
+    assert rig.flight.failsafe is Failsafe.NONE
+
+
+@pytest.mark.parametrize(
+    "swapped",
+    [
+        pytest.param(lambda p, q: ((p[0] + 4.0, p[1], p[2]), q), id="another body"),
+        pytest.param(lambda p, q: (p, (-q[3], q[2], -q[1], q[0])), id="markers swapped, half a turn"),
+    ],
+)
+def test_poses_that_stay_far_from_the_estimate_are_a_loss_of_poses(make_rig, swapped):
+    rig = make_rig()
+    rig.track()
+    rig.run(0.5)
+    rig.mocap = False
+    start_us = rig.now_us
+    while rig.flight.state is not State.FAILSAFE:
+        rig.run(0.01)
+        rig.flight.pose(rig.now_us, *swapped(rig.body.p, rig.body.quaternion()), rig.now_us)
+        assert rig.now_us - start_us <= 1e6 * DEFAULTS["FS_MOCAP_S"] + 30_000
+    assert rig.flight.failsafe is Failsafe.MOCAP_LOST
+    assert math.dist(rig.estimate(), rig.body.p) < 0.15
+    landed_softly(rig)
+
+
+@pytest.mark.parametrize("stay_s", [0.0, 0.3, 0.6, 0.9, 1.2])
+def test_poses_after_a_gap_in_quick_flight_are_taken_again(make_rig, make_track, stay_s):
+    rig = make_rig()
+    rig.flight.reference = make_track(reach=3.0, seconds=1.6)
+    rig.track()
+    rig.run(stay_s)
+    while rig.flight.state is State.TRACKING:
+        rig.mocap = False
+        rig.run(0.45)
+        rig.mocap = True
+        rig.run(0.1)
+        assert rig.now_us - rig.flight.watch.pose_us < 30_000
+    assert rig.flight.failsafe is Failsafe.NONE
+    on_the_floor(rig)
+
+
 @pytest.mark.parametrize("stay_s", [0.0, 0.5, 1.2])
 def test_poses_that_stand_still_in_flight_are_a_loss_of_poses(make_rig, make_track, stay_s):
     rig = make_rig()
