@@ -370,6 +370,14 @@ def test_what_would_end_a_flight_refuses_arming(make_rig, spoil, reason):
     assert rig.flight.command(Event.ARM, rig.now_us) == rig.flight.arming_reasons(rig.now_us)[0]
 
 
+def hovering(rig, height=2.0):
+    rig.standby()
+    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.command(Event.TAKEOFF, rig.now_us, height) is None
+    rig.run(15.0, until=State.HOLD)
+    rig.run(0.5)
+
+
 @pytest.mark.parametrize("after_s", [0.0, 0.01, 0.1, 0.4])
 def test_vehicle_that_was_killed_in_the_air_is_not_armed_in_its_fall(make_rig, after_s):
     """It would take the height where it was armed for the floor."""
