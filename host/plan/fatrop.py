@@ -11,6 +11,7 @@ import ctypes
 import signal
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from host.codegen.compiler import Compiler, shared_library
+from host.codegen.interrupts import held_interrupts
 from host.plan.problem import Enough, SolveStatus
 from host.plan.transcription import Assembly, ranks
 
@@ -97,7 +99,9 @@ def solve_chain(
 
     Raises what the assembly raises, CodegenError without a compiler.
     """
-    return _Run(assembly, compiler, max_iterations, enough).solve(tolerance)
+    run = _Run(assembly, compiler, max_iterations, enough)
+    with held_interrupts() as interrupted:  # the solver outlives whatever runs in it
+        return run.solve(tolerance, interrupted)
 
 
 def _libraries() -> tuple[Path, ...]:
@@ -252,7 +256,7 @@ class _Run:
                 self._evaluate(part)
                 if not all(np.isfinite(array).all() for array in self._filled_by[part]):
                     self._left = 0
-            except BaseException as error:  # Ctrl-C too: it must not be lost in C
+            except BaseException as error:  # it must not be lost in C
                 self._error = error
         if self._error is not None or self._left == 0 or self._acceptable is not None:
             for array in self._filled_by[part]:
@@ -288,33 +292,40 @@ class _Run:
         if self._calm == 2:
             self._acceptable = self._w.copy()
 
-    def _watched(self, library: ctypes.CDLL) -> bool:
+    def _watched(self, library: ctypes.CDLL, interrupted: Callable[[], bool]) -> bool:
         """Whether Fatrop came to an end; it runs in a thread that is put to sleep where it asks for nothing
-        more.
+        more. Once `interrupted`, nothing more is evaluated for it.
 
         Time is the thread's own processor time: a busy machine ends nothing.
         """
-        thread = threading.Thread(target=library.fatrop_ocp_c_solve, args=(self._solver,), daemon=True)
+        done = threading.Event()  # an interrupted join may say too early that the thread is
+        left = threading.Event()  # the thread's number is good until then
+
+        def run() -> None:
+            try:
+                library.fatrop_ocp_c_solve(self._solver)
+            finally:
+                done.set()
+            left.wait()
+
+        thread = threading.Thread(target=run, daemon=True)
         number = self._glue.sleep_signal()
         thread.start()
         assert thread.ident is not None
-        seen, since, used = -1, 0.0, 0.0
-        while True:
-            try:
-                thread.join(_LOOK_S)
-                if not thread.is_alive():
-                    return True
-                used = time.clock_gettime(time.pthread_getcpuclockid(thread.ident))
-            except KeyboardInterrupt as stop:
-                self._error = stop
-                continue
+        seen, since = -1, 0.0
+        while not done.wait(_LOOK_S):
+            used = time.clock_gettime(time.pthread_getcpuclockid(thread.ident))
+            if interrupted():
+                self._left = 0
             if self._asked != seen:
                 seen, since = self._asked, used
             elif used - since > _SILENT_S + _SILENT_STAGE_S * self._assembly.count and not self._busy:
                 signal.pthread_kill(thread.ident, number)
                 return False
+        left.set()
+        return True
 
-    def solve(self, tolerance: float) -> Found:
+    def solve(self, tolerance: float, interrupted: Callable[[], bool]) -> Found:
         library = _fatrop()
         interface = ctypes.create_string_buffer(self._glue.interface_bytes())
         self._glue.connect(interface, ctypes.byref(self._chain))
@@ -327,7 +338,7 @@ class _Run:
             numbers |= _NEAR if self._assembly.problem.near else {}
             for name, number in numbers.items():
                 library.fatrop_ocp_c_set_option_double(solver, name.encode(), ctypes.c_double(number))
-            ended = self._watched(library)
+            ended = self._watched(library, interrupted)
             if self._error is not None:
                 raise self._error
             if not ended:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import ctypes
+import signal
+import threading
+import time
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 
+from host.plan import fatrop
 from host.plan.intervals import Engine
 from host.plan.planner import make_job
 from host.plan.problem import Enough, Problem, SolveStatus
@@ -234,6 +239,65 @@ def test_fatrop_hands_on_what_is_raised_while_it_runs(require, monkeypatch) -> N
     monkeypatch.setattr(Assembly, "hessian", interrupted)
     with pytest.raises(KeyboardInterrupt):
         _solve(_cart(), _problem())
+
+
+def test_fatrop_interrupted_is_given_up_only_once_it_has_returned(require, monkeypatch) -> None:
+    require("compiler")
+    library = fatrop._fatrop()
+    destroyed, calls = threading.Event(), []
+
+    def solve(solver: ctypes.c_void_p) -> None:
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        assert not destroyed.wait(0.5)  # at once where the main thread goes on without this one
+        library.fatrop_ocp_c_solve(solver)
+        calls.append("returned")
+
+    def destroy(solver: ctypes.c_void_p) -> None:
+        calls.append("destroyed")
+        destroyed.set()
+        library.fatrop_ocp_c_destroy(solver)
+
+    class Watched:
+        fatrop_ocp_c_solve = staticmethod(solve)
+        fatrop_ocp_c_destroy = staticmethod(destroy)
+
+        def __getattr__(self, name: str):
+            return getattr(library, name)
+
+    monkeypatch.setattr(fatrop, "_fatrop", Watched)
+    with pytest.raises(KeyboardInterrupt):
+        _solve(_cart(), _problem(), solver="fatrop")
+    assert calls == ["returned", "destroyed"]
+
+
+def test_fatrop_that_returns_during_a_look_at_its_clock_has_its_thread_still(require, monkeypatch) -> None:
+    require("compiler")
+    library, clock = fatrop._fatrop(), time.pthread_getcpuclockid
+    looked, returned, alive = threading.Event(), threading.Event(), []
+
+    def solve(solver: ctypes.c_void_p) -> None:
+        looked.wait()
+        library.fatrop_ocp_c_solve(solver)
+        returned.set()
+
+    def look(number: int) -> int:
+        (thread,) = (thread for thread in threading.enumerate() if thread.ident == number)
+        looked.set()
+        returned.wait()
+        thread.join(0.2)  # at once where it waits for nobody
+        alive.append(thread.is_alive())
+        return clock(number)
+
+    class Watched:
+        fatrop_ocp_c_solve = staticmethod(solve)
+
+        def __getattr__(self, name: str):
+            return getattr(library, name)
+
+    monkeypatch.setattr(fatrop, "_fatrop", Watched)
+    monkeypatch.setattr(fatrop.time, "pthread_getcpuclockid", look)
+    assert _solve(_cart(), _problem(), solver="fatrop").status is SolveStatus.SOLVED
+    assert alive == [True]
 
 
 def test_a_model_that_gives_no_numbers_ends_the_solve(require) -> None:
