@@ -9,6 +9,7 @@ from host.codegen.engine import (
     function_engine,
     sx_function,
 )
+from host.codegen.interrupts import held_interrupts
 from host.codegen.ops import CASADI, NUMPY
 
 __all__ = [
@@ -22,5 +23,6 @@ __all__ = [
     "compile_function",
     "find_compiler",
     "function_engine",
+    "held_interrupts",
     "sx_function",
 ]

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import casadi as ca
 
 from host.codegen.compiler import CodegenError, engine_choice, library_path, shared_library, wanted_compiler
+from host.codegen.interrupts import held_interrupts
 from host.codegen.ops import CASADI
 
 _log = logging.getLogger(__name__)
@@ -72,6 +73,7 @@ class CompiledEngine:
         raise TypeError("an engine holds addresses of this process and cannot be pickled")
 
 
+@held_interrupts()
 def sx_function(
     fn: BlockFunction, inputs: Sequence[BlockLike], outputs: Sequence[BlockLike], name: str
 ) -> ca.Function:

@@ -1,4 +1,8 @@
-"""Ctrl-C held back where a KeyboardInterrupt would be lost or do harm."""
+"""Ctrl-C held back where a KeyboardInterrupt would be lost or do harm.
+
+CasADi asks Python about what it is given, and takes an exception in an answer for a no: a KeyboardInterrupt
+that comes just then is never seen again. So what traces expressions holds Ctrl-C back.
+"""
 
 from __future__ import annotations
 

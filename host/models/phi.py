@@ -31,6 +31,7 @@ from firmware_model.law.dfbc import Reference, control
 from firmware_model.law.observer import GREATEST, bounded, disturbance_seen
 from firmware_model.law.ops import Ops
 from firmware_model.law.rotations import dot, euler_to_matrix, mat_vec
+from host.codegen.interrupts import held_interrupts
 from host.codegen.ops import CASADI, NUMPY
 from host.codegen.rk4 import RungeKutta, runge_kutta
 from host.effects import Effect
@@ -353,6 +354,7 @@ class Phi:
         return law_step.parameter_vector({**DEFAULTS, **table})
 
     @cached_property
+    @held_interrupts()
     def function(self) -> casadi.Function:
         """The derivative as an SX function: (x, drive, flight, theta, acceleration) -> xdot."""
         sizes = (self.size, DRIVE_ROWS[self.drive], len(FLIGHT), len(self.theta_names), 3)

@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from host.codegen.compiler import Compiler
+from host.codegen.interrupts import held_interrupts
 from host.codegen.simd import LAYERS, lane_source, simd_library
 from host.models.network import Layout
 from host.plan.stage import NETWORK_INPUTS, StageModel, network_ends
@@ -74,6 +75,7 @@ def kernel_source(model: StageModel) -> str:
 class _Parts:
     """The SX functions that the kernel is made of, and the patterns of their derivatives."""
 
+    @held_interrupts()
     def __init__(self, model: StageModel) -> None:
         self.model = model
         nx, nu = model.nx, model.nu

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_model.law.rotations import euler_rates
-from host.codegen import CASADI
+from host.codegen import CASADI, held_interrupts
 from host.models.dynamics import STATE_SIZE, THETA, V
 from host.plan.dynamics import ResidualModel
 from host.plan.table import Table, flat_states
@@ -87,6 +87,7 @@ def _greatest(slopes: Array) -> Array:
     return out
 
 
+@held_interrupts()
 def _slopes(vehicle: Vehicle, model: ResidualModel) -> ca.Function:
     """x (16) -> (3 or 6, 6) d(residual)/d(v_ned, rotation vector in FRD)."""
     x, turn = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("turn", 3)

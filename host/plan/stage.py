@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from host.codegen.interrupts import held_interrupts
 from host.codegen.ops import CASADI
 from host.models.network import Layout, Network
 
@@ -337,6 +338,7 @@ class _Builder:
         return total
 
 
+@held_interrupts()
 def build_stage(model: StageModel) -> Stage:
     """The interval's functions for a model. Deterministic: the same model gives the same instructions."""
     return _Builder(model).functions()

@@ -12,6 +12,7 @@ import numpy as np
 
 from firmware_model.law.constants import GRAVITY
 from firmware_model.law.rotations import euler_to_matrix, mat_t_vec
+from host.codegen.interrupts import held_interrupts
 from host.codegen.ops import CASADI
 from host.models import dynamics
 from host.models.lanes import LaneProgram, Lanes, lane_program
@@ -91,6 +92,7 @@ class Form:
         return [most * gain * u * (first + (1.0 - first) * u) for u in command]
 
     @cached_property
+    @held_interrupts()
     def _programs(self) -> dict[str, LaneProgram]:
         return {"step": self._step(), "rotors": self._rotors(), "memory": self._own_states()}
 

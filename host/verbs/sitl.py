@@ -81,25 +81,27 @@ def command(
             )
     if truth is not None:
         artefacts.check_output(truth, force)
-    simulated = vehicle_class().create(
-        airframe,
-        world=world,
-        world_seed=world_seed,
-        flight=flight,
-        plant=plant,
-        plant_options=plant_options,
-        start_ned=(*start, 0.0),
-        memory=memory,
-    )
 
-    def ready(address: str) -> None:
-        if truth is not None:
-            text = encoder.dumps({**simulated.truth(), "log": None}, indent=2, sort_keys=True) + "\n"
-            artefacts.write_atomic(truth, text, force)
-        say(address)
+    with _stop_on_signal() as stop:
+        simulated = vehicle_class().create(
+            airframe,
+            world=world,
+            world_seed=world_seed,
+            flight=flight,
+            plant=plant,
+            plant_options=plant_options,
+            start_ned=(*start, 0.0),
+            memory=memory,
+        )
 
-    with closing(simulated), _stop_on_signal() as stop:
-        statistics = simulated.serve(port=port, stop=stop, mocap=mocap, ready=ready)
+        def ready(address: str) -> None:
+            if truth is not None:
+                text = encoder.dumps({**simulated.truth(), "log": None}, indent=2, sort_keys=True) + "\n"
+                artefacts.write_atomic(truth, text, force)
+            say(address)
+
+        with closing(simulated):
+            statistics = simulated.serve(port=port, stop=stop, mocap=mocap, ready=ready)
     simulated_s = statistics.simulated_us * 1e-6
     say(f"{simulated_s:.1f} s simulated, late {statistics.overruns} times")
     emit(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -16,6 +18,7 @@ from host.effects import load_effects
 from host.log import read_flight
 from host.log.scan import scan
 from protocol.blobs import Reference
+from sitl.vehicle import SimulatedVehicle
 
 FLY_KEYS = {
     "log",
@@ -329,3 +332,14 @@ def test_plan_that_moves_at_its_ends_says_so_and_the_vehicle_does_not_arm_for_it
     code, _, complaint = trimtab("fly", "m.ref")
     assert code == 1
     assert "reference not at rest at its ends" in complaint
+
+
+def test_sitl_interrupted_while_the_vehicle_is_built_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Built(SimulatedVehicle):
+        @classmethod
+        def create(cls, *of: Any, **how: Any) -> Built:
+            os.kill(os.getpid(), signal.SIGINT)
+            return super().create(*of, **how)
+
+    monkeypatch.setattr("host.link.vehicle.vehicle_class", lambda: Built)
+    assert cli.main(["sitl", "--port", "udp:127.0.0.1:0"]) == 0

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gc
+import os
 import pickle
+import signal
 from array import array
 
 import casadi as ca
@@ -19,6 +21,7 @@ from host.codegen import (
     compile_function,
     find_compiler,
     function_engine,
+    held_interrupts,
     sx_function,
 )
 from host.codegen import engine as module
@@ -73,6 +76,41 @@ def test_engine_outlives_everything_it_was_made_of(kind):
     engine.inputs["x"][0] = 2.0
     engine()
     assert engine.outputs["sum"][0] == 2.0
+
+
+def test_ctrl_c_while_casadi_asks_what_it_is_given_is_not_lost():
+    class Two:
+        def __getattr__(self, name):
+            raise AttributeError(name)
+
+        def __SX__(self):  # noqa: N802
+            os.kill(os.getpid(), signal.SIGINT)
+            return ca.SX(2.0)
+
+    traced = []
+
+    def example(ops, inputs):
+        traced.append(inputs["x"][0] + Two())
+        return {"scaled": inputs["x"], "sum": traced}
+
+    with pytest.raises(KeyboardInterrupt):
+        sx_function(example, IN, OUT, "example")
+    assert len(traced) == 1
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_ctrl_c_that_was_held_goes_to_whoever_handled_it_before():
+    handled = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: handled.append(number))
+    try:
+        with held_interrupts() as interrupted:
+            assert not interrupted()
+            os.kill(os.getpid(), signal.SIGINT)
+            assert interrupted()
+            assert handled == []
+        assert handled == [signal.SIGINT]
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _random_inputs(rng):
