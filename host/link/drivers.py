@@ -44,7 +44,7 @@ class Interrupts:
     """Counts wishes to end instead of raising wherever the program just is; nothing outside the main thread.
 
     Every Ctrl-C counts; SIGTERM and SIGHUP count as the first one only, since a terminal that closes may hang
-    up more than once. SIGHUP stays ignored where it was (nohup).
+    up more than once. SIGHUP stays ignored where it was (nohup). Of one within another only the inner counts.
     """
 
     def __init__(self) -> None:

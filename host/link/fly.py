@@ -7,7 +7,7 @@ import gc
 from collections.abc import Callable, Iterator
 
 from host.errors import FlightFailed, TrimtabError
-from host.link.drivers import DriveStatistics, run_lockstep, run_port
+from host.link.drivers import DriveStatistics, Interrupts, run_lockstep, run_port
 from host.link.flight import FlightDirector, FlightOrder
 from host.link.ports import Cameras, open_port
 from host.link.summary import FlightResult, summarise
@@ -44,7 +44,8 @@ def fly_lockstep(
     or KeyboardInterrupt where none was begun.
     """
     director = FlightDirector(order, on_phase)
-    with _settled_heap():
+    late = Interrupts() if realtime else contextlib.nullcontext()
+    with _settled_heap(), late:
         try:
             driven = run_lockstep(
                 director.session,
@@ -73,14 +74,18 @@ def fly_port(
     is left to itself.
     """
     director = FlightDirector(order, on_phase)
-    with contextlib.closing(Cameras(mocap)) as cameras, contextlib.closing(open_port(port)) as line:
+    with (
+        contextlib.closing(Cameras(mocap)) as cameras,
+        contextlib.closing(open_port(port)) as line,
+        Interrupts(),  # until the log is read: a key that is held down must not end that
+    ):
         try:
             driven = run_port(director.session, line, cameras, interrupt=director.interrupt)
         except TrimtabError as error:
             raise _with_log(error, director, order) from error
         finally:
             director.close()
-    return _conclude(director, order, driven)
+        return _conclude(director, order, driven)
 
 
 @contextlib.contextmanager

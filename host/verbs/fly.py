@@ -88,6 +88,7 @@ def command(
     from host import artefacts
     from host.errors import UsageError
     from host.link.blob_files import model_of, read_feedforward, read_reference
+    from host.link.drivers import Interrupts
     from host.link.flight import ON_REQUEST, FlightOrder
     from host.link.fly import FlightEnded, FlightInterrupted
     from host.link.swap import swap_time_us
@@ -144,8 +145,9 @@ def command(
                 world_options = (world, world_seed, flight, plant, plant_options)
                 result = _fly_simulated(order, world_options, realtime, on_phase)
     except (FlightEnded, FlightInterrupted) as ended:
-        say(*ended.result.to_lines())
-        emit(ended.result.to_json(), json)
+        with Interrupts():  # a key that is held down takes no answer away
+            say(*ended.result.to_lines())
+            emit(ended.result.to_json(), json)
         raise
     say(*result.to_lines())
     emit(result.to_json(), json)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from host.errors import LinkError, Refused, UsageError
+from host.link import fly as fly_module
 from host.link.drivers import run_lockstep
 from host.link.flight import FlightDirector, FlightOrder
 from host.link.fly import FlightEnded, FlightInterrupted, fly_lockstep
@@ -514,6 +515,56 @@ def test_session_interrupted_twice_leaves_the_vehicle_to_its_failsafe(
     status = read_flight(tmp_path / "x.mcap").status
     assert status is not None
     assert [int(state) for state in status.state[-2:]] == [4, 6]  # tracking, landing
+
+
+@pytest.mark.parametrize("at_a_port", [False, True], ids=["real time", "port"])
+def test_session_interrupted_again_while_its_log_is_closed_keeps_log_and_answer(
+    vehicle: Vehicle,
+    reference: Reference,
+    simulate: Simulate,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    at_a_port: bool,
+) -> None:
+    close, summed = FlightDirector.close, fly_module.summarise
+    pressed: list[str] = []
+
+    def press(what: str) -> None:
+        pressed.append(what)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    def pressed_close(director: FlightDirector) -> None:
+        press("close")
+        close(director)
+
+    def pressed_summarise(*of: Any) -> FlightResult:
+        press("summarise")
+        return summed(*of)
+
+    def on_phase(phase: str) -> None:
+        if phase in ("tracking", "landing"):
+            press(phase)
+
+    simulated = simulate()
+    monkeypatch.setattr(FlightDirector, "close", pressed_close)
+    monkeypatch.setattr(fly_module, "summarise", pressed_summarise)
+    monkeypatch.setattr(fly_module, "Cameras", lambda url: simulated)
+    monkeypatch.setattr(fly_module, "open_port", lambda url: simulated)
+    monkeypatch.setattr(
+        fly_module, "run_port", lambda session, line, cameras, **how: run_lockstep(session, line, **how)
+    )
+    order = FlightOrder(vehicle=vehicle, reference=reference, log_path=tmp_path / "x.mcap")
+
+    def flight() -> FlightResult:
+        if at_a_port:
+            return fly_module.fly_port(order, "port", "cameras", on_phase=on_phase)
+        return fly_lockstep(order, simulated, realtime=True, on_phase=on_phase)
+
+    with pytest.raises(FlightInterrupted, match=r"left to its failsafe; its log is .*x\.mcap") as caught:
+        flight()
+    assert pressed == ["tracking", "landing", "close", "summarise"]
+    assert caught.value.result.log == tmp_path / "x.mcap"
+    assert read_flight(tmp_path / "x.mcap").tracking is not None
 
 
 def test_session_with_hangups_ignored_is_not_ended_by_one(fly: Fly) -> None:
