@@ -7,9 +7,10 @@ import os
 import sys
 import tempfile
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from cyclopts import App, CycloptsError, Parameter
 
@@ -109,7 +110,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         code = getattr(error, "exit_code", None)
         if isinstance(code, int):
-            return _fail(words, str(error) or type(error).__name__, code)
+            told = getattr(error, "told", {})
+            return _fail(words, str(error) or type(error).__name__, code, told)
         if isinstance(error, OSError) and error.filename is not None:
             return _fail(words, f"{error.filename}: {error.strerror}, check the file and its folder", 2)
         from host.artefacts import NO_ROOM
@@ -141,13 +143,13 @@ def _verb_of(words: Sequence[str]) -> str:
     return f"{words[0]} " if words and words[0] in known else ""
 
 
-def _fail(words: Sequence[str], message: str, code: int) -> int:
-    """`code`, after telling the message on stderr, and as JSON where asked for and not said yet."""
+def _fail(words: Sequence[str], message: str, code: int, told: Mapping[str, Any] | None = None) -> int:
+    """`code`, after telling the message on stderr, and as JSON, `told` with it, if asked for and not said."""
     for line in message.splitlines():
         output.warn(line)
     try:
         if "--json" in words and not output.emitted():
-            output.emit({"error": message, "exit_code": code}, True)
+            output.emit({"error": message, "exit_code": code, **(told or {})}, True)
         sys.stdout.flush()
     except OSError:  # it is stdout that takes nothing
         _silence_stdout()

@@ -6,6 +6,10 @@ exceptions of their own with an attribute `exit_code`; the command line treats t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
 EXIT_CODES = {
     0: "done; `undecided`, `nothing-missing` and `outside-library` are answers",
     1: "a gate missed, a plan infeasible, a reference refused on board, or a flight that ended in failsafe",
@@ -23,9 +27,10 @@ INTERRUPTED = 130
 
 
 class TrimtabError(Exception):
-    """A problem with an exit code; its text is shown as it is."""
+    """A problem with an exit code; its text is shown as it is. With `--json` its `told` stands beside it."""
 
     exit_code: int = 1
+    told: Mapping[str, Any] = MappingProxyType({})
 
 
 class GateMissed(TrimtabError):

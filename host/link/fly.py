@@ -139,4 +139,8 @@ def _how_interrupted(director: FlightDirector, order: FlightOrder) -> str:
 
 def _with_log(error: TrimtabError, director: FlightDirector, order: FlightOrder) -> TrimtabError:
     """The same error, saying where the log is if there is one."""
-    return type(error)(f"{error}; the log up to there is {order.log_path}") if director.log_open else error
+    if not director.log_open:
+        return error
+    found = type(error)(f"{error}; the log up to there is {order.log_path}")
+    found.told = {"log": str(order.log_path)}
+    return found

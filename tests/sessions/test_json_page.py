@@ -23,6 +23,7 @@ from host.bench.session import realtime_factor
 from host.demo.compare import Comparison
 from host.link.download import Download
 from host.link.upload import UploadResult
+from host.log import read_flight
 from host.paper.learning import noise
 from host.paper.learning.summary import summary as paper_summary
 from host.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS
@@ -106,6 +107,23 @@ def test_plan_and_fly_print_what_the_page_says(
     known = ("--model", drag_model, "--kind", "min-snap")
     check("plan", trimtab("plan", hop, *known, "-o", "hop.ref", "--report", "hop.html"))
     check("fly", trimtab("fly", "hop.ref", "-o", "hop.mcap"))
+
+
+def test_fly_that_loses_its_link_prints_what_the_page_says(
+    reference: Reference,
+    world_file: Callable[[str], str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    world = world_file("[radio]\ncuts_s = [[6.0, 900.0]]\n")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "eight.ref").write_bytes(reference.to_bytes())
+    assert cli.main(["fly", "eight.ref", "--world", world, "-o", "x.mcap", "--json"]) == 3
+    told = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert "prints `log`, the log up to there, beside `error` and `exit_code`" in PAGE
+    assert set(told) == {"log", "error", "exit_code"}
+    assert read_flight(told["log"]).mocap is not None
 
 
 def test_plan_pareto_prints_what_the_page_says(
