@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -110,6 +111,8 @@ def command(
     following = None if then is None else read_reference(then)
     if at is not None and following is None:
         raise UsageError("--at goes with --then: it says when that reference takes over")
+    if at is not None and not math.isfinite(1e6 * at):
+        raise UsageError(f"--at {at:g} is no time, give seconds of the first reference")
     at_us = None if at is None else round(1e6 * at)
     swap_us = 0 if following is None else swap_time_us(blob, following, at_us)
     log = artefacts.check_log(output or Path(f"{reference.stem}-{flight}.mcap"), force)
