@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import sys
-import tempfile
-import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from cyclopts import App, CycloptsError, Parameter
+from typing import TYPE_CHECKING, Any
 
 from host import output
 from host.errors import BUG, INTERRUPTED
+
+if TYPE_CHECKING:
+    from cyclopts import App
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +77,8 @@ def _version() -> str:
 
 def build_app() -> App:
     """The cyclopts application; no verb's module is imported."""
+    from cyclopts import App, Parameter
+
     app = App(
         name="trimtab",
         help="Close the gap between a quadrotor's model and its flights.",
@@ -92,16 +94,23 @@ def build_app() -> App:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """The exit code of one run. Errors are one line each on stderr; for a bug it names a file."""
+    """The exit code of one run. Errors are one line each on stderr; for a bug it names a file.
+
+    Without `argv` it is the process's: what is slow is imported where Ctrl-C is one line already, and once
+    the run has ended Ctrl-C is ignored.
+    """
+    own = argv is None
     words = list(sys.argv[1:] if argv is None else argv)
     # Thousands of small matrices: threads cost more than they bring, and sums would depend on their number.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    output.prepare()
     try:
+        output.prepare()
         code = _run(words)
         sys.stdout.flush()
         return code
     except KeyboardInterrupt as error:
+        if own:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
         return _fail(words, "; ".join(["interrupted", *map(str, error.args)]), INTERRUPTED)
     except BrokenPipeError:
         # Whoever read our output has gone, as in `trimtab ls | head`: leave quietly.
@@ -121,10 +130,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         saved = _save_traceback(words)
         what = f"{type(error).__name__}: {error}".splitlines()[0]
         return _fail(words, f"a bug of ours: {what}; its traceback is in {saved}, please report it", BUG)
+    finally:
+        if own:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _run(words: list[str]) -> int:
     """The exit code of the verb that `words` name."""
+    from cyclopts import CycloptsError
+
     try:
         result = build_app()(words, exit_on_error=False, print_error=False)
     except SystemExit as end:
@@ -163,6 +177,9 @@ def _silence_stdout() -> None:
 
 def _save_traceback(words: Sequence[str]) -> str:
     """Name of a new file with the current exception's traceback and what was run."""
+    import tempfile
+    import traceback
+
     python = sys.version.split()[0]
     text = f"trimtab {_version()} on Python {python}\narguments: {words}\n\n{traceback.format_exc()}"
     try:

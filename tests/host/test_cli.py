@@ -165,6 +165,32 @@ def test_interrupt_ends_with_130(
     assert capsys.readouterr().err == "trimtab: interrupted\n"
 
 
+@pytest.mark.parametrize(
+    ("when", "code", "said"),
+    [
+        ("sys.meta_path.insert(0, Finder())", 130, "trimtab: interrupted\n"),
+        ("atexit.register(press)", 0, ""),
+    ],
+    ids=["while imports run", "at the interpreter's end"],
+)
+def test_interrupt_before_and_after_the_run_shows_no_traceback(when: str, code: int, said: str) -> None:
+    program = f"""
+import atexit, os, signal, sys
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
+class Finder:
+    def find_spec(self, name, *of):
+        if name == "cyclopts":
+            press()
+sys.argv = ["trimtab", "--help"]
+{when}
+from host.cli import main
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (code, said)
+
+
 def test_missing_file_is_the_users_and_not_a_bug(
     verb: Callable[[Callable[..., object]], None], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
