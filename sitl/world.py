@@ -72,8 +72,8 @@ class ImuSettings(Strict):
 class RadioSettings(Strict):
     """The channel between the two radios; each direction loses frames on its own."""
 
-    slot_us: Annotated[int, Field(ge=TICK_US, le=50_000)] = 2000
-    """Half-duplex slot: one frame of one side."""
+    slot_us: Annotated[int, Field(ge=TICK_US, le=3000)] = 2000
+    """Half-duplex slot: one frame of one side. With longer ones control telemetry takes all there are."""
     frame_bytes: Annotated[int, Field(ge=FRAME_LEAST, le=FRAME_BYTES)] = FRAME_BYTES
     """What a frame carries. Longer messages are cut."""
     bit_rate: Annotated[Literal[850_000, 6_800_000] | None, Field(validate_default=True)] = None

@@ -133,13 +133,15 @@ class FindVehicle(Task):
                 f"no vehicle of ours (MAVLink system {_VEHICLE_SYSTEM}) in {seconds}, only system {systems}; "
                 "check the port"
             )
+        if client.heard_us is not None:
+            return f"a vehicle is heard, but no heartbeat of it came in {seconds}; check the way to it"
+        if client.ground_radio:
+            return f"the radio answers, but no vehicle was heard in {seconds}; is it on?"
         if client.codec.bad_bytes:
             return (
                 f"no vehicle, {client.codec.bad_bytes} bytes of something else in {seconds}; "
                 "check port and baud rate"
             )
-        if client.ground_radio:
-            return f"the radio answers, but no vehicle was heard in {seconds}; is it on?"
         return f"no vehicle, nothing was received in {seconds}; check the port and that the vehicle is on"
 
 

@@ -106,8 +106,8 @@ def test_fast_cameras_over_scarce_slots_lose_no_pose_to_a_newer_one(session_tool
     _, _, fly = session_tools
     world = tmp_path / "fast.toml"
     world.write_text(
-        'description = "200 poses, 125 slots a second each way"\ntolerances = false\n'
-        "[mocap]\nrate_hz = 200\ndropout = 0.0\n[radio]\nslot_us = 4000\nloss = 0.0\ncorrupt = 0.0\n"
+        'description = "200 poses, 166 slots a second each way"\ntolerances = false\n'
+        "[mocap]\nrate_hz = 200\ndropout = 0.0\n[radio]\nslot_us = 3000\nloss = 0.0\ncorrupt = 0.0\n"
     )
     session = fly(SimulatedVehicle.create(load_vehicle("research"), world=str(world)), until_s=3.0)
     messages = Codec(*HOST).decode(bytes(session.received))

@@ -75,6 +75,7 @@ def test_wrong_keys_of_a_world_do_not_hide_contradictions_elsewhere(tmp_path: Pa
         ("[mocap]\nrate_hz = 160", "does not divide"),
         ("[mocap]\nrate_hz = 500", "rate_hz: 500 is out of range, give a value at most 250"),
         ("[radio]\nslot_us = 2500", "whole number"),
+        ("[radio]\nslot_us = 4000", "radio.slot_us: 4000 is out of range, give a value at most 3000"),
         ("[radio]\nslot_us = 1000\nbit_rate = 850000", "a frame of 116 B takes 1711 us .* longer slot"),
         ("[radio]\nbit_rate = 1000", "radio.bit_rate: 1000 is not possible, choose 850000 or 6800000"),
         ("[radio]\nframe_bytes = 40", "radio.frame_bytes: 40 is out of range, give a value at least 64"),

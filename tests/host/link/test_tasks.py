@@ -85,6 +85,24 @@ def test_find_vehicle_among_other_systems_names_them(run: Run, fake: Any) -> Non
     assert text.startswith("ttyX: no vehicle of ours (MAVLink system 1) in 5 s, only system 2, 17")
 
 
+@pytest.mark.parametrize(
+    ("sender", "said"),
+    [
+        (m.HOST_RADIO, "the radio answers, but no vehicle was heard in 5 s; is it on?"),
+        (m.VEHICLE, "a vehicle is heard, but no heartbeat of it came in 5 s; check the way to it"),
+    ],
+    ids=["radio", "vehicle"],
+)
+def test_find_vehicle_does_not_blame_damaged_bytes_where_something_is_heard(
+    run: Run, fake: Any, sender: tuple[int, int], said: str
+) -> None:
+    codec = Codec(*sender)
+    fake.run = lambda now_us, data: (
+        b"" if now_us % 1_000_000 else codec.encode(m.RadioStats(*[0] * len(m.RadioStats.fieldnames))) + b"?!"
+    )
+    assert failure(run(one(FindVehicle("ttyX")), fake), LinkError) == f"ttyX: {said}"
+
+
 def test_find_vehicle_that_beats_but_does_not_answer_says_so(run: Run, fake: Any) -> None:
     fake.answers = False
     assert "answers nothing" in failure(run(one(FindVehicle("ttyX")), fake), LinkError)
