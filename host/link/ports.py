@@ -62,7 +62,7 @@ class _SerialPort:
         try:
             return self._serial.read(READ_BYTES)
         except (serial.SerialException, OSError) as error:
-            raise LinkError(f"{self.name}: the port is gone ({_reason(error)})") from error
+            raise self._gone(error) from error
 
     def write(self, data: bytes) -> None:
         try:
@@ -70,7 +70,12 @@ class _SerialPort:
         except serial.SerialTimeoutException:
             raise LinkError(f"{self.name}: nobody takes what is written there; check the port") from None
         except (serial.SerialException, OSError) as error:
-            raise LinkError(f"{self.name}: the port is gone ({_reason(error)})") from error
+            raise self._gone(error) from error
+
+    def _gone(self, error: BaseException) -> LinkError:
+        """What to raise for a port that was open: the system's reason where there is one, not pyserial's."""
+        reason = "" if _number(error) is None else f" ({_reason(error)})"
+        return LinkError(f"{self.name}: the port is gone{reason}; check the device and its cable")
 
     def close(self) -> None:
         with contextlib.suppress(serial.SerialException, OSError):

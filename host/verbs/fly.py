@@ -166,8 +166,14 @@ def _parameters(assignments: tuple[str, ...]) -> dict[str, float]:
         name, _, value = text.partition("=")
         if name not in BY_NAME:
             raise UsageError(f"--parameter {text}: no parameter is called {name}, give NAME=VALUE")
+        if not value:
+            raise UsageError(f"--parameter {text}: no value, give NAME=VALUE")
         try:
-            values[name] = BY_NAME[name].check(float(value))
+            number = float(value)
+        except ValueError:
+            raise UsageError(f"--parameter {text}: {value} is no number, give NAME=VALUE") from None
+        try:
+            values[name] = BY_NAME[name].check(number)
         except ValueError as error:
             raise UsageError(f"--parameter {text}: {error}; give NAME=VALUE") from None
     return values

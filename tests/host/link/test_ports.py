@@ -58,6 +58,32 @@ def test_serial_port_in_use_is_a_link_error(pty: tuple[int, str]) -> None:
         open_port(pty[1])
 
 
+def test_serial_port_that_is_gone_says_so_in_our_words(require: Callable[[str], None]) -> None:
+    require("pty")
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    name = os.ttyname(slave)
+    with contextlib.closing(open_port(name)) as port:
+        os.close(slave)
+        os.close(master)
+        with pytest.raises(LinkError) as caught:
+            port.read()
+    assert str(caught.value) == f"{name}: the port is gone; check the device and its cable"
+
+
+def test_serial_port_that_ends_says_so_in_our_words(
+    pty: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ends(of: object, size: int) -> bytes:
+        raise serial.SerialException("device reports readiness to read but returned no data")
+
+    with contextlib.closing(open_port(pty[1])) as port:
+        monkeypatch.setattr(serial.Serial, "read", ends)
+        with pytest.raises(LinkError) as caught:
+            port.read()
+    assert str(caught.value) == f"{pty[1]}: the port is gone; check the device and its cable"
+
+
 def test_tcp_port_carries_bytes_and_notices_the_end() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         number = server.getsockname()[1]
