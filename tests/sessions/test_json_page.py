@@ -126,6 +126,11 @@ def test_fly_that_loses_its_link_prints_what_the_page_says(
     assert read_flight(told["log"]).mocap is not None
 
 
+def test_page_tells_a_whole_flight_from_a_whole_reference() -> None:
+    said = re.findall(r"^\| `(?:tracking_)?whole` \| \| (.*) \|$", PAGE, flags=re.MULTILINE)
+    assert len(said) == len(set(said)) == 2
+
+
 def test_plan_pareto_prints_what_the_page_says(
     trimtab: Callable[..., dict[str, Any]], drag_model: str, hop: str
 ) -> None:
