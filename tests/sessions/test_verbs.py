@@ -345,3 +345,16 @@ def test_sitl_interrupted_while_the_vehicle_is_built_ends(monkeypatch: pytest.Mo
 
     monkeypatch.setattr("host.link.vehicle.vehicle_class", lambda: Built)
     assert cli.main(["sitl", "--port", "udp:127.0.0.1:0"]) == 0
+
+
+def test_first_flight_page_shows_what_fly_prints_and_files_that_are_not_there_yet(flown: Any) -> None:
+    page = (Path(__file__).parent.parent.parent / "docs" / "first-flight.md").read_text(encoding="utf-8")
+    shape = re.compile(r"\d[\d.]*")
+    shown = [shape.sub("0", line.strip()) for line in page.splitlines()]
+    for line in flown[0].to_lines()[1:]:
+        assert shape.sub("0", line) in shown
+    logs = []
+    for reference, words in re.findall(r"^ +(?:\$ )?trimtab fly (\S+)\.ref (.*)$", page, flags=re.MULTILINE):
+        named = re.search(r"-o (\S+)", words)
+        logs.append(named[1] if named else f"{reference}-0.mcap")
+    assert len(logs) == len(set(logs)) == 3
