@@ -86,7 +86,7 @@ def test_accelerometer_bias_is_found_beside_lateness():
     R = np.repeat(np.eye(3)[None], len(t), axis=0)
     bias = np.array([0.03, -0.02, 0.05])
     per_bias, velocity = standing_errors(GAINS, 0.015, 0.01)
-    assert velocity == pytest.approx(20.0 / 120.0)
+    assert velocity == pytest.approx(20.0 / 120.0 + 0.015)
     error = per_bias * bias - 0.012 * v + 2e-4 * a + 3e-4 * rng.standard_normal(v.shape)
     found, _ = accelerometer_bias(error, R, v, a, np.zeros_like(v), **LATE)
     np.testing.assert_allclose(found, bias, atol=0.005)
