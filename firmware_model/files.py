@@ -44,7 +44,7 @@ FILES = {
 }
 """By path without the first slash."""
 _WHY = {
-    UploadResult.BUSY: "an upload is under way",
+    UploadResult.BUSY: "an upload or a swap is under way",
     UploadResult.TOO_LARGE: "too large",
     UploadResult.BAD_REQUEST: "empty",
 }
@@ -92,7 +92,10 @@ class BlobFiles:
 
     def read(self, file: File) -> bytes | None:
         """Its bytes as they are on board, None where there are none."""
-        return self._store.staged(file.kind) if file.staged else self._store.live(file.kind)
+        if not file.staged:
+            return self._store.live(file.kind)
+        kind, _ = self._upload.staged()
+        return self._store.staged(file.kind) if kind == file.kind else None
 
     def write(self, path: str, data: bytes, now_us: int) -> bool:
         """Whether `data` is staged now; where it is not, nothing of it is kept and a text says why."""

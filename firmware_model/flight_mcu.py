@@ -108,7 +108,7 @@ class FlightMcu:
             status=self._status,
             battery_v=lambda: self._battery_v,
             on_upload=self._uploaded,
-            on_limits=lambda: self._load(Kind.REFERENCE),
+            on_limits=self._limits_changed,
             keep=store.settings.change,
         )
         self._out: list[bytes] = []
@@ -270,6 +270,12 @@ class FlightMcu:
         self.flight.changed = True
         if event.event is UploadEvent.COMMITTED and self._on_floor():
             self._load(event.kind)  # in flight it has been taken over already
+
+    def _limits_changed(self) -> None:
+        """Nothing comes back; what is live and what is staged are judged anew."""
+        self._load(Kind.REFERENCE)
+        now_us = self._last_us
+        self._services.take(self._upload.limits_changed(now_us), now_us)
 
     # A reference that takes over in flight.
 

@@ -116,6 +116,13 @@ class ClockSync:
         self.exchanges += 1
         self.rtts_us.append(rtt_us)
         self.rtt_us += (rtt_us - self.rtt_us) / min(self.exchanges, 16)
+        if (
+            min(up + self._down.value, down + self._up.value) < -STEP_US
+        ):  # there and back in less than no time
+            self.steps += 1
+            self._recent.clear()
+            self._up.clear()
+            self._down.clear()
         if self._up.add(up, now_us):
             self._begin_anew(self._down, down, now_us)
         elif self._down.add(down, now_us):

@@ -115,7 +115,7 @@ class Swap:
         """Nothing comes back; once the first reference is flown, sending begins."""
         tracking = message.state == m.mavlink.TRIMTAB_STATE_TRACKING
         if self._sender is None and tracking and message.reference_tick != m.NO_TICK:
-            tick = message.reference_tick + self._at_us // TICK_US
+            tick = (message.reference_tick + self._at_us // TICK_US) & 0xFFFF_FFFF
             data, kind = self._reference.to_bytes(), self._reference.KIND
             self._sender = UploadSender(data, kind, at_tick=tick, interval_us=_INTERVAL_US)
             self._begin_us = now_us

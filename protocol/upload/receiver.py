@@ -187,13 +187,22 @@ class UploadReceiver:
         """Nothing comes back; what was to take over stays staged."""
         self._do(Event.CALLED_OFF, self._blob, now_us)
 
+    def limits_changed(self, now_us: int) -> list[ReceiverEvent]:
+        """What it brought about that the check goes by other limits now: what is staged may be refused."""
+        if self.state is UploadState.STAGED:
+            verdict = self._check(self._blob.kind, self._store.gathered(self._blob.kind))
+            if not verdict.ok:
+                self.verdict = verdict
+                self._do(Event.CHECK_REFUSED, self._blob, now_us)
+        return self._take_events()
+
     def put(
         self, kind: int, data: bytes, now_us: int
     ) -> tuple[UploadResult, Verdict | None, list[ReceiverEvent]]:
         """Result, what the check said if it was asked, and events of a whole blob that came in another way.
 
         OK: it is staged, and stays so until it is committed or another upload begins, or it is live already.
-        BUSY: another upload is under way. Any other result leaves nothing of it.
+        BUSY: another upload is under way or agreed to take over. Any other result leaves nothing of it.
         """
         if self.state is UploadState.RECEIVING and self._reports.reminding(now_us):
             return UploadResult.BUSY, None, []
@@ -201,6 +210,8 @@ class UploadReceiver:
         event = self._begin_event(blob, CHUNK_BYTES)
         if event is Event.BEGIN_LIVE:
             return UploadResult.OK, None, []
+        if self.state is UploadState.SCHEDULED:
+            return UploadResult.OK if event is Event.BEGIN_SAME else UploadResult.BUSY, None, []
         entry = TABLE(self.state, event)
         if isinstance(entry, Refusal):
             return entry.result or UploadResult.BUSY, None, []
@@ -220,7 +231,7 @@ class UploadReceiver:
 
     def remove(self, kind: int, now_us: int) -> tuple[UploadResult, list[ReceiverEvent]]:
         """Result and events of forgetting what is staged of this kind; UNKNOWN where nothing is."""
-        if self.state is not UploadState.STAGED or self._blob.kind != kind:
+        if self.state not in _STAGED or self._blob.kind != kind:
             return UploadResult.UNKNOWN, []
         self._do(Event.ABORT_SAME, self._blob, now_us)
         return UploadResult.OK, self._take_events()

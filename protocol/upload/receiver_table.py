@@ -148,7 +148,7 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.CHUNK_HELD: Move(_S.STAGED, _A.REPORT_SOON),
             _E.CHUNK_FOREIGN: _FOREIGN,
             _E.CHECK_PASSED: _COMPLETE,
-            _E.CHECK_REFUSED: _COMPLETE,
+            _E.CHECK_REFUSED: Move(_S.REFUSED, _A.REFUSE),
             _E.CORRUPT: _COMPLETE,
             _E.COMMIT_SAME: Move(_S.IDLE, _A.COMMIT),
             _E.COMMIT_BUSY: Refusal(_R.BUSY, "at once only while the vehicle does not fly"),

@@ -168,6 +168,53 @@ def test_swap_and_status_count_on_where_ticks_begin_anew(make_session, flown_blo
     assert session.flight.unsendable == 0
 
 
+def staged(session, blob):
+    """The session, with `blob` on board and not committed."""
+    files = session.flight._services._ftp._files
+    assert files.write("/ref/staged.ref", blob.to_bytes(), session.now_us)
+    return files, files.find("/ref/staged.ref")
+
+
+def test_parameters_that_change_refuse_what_was_staged_before(make_session, flown_blob):
+    session = make_session()
+    session.run(0.5)
+    assert session.put(flown_blob).state.name == "DONE"
+    after = following(flown_blob)  # ends 0.8 m to the east
+    files, file = staged(session, after)
+    session.send(m.ParamSet(1, 1, b"FENCE_E_MAX", 0.9, 9))
+    session.run(0.3)
+    assert files.read(file) == after.to_bytes()
+    session.send(m.ParamSet(1, 1, b"FENCE_E_MAX", 0.5, 9))
+    session.run(0.3)
+    assert bytes(session.received(m.FcStatus)[-1].staged_id) == bytes(6)
+    assert files.read(file) is None
+    assert not any(entry.name == "staged.ref" for entry in files.entries("/ref"))
+    session.take_off()
+    session.run_to(State.TRACKING)
+    at_us = session.flight.flight.tracking_us + AT_US
+    assert put_at(session, after, at_us // 1000).state.name == "FAILED"
+    session.run_to(State.HOLD)
+    assert max(session.body.p[1], 0.0) < 0.1
+    assert session.store.live(1) == flown_blob.to_bytes()
+
+
+def test_what_is_agreed_is_kept_where_it_or_another_is_written_as_a_file(make_session, flown_blob):
+    session = make_session()
+    start_us = fly(session, flown_blob)
+    after = following(flown_blob)
+    at_tick = (start_us + AT_US) // 1000
+    assert put_at(session, after, at_tick).state.name == "DONE"
+    files, file = staged(session, after)
+    assert not files.write("/ref/staged.ref", flown_blob.to_bytes()[:-1] + b"x", session.now_us)
+    session.run(0.1)
+    assert session.received(m.FcStatus)[-1].swap_tick == at_tick
+    assert files.remove(file, session.now_us)
+    session.run(0.1)
+    assert session.received(m.FcStatus)[-1].swap_tick == NO_TICK
+    session.run_to(State.HOLD)
+    assert session.store.live(1) == flown_blob.to_bytes()
+
+
 @pytest.mark.parametrize("loss", [0.1, 0.3])
 def test_swap_is_agreed_over_a_radio_that_loses_frames(make_session, make_blob, loss):
     chance = random.Random(8401)

@@ -58,6 +58,25 @@ def test_clock_sync_begins_anew_where_the_other_clock_jumps(step_us: float) -> N
     assert clock.offset_us == pytest.approx(step_us)
 
 
+@pytest.mark.parametrize("answers", [1, 5, 11, 19, 25])
+def test_clock_sync_vehicle_that_boots_again_is_followed_however_few_answers_there_were(answers: int) -> None:
+    rng = np.random.default_rng(answers)
+    clock, offset_us = ClockSync(), 5e9
+    for k in range(answers + 10):
+        if k == answers:
+            offset_us = -97_000.0 * k
+        exchange(clock, 97_000 * k, offset_us, 4000.0 + 5000.0 * rng.random(), 4000.0 + 5000.0 * rng.random())
+        assert clock.offset_us == pytest.approx(offset_us, abs=3000.0)
+    assert clock.steps == 1
+
+
+def test_clock_sync_answer_from_before_a_boot_does_not_last() -> None:
+    clock = ClockSync()
+    for k in range(40):
+        exchange(clock, 97_000 * k, 5e9 if k < 20 or k == 22 else -2e6, 5000.0, 5000.0)
+    assert clock.offset_us == pytest.approx(-2e6)
+
+
 def test_clock_sync_absurd_answers_are_left_out() -> None:
     clock = ClockSync()
     clock.answer(1_000_000, 5, 900_000)
