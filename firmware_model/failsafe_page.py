@@ -51,6 +51,8 @@ _BEHIND = """
   too.
 - A landing goes on where a landing in place would be the action. Armed on the floor, every failure disarms.
   In standby the same conditions refuse arming.
+- In place is where the reference stops. A vehicle that something holds off it comes back there when that
+  ends: by what accelerates it (m/s^2) over POS_P, with the default 0.17 m for each m/s^2.
 - Level descent: attitude and sink rate are kept, position is not; the rotors stop when something carries it,
   that is when force exceeds, by a step, what their thrust has been worth in the descent so far.
 
