@@ -18,6 +18,8 @@ STRAY_SPEED = 3.0
 """m/s by which that bound grows while no pose is believed."""
 STRAY_ANGLE = math.radians(45.0)
 """Turn from the estimate beyond which a pose in flight is not believed."""
+_STRAY_COS = math.cos(0.5 * STRAY_ANGLE)
+_KNOWN = slice(law.EST_P.start, law.EST_Q.stop)
 
 
 class Estimate:
@@ -50,11 +52,13 @@ class Estimate:
     ) -> bool:
         """Whether the pose waits for a tick now.
 
-        While it is flying not where it strays from the estimate; aloft not where it repeats the last one.
+        While it is flying not where it strays from the estimate; aloft and in motion not where it repeats
+        the last one: a camera system that sees nothing may go on sending what it saw last.
         """
-        if flying and self._strays(time_us, p, q, now_us):
+        repeats = self.poses.repeats(p, q)
+        if flying and (self._strays(time_us, p, q, now_us) or (repeats and aloft and self._moving())):
             return False
-        return self.poses.offer(time_us, p, q, now_us, moving=aloft and self._moving())
+        return self.poses.offer(time_us, p, q, now_us)
 
     def take_pose(self, now_us: int, restart_us: int | None) -> bool:
         """Whether the oldest waiting pose is in the engine's inputs, for one tick.
@@ -88,13 +92,17 @@ class Estimate:
 
     def _strays(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
         """Whether the pose is far from what the estimate says about its moment, or of no numbers."""
-        memory = self._memory
+        px, py, pz, vx, vy, vz, qw, qx, qy, qz = self._memory[_KNOWN]
         age_s = 1e-6 * (now_us - time_us) + self._feedforward[PREDICTION_TIME]
-        then = [x - v * age_s for x, v in zip(memory[law.EST_P], memory[law.EST_V], strict=True)]
         far_m = STRAY_M + STRAY_SPEED * 1e-6 * (time_us - self.poses.newest_us)
-        along = abs(sum(a * b for a, b in zip(memory[law.EST_Q], q, strict=True)))
+        x, y, z = p
+        near = math.hypot(x - px + vx * age_s, y - py + vy * age_s, z - pz + vz * age_s) <= far_m
+        w, x, y, z = q
+        along, length = abs(w * qw + x * qx + y * qy + z * qz), math.hypot(w, x, y, z)
+        if near and along >= _STRAY_COS * length:
+            return False
         turn = min(STRAY_ANGLE + self._rate() * abs(age_s), math.pi)
-        return not (math.dist(p, then) <= far_m and along >= math.hypot(*q) * math.cos(0.5 * turn))
+        return not (near and along >= length * math.cos(0.5 * turn))
 
     def _set(self, p: Sequence[float], q: Sequence[float]) -> None:
         """The estimate is this pose, at rest; the gyro bias stays."""

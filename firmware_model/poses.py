@@ -34,22 +34,19 @@ class PoseInput:
         self._new, self._p, self._q = inputs["mocap_new"], inputs["mocap_p"], inputs["mocap_q"]
         self._age, self._interval = inputs["mocap_age_s"], inputs["mocap_interval_s"]
 
-    def offer(
-        self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int, *, moving: bool
-    ) -> bool:
-        """Whether the pose waits for a tick now: newer than the last one, recent, of sane numbers.
-
-        One that repeats the last one to the bit while the vehicle is `moving` is none: a camera system that
-        sees nothing may go on sending what it saw last.
-        """
-        length = math.hypot(*q)
+    def repeats(self, p: Sequence[float], q: Sequence[float]) -> bool:
+        """Whether the pose that is being offered has the numbers of the one before it, to the bit."""
         last, self._last = self._last, (*p, *q)
+        return self._last == last
+
+    def offer(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
+        """Whether the pose waits for a tick now: newer than the last one, recent, of sane numbers."""
+        length = math.hypot(*q)
         if (
             time_us <= self.newest_us
             or not -AHEAD_US <= now_us - time_us <= AGE_MAX_US
             or not 0.9 < length < 1.1
             or not math.hypot(*p) < FARTHEST
-            or (moving and self._last == last)
         ):
             return False
         self.newest_us = time_us
