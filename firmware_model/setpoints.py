@@ -9,11 +9,9 @@ followed 0.29 s late, or without delay where its velocity is given too.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
-from firmware_model.law.reference import septic_at, septic_coefficients
 from firmware_model.track import (
     EASE_S,
     ENDLESS_US,
@@ -27,6 +25,7 @@ from firmware_model.track import (
     braked,
     coast,
     eased,
+    samples,
     seconds_us,
     track,
 )
@@ -150,31 +149,26 @@ def _nodes(aims: Axes, asked: Vector, accel: Vector, state: Node, bounds: Bounds
     """From the state to where the setpoint leads: in one piece, else behind what takes out the acceleration
     or, where that is not enough, behind a stop. At worst it stays there.
     """
-    stopped: list[tuple[int, Node]] = []
-    for begin in (_at_once, _eased, _stopped):
-        stopped = begun = begin(state, bounds)
+    for sure, begun in _beginnings(state, bounds):
         t_us, node = begun[-1]
         length_s = _length_s(aims, asked, node, bounds)
         for _ in range(_STRETCHES):
             end = _end(aims, asked, accel, node, length_s, bounds)
-            piece = [(t_us, node), (t_us + seconds_us(length_s), end)]
-            if _gentle(piece if begin is _stopped else [*begun, piece[-1]], bounds):
-                return [*begun, piece[-1]]
+            nodes = [*begun, (t_us + seconds_us(length_s), end)]
+            if _gentle(nodes, bounds):
+                return [*sure, *nodes]
             length_s *= _STRETCH
-    t_us, node = stopped[-1]
-    return [*stopped, (t_us + seconds_us(SHORTEST_S), node)]
+    return [*sure, *begun, (t_us + seconds_us(SHORTEST_S), node)]
 
 
-def _at_once(state: Node, bounds: Bounds) -> list[tuple[int, Node]]:
-    return [(0, state)]
-
-
-def _eased(state: Node, bounds: Bounds) -> list[tuple[int, Node]]:
-    return [(0, state), (seconds_us(EASE_S), eased(state, EASE_S))]
-
-
-def _stopped(state: Node, bounds: Bounds) -> list[tuple[int, Node]]:
-    return braked(state, bounds.accel, bounds.room)
+def _beginnings(
+    state: Node, bounds: Bounds
+) -> Iterator[tuple[list[tuple[int, Node]], list[tuple[int, Node]]]]:
+    """What is flown in any case, and the nodes behind it that a way to the setpoint goes on from."""
+    yield [], [(0, state)]
+    yield [], [(0, state), (seconds_us(EASE_S), eased(state, EASE_S))]
+    stop = braked(state, bounds.accel, bounds.room)
+    yield stop[:-1], stop[-1:]
 
 
 def _aims(target: PositionTarget, state: Node, bounds: Bounds) -> tuple[Axes, Vector]:
@@ -246,19 +240,13 @@ def _gentle(nodes: Sequence[tuple[int, Node]], bounds: Bounds) -> bool:
     hardest = max(bounds.accel, *(math.hypot(*node[6:9]) for _, node in nodes)) * 1.001 + 1e-6
     beyond = bounds.room.beyond(state) + 1e-3
     swing = Room(*(_swing(state, end, side, bounds) for side in (-1.0, 1.0)))
-    for (t0, node0), (t1, node1) in pairwise(nodes):
-        length_s = 1e-6 * (t1 - t0)
-        coefficients = septic_coefficients(length_s, node0, node1)
-        for k in range(1, _SAMPLES + 1):
-            p, v, a, _, _ = septic_at(coefficients, length_s * k / _SAMPLES)
-            if (
-                math.hypot(*v) > fastest
-                or math.hypot(*a) > hardest
-                or bounds.room.beyond(p) > beyond
-                or swing.beyond(p) > 0.0
-            ):
-                return False
-    return True
+    return all(
+        math.hypot(*v) <= fastest
+        and math.hypot(*a) <= hardest
+        and bounds.room.beyond(p) <= beyond
+        and swing.beyond(p) <= 0.0
+        for p, v, a in samples(nodes, _SAMPLES)
+    )
 
 
 def _swing(state: Node, end: Node, side: float, bounds: Bounds) -> Vector:

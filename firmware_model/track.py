@@ -284,6 +284,16 @@ def coast(state: Node, velocity: Vector, dt_s: float, acceleration: Vector = _ZE
     return (x, y, z)
 
 
+def samples(nodes: Sequence[tuple[int, Node]], count: int) -> Iterator[tuple[Vector, Vector, Vector]]:
+    """Position, velocity and acceleration at `count` moments of each piece through the nodes."""
+    for (t0, node0), (t1, node1) in pairwise(nodes):
+        dt_s = _duration_s(t0, t1)
+        coefficients = septic_coefficients(dt_s, node0, node1)
+        for k in range(1, count + 1):
+            p, v, a, _, _ = septic_at(coefficients, dt_s * k / count)
+            yield p, v, a
+
+
 def eased(state: Node, dt_s: float) -> Node:
     """The node `dt_s` on at which acceleration and jerk are gone; the speed is what they made of it."""
     v = [state[3 + i] + dt_s * state[6 + i] / 2.0 + dt_s**2 * state[9 + i] / 12.0 for i in range(3)]
@@ -316,7 +326,7 @@ def _within(state: Node, deceleration: float, room: Room, axes: Sequence[int]) -
     allowed = room.beyond(state, axes) + 1e-6
     best, least = [(0, state)], math.inf
     for nodes in _stops(state, deceleration):
-        beyond = max(room.beyond(p, axes) for p, _ in _samples(nodes))
+        beyond = max(room.beyond(p, axes) for p, _, _ in samples(nodes, _SAMPLES))
         if beyond < least:
             best, least = nodes, beyond
         if beyond <= allowed:
@@ -353,17 +363,7 @@ def _stopped(t_us: int, node: Node, dt_s: float) -> tuple[int, Node]:
 
 def _hardest(nodes: Sequence[tuple[int, Node]]) -> float:
     """Greatest acceleration on the way through the nodes."""
-    return max(math.hypot(*a) for _, a in _samples(nodes))
-
-
-def _samples(nodes: Sequence[tuple[int, Node]]) -> Iterator[tuple[Vector, Vector]]:
-    """Positions and accelerations on the way through the nodes."""
-    for (t0, node0), (t1, node1) in pairwise(nodes):
-        dt_s = _duration_s(t0, t1)
-        coefficients = septic_coefficients(dt_s, node0, node1)
-        for k in range(1, _SAMPLES + 1):
-            p, _, a, _, _ = septic_at(coefficients, dt_s * k / _SAMPLES)
-            yield p, a
+    return max(math.hypot(*a) for _, _, a in samples(nodes, _SAMPLES))
 
 
 def _at(nodes: Sequence[tuple[int, Node]], t_us: int) -> Node:

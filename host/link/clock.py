@@ -116,25 +116,23 @@ class ClockSync:
         self.exchanges += 1
         self.rtts_us.append(rtt_us)
         self.rtt_us += (rtt_us - self.rtt_us) / min(self.exchanges, 16)
-        if (
-            min(up + self._down.value, down + self._up.value) < -STEP_US
-        ):  # there and back in less than no time
-            self.steps += 1
-            self._recent.clear()
-            self._up.clear()
-            self._down.clear()
+        # There and back in less than no time.
+        if min(up + self._down.value, down + self._up.value) < -STEP_US:
+            self._begin_anew(self._up, self._down)
         if self._up.add(up, now_us):
-            self._begin_anew(self._down, down, now_us)
-        elif self._down.add(down, now_us):
-            self._begin_anew(self._up, up, now_us)
+            self._begin_anew(self._down)
+        if self._down.add(down, now_us):
+            self._begin_anew(self._up)
+            self._up.add(up, now_us)
         self.offset_us = 0.5 * (self._up.usual - self._down.usual)
         self._recent.append((up, down))
 
-    def _begin_anew(self, other: LeastDelay, value: float, now_us: int) -> None:
+    def _begin_anew(self, *ways: LeastDelay) -> None:
+        """Nothing comes back; the other clock jumped, what these ways were compared by is forgotten."""
         self.steps += 1
         self._recent.clear()
-        other.clear()
-        other.add(value, now_us)
+        for way in ways:
+            way.clear()
 
 
 class CameraClock:

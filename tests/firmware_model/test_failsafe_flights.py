@@ -39,6 +39,13 @@ def landed_softly(rig):
     assert "no touchdown noticed: motors off" not in rig.texts
 
 
+def in_quick_flight(rig, make_track):
+    """The rig, at the start of 3 m there and back in 1.6 s each."""
+    rig.flight.reference = make_track(reach=3.0, seconds=1.6)
+    rig.track()
+    return rig
+
+
 def test_imu_stuck_stops_the_motors_within_its_time(make_rig):
     rig = make_rig()
     rig.track()
@@ -61,9 +68,7 @@ def test_mocap_late_lands_in_place(make_rig):
 
 @pytest.mark.parametrize("age_ms", [120, 160, 195])
 def test_mocap_that_stays_late_in_quick_flight_is_flown_and_landed_with(make_rig, make_track, age_ms):
-    rig = make_rig()
-    rig.flight.reference = make_track(reach=3.0, seconds=1.6)
-    rig.track()
+    rig = in_quick_flight(make_rig(), make_track)
     rig.run(0.5)
     rig.mocap_age_us = 1_000 * age_ms
     tilt, off_m = 0.0, 0.0
@@ -180,9 +185,7 @@ def test_poses_that_stay_far_from_the_estimate_are_a_loss_of_poses(make_rig, swa
 
 @pytest.mark.parametrize("stay_s", [0.0, 0.3, 0.6, 0.9, 1.2])
 def test_poses_after_a_gap_in_quick_flight_are_taken_again(make_rig, make_track, stay_s):
-    rig = make_rig()
-    rig.flight.reference = make_track(reach=3.0, seconds=1.6)
-    rig.track()
+    rig = in_quick_flight(make_rig(), make_track)
     rig.run(stay_s)
     while rig.flight.state is State.TRACKING:
         rig.mocap = False
@@ -196,9 +199,7 @@ def test_poses_after_a_gap_in_quick_flight_are_taken_again(make_rig, make_track,
 
 @pytest.mark.parametrize("stay_s", [0.0, 0.5, 1.2])
 def test_poses_that_stand_still_in_flight_are_a_loss_of_poses(make_rig, make_track, stay_s):
-    rig = make_rig()
-    rig.flight.reference = make_track(reach=3.0, seconds=1.6)
-    rig.track()
+    rig = in_quick_flight(make_rig(), make_track)
     rig.run(stay_s)
     rig.mocap = False
     p, q, start_us = tuple(rig.body.p), rig.body.quaternion(), rig.now_us
