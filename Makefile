@@ -53,13 +53,13 @@ bench: $(READY_BENCH)
 	$(VENV)/bin/trimtab bench
 
 fuzz: $(READY)
-	$(PYTHON) -m sitl.studies.fuzz --inputs $(FUZZ_INPUTS) --seed $(FUZZ_SEED) --workers $(FUZZ_WORKERS)
+	$(PYTHON) -m trimtab.sitl.studies.fuzz --inputs $(FUZZ_INPUTS) --seed $(FUZZ_SEED) --workers $(FUZZ_WORKERS)
 
 generate: $(READY_ALL)
-	$(PYTHON) -m protocol.generate
+	$(PYTHON) -m trimtab.protocol.generate
 
 docs: $(READY)
-	$(PYTHON) -m host.report.effects_page docs/effects.md
-	$(PYTHON) -m host.report.manoeuvres_page docs/manoeuvres.md
-	$(PYTHON) -m firmware_model.failsafe_page docs/failsafes.md
-	$(PYTHON) -m sitl.studies.upload_picture docs/upload.svg
+	$(PYTHON) -m trimtab.host.report.effects_page docs/effects.md
+	$(PYTHON) -m trimtab.host.report.manoeuvres_page docs/manoeuvres.md
+	$(PYTHON) -m trimtab.firmware_model.failsafe_page docs/failsafes.md
+	$(PYTHON) -m trimtab.sitl.studies.upload_picture docs/upload.svg

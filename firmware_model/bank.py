@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from enum import IntEnum
 from typing import NamedTuple
 
-from firmware_model.flash import ERASED, SECTOR_BYTES, Flash
-from protocol.upload.transfer import CHUNK_BYTES, chunk_count
+from trimtab.firmware_model.flash import ERASED, SECTOR_BYTES, Flash
+from trimtab.protocol.upload.transfer import CHUNK_BYTES, chunk_count
 
 SLOT_BYTES = 64
 SLOTS = SECTOR_BYTES // SLOT_BYTES

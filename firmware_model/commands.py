@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from firmware_model.flight import Flight
-from firmware_model.phases import TAKEOFF_LEAST
-from firmware_model.supervisor import Event, State
-from protocol import messages as m
-from protocol.messages import Message, mavlink
-from protocol.upload import ReceiverEvent, UploadReceiver
+from trimtab.firmware_model.flight import Flight
+from trimtab.firmware_model.phases import TAKEOFF_LEAST
+from trimtab.firmware_model.supervisor import Event, State
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import Message, mavlink
+from trimtab.protocol.upload import ReceiverEvent, UploadReceiver
 
 _ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
 _NOT_NOW = mavlink.MAV_RESULT_TEMPORARILY_REJECTED

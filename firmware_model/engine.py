@@ -46,7 +46,7 @@ class FloatEngine:
 
     Args:
         step: maps a dict of sequences, one an input block, to a dict of sequences, one an output block.
-        ops: operations the step is evaluated with, `firmware_model.law.ops.FLOAT` as a rule.
+        ops: operations the step is evaluated with, `trimtab.firmware_model.law.ops.FLOAT` as a rule.
         inputs, outputs: blocks of the step.
     """
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from firmware_model.law import step as law
-from firmware_model.law.feedforward import PREDICTION_TIME
-from firmware_model.poses import PoseInput
-from firmware_model.readiness import GyroCalibration
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.feedforward import PREDICTION_TIME
+from trimtab.firmware_model.poses import PoseInput
+from trimtab.firmware_model.readiness import GyroCalibration
 
 STILL = 1e-3
 """m/s and rad/s: a vehicle that is slower in both may have the same pose twice."""

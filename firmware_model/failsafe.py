@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from firmware_model.supervisor import Event
+from trimtab.firmware_model.supervisor import Event
 
 
 class Action(IntEnum):

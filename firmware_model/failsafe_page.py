@@ -1,6 +1,6 @@
 """The page on modes, failsafes and arming checks, docs/failsafes.md, made from the tables themselves.
 
-`python -m firmware_model.failsafe_page FILE` writes it; a test holds the page against the code.
+`python -m trimtab.firmware_model.failsafe_page FILE` writes it; a test holds the page against the code.
 """
 
 from __future__ import annotations
@@ -8,12 +8,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from firmware_model.failsafe import CONDITIONS, Action, Condition, Failsafe
-from firmware_model.flight import LOOK_TICKS
-from firmware_model.law.estimator import LONGEST_INTERVAL_S
-from firmware_model.offboard import LOWEST
-from firmware_model.phases import CLEAR_HEIGHT, TAKEOFF_LEAST
-from firmware_model.readiness import (
+from trimtab.firmware_model.failsafe import CONDITIONS, Action, Condition, Failsafe
+from trimtab.firmware_model.flight import LOOK_TICKS
+from trimtab.firmware_model.law.estimator import LONGEST_INTERVAL_S
+from trimtab.firmware_model.offboard import LOWEST
+from trimtab.firmware_model.phases import CLEAR_HEIGHT, TAKEOFF_LEAST
+from trimtab.firmware_model.readiness import (
     ARM_TILT_DEG,
     ASKEW_DEG,
     CHECKS,
@@ -24,11 +24,11 @@ from firmware_model.readiness import (
     REST_SPEED,
     REST_US,
 )
-from firmware_model.setpoints import SHORTEST_S
-from firmware_model.supervisor import COMMANDS, FAILURES, Event, State, update
-from firmware_model.verdict import BATTERY_LOW_CELL_V
-from protocol.parameters import BY_NAME
-from protocol.telemetry import TICK_US
+from trimtab.firmware_model.setpoints import SHORTEST_S
+from trimtab.firmware_model.supervisor import COMMANDS, FAILURES, Event, State, update
+from trimtab.firmware_model.verdict import BATTERY_LOW_CELL_V
+from trimtab.protocol.parameters import BY_NAME
+from trimtab.protocol.telemetry import TICK_US
 
 _HEAD = """# Modes, failsafes, arming checks
 

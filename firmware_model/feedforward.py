@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from firmware_model.law import feedforward as law
-from firmware_model.law.flatness import flat_attitude
-from firmware_model.law.ops import FLOAT
-from firmware_model.law.rotations import matrix_to_euler
-from protocol.blobs import FeedForward
+from trimtab.firmware_model.law import feedforward as law
+from trimtab.firmware_model.law.flatness import flat_attitude
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.rotations import matrix_to_euler
+from trimtab.protocol.blobs import FeedForward
 
 
 class FeedForwardInput:

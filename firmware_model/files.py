@@ -12,10 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from firmware_model.store import ReferenceStore
-from protocol.blobs import Kind
-from protocol.messages import UploadResult, mavlink
-from protocol.upload import ReceiverEvent, UploadReceiver
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.protocol.blobs import Kind
+from trimtab.protocol.messages import UploadResult, mavlink
+from trimtab.protocol.upload import ReceiverEvent, UploadReceiver
 
 _WARNING = mavlink.MAV_SEVERITY_WARNING
 _INFO = mavlink.MAV_SEVERITY_INFO

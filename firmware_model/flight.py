@@ -9,22 +9,22 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
-from firmware_model.engine import Engine, doubles
-from firmware_model.estimate import Estimate
-from firmware_model.failsafe import BY_EVENT, Action, Condition, Failsafe, escalate
-from firmware_model.feedforward import FeedForwardInput
-from firmware_model.law import step as law
-from firmware_model.law.ops import FLOAT
-from firmware_model.law.rotations import mat_vec, quat_to_matrix
-from firmware_model.parameters import ParameterValues
-from firmware_model.phases import CLEAR_HEIGHT, TAKEOFF_LEAST, Phases, Present
-from firmware_model.readiness import Facts, Rest, contradiction, reasons, start_refusal
-from firmware_model.setpoints import Target
-from firmware_model.supervisor import FLYING, Event, State, update
-from firmware_model.track import Track
-from firmware_model.uart import NEVER_US
-from firmware_model.verdict import battery_verdict
-from firmware_model.watch import LEVEL, TOUCH_HEIGHT, Seen, Watch, fence
+from trimtab.firmware_model.engine import Engine, doubles
+from trimtab.firmware_model.estimate import Estimate
+from trimtab.firmware_model.failsafe import BY_EVENT, Action, Condition, Failsafe, escalate
+from trimtab.firmware_model.feedforward import FeedForwardInput
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.rotations import mat_vec, quat_to_matrix
+from trimtab.firmware_model.parameters import ParameterValues
+from trimtab.firmware_model.phases import CLEAR_HEIGHT, TAKEOFF_LEAST, Phases, Present
+from trimtab.firmware_model.readiness import Facts, Rest, contradiction, reasons, start_refusal
+from trimtab.firmware_model.setpoints import Target
+from trimtab.firmware_model.supervisor import FLYING, Event, State, update
+from trimtab.firmware_model.track import Track
+from trimtab.firmware_model.uart import NEVER_US
+from trimtab.firmware_model.verdict import battery_verdict
+from trimtab.firmware_model.watch import LEVEL, TOUCH_HEIGHT, Seen, Watch, fence
 
 BOOT_US = 200_000
 """Time from power to standby."""

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from firmware_model import telemetry, track
-from firmware_model.engine import Engine
-from firmware_model.flight import LOOK_TICKS, Flight
-from firmware_model.parameters import stored_parameters
-from firmware_model.services import Identity, Services
-from firmware_model.store import ReferenceStore
-from firmware_model.supervisor import State
-from firmware_model.swap import agree_swap
-from firmware_model.telemetry import LoopTimes
-from firmware_model.uart import NEVER_US, UartPort
-from firmware_model.verdict import check_blob
-from protocol.blobs import FeedForward, Kind, Reference, from_bytes
-from protocol.codec import Codec
-from protocol.messages import (
+from trimtab.firmware_model import telemetry, track
+from trimtab.firmware_model.engine import Engine
+from trimtab.firmware_model.flight import LOOK_TICKS, Flight
+from trimtab.firmware_model.parameters import stored_parameters
+from trimtab.firmware_model.services import Identity, Services
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.firmware_model.supervisor import State
+from trimtab.firmware_model.swap import agree_swap
+from trimtab.firmware_model.telemetry import LoopTimes
+from trimtab.firmware_model.uart import NEVER_US, UartPort
+from trimtab.firmware_model.verdict import check_blob
+from trimtab.protocol.blobs import FeedForward, Kind, Reference, from_bytes
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import (
     DIALECT_VERSION,
     NO_TICK,
     VEHICLE,
@@ -27,8 +27,8 @@ from protocol.messages import (
     UploadResult,
     mavlink,
 )
-from protocol.telemetry import TICK_US, whole_tick
-from protocol.upload import Agreement, ReceiverEvent, UploadEvent, UploadReceiver, Verdict
+from trimtab.protocol.telemetry import TICK_US, whole_tick
+from trimtab.protocol.upload import Agreement, ReceiverEvent, UploadEvent, UploadReceiver, Verdict
 
 BAUD = 921_600
 RX_BYTES = 2_048

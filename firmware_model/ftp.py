@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from firmware_model.files import BlobFiles
-from protocol import messages as m
-from protocol.ftp import DATA_BYTES, Error, Opcode, Packet, crc32
+from trimtab.firmware_model.files import BlobFiles
+from trimtab.protocol import messages as m
+from trimtab.protocol.ftp import DATA_BYTES, Error, Opcode, Packet, crc32
 
 SESSIONS_MAX = 8
 IDLE_US = 30_000_000

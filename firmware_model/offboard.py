@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.step import NO_OFFBOARD
-from firmware_model.parameters import ParameterValues
-from firmware_model.setpoints import AttitudeTarget, Bounds, PositionTarget, Target
-from firmware_model.track import Room
-from firmware_model.uart import NEVER_US
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.step import NO_OFFBOARD
+from trimtab.firmware_model.parameters import ParameterValues
+from trimtab.firmware_model.setpoints import AttitudeTarget, Bounds, PositionTarget, Target
+from trimtab.firmware_model.track import Room
+from trimtab.firmware_model.uart import NEVER_US
 
 LOWEST = 0.2
 """m above the floor below which no setpoint leads: landing is a command of its own."""

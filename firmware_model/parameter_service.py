@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from firmware_model.flight import Flight
-from firmware_model.parameters import ParameterValues, index_of, name_at
-from firmware_model.supervisor import State
-from protocol import messages as m
-from protocol.messages import Message, mavlink
-from protocol.parameter_wire import REAL32, decode, encode, type_of
-from protocol.parameters import BY_NAME
+from trimtab.firmware_model.flight import Flight
+from trimtab.firmware_model.parameters import ParameterValues, index_of, name_at
+from trimtab.firmware_model.supervisor import State
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import Message, mavlink
+from trimtab.protocol.parameter_wire import REAL32, decode, encode, type_of
+from trimtab.protocol.parameters import BY_NAME
 
 VALUES_PER_LOOK = 2
 """PARAM_VALUEs sent at each look while a list goes out: 200 a second."""

@@ -8,10 +8,10 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator, Mapping
 
-from firmware_model.law import checks
-from firmware_model.law.step import parameter_vector
-from firmware_model.store import ReferenceStore
-from protocol.parameters import BY_NAME, INDEX, PARAMETERS, complete
+from trimtab.firmware_model.law import checks
+from trimtab.firmware_model.law.step import parameter_vector
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.protocol.parameters import BY_NAME, INDEX, PARAMETERS, complete
 
 
 class ParameterValues(Mapping[str, float]):

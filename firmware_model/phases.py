@@ -9,20 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from firmware_model import track
-from firmware_model.feedforward import FeedForwardInput
-from firmware_model.law import step as law
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.ops import FLOAT
-from firmware_model.law.rotations import quat_to_matrix
-from firmware_model.offboard import Offboard
-from firmware_model.parameters import ParameterValues
-from firmware_model.player import Player
-from firmware_model.setpoints import PositionTarget, towards, turned, upwards
-from firmware_model.uart import NEVER_US
-from firmware_model.watch import FLOOR_HEIGHT
-from protocol.parameters import BY_NAME
-from protocol.telemetry import TICK_US
+from trimtab.firmware_model import track
+from trimtab.firmware_model.feedforward import FeedForwardInput
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.rotations import quat_to_matrix
+from trimtab.firmware_model.offboard import Offboard
+from trimtab.firmware_model.parameters import ParameterValues
+from trimtab.firmware_model.player import Player
+from trimtab.firmware_model.setpoints import PositionTarget, towards, turned, upwards
+from trimtab.firmware_model.uart import NEVER_US
+from trimtab.firmware_model.watch import FLOOR_HEIGHT
+from trimtab.protocol.parameters import BY_NAME
+from trimtab.protocol.telemetry import TICK_US
 
 BLIND_US = 5_000_000
 """How long dead-reckoned velocity is worth following."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from firmware_model.law.reference import cubic_at, septic_at
-from firmware_model.track import Track
-from firmware_model.uart import NEVER_US
+from trimtab.firmware_model.law.reference import cubic_at, septic_at
+from trimtab.firmware_model.track import Track
+from trimtab.firmware_model.uart import NEVER_US
 
 
 class Player:

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections import deque
 
-from firmware_model.uart import UartPort
-from protocol.codec import Codec
-from protocol.messages import HOST_RADIO, VEHICLE_RADIO, RadioStats
-from protocol.uwb import FRAME_BYTES, PIECE, Assembler, FramePacker, StreamSplitter
+from trimtab.firmware_model.uart import UartPort
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import HOST_RADIO, VEHICLE_RADIO, RadioStats
+from trimtab.protocol.uwb import FRAME_BYTES, PIECE, Assembler, FramePacker, StreamSplitter
 
 BAUD = 921_600
 RX_BYTES = 4_096

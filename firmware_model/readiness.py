@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.estimator import converges
-from firmware_model.law.step import GYRO_COUNTS, TICK_S
-from firmware_model.supervisor import Event
-from firmware_model.track import Track
-from firmware_model.watch import Box, within
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.estimator import converges
+from trimtab.firmware_model.law.step import GYRO_COUNTS, TICK_S
+from trimtab.firmware_model.supervisor import Event
+from trimtab.firmware_model.track import Track
+from trimtab.firmware_model.watch import Box, within
 
 WINDOW_US = 500_000
 """Stillness that a calibration takes."""

@@ -12,19 +12,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from firmware_model.commands import Commands
-from firmware_model.files import BlobFiles
-from firmware_model.flight import Flight
-from firmware_model.ftp import FtpServer
-from firmware_model.parameter_service import ParameterService
-from firmware_model.parameters import ParameterValues
-from firmware_model.setpoint_service import SetpointService
-from firmware_model.store import ReferenceStore
-from firmware_model.streams import Streams
-from firmware_model.telemetry import heartbeat
-from protocol import messages as m
-from protocol.messages import Message, mavlink
-from protocol.upload import ReceiverEvent, UploadReceiver
+from trimtab.firmware_model.commands import Commands
+from trimtab.firmware_model.files import BlobFiles
+from trimtab.firmware_model.flight import Flight
+from trimtab.firmware_model.ftp import FtpServer
+from trimtab.firmware_model.parameter_service import ParameterService
+from trimtab.firmware_model.parameters import ParameterValues
+from trimtab.firmware_model.setpoint_service import SetpointService
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.firmware_model.streams import Streams
+from trimtab.firmware_model.telemetry import heartbeat
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import Message, mavlink
+from trimtab.protocol.upload import ReceiverEvent, UploadReceiver
 
 TEXT_BYTES = 50
 SOFTWARE_VERSION = 0x00_01_00_FF

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from firmware_model.setpoints import AttitudeTarget, PositionTarget, Target
-from protocol import messages as m
-from protocol.messages import mavlink
+from trimtab.firmware_model.setpoints import AttitudeTarget, PositionTarget, Target
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import mavlink
 
 _LOCAL, _OFFSET, _BODY = (
     mavlink.MAV_FRAME_LOCAL_NED,

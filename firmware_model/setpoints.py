@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from firmware_model.track import (
+from trimtab.firmware_model.track import (
     EASE_S,
     ENDLESS_US,
     QUINTIC_PEAK,

@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from firmware_model.flash import SECTOR_BYTES, Flash
+from trimtab.firmware_model.flash import SECTOR_BYTES, Flash
 
 SETTINGS_BYTES = 2 * SECTOR_BYTES
 _CRC = struct.Struct("<I")

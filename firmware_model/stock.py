@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import math
 
-from firmware_model.failsafe import Failsafe
-from firmware_model.flight import Flight
-from firmware_model.law import step as law
-from firmware_model.law.ops import FLOAT
-from firmware_model.law.rotations import mat_t_vec, matrix_to_euler, quat_to_matrix
-from firmware_model.supervisor import State
-from firmware_model.watch import FLOOR_HEIGHT
-from protocol import messages as m
-from protocol.messages import mavlink
+from trimtab.firmware_model.failsafe import Failsafe
+from trimtab.firmware_model.flight import Flight
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.rotations import mat_t_vec, matrix_to_euler, quat_to_matrix
+from trimtab.firmware_model.supervisor import State
+from trimtab.firmware_model.watch import FLOOR_HEIGHT
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import mavlink
 
 _ALWAYS = (
     mavlink.MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import hashlib
 
-from firmware_model.bank import Bank, Record, Step
-from firmware_model.flash import SECTOR_BYTES, Flash
-from firmware_model.settings import SETTINGS_BYTES, Settings
-from protocol.blobs import BLOB_BYTES_MAX, Kind
-from protocol.upload import CHUNK_BYTES, Incoming
+from trimtab.firmware_model.bank import Bank, Record, Step
+from trimtab.firmware_model.flash import SECTOR_BYTES, Flash
+from trimtab.firmware_model.settings import SETTINGS_BYTES, Settings
+from trimtab.protocol.blobs import BLOB_BYTES_MAX, Kind
+from trimtab.protocol.upload import CHUNK_BYTES, Incoming
 
 MAGIC = b"trimtab memory 1"
 """What a memory begins with; the number is that of its layout."""

@@ -11,12 +11,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from firmware_model import stock
-from firmware_model.flight import Flight
-from firmware_model.telemetry import HEARTBEAT_US, STATUS_US
-from firmware_model.uart import NEVER_US
-from protocol import messages as m
-from protocol.messages import Message, mavlink
+from trimtab.firmware_model import stock
+from trimtab.firmware_model.flight import Flight
+from trimtab.firmware_model.telemetry import HEARTBEAT_US, STATUS_US
+from trimtab.firmware_model.uart import NEVER_US
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import Message, mavlink
 
 STATION_US = 5_000_000
 """Silence after which other stations count as gone."""

@@ -5,13 +5,13 @@ The path must not jump by more than a controller notices; what float32 rounds aw
 
 from __future__ import annotations
 
-from firmware_model.law.checks import Limits, check_ends
-from firmware_model.law.smoothness import jump_text, jumps
-from firmware_model.track import Track
-from firmware_model.verdict import Reason
-from protocol.blobs import Reference
-from protocol.messages import UploadResult
-from protocol.upload import Agreement, Verdict
+from trimtab.firmware_model.law.checks import Limits, check_ends
+from trimtab.firmware_model.law.smoothness import jump_text, jumps
+from trimtab.firmware_model.track import Track
+from trimtab.firmware_model.verdict import Reason
+from trimtab.protocol.blobs import Reference
+from trimtab.protocol.messages import UploadResult
+from trimtab.protocol.upload import Agreement, Verdict
 
 AHEAD_US = 100_000
 """Least time from the agreement to the takeover."""

@@ -9,11 +9,17 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from firmware_model.flight import Flight
-from firmware_model.law import step as law
-from firmware_model.supervisor import State
-from protocol.messages import NO_TICK, FcStatus, Heartbeat, Message, vehicle_heartbeat
-from protocol.telemetry import TICK_US, control_message, encode_age, estimate_message, observer_message
+from trimtab.firmware_model.flight import Flight
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.supervisor import State
+from trimtab.protocol.messages import NO_TICK, FcStatus, Heartbeat, Message, vehicle_heartbeat
+from trimtab.protocol.telemetry import (
+    TICK_US,
+    control_message,
+    encode_age,
+    estimate_message,
+    observer_message,
+)
 
 STATUS_US = 100_000
 HEARTBEAT_US = 1_000_000

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
-from firmware_model.law.checks import REST, REST_YAW_RATE
-from firmware_model.law.reference import (
+from trimtab.firmware_model.law.checks import REST, REST_YAW_RATE
+from trimtab.firmware_model.law.reference import (
     CUBIC_SIZE,
     SEPTIC_SIZE,
     cubic_at,

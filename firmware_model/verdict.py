@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from enum import IntEnum
 
-from firmware_model.law import checks
-from firmware_model.parameters import ParameterValues
-from protocol.blobs import BlobError, FeedForward, Reference, from_bytes
-from protocol.upload import Verdict
+from trimtab.firmware_model.law import checks
+from trimtab.firmware_model.parameters import ParameterValues
+from trimtab.protocol.blobs import BlobError, FeedForward, Reference, from_bytes
+from trimtab.protocol.upload import Verdict
 
 
 class Reason(IntEnum):

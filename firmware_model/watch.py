@@ -7,10 +7,10 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from firmware_model.failsafe import CONDITIONS, Condition
-from firmware_model.parameters import ParameterValues
-from firmware_model.supervisor import Event
-from firmware_model.uart import NEVER_US
+from trimtab.firmware_model.failsafe import CONDITIONS, Condition
+from trimtab.firmware_model.parameters import ParameterValues
+from trimtab.firmware_model.supervisor import Event
+from trimtab.firmware_model.uart import NEVER_US
 
 TOUCH_HEIGHT = 0.25
 """m above the floor below which a descent may have ended."""

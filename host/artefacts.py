@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from host.errors import UsageError
+from trimtab.host.errors import UsageError
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """What the system says where a file cannot be written to its end: for the user to mend, no bug."""
@@ -121,7 +121,7 @@ def version() -> str:
 
 def git_state() -> str | None:
     """Commit of the checkout this code runs from, with -dirty where files differ; None outside of one."""
-    root = Path(__file__).parent.parent
+    root = Path(__file__).resolve().parents[1]
     if not (root / ".git").exists():
         return None
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from host import output
-from host.errors import BUG, INTERRUPTED
+from trimtab.host import output
+from trimtab.host.errors import BUG, INTERRUPTED
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Verb:
-    """A verb: its name, its module below host.verbs (which holds `command`), and its line in the help."""
+    """A verb: its name, its module in trimtab.host.verbs, and its line in the help."""
 
     name: str
     module: str
@@ -70,7 +70,7 @@ def present_verbs() -> tuple[Verb, ...]:
 
 def _version() -> str:
     """Trimtab's version, as installed."""
-    from host.artefacts import version
+    from trimtab.host.artefacts import version
 
     return version()
 
@@ -89,7 +89,7 @@ def build_app() -> App:
         default_parameter=Parameter(negative=""),
     )
     for verb in present_verbs():
-        app.command(f"host.verbs.{verb.module}:command", name=verb.name, help=verb.help)
+        app.command(f"trimtab.host.verbs.{verb.module}:command", name=verb.name, help=verb.help)
     return app
 
 
@@ -123,7 +123,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _fail(words, str(error) or type(error).__name__, code, told)
         if isinstance(error, OSError) and error.filename is not None:
             return _fail(words, f"{error.filename}: {error.strerror}, check the file and its folder", 2)
-        from host.artefacts import NO_ROOM
+        from trimtab.host.artefacts import NO_ROOM
 
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             return _fail(words, f"nothing more can be written: {error.strerror}, make room", 2)

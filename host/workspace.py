@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from host.errors import UsageError
+from trimtab.host.errors import UsageError
 
 if TYPE_CHECKING:
-    from host.route import Route
-    from host.vehicle import Vehicle
+    from trimtab.host.route import Route
+    from trimtab.host.vehicle import Vehicle
 
 
 FOLDERS = ("vehicles", "routes", "effects")
@@ -25,7 +25,7 @@ class Workspace:
 
     def vehicle(self, name_or_path: str | Path) -> Vehicle:
         """The vehicle of a name or path. Raises ConfigurationError."""
-        from host.vehicle import load_vehicle
+        from trimtab.host.vehicle import load_vehicle
 
         return load_vehicle(name_or_path, self.root)
 
@@ -34,7 +34,7 @@ class Workspace:
 
         Raises ConfigurationError.
         """
-        from host.route import load_route
+        from trimtab.host.route import load_route
 
         return load_route(name_or_path, self.root, vehicle)
 

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 from fastcrc.crc16 import mcrf4xx
 
-from protocol.generated import trimtab as mavlink
-from protocol.messages import Message
-from protocol.uwb import HEADER_BYTES, MAGIC, StreamSplitter
+from trimtab.protocol.generated import trimtab as mavlink
+from trimtab.protocol.messages import Message
+from trimtab.protocol.uwb import HEADER_BYTES, MAGIC, StreamSplitter
 
 _CODES = {
     "char": "s",

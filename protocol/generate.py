@@ -1,4 +1,4 @@
-"""Writes `protocol/generated/`: `python -m protocol.generate [folder]`.
+"""Writes `protocol/generated/`: `python -m trimtab.protocol.generate [folder]`.
 
 The dialect module comes from `dialect/trimtab.xml` by pymavlink's mavgen, `frames.py` (what a processor needs
 to find messages in a byte stream) from the same file, and `*_pb2.py` from `log/*.proto` by grpcio-tools.
@@ -18,9 +18,9 @@ DIALECT = ROOT / "dialect" / "trimtab.xml"
 PROTOS = ROOT / "log"
 GENERATED = ROOT / "generated"
 
-_INIT = '"""Made by `python -m protocol.generate`; not edited by hand."""\n'
+_INIT = '"""Made by `python -m trimtab.protocol.generate`; not edited by hand."""\n'
 
-_FRAMES = '''"""What finds messages in a byte stream. Made by `python -m protocol.generate`."""
+_FRAMES = '''"""What finds messages in a byte stream. Made by `python -m trimtab.protocol.generate`."""
 
 DIALECT_VERSION = {version}
 

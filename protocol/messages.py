@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from protocol.generated import trimtab as mavlink
-from protocol.generated.frames import DIALECT_VERSION
+from trimtab.protocol.generated import trimtab as mavlink
+from trimtab.protocol.generated.frames import DIALECT_VERSION
 
 Message = mavlink.MAVLink_message
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 
-from protocol.messages import mavlink
-from protocol.parameters import Parameter
+from trimtab.protocol.messages import mavlink
+from trimtab.protocol.parameters import Parameter
 
 INT32 = mavlink.MAV_PARAM_TYPE_INT32
 REAL32 = mavlink.MAV_PARAM_TYPE_REAL32

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from protocol.messages import FcControl, FcEstimate, FcObserver
+from trimtab.protocol.messages import FcControl, FcEstimate, FcObserver
 
 TICK_US = 1000
 """Everybody's base tick: the law's step, the plant's, and the unit of ticks in messages."""

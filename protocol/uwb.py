@@ -13,7 +13,7 @@ from enum import IntEnum
 
 from fastcrc.crc16 import mcrf4xx
 
-from protocol.generated.frames import MESSAGES
+from trimtab.protocol.generated.frames import MESSAGES
 
 FRAME_BYTES = 116
 """Payload of a radio frame: 127 B less 11 of its own header and checksum."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from host.vehicle import Vehicle
-from sitl.kinds import DRAG, KINDS, Kind, Quantity
-from sitl.seeds import Purpose, world_generator
-from sitl.world import (
+from trimtab.host.vehicle import Vehicle
+from trimtab.sitl.kinds import DRAG, KINDS, Kind, Quantity
+from trimtab.sitl.seeds import Purpose, world_generator
+from trimtab.sitl.world import (
     Draw,
     ImuSettings,
     MocapSettings,

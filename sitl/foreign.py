@@ -17,8 +17,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from host.vehicle import Vehicle
-from protocol.telemetry import TICK_US
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.telemetry import TICK_US
 
 _PARTS = (("p_ned", 3), ("v_ned", 3), ("q_ned_frd", 4), ("rate_frd", 3), ("specific_force_frd", 3))
 _UNIT_TOLERANCE = 1e-3
@@ -31,7 +31,7 @@ class ForeignPlantError(RuntimeError):
 
 
 class ForeignPlant:
-    """A foreign plant behind the simulator's own interface. Satisfies `sitl.plant.PlantPort`.
+    """A foreign plant behind the simulator's own interface. Satisfies `trimtab.sitl.plant.PlantPort`.
 
     Every method raises ForeignPlantError where the plant raises or returns something unusable.
     """

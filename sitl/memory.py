@@ -9,9 +9,9 @@ import stat
 import tempfile
 from pathlib import Path
 
-from firmware_model.flash import ERASED, Flash
-from firmware_model.store import MAGIC, ReferenceStore, memory_bytes
-from host.vehicle import ConfigurationError, Vehicle
+from trimtab.firmware_model.flash import ERASED, Flash
+from trimtab.firmware_model.store import MAGIC, ReferenceStore, memory_bytes
+from trimtab.host.vehicle import ConfigurationError, Vehicle
 
 
 def open_memory(path: Path, vehicle: Vehicle) -> ReferenceStore:

@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
 from typing import Any, Protocol
 
-from host.codegen import CompiledEngine, function_engine, sx_function
-from host.vehicle import Vehicle
-from sitl.draw import World
-from sitl.plant_constants import SINK_M, plant_parameters
-from sitl.plant_model import INPUTS, OUTPUTS, PARAMETERS, PARTS, STATE, TICK_S, Block, tick
-from sitl.seeds import Purpose, flight_generator
-from sitl.surroundings import GRAVITY_M_S2, LINE_STRETCH_M
-from sitl.vectors import rotation
+from trimtab.host.codegen import CompiledEngine, function_engine, sx_function
+from trimtab.host.vehicle import Vehicle
+from trimtab.sitl.draw import World
+from trimtab.sitl.plant_constants import SINK_M, plant_parameters
+from trimtab.sitl.plant_model import INPUTS, OUTPUTS, PARAMETERS, PARTS, STATE, TICK_S, Block, tick
+from trimtab.sitl.seeds import Purpose, flight_generator
+from trimtab.sitl.surroundings import GRAVITY_M_S2, LINE_STRETCH_M
+from trimtab.sitl.vectors import rotation
 
 _SAG_START_DEPTH = 0.4  # flights in a world with battery-sag start full, down to this, or in between
 _NOISE_BLOCK = 1024
@@ -148,7 +148,7 @@ def _traced(parts: frozenset[str]) -> Any:
 def plant_engine(parts: frozenset[str] = PARTS) -> CompiledEngine:
     """The tick of a world with these of `plant_model.PARTS`, with memory of its own.
 
-    Compiled or not as `host.codegen` chooses.
+    Compiled or not as `trimtab.host.codegen` chooses.
     """
     return function_engine(_traced(parts), INPUTS, OUTPUTS)
 

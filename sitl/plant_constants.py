@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from host.vehicle import Vehicle
-from sitl.draw import World
-from sitl.plant_model import TICK_S
-from sitl.surroundings import GRAVITY_M_S2
+from trimtab.host.vehicle import Vehicle
+from trimtab.sitl.draw import World
+from trimtab.sitl.plant_model import TICK_S
+from trimtab.sitl.surroundings import GRAVITY_M_S2
 
 SINK_M = 5e-4  # how far the resting vehicle presses its feet into the floor
 _FLOOR_DAMPING = 0.7

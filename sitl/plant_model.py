@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Container, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from sitl.rotors import ground_gain, rotor_speeds, rotor_thrust
-from sitl.surroundings import (
+from trimtab.sitl.rotors import ground_gain, rotor_speeds, rotor_thrust
+from trimtab.sitl.surroundings import (
     GRAVITY_M_S2,
     battery_slide,
     fan,
@@ -25,7 +25,7 @@ from sitl.surroundings import (
     wall_suction,
     wind,
 )
-from sitl.vectors import (
+from trimtab.sitl.vectors import (
     Scalar,
     Vector,
     add,

@@ -13,10 +13,10 @@ from typing import Protocol
 
 import numpy as np
 
-from firmware_model.uart import NEVER_US
-from protocol.uwb import FRAME_BYTES
-from sitl.air_time import air_us
-from sitl.world import RadioSettings
+from trimtab.firmware_model.uart import NEVER_US
+from trimtab.protocol.uwb import FRAME_BYTES
+from trimtab.sitl.air_time import air_us
+from trimtab.sitl.world import RadioSettings
 
 _BLOCK = 1024
 _FLIPS_MAX = 6

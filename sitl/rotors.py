@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Container, Mapping
 from typing import Any
 
-from sitl.vectors import Scalar, Vector
+from trimtab.sitl.vectors import Scalar, Vector
 
 _SAG_LOAD = -0.1  # a loaded motor gives way less than in proportion to voltage
 _GAIN_REYNOLDS = 0.3  # a propeller's thrust error shrinks as it turns faster

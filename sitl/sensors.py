@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from firmware_model.uart import NEVER_US
-from protocol.telemetry import TICK_US
-from sitl.world import ImuSettings, MocapSettings
+from trimtab.firmware_model.uart import NEVER_US
+from trimtab.protocol.telemetry import TICK_US
+from trimtab.sitl.world import ImuSettings, MocapSettings
 
 _BLOCK = 1024
 _LEAST_NOISE = 1e-9  # no IMU repeats itself: the vehicle would take it for stuck

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Protocol
 from urllib.parse import urlsplit
 
-from protocol.uwb import MAGIC, OVERHEAD_BYTES, SIGNATURE_BYTES
+from trimtab.protocol.uwb import MAGIC, OVERHEAD_BYTES, SIGNATURE_BYTES
 
 _READ_BYTES = 4096
 _CLIENTS_MAX = 8

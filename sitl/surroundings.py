@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sitl.vectors import Scalar, Vector, cross, dot
+from trimtab.sitl.vectors import Scalar, Vector, cross, dot
 
 GRAVITY_M_S2 = 9.81
 LINE_STRETCH_M = 0.006  # of a payload's line under the payload's weight

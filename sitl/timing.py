@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
-from firmware_model.telemetry import LoopTimes
-from protocol.telemetry import TICK_US
-from sitl.world import TimingSettings
+from trimtab.firmware_model.telemetry import LoopTimes
+from trimtab.protocol.telemetry import TICK_US
+from trimtab.sitl.world import TimingSettings
 
 _BLOCK = 1024
 _BLOCK_US = _BLOCK * TICK_US

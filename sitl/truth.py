@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from sitl.draw import World
-from sitl.seeds import session_uid
+from trimtab.sitl.draw import World
+from trimtab.sitl.seeds import session_uid
 
 
 def truth_record(world: World, flight: int, *, plant: str | None = None) -> dict[str, Any]:

@@ -15,28 +15,28 @@ from pathlib import Path
 from time import thread_time_ns
 from typing import Any, Self
 
-from firmware_model.flight_mcu import FlightMcu
-from firmware_model.law import step as law
-from firmware_model.radio_mcu import RadioMcu
-from firmware_model.store import ReferenceStore
-from firmware_model.uart import UartPort, connect
-from host.codegen import function_engine, sx_function
-from host.vehicle import ConfigurationError, Vehicle, to_parameters
-from host.vehicle.strict_toml import validate
-from protocol.codec import Codec
-from protocol.messages import CAMERAS, HOST_RADIO, VEHICLE_RADIO, AttPosMocap
-from protocol.telemetry import TICK_US
-from sitl.draw import World, draw_world
-from sitl.foreign import ForeignPlant, load_foreign_plant, read_plant_options
-from sitl.memory import open_memory
-from sitl.plant import Plant
-from sitl.radio import RadioChannel
-from sitl.seeds import Purpose, flight_generator, session_uid
-from sitl.sensors import Imu, Mocap
-from sitl.serve import ServeStatistics, serve
-from sitl.timing import TickTimes
-from sitl.truth import truth_record
-from sitl.world import RadioSettings, load_world
+from trimtab.firmware_model.flight_mcu import FlightMcu
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.radio_mcu import RadioMcu
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.firmware_model.uart import UartPort, connect
+from trimtab.host.codegen import function_engine, sx_function
+from trimtab.host.vehicle import ConfigurationError, Vehicle, to_parameters
+from trimtab.host.vehicle.strict_toml import validate
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import CAMERAS, HOST_RADIO, VEHICLE_RADIO, AttPosMocap
+from trimtab.protocol.telemetry import TICK_US
+from trimtab.sitl.draw import World, draw_world
+from trimtab.sitl.foreign import ForeignPlant, load_foreign_plant, read_plant_options
+from trimtab.sitl.memory import open_memory
+from trimtab.sitl.plant import Plant
+from trimtab.sitl.radio import RadioChannel
+from trimtab.sitl.seeds import Purpose, flight_generator, session_uid
+from trimtab.sitl.sensors import Imu, Mocap
+from trimtab.sitl.serve import ServeStatistics, serve
+from trimtab.sitl.timing import TickTimes
+from trimtab.sitl.truth import truth_record
+from trimtab.sitl.world import RadioSettings, load_world
 
 HOST_RX_BYTES = 65_536
 HOST_TX_BYTES = 65_536
@@ -182,7 +182,7 @@ class SimulatedVehicle:
         realtime: bool = True,
         ready: Callable[[str], None] | None = None,
     ) -> ServeStatistics:
-        """Statistics once `stop` turned true; see `sitl.serve.serve`."""
+        """Statistics once `stop` turned true; see `trimtab.sitl.serve.serve`."""
         return serve(self, port=port, stop=stop, mocap=mocap, realtime=realtime, ready=ready)
 
     def truth(self) -> dict[str, Any]:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, create_model, field_validator
 
-from host.vehicle import ConfigurationError
-from host.vehicle.strict_toml import Strict, read_strict
-from protocol.telemetry import TICK_US
-from protocol.uwb import FRAME_BYTES, FRAME_LEAST
-from sitl.air_time import air_us
-from sitl.kinds import DRAG, KINDS
+from trimtab.host.vehicle import ConfigurationError
+from trimtab.host.vehicle.strict_toml import Strict, read_strict
+from trimtab.protocol.telemetry import TICK_US
+from trimtab.protocol.uwb import FRAME_BYTES, FRAME_LEAST
+from trimtab.sitl.air_time import air_us
+from trimtab.sitl.kinds import DRAG, KINDS
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
@@ -276,5 +276,5 @@ def load_world(name_or_path: str | Path) -> tuple[str, WorldFile]:
 
 def list_worlds() -> dict[str, Path]:
     """Name to file of every shipped world, sorted by name."""
-    folder = Path(str(files("sitl") / "worlds"))
+    folder = Path(str(files("trimtab.sitl") / "worlds"))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}

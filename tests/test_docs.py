@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from host.cli import build_app, present_verbs
-from host.route import (
+from trimtab.host.cli import build_app, present_verbs
+from trimtab.host.route import (
     Box,
     Cylinder,
     FigureEight,
@@ -22,8 +22,8 @@ from host.route import (
     check_route,
     parse_route,
 )
-from host.route.files import RouteFile
-from host.vehicle import Battery, Gains, Limits, Rotor, Vehicle, load_vehicle
+from trimtab.host.route.files import RouteFile
+from trimtab.host.vehicle import Battery, Gains, Limits, Rotor, Vehicle, load_vehicle
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])

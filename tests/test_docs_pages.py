@@ -9,31 +9,31 @@ from typing import get_args
 import pytest
 from google.protobuf.message import Message
 
-from firmware_model import failsafe_page
-from firmware_model.files import FILES
-from firmware_model.ftp import IDLE_US, SESSIONS_MAX
-from firmware_model.streams import STATION_US, STREAMS
-from host.effects import load_effects
-from host.imports import crazyflie_usd, nanobench
-from host.imports.airborne import CLEAR_M, EDGE_US, SHORTEST_US
-from host.imports.columns import ColumnMap, read_map
-from host.imports.profiles import PROFILES
-from host.imports.recording import Unknown
-from host.imports.write import DECLARED_MASS_SIGMA
-from host.link.client import TIMESYNC_FIRST_US, TIMESYNC_US
-from host.link.flight import SILENCE_US
-from host.link.tasks import PATIENCE_US
-from host.log import FLIGHT_TOPICS, IMPORTED_TOPICS
-from host.report.effects_page import page
-from host.trace.parameters import REPLACES
-from host.trace.result import Verdict
-from host.vehicle.strict_toml import Strict
-from protocol.generated import flight_pb2
-from protocol.generated.frames import MESSAGES
-from protocol.messages import UploadState
-from protocol.upload import CHUNK_BYTES, SenderState
-from protocol.uwb import FRAME_BYTES
-from sitl.world import RadioSettings, SerialSettings, TimingSettings
+from trimtab.firmware_model import failsafe_page
+from trimtab.firmware_model.files import FILES
+from trimtab.firmware_model.ftp import IDLE_US, SESSIONS_MAX
+from trimtab.firmware_model.streams import STATION_US, STREAMS
+from trimtab.host.effects import load_effects
+from trimtab.host.imports import crazyflie_usd, nanobench
+from trimtab.host.imports.airborne import CLEAR_M, EDGE_US, SHORTEST_US
+from trimtab.host.imports.columns import ColumnMap, read_map
+from trimtab.host.imports.profiles import PROFILES
+from trimtab.host.imports.recording import Unknown
+from trimtab.host.imports.write import DECLARED_MASS_SIGMA
+from trimtab.host.link.client import TIMESYNC_FIRST_US, TIMESYNC_US
+from trimtab.host.link.flight import SILENCE_US
+from trimtab.host.link.tasks import PATIENCE_US
+from trimtab.host.log import FLIGHT_TOPICS, IMPORTED_TOPICS
+from trimtab.host.report.effects_page import page
+from trimtab.host.trace.parameters import REPLACES
+from trimtab.host.trace.result import Verdict
+from trimtab.host.vehicle.strict_toml import Strict
+from trimtab.protocol.generated import flight_pb2
+from trimtab.protocol.generated.frames import MESSAGES
+from trimtab.protocol.messages import UploadState
+from trimtab.protocol.upload import CHUNK_BYTES, SenderState
+from trimtab.protocol.uwb import FRAME_BYTES
+from trimtab.sitl.world import RadioSettings, SerialSettings, TimingSettings
 
 DOCS = Path(__file__).parent.parent / "docs"
 

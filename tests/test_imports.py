@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
+NAME = "trimtab"
 OURS = ("firmware_model", "host", "protocol", "sitl")
+"""Packages of ours; imported as trimtab.host and so on, named here and in the tables without the prefix."""
 LEAVES = ("host.codegen", "host.vehicle", "host.log")
 OPENED = ("host.effects", "host.trace", "host.models.model")
 """What scoring may use beside the leaves: the library, tracing, and the type tracing predicts with."""
@@ -81,7 +83,7 @@ def within(name: str, packages: tuple[str, ...]) -> bool:
 
 
 def is_module(name: str) -> bool:
-    """Whether one of our own modules or packages has this name."""
+    """Whether one of our own modules or packages has this full name."""
     path = ROOT.joinpath(*name.split("."))
     return path.is_dir() or path.with_suffix(".py").is_file()
 
@@ -96,7 +98,7 @@ def imports(source: str) -> Iterator[tuple[int, str]]:
             base = "." * node.level + (node.module or "")
             for alias in node.names:
                 inner = f"{base}.{alias.name}"
-                yield node.lineno, inner if base.split(".")[0] in OURS and is_module(inner) else base
+                yield node.lineno, inner if base.split(".")[0] == NAME and is_module(inner) else base
         elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
             called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
             if called in ("import_module", "__import__") and isinstance(node.args[0].value, str):
@@ -112,8 +114,10 @@ def violations(module: str, source: str) -> list[str]:
         if target.startswith("."):
             found.append(f"{module}:{line} imports relatively")
         elif top in OURS:
+            found.append(f"{module}:{line} imports {target}; write {NAME}.{target}")
+        elif top == NAME:
             allowed = ALLOWED[rule]
-            if not within(target, allowed):
+            if not within(target.removeprefix(f"{NAME}."), allowed):
                 found.append(f"{module}:{line} imports {target}; {rule} may import {', '.join(allowed)}")
         elif top not in sys.stdlib_module_names and not within(module, EDGES.get(top, ())):
             found.append(f"{module}:{line} imports {target}; only {EDGES.get(top, 'nobody')} may")
@@ -140,23 +144,25 @@ def test_package_root_of_allowed_subpackage_imports_nothing(package: str) -> Non
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("host.link.client", "from sitl import vehicle"),
-        ("host.plan.solve", "def f():\n    import firmware_model.supervisor"),
-        ("host.plan.solve", "from firmware_model import supervisor"),
-        ("host.vehicle.files", "from host.errors import UsageError"),
-        ("host.log.reader", "if TYPE_CHECKING:\n    import host.trace"),
-        ("protocol.upload", "import host"),
+        ("host.link.client", "from trimtab.sitl import vehicle"),
+        ("host.plan.solve", "def f():\n    import trimtab.firmware_model.supervisor"),
+        ("host.plan.solve", "from trimtab.firmware_model import supervisor"),
+        ("host.vehicle.files", "from trimtab.host.errors import UsageError"),
+        ("host.log.reader", "if TYPE_CHECKING:\n    import trimtab.host.trace"),
+        ("protocol.upload", "import trimtab.host"),
         ("firmware_model.law.dfbc", "import numpy"),
-        ("firmware_model.law.dfbc", "from protocol import parameters"),
+        ("firmware_model.law.dfbc", "from trimtab.protocol import parameters"),
         ("firmware_model.engine", "import casadi"),
-        ("sitl.plant", "from host.trace import evidence"),
-        ("sitl.studies.blind", "from host.trace import evidence"),
-        ("sitl.studies.flights", "from host.effects import load_effects"),
-        ("sitl.studies.scoring.world", "from host.models import phi"),
-        ("sitl.plant", "import importlib\nimportlib.import_module('host.effects')"),
+        ("sitl.plant", "from trimtab.host.trace import evidence"),
+        ("sitl.studies.blind", "from trimtab.host.trace import evidence"),
+        ("sitl.studies.flights", "from trimtab.host.effects import load_effects"),
+        ("sitl.studies.scoring.world", "from trimtab.host.models import phi"),
+        ("sitl.plant", "import importlib\nimportlib.import_module('trimtab.host.effects')"),
         ("host.link.client", "import serial"),
         ("host.report.page", "import pandas"),
         ("host.cli", "from . import output"),
+        ("host.cli", "from host import output"),
+        ("host.cli", "import trimtab"),
     ],
 )
 def test_forbidden_import_is_found(module: str, source: str) -> None:
@@ -166,10 +172,16 @@ def test_forbidden_import_is_found(module: str, source: str) -> None:
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("host.plan.solve", "from firmware_model import law\nfrom firmware_model.law.ops import FLOAT"),
-        ("sitl.vehicle", "from host.vehicle import Vehicle\nfrom host.codegen import compile_blocks"),
-        ("sitl.studies.scoring", "from host.trace import evidence"),
-        ("sitl.studies.scoring.bounds", "from host.effects import load_effects"),
+        (
+            "host.plan.solve",
+            "from trimtab.firmware_model import law\nfrom trimtab.firmware_model.law.ops import FLOAT",
+        ),
+        (
+            "sitl.vehicle",
+            "from trimtab.host.vehicle import Vehicle\nfrom trimtab.host.codegen import compile_blocks",
+        ),
+        ("sitl.studies.scoring", "from trimtab.host.trace import evidence"),
+        ("sitl.studies.scoring.bounds", "from trimtab.host.effects import load_effects"),
         ("host.link.ports", "import serial, math"),
     ],
 )

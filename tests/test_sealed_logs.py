@@ -26,7 +26,7 @@ def answer(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     command = [
         sys.executable,
         "-m",
-        "host.cli",
+        "trimtab.host.cli",
         "trace",
         *logs,
         "--hold-out",

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 
-from firmware_model.law.ops import Ops, Scalar, Vector
+from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
 
 TABLE_SIZE = 32
 """Numbers in an `allocation_table`."""

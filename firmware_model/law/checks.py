@@ -14,17 +14,17 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from itertools import pairwise
 
-from firmware_model.law.allocation import allocation_matrix, invert4
-from firmware_model.law.flatness import Body, flat_full
-from firmware_model.law.ops import FLOAT
-from firmware_model.law.reference import (
+from trimtab.firmware_model.law.allocation import allocation_matrix, invert4
+from trimtab.firmware_model.law.flatness import Body, flat_full
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.reference import (
     cubic_acceleration,
     cubic_at,
     cubic_coefficients,
     septic_at,
     septic_coefficients,
 )
-from firmware_model.law.smoothness import QUANTITIES, worst_misfit
+from trimtab.firmware_model.law.smoothness import QUANTITIES, worst_misfit
 
 Node = tuple[int, Sequence[float]]
 """t_us and the 12 numbers p, v, a, j in NED."""

@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.flatness import Body, heading, heading_matrix, heading_rates
-from firmware_model.law.ops import Ops, Scalar, Vector
-from firmware_model.law.rotations import attitude_error, cross
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.flatness import Body, heading, heading_matrix, heading_rates
+from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
+from trimtab.firmware_model.law.rotations import attitude_error, cross
 
 GREATEST_FEEDBACK = 15.0
 """m/s^2 that position and velocity errors may ask for together; more is scaled down in its direction."""

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.ops import Ops, Scalar, Vector
-from firmware_model.law.rotations import (
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
+from trimtab.firmware_model.law.rotations import (
     mat_vec,
     quat_conjugate,
     quat_exp,

@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
-from firmware_model.law.ops import Ops, Scalar, Vector
-from firmware_model.law.rotations import dot, mat_t_vec, mat_vec
+from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
+from trimtab.firmware_model.law.rotations import dot, mat_t_vec, mat_vec
 
 FF_SIZE = 13
 GAIN = 0

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.ops import Ops, Scalar, Vector
-from firmware_model.law.rotations import cross
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
+from trimtab.firmware_model.law.rotations import cross
 
 _TINY = 1e-9
 """(m/s^2)^2: keeps free fall finite; far below what any flight can tell."""

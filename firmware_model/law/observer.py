@@ -17,9 +17,9 @@ manoeuvre.
 
 from __future__ import annotations
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.ops import Ops, Scalar, Vector
-from firmware_model.law.rotations import dot
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
+from trimtab.firmware_model.law.rotations import dot
 
 GREATEST = 5.0
 """Longest d_hat, m/s^2; a longer one is cut down in its direction."""

@@ -2,7 +2,7 @@
 
 A scalar is whatever the operations take: a float, a casadi.SX or an array with one value a lane. Sums,
 products and comparisons are Python's own operators; everything else goes through the `ops` object passed as
-first argument. `host.codegen.ops` has the instances for CasADi and numpy.
+first argument. `trimtab.host.codegen.ops` has the instances for CasADi and numpy.
 """
 
 from __future__ import annotations

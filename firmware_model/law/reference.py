@@ -7,7 +7,7 @@ is expected within 0..dt; who calls picks the piece and holds yaw outside its no
 
 from __future__ import annotations
 
-from firmware_model.law.ops import Scalar, Vector
+from trimtab.firmware_model.law.ops import Scalar, Vector
 
 Triple = tuple[Scalar, Scalar, Scalar]
 

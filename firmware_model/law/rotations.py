@@ -6,7 +6,7 @@ source runs on floats, CasADi symbols and numpy lanes.
 
 from __future__ import annotations
 
-from firmware_model.law.ops import Ops, Scalar, Vector
+from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
 
 
 def quat_to_matrix(ops: Ops, q: Vector) -> tuple[Scalar, ...]:

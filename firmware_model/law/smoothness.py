@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from firmware_model.law.reference import septic
+from trimtab.firmware_model.law.reference import septic
 
 SMOOTH_M_S2 = 0.25
 """Distance in acceleration that is let pass where nodes stand at most SMOOTH_S apart.

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from firmware_model.law import feedforward
-from firmware_model.law.allocation import (
+from trimtab.firmware_model.law import feedforward
+from trimtab.firmware_model.law.allocation import (
     TABLE_SIZE,
     allocate,
     allocation_matrix,
@@ -18,13 +18,13 @@ from firmware_model.law.allocation import (
     invert4,
     thrust_to_command,
 )
-from firmware_model.law.dfbc import Gains, Reference, outer_loop, rate_loop
-from firmware_model.law.estimator import Estimate, EstimatorGains, correct, predict
-from firmware_model.law.flatness import Body, flat_attitude, flat_rates
-from firmware_model.law.observer import disturbance_seen, lagged_thrust, observe
-from firmware_model.law.ops import Ops, Scalar, Vector
-from firmware_model.law.reference import CUBIC_SIZE, SEPTIC_SIZE, cubic_at, septic_at
-from firmware_model.law.rotations import attitude_error, quat_to_matrix
+from trimtab.firmware_model.law.dfbc import Gains, Reference, outer_loop, rate_loop
+from trimtab.firmware_model.law.estimator import Estimate, EstimatorGains, correct, predict
+from trimtab.firmware_model.law.flatness import Body, flat_attitude, flat_rates
+from trimtab.firmware_model.law.observer import disturbance_seen, lagged_thrust, observe
+from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
+from trimtab.firmware_model.law.reference import CUBIC_SIZE, SEPTIC_SIZE, cubic_at, septic_at
+from trimtab.firmware_model.law.rotations import attitude_error, quat_to_matrix
 
 TICK_S = 0.001
 MOTOR_COUNTS = 65536.0

@@ -1,8 +1,9 @@
 """What a smaller residual is worth in flight: min-residual against min-snap and min-control.
 
-The comparison is that of `trimtab study paper-planning` (`host.paper.planning.compare`), same draws and all:
-sealed worlds, in each a model learned from flights of its own, held-out courses with the same waypoints,
-time, limits and headroom for every kind, flown by the DFBC without feed-forward through firmware and radio.
+The comparison is that of `trimtab study paper-planning` (`trimtab.host.paper.planning.compare`), same draws
+and all: sealed worlds, in each a model learned from flights of its own, held-out courses with the same
+waypoints, time, limits and headroom for every kind, flown by the DFBC without feed-forward through firmware
+and radio.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from host.paper.planning.compare import flown
-from host.paper.planning.summary import failures, medians, ratio
-from host.vehicle import Vehicle
+from trimtab.host.paper.planning.compare import flown
+from trimtab.host.paper.planning.summary import failures, medians, ratio
+from trimtab.host.vehicle import Vehicle
 
 KIND = "min-residual"
 KINDS = ("min-snap", "min-control", KIND)

@@ -18,14 +18,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from firmware_model.law import step as law_step
-from firmware_model.law.allocation import TABLE_SIZE
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.dfbc import GREATEST_FEEDBACK
-from host.models.bias import standing_errors
-from host.models.dynamics import rotor_torque
-from host.models.network import Layout
-from host.models.phi import Phi
+from trimtab.firmware_model.law import step as law_step
+from trimtab.firmware_model.law.allocation import TABLE_SIZE
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.dfbc import GREATEST_FEEDBACK
+from trimtab.host.models.bias import standing_errors
+from trimtab.host.models.dynamics import rotor_torque
+from trimtab.host.models.network import Layout
+from trimtab.host.models.phi import Phi
 
 jax.config.update("jax_enable_x64", True)
 
@@ -154,7 +154,7 @@ class JaxLoop:
         return collective, jnp.stack((rate_x, rate_y, rate_z)), error
 
     def _allocate(self, collective: Any, torque: Any) -> Any:
-        """Rotor thrusts (4,), N: `firmware_model.law.allocation.allocate`."""
+        """Rotor thrusts (4,), N: `trimtab.firmware_model.law.allocation.allocate`."""
         tilt, turn = self._roll * torque[0] + self._pitch * torque[1], self._yaw * torque[2]
         room = self._high.min() - self._low.max()
         tilt = tilt * jnp.minimum(room / jnp.maximum(jnp.max(tilt) - jnp.min(tilt), _TINY), 1.0)

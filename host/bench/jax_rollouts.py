@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from host.bench.jax_loop import JaxLoop, Weights
-from host.models.segments import Segments
+from trimtab.host.bench.jax_loop import JaxLoop, Weights
+from trimtab.host.models.segments import Segments
 
 Rate = Callable[[Any, Any, Weights], Any]
 """(x (S, size), drive (S, 22), weights) -> xdot (S, size)."""
@@ -53,7 +53,7 @@ def loss_and_gradient(
 
 
 def by_scan(rate: Rate, x0: Any, drive: Any, weights: Weights, step_s: float) -> Any:
-    """An `Integrator`: RK4, the steps that `host.learn.adjoint` takes."""
+    """An `Integrator`: RK4, the steps that `trimtab.host.learn.adjoint` takes."""
     reaches = step_s * jnp.array([0.0, 0.5, 0.5, 1.0])
     shares = step_s / 6.0 * jnp.array([1.0, 2.0, 2.0, 1.0])
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from host.bench import peers
-from host.bench.timing import best_ms
-from host.codegen.compiler import wanted_compiler
-from host.learn.adjoint import Rollouts
-from host.learn.lanes import LaneRollouts
-from host.paper.learning.flights import STEP_S, make_flights
-from host.paper.learning.measure import acceleration_error
-from host.paper.learning.methods import (
+from trimtab.host.bench import peers
+from trimtab.host.bench.timing import best_ms
+from trimtab.host.codegen.compiler import wanted_compiler
+from trimtab.host.learn.adjoint import Rollouts
+from trimtab.host.learn.lanes import LaneRollouts
+from trimtab.host.paper.learning.flights import STEP_S, make_flights
+from trimtab.host.paper.learning.measure import acceleration_error
+from trimtab.host.paper.learning.methods import (
     PAPER_BATCH,
     PAPER_EPOCHS,
     PAPER_MLP,
@@ -26,7 +26,7 @@ from host.paper.learning.methods import (
     paper,
     phi_of,
 )
-from host.vehicle import Vehicle
+from trimtab.host.vehicle import Vehicle
 
 STEPS = ("flights", "gradient", "gradient, virtual machine", "peers", "Adam", "condensed")
 _REPEATS = 100

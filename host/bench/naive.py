@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from host.plan.problem import Problem
-from host.plan.stage import NETWORK_INPUTS, NETWORK_ROWS, StageModel
+from trimtab.host.plan.problem import Problem
+from trimtab.host.plan.stage import NETWORK_INPUTS, NETWORK_ROWS, StageModel
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
-"""The gradient of `host.learn.adjoint` by JAX and by diffrax, in double precision on one core.
+"""The gradient of `trimtab.host.learn.adjoint` by JAX and by diffrax, in double precision on one core.
 
-Both differentiate one derivative, written for them (`host.bench.jax_loop`), vectorised over segments,
+Both differentiate one derivative, written for them (`trimtab.host.bench.jax_loop`), vectorised over segments,
 compiled, and timed once warm. Their gradients are compared with ours.
 """
 
@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from host.bench.timing import best_ms
-from host.learn.adjoint import Gradient
-from host.models.network import Layout
-from host.models.phi import Phi
-from host.models.segments import Segments
+from trimtab.host.bench.timing import best_ms
+from trimtab.host.learn.adjoint import Gradient
+from trimtab.host.models.network import Layout
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.segments import Segments
 
 SAME, CLOSE = 1e-9, 5e-2
 """Greatest difference of a gradient from ours over the greatest entry: in the same steps, and in others."""
@@ -44,8 +44,8 @@ def measure(
         return None
     rows = []
     with _one_thread():
-        from host.bench import jax_rollouts as rollouts
-        from host.bench.jax_loop import JaxLoop
+        from trimtab.host.bench import jax_rollouts as rollouts
+        from trimtab.host.bench.jax_loop import JaxLoop
 
         loop, arrays = JaxLoop(phi, layout), rollouts.arrays_of(segments)
         for name, (integrator, same_steps) in rollouts.PEERS.items():

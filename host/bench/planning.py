@@ -15,21 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.rotations import euler_to_matrix
-from host.bench import naive, rockit_ocp, snap_peer
-from host.codegen import NUMPY
-from host.models.network import Layout, Network
-from host.models.region import Region
-from host.plan import Plan, PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
-from host.plan.box import within_region
-from host.plan.dynamics import Dynamics
-from host.plan.planner import make_job
-from host.plan.rounds import first_round
-from host.plan.snap import optimise_durations
-from host.plan.table import evaluate, from_reference
-from host.route import LimitsOverride, Route, random_route
-from host.vehicle import ConfigurationError, Vehicle
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.rotations import euler_to_matrix
+from trimtab.host.bench import naive, rockit_ocp, snap_peer
+from trimtab.host.codegen import NUMPY
+from trimtab.host.models.network import Layout, Network
+from trimtab.host.models.region import Region
+from trimtab.host.plan import Plan, PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
+from trimtab.host.plan.box import within_region
+from trimtab.host.plan.dynamics import Dynamics
+from trimtab.host.plan.planner import make_job
+from trimtab.host.plan.rounds import first_round
+from trimtab.host.plan.snap import optimise_durations
+from trimtab.host.plan.table import evaluate, from_reference
+from trimtab.host.route import LimitsOverride, Route, random_route
+from trimtab.host.vehicle import ConfigurationError, Vehicle
 
 Array = NDArray[np.float64]
 

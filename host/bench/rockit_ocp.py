@@ -14,9 +14,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from host.bench.naive import SOLVED, Ended, Pieces, ipopt, pieces
-from host.plan.problem import Problem
-from host.plan.stage import StageModel
+from trimtab.host.bench.naive import SOLVED, Ended, Pieces, ipopt, pieces
+from trimtab.host.plan.problem import Problem
+from trimtab.host.plan.stage import StageModel
 
 Array = NDArray[np.float64]
 

@@ -6,12 +6,12 @@ import tempfile
 from contextlib import closing
 from pathlib import Path
 
-from host.link.flight import FlightOrder
-from host.link.fly import fly_lockstep
-from host.link.vehicle import vehicle_class
-from host.plan import plan
-from host.route import load_route
-from host.vehicle import Vehicle
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import fly_lockstep
+from trimtab.host.link.vehicle import vehicle_class
+from trimtab.host.plan import plan
+from trimtab.host.route import load_route
+from trimtab.host.vehicle import Vehicle
 
 ROUTE = "pretzel"
 _FLIGHTS = 3

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from host.bench.timing import best_ms
-from host.plan.snap import solve_snap
+from trimtab.host.bench.timing import best_ms
+from trimtab.host.plan.snap import solve_snap
 
 Array = NDArray[np.float64]
 

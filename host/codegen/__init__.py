@@ -1,7 +1,7 @@
 """Turns functions written with `ops` into callables: CasADi's virtual machine, or C where possible."""
 
-from host.codegen.compiler import CodegenError, Compiler, find_compiler
-from host.codegen.engine import (
+from trimtab.host.codegen.compiler import CodegenError, Compiler, find_compiler
+from trimtab.host.codegen.engine import (
     Block,
     CompiledEngine,
     compile_blocks,
@@ -9,8 +9,8 @@ from host.codegen.engine import (
     function_engine,
     sx_function,
 )
-from host.codegen.interrupts import held_interrupts
-from host.codegen.ops import CASADI, NUMPY
+from trimtab.host.codegen.interrupts import held_interrupts
+from trimtab.host.codegen.ops import CASADI, NUMPY
 
 __all__ = [
     "CASADI",

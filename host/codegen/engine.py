@@ -16,9 +16,15 @@ from typing import Any, Protocol
 
 import casadi as ca
 
-from host.codegen.compiler import CodegenError, engine_choice, library_path, shared_library, wanted_compiler
-from host.codegen.interrupts import held_interrupts
-from host.codegen.ops import CASADI
+from trimtab.host.codegen.compiler import (
+    CodegenError,
+    engine_choice,
+    library_path,
+    shared_library,
+    wanted_compiler,
+)
+from trimtab.host.codegen.interrupts import held_interrupts
+from trimtab.host.codegen.ops import CASADI
 
 _log = logging.getLogger(__name__)
 

@@ -1,7 +1,7 @@
 """Runge-Kutta of fourth order over many lanes in C, around a compiled slope function.
 
 The loop over steps and lanes is one small library that serves every slope function: it gets the function's
-address. Its arithmetic is in the order of `host.models.rollout`, and so are its bits.
+address. Its arithmetic is in the order of `trimtab.host.models.rollout`, and so are its bits.
 """
 
 from __future__ import annotations
@@ -14,8 +14,14 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from host.codegen.compiler import CodegenError, engine_choice, find_compiler, library_path, shared_library
-from host.codegen.engine import c_source, compile_function
+from trimtab.host.codegen.compiler import (
+    CodegenError,
+    engine_choice,
+    find_compiler,
+    library_path,
+    shared_library,
+)
+from trimtab.host.codegen.engine import c_source, compile_function
 
 _log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from host.codegen.compiler import Compiler, shared_library
+from trimtab.host.codegen.compiler import Compiler, shared_library
 
 LANES = 8
 """Doubles a vector: one register of AVX-512, two of AVX2, four of SSE2 or NEON."""

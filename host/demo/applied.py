@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from firmware_model.law.feedforward import NEUTRAL
-from host.effects import Effect, compose_feedforward
-from host.log import Flight
-from host.models.model import Model
-from host.vehicle import Vehicle
-from protocol.blobs import BLOCK_FIELDS, FeedForward
+from trimtab.firmware_model.law.feedforward import NEUTRAL
+from trimtab.host.effects import Effect, compose_feedforward
+from trimtab.host.log import Flight
+from trimtab.host.models.model import Model
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import BLOCK_FIELDS, FeedForward
 
 
 def feedforward_of(

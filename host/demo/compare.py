@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from host.demo.plans import Planned
-from host.log import Flight
-from host.log.tracking import reference_at
-from host.trace.result import Trace
+from trimtab.host.demo.plans import Planned
+from trimtab.host.log import Flight
+from trimtab.host.log.tracking import reference_at
+from trimtab.host.trace.result import Trace
 
 Array = np.ndarray
 AXES = ("north", "east", "down")

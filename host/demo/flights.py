@@ -14,15 +14,15 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from host import artefacts
-from host.errors import FlightFailed
-from host.link.flight import FlightOrder
-from host.link.fly import FlightEnded, fly_lockstep
-from host.link.summary import FlightResult
-from host.link.upload import UploadResult, upload_port
-from host.link.vehicle import vehicle_class
-from host.vehicle import Vehicle
-from protocol.blobs import Blob, FeedForward, Reference
+from trimtab.host import artefacts
+from trimtab.host.errors import FlightFailed
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import FlightEnded, fly_lockstep
+from trimtab.host.link.summary import FlightResult
+from trimtab.host.link.upload import UploadResult, upload_port
+from trimtab.host.link.vehicle import vehicle_class
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import Blob, FeedForward, Reference
 
 TRUTH_SUFFIX = ".truth.json"
 

@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from host.effects import Effect
-from host.errors import Refused, SolverError
-from host.models.model import Model
-from host.plan import Plan, PlanRefused, PlanUnsolved, Settings, Weights, plan
-from host.route import Route
-from host.vehicle import Vehicle
+from trimtab.host.effects import Effect
+from trimtab.host.errors import Refused, SolverError
+from trimtab.host.models.model import Model
+from trimtab.host.plan import Plan, PlanRefused, PlanUnsolved, Settings, Weights, plan
+from trimtab.host.route import Route
+from trimtab.host.vehicle import Vehicle
 
 FIRST_KIND, AGAIN_KIND = "min-control", "min-residual"
 MORE_TIME = 1.15

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from host.codegen import NUMPY
-from host.effects import Effect
-from host.log import Flight
-from host.log.tracking import reference_at
-from host.models.dynamics import mocap_latency_s
-from host.models.model import Model
-from host.trace.score import predict_flights
-from protocol.blobs import FeedForward, Reference
+from trimtab.host.codegen import NUMPY
+from trimtab.host.effects import Effect
+from trimtab.host.log import Flight
+from trimtab.host.log.tracking import reference_at
+from trimtab.host.models.dynamics import mocap_latency_s
+from trimtab.host.models.model import Model
+from trimtab.host.trace.score import predict_flights
+from trimtab.protocol.blobs import FeedForward, Reference
 
 
 def predicted_rmse_m(

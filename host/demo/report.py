@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from host.demo.compare import AXES, Comparison, Tracked, what_got_worse
-from host.report import figures
-from host.trace.result import Trace
-from host.vehicle import Vehicle
+from trimtab.host.demo.compare import AXES, Comparison, Tracked, what_got_worse
+from trimtab.host.report import figures
+from trimtab.host.trace.result import Trace
+from trimtab.host.vehicle import Vehicle
 
 Section = dict[str, Any]
 
 
 def sections(comparison: Comparison, result: Trace, vehicle: Vehicle) -> dict[str, Any]:
-    """What `host.report.trace.page` takes as `extra`."""
+    """What `trimtab.host.report.trace.page` takes as `extra`."""
     return {
         "sections": [_flown(comparison, vehicle), _worse(comparison, result)],
         "data": comparison.to_json(),

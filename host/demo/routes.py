@@ -13,9 +13,9 @@ from typing import Literal
 
 import numpy as np
 
-from host.route import Route, YawProfile, load_route, random_route
-from host.route.generators import FigureEight
-from host.vehicle import Limits
+from trimtab.host.route import Route, YawProfile, load_route, random_route
+from trimtab.host.route.generators import FigureEight
+from trimtab.host.vehicle import Limits
 
 Point = tuple[float, float, float]
 

@@ -13,29 +13,29 @@ from typing import Any
 
 import numpy as np
 
-from host import artefacts
-from host.demo import report
-from host.demo.applied import to_apply, voltage_ratio
-from host.demo.compare import Comparison, Tracked, latency_of, pooled_rmse_m, tracked
-from host.demo.flights import Airfield, upload_through_pty
-from host.demo.plans import Planned, fastest, plan_again, plan_first
-from host.demo.predict import predicted_rmse_m
-from host.demo.routes import DemoRoutes, draw_routes
-from host.demo.seeds import host_seed, world_seed
-from host.effects import Effect
-from host.errors import FlightFailed, Refused, SolverError, TrimtabError
-from host.log import Flight, read_flight
-from host.models.file import write_model
-from host.models.model import Model
-from host.output import json_text
-from host.plan import Plan, write_plan
-from host.plan.dynamics import ResidualModel
-from host.progress import Progress
-from host.report.trace import page
-from host.trace.result import Trace
-from host.trace.run import Manoeuvres, run
-from host.vehicle import Vehicle
-from protocol.blobs import FeedForward
+from trimtab.host import artefacts
+from trimtab.host.demo import report
+from trimtab.host.demo.applied import to_apply, voltage_ratio
+from trimtab.host.demo.compare import Comparison, Tracked, latency_of, pooled_rmse_m, tracked
+from trimtab.host.demo.flights import Airfield, upload_through_pty
+from trimtab.host.demo.plans import Planned, fastest, plan_again, plan_first
+from trimtab.host.demo.predict import predicted_rmse_m
+from trimtab.host.demo.routes import DemoRoutes, draw_routes
+from trimtab.host.demo.seeds import host_seed, world_seed
+from trimtab.host.effects import Effect
+from trimtab.host.errors import FlightFailed, Refused, SolverError, TrimtabError
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.models.file import write_model
+from trimtab.host.models.model import Model
+from trimtab.host.output import json_text
+from trimtab.host.plan import Plan, write_plan
+from trimtab.host.plan.dynamics import ResidualModel
+from trimtab.host.progress import Progress
+from trimtab.host.report.trace import page
+from trimtab.host.trace.result import Trace
+from trimtab.host.trace.run import Manoeuvres, run
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import FeedForward
 
 WORLD = "drawn-several"
 TWINS = 2

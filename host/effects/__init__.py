@@ -4,9 +4,9 @@ An effect is data (`Effect`): equation, parameters with typical size and toleran
 through which it enters the model, what closing the loop on it means, and where it comes from.
 """
 
-from host.effects.effect import SLOTS, Closing, Context, Effect, Parameter, number
-from host.effects.feedforward import compose_feedforward
-from host.effects.registry import EffectError, load_effects
+from trimtab.host.effects.effect import SLOTS, Closing, Context, Effect, Parameter, number
+from trimtab.host.effects.feedforward import compose_feedforward
+from trimtab.host.effects.registry import EffectError, load_effects
 
 __all__ = [
     "SLOTS",

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from firmware_model.law.ops import Ops
+from trimtab.firmware_model.law.ops import Ops
 
 Scalar = Any
 Theta = Sequence[Scalar]

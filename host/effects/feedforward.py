@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from host.effects.effect import Effect
+from trimtab.host.effects.effect import Effect
 
 Contributions = dict[str, Any]
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from firmware_model.law.constants import GRAVITY
-from host.effects.effect import Closing, Effect, Parameter
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.effects.effect import Closing, Effect, Parameter
 
 
 def _gravity(ops, theta):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.effect import Closing, Effect, Parameter
 
 _FLOOR_N = 1e-9  # keeps the derivative of the root finite where a rotor stands
 

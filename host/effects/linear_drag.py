@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.effect import Closing, Effect, Parameter
 
 
 def _force(ops, theta, ctx):

@@ -7,9 +7,10 @@ import hashlib
 import importlib.util
 from pathlib import Path
 
-from host.effects.effect import Effect
+from trimtab.host.effects import flat_imports
+from trimtab.host.effects.effect import Effect
 
-_NOT_EFFECTS = {"__init__", "effect", "registry", "feedforward"}
+_NOT_EFFECTS = {"__init__", "effect", "registry", "feedforward", "flat_imports"}
 
 
 class EffectError(ValueError):
@@ -58,7 +59,8 @@ def _read_file(path: Path) -> Effect:
         raise EffectError(f"{label}: not a Python file")
     module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
+        with flat_imports.accepted(label, source):
+            spec.loader.exec_module(module)
     except Exception as error:  # whatever a user's file raises is that file's error
         raise EffectError(f"{label}: {type(error).__name__}: {error}") from error
     effect = getattr(module, "EFFECT", None)

@@ -2,6 +2,6 @@
 nowhere else.
 """
 
-from host.imports.recording import ImportFormatError, Recording
+from trimtab.host.imports.recording import ImportFormatError, Recording
 
 __all__ = ["ImportFormatError", "Recording"]

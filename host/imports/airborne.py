@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from host.imports.recording import Recording, TooShort
+from trimtab.host.imports.recording import Recording, TooShort
 
 CLEAR_M = 0.15
 """Height above the ground from which a vehicle counts as clear of it."""

@@ -10,9 +10,17 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from host.imports.frames import Body, World, q_ned_frd, to_frd, to_ned, turn_from_euler, turn_from_quaternion
-from host.imports.nanobench import STANDARD_GRAVITY
-from host.imports.recording import (
+from trimtab.host.imports.frames import (
+    Body,
+    World,
+    q_ned_frd,
+    to_frd,
+    to_ned,
+    turn_from_euler,
+    turn_from_quaternion,
+)
+from trimtab.host.imports.nanobench import STANDARD_GRAVITY
+from trimtab.host.imports.recording import (
     ImportFormatError,
     Recording,
     Unknown,
@@ -20,10 +28,10 @@ from host.imports.recording import (
     fresh,
     since_first_us,
 )
-from host.imports.table import table
-from host.vehicle import ConfigurationError
-from host.vehicle.files import read_text
-from host.vehicle.strict_toml import Strict, parse_toml, validate
+from trimtab.host.imports.table import table
+from trimtab.host.vehicle import ConfigurationError
+from trimtab.host.vehicle.files import read_text
+from trimtab.host.vehicle.strict_toml import Strict, parse_toml, validate
 
 Three = tuple[str, str, str]
 Four = tuple[str, str, str, str]

@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from host.imports.frames import q_ned_frd, to_frd, to_ned, turn_from_euler
-from host.imports.recording import (
+from trimtab.host.imports.frames import q_ned_frd, to_frd, to_ned, turn_from_euler
+from trimtab.host.imports.recording import (
     READABLE,
     ImportFormatError,
     Recording,

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from host.imports.frames import q_ned_frd, to_frd, to_ned, turn_from_quaternion
-from host.imports.recording import (
+from trimtab.host.imports.frames import q_ned_frd, to_frd, to_ned, turn_from_quaternion
+from trimtab.host.imports.recording import (
     Corner,
     ImportFormatError,
     Recording,
@@ -20,7 +20,7 @@ from host.imports.recording import (
     fresh,
     since_first_us,
 )
-from host.imports.table import table
+from trimtab.host.imports.table import table
 
 UNKNOWN: tuple[Unknown, ...] = (
     "thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency",

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from firmware_model.law.constants import GRAVITY
-from host.imports.recording import ImportFormatError, Recording
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.imports.recording import ImportFormatError, Recording
 
 _STEP_S = 0.1
 _ALIKE = 0.3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from host.imports.recording import Recording
+from trimtab.host.imports.recording import Recording
 
 PROFILES = ("nanobench", "crazyflie-usd", "csv")
 
@@ -18,15 +18,15 @@ def read(profile: str, path: Path, columns: Path | None = None) -> Recording:
     if (profile == "csv") != (columns is not None):
         raise ValueError(f"a column map goes with csv and only with it, not with {profile}")
     if columns is not None:
-        from host.imports.columns import read as read_columns
+        from trimtab.host.imports.columns import read as read_columns
 
         return read_columns(path, columns)
     if profile == "nanobench":
-        from host.imports.nanobench import read as read_nanobench
+        from trimtab.host.imports.nanobench import read as read_nanobench
 
         return read_nanobench(path)
     if profile == "crazyflie-usd":
-        from host.imports.crazyflie_usd import read as read_usd
+        from trimtab.host.imports.crazyflie_usd import read as read_usd
 
         return read_usd(path)
     raise ValueError(f"profile {profile!r} is none of {', '.join(PROFILES)}")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from host.imports.recording import READABLE, ImportFormatError
+from trimtab.host.imports.recording import READABLE, ImportFormatError
 
 
 def table(path: Path, needed: Sequence[str]) -> dict[str, np.ndarray]:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from host.imports import plausible
-from host.imports.airborne import airborne
-from host.imports.recording import Corner, Recording
-from host.log import Battery, Mocap, RecordedImu, RecordedInputs, write_imported
-from host.vehicle import ConfigurationError, Vehicle
+from trimtab.host.imports import plausible
+from trimtab.host.imports.airborne import airborne
+from trimtab.host.imports.recording import Corner, Recording
+from trimtab.host.log import Battery, Mocap, RecordedImu, RecordedInputs, write_imported
+from trimtab.host.vehicle import ConfigurationError, Vehicle
 
 _SIDES: dict[Corner, tuple[bool, bool]] = {
     "front-right": (True, True),

@@ -15,13 +15,13 @@ from typing import Any
 import casadi
 import numpy as np
 
-from host.codegen import compile_function
-from host.codegen.buffered import Buffered
-from host.learn.kernel import MEASURED, vector_jacobian
-from host.models.network import Layout
-from host.models.phi import DRIVE_ROWS, FLIGHT, Phi
-from host.models.rollout import roll_out
-from host.models.segments import Segments
+from trimtab.host.codegen import compile_function
+from trimtab.host.codegen.buffered import Buffered
+from trimtab.host.learn.kernel import MEASURED, vector_jacobian
+from trimtab.host.models.network import Layout
+from trimtab.host.models.phi import DRIVE_ROWS, FLIGHT, Phi
+from trimtab.host.models.rollout import roll_out
+from trimtab.host.models.segments import Segments
 
 Pushed = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """(x0 (S, size), theta (S, P), push (S, 2 N + 1, 3)) -> states (S, N + 1, size): segments rolled out, push an
@@ -48,7 +48,7 @@ class Rollouts:
     """Roll-outs of a batch of segments and their gradient. `weight` (12,): diagonal L of the loss.
 
     The loss of a segment is the mean over its steps of (x_r - x)' L (x_r - x) (paper eq. 3), the batch's
-    their sum. `engine` of phi as `host.codegen` takes it.
+    their sum. `engine` of phi as `trimtab.host.codegen` takes it.
     """
 
     def __init__(

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from firmware_model.law.ops import FLOAT
-from host.learn.evaluate import Errors
-from host.models.dynamics import mocap_latency_s
-from host.models.network import Network
-from host.models.phi import Phi
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.learn.evaluate import Errors
+from trimtab.host.models.dynamics import mocap_latency_s
+from trimtab.host.models.network import Network
+from trimtab.host.models.phi import Phi
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

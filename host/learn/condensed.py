@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_model.law.ops import FLOAT
-from host.learn.adjoint import Rollouts
-from host.learn.lanes import LaneRollouts
-from host.learn.linear import effect_scales, linearised
-from host.models.dynamics import mocap_latency_s
-from host.models.phi import Phi
-from host.models.segments import Segments
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.learn.adjoint import Rollouts
+from trimtab.host.learn.lanes import LaneRollouts
+from trimtab.host.learn.linear import effect_scales, linearised
+from trimtab.host.models.dynamics import mocap_latency_s
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.segments import Segments
 
 _BLOCK = 32
 """Segments at a time: a hundred megabytes."""

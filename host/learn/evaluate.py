@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from firmware_model.law.ops import FLOAT
-from host.effects import Effect
-from host.log import Flight
-from host.models.dynamics import Part, mocap_latency_s
-from host.models.model import Model
-from host.models.network import Network
-from host.models.phi import Phi
-from host.models.rollout import half_steps, reference_drive, roll_out
-from host.models.states import States, flight_states
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.effects import Effect
+from trimtab.host.log import Flight
+from trimtab.host.models.dynamics import Part, mocap_latency_s
+from trimtab.host.models.model import Model
+from trimtab.host.models.network import Network
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
+from trimtab.host.models.states import States, flight_states
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from host.learn.condensed import DELAY_S, Condensed
-from host.models.network import Layout
+from trimtab.host.learn.condensed import DELAY_S, Condensed
+from trimtab.host.models.network import Layout
 
 SLAB = 2.0
 """One sigma of an effect's parameter in typical sizes, and of the delay in units of DELAY_S, for all data."""

@@ -17,11 +17,11 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from host.codegen.compiler import Compiler
-from host.codegen.ops import CASADI
-from host.codegen.simd import LAYERS, lane_source, simd_library
-from host.models.network import Layout
-from host.models.phi import DRIVE_ROWS, Phi
+from trimtab.host.codegen.compiler import Compiler
+from trimtab.host.codegen.ops import CASADI
+from trimtab.host.codegen.simd import LAYERS, lane_source, simd_library
+from trimtab.host.models.network import Layout
+from trimtab.host.models.phi import DRIVE_ROWS, Phi
 
 MEASURED = 12
 """States compared with the flight: p, v, Theta, body rate."""
@@ -50,7 +50,7 @@ def kernel(phi: Phi, layout: Layout, compiler: Compiler) -> Kernel:
 
 
 def source(phi: Phi, layout: Layout) -> str:
-    """The kernel's C, to stand behind `host.codegen.simd.PRELUDE`."""
+    """The kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
     functions = {"phi": phi.function, "products": vector_jacobian(phi.function), **_network_ends(layout)}
     sizes = layout.sizes
     forward, backward, gradients = [], [], []

@@ -7,13 +7,13 @@ import logging
 
 import numpy as np
 
-from host.codegen.compiler import CodegenError, Compiler, engine_choice, wanted_compiler
-from host.codegen.simd import LANES, aligned, lanes_of, rows_of
-from host.learn.adjoint import Gradient, Pushed, Rollouts, check_step
-from host.learn.kernel import MEASURED, kernel, pointer
-from host.models.network import Layout
-from host.models.phi import Phi
-from host.models.segments import Segments
+from trimtab.host.codegen.compiler import CodegenError, Compiler, engine_choice, wanted_compiler
+from trimtab.host.codegen.simd import LANES, aligned, lanes_of, rows_of
+from trimtab.host.learn.adjoint import Gradient, Pushed, Rollouts, check_step
+from trimtab.host.learn.kernel import MEASURED, kernel, pointer
+from trimtab.host.models.network import Layout
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.segments import Segments
 
 _log = logging.getLogger(__name__)
 

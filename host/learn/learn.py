@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from firmware_model.law.ops import FLOAT
-from host.effects import Effect
-from host.learn.candidates import Candidate, Trial, best, note
-from host.learn.evaluate import Errors, model_errors, model_parts, whole_flights
-from host.learn.quick import CondensedSettings, CondensedTrained, train_condensed
-from host.learn.train import LOSS_SIGMA, Settings, Trained, train
-from host.log import Flight
-from host.log.errors import TooLittleData
-from host.models.dynamics import mocap_latency_s
-from host.models.model import Model
-from host.models.phi import Phi
-from host.models.region import Region
-from host.models.segments import Segments, cut
-from host.models.states import States, flight_states
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.effects import Effect
+from trimtab.host.learn.candidates import Candidate, Trial, best, note
+from trimtab.host.learn.evaluate import Errors, model_errors, model_parts, whole_flights
+from trimtab.host.learn.quick import CondensedSettings, CondensedTrained, train_condensed
+from trimtab.host.learn.train import LOSS_SIGMA, Settings, Trained, train
+from trimtab.host.log import Flight
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.models.dynamics import mocap_latency_s
+from trimtab.host.models.model import Model
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.region import Region
+from trimtab.host.models.segments import Segments, cut
+from trimtab.host.models.states import States, flight_states
 
 SEGMENT_STEPS = 50
 """Of 20 ms: a second."""
@@ -110,9 +110,9 @@ def learn(
     they are: what is learned is what they leave. `forms` are effects of the library that are learned beside
     the network, on the condensed loss alone.
 
-    Segments decide when learning stops, whole flights what is kept (`host.learn.candidates.best`): nothing,
-    the effects, or the network too. `as_asked` keeps what was asked for all the same. Raises TooLittleData,
-    also for flights of two vehicles.
+    Segments decide when learning stops, whole flights what is kept (`trimtab.host.learn.candidates.best`):
+    nothing, the effects, or the network too. `as_asked` keeps what was asked for all the same. Raises
+    TooLittleData, also for flights of two vehicles.
     """
     settings = settings or CondensedSettings()
     kept_aside = hold_out or ()

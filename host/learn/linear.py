@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from host.learn.adjoint import Rollouts
-from host.learn.lanes import LaneRollouts
-from host.models.phi import Phi
-from host.models.segments import Segments
+from trimtab.host.learn.adjoint import Rollouts
+from trimtab.host.learn.lanes import LaneRollouts
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.segments import Segments
 
 _PUSH = 0.05
 """m/s^2, of differences by the acceleration."""

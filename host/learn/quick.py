@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from host.learn.adjoint import loss_of
-from host.learn.condensed import DELAY_S, condense, latency_s
-from host.learn.fit import Basis, Examples, Fitted, accelerations, fit
-from host.learn.lanes import rollouts
-from host.learn.linear import effect_scales
-from host.learn.starts import start_sigma
-from host.models.network import Layout, Network
-from host.models.phi import Phi
-from host.models.segments import Segments
+from trimtab.host.learn.adjoint import loss_of
+from trimtab.host.learn.condensed import DELAY_S, condense, latency_s
+from trimtab.host.learn.fit import Basis, Examples, Fitted, accelerations, fit
+from trimtab.host.learn.lanes import rollouts
+from trimtab.host.learn.linear import effect_scales
+from trimtab.host.learn.starts import start_sigma
+from trimtab.host.models.network import Layout, Network
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.segments import Segments
 
 _COPIES = 4
 """Headings that every segment counts in, where a network sees the world's frame."""

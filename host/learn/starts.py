@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from host.learn.adjoint import Rollouts
-from host.learn.lanes import LaneRollouts
-from host.learn.linear import linearised
-from host.models.phi import INTEGRAL, Phi
-from host.models.segments import Segments
+from trimtab.host.learn.adjoint import Rollouts
+from trimtab.host.learn.lanes import LaneRollouts
+from trimtab.host.learn.linear import linearised
+from trimtab.host.models.phi import INTEGRAL, Phi
+from trimtab.host.models.segments import Segments
 
 _THRUST_SIGMA = 0.05
 """N a rotor: the recorded command behind the nominal lag."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from host.learn.adam import Adam
-from host.learn.adjoint import Rollouts, loss_of
-from host.learn.lanes import LaneRollouts, rollouts
-from host.learn.starts import free_starts
-from host.models.network import Layout, Network
-from host.models.phi import Phi
-from host.models.segments import Segments
+from trimtab.host.learn.adam import Adam
+from trimtab.host.learn.adjoint import Rollouts, loss_of
+from trimtab.host.learn.lanes import LaneRollouts, rollouts
+from trimtab.host.learn.starts import free_starts
+from trimtab.host.models.network import Layout, Network
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.segments import Segments
 
 LOSS_SIGMA = (5e-3, 5e-3, 5e-3, 0.02, 0.02, 0.02, 0.01, 0.01, 0.01, 0.1, 0.1, 0.1)
 """m, m/s, rad, rad/s: what turbulence and sensors leave of a roll-out of a second. Weights are 1/sigma^2."""

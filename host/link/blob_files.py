@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from host.errors import UsageError
-from protocol.blobs import Blob, BlobError, FeedForward, Reference, from_bytes
+from trimtab.host.errors import UsageError
+from trimtab.protocol.blobs import Blob, BlobError, FeedForward, Reference, from_bytes
 
 
 def read_blob(path: str | Path) -> Blob:

@@ -1,6 +1,6 @@
 """The host's end of the link, without I/O: bytes in, messages out; heartbeats and clock comparison by itself.
 
-Everything that asks and waits for an answer is a Task (host.link.tasks); one is under way at a time.
+Everything that asks and waits for an answer is a Task (trimtab.host.link.tasks); one is under way at a time.
 """
 
 from __future__ import annotations
@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from host.link.clock import ClockSync
-from protocol import messages as m
-from protocol.codec import Codec
-from protocol.messages import Message
+from trimtab.host.link.clock import ClockSync
+from trimtab.protocol import messages as m
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import Message
 
 _MASK32, _MASK16 = 0xFFFF_FFFF, 0xFFFF
 HEARTBEAT_US = 1_000_000

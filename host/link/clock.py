@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from protocol.telemetry import TICK_US
+from trimtab.protocol.telemetry import TICK_US
 
 BUCKET_US = 1_000_000
 BUCKETS = 30

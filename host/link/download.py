@@ -7,19 +7,19 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
-from host.artefacts import content_id
-from host.errors import LinkError, UsageError
-from host.link.client import Client
-from host.link.drivers import run_lockstep, run_port
-from host.link.ports import open_port
-from host.link.session import Session
-from host.link.tasks import PATIENCE_US, FindVehicle, FreshStatus, Task
-from host.link.vehicle import Vehicle
-from protocol import messages as m
-from protocol.blobs import Kind
-from protocol.ftp import Error, Opcode, Packet
-from protocol.messages import Message
-from protocol.uwb import FRAME_BYTES, OVERHEAD_BYTES
+from trimtab.host.artefacts import content_id
+from trimtab.host.errors import LinkError, UsageError
+from trimtab.host.link.client import Client
+from trimtab.host.link.drivers import run_lockstep, run_port
+from trimtab.host.link.ports import open_port
+from trimtab.host.link.session import Session
+from trimtab.host.link.tasks import PATIENCE_US, FindVehicle, FreshStatus, Task
+from trimtab.host.link.vehicle import Vehicle
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Kind
+from trimtab.protocol.ftp import Error, Opcode, Packet
+from trimtab.protocol.messages import Message
+from trimtab.protocol.uwb import FRAME_BYTES, OVERHEAD_BYTES
 
 PIECE_BYTES = FRAME_BYTES - OVERHEAD_BYTES - 3 - 12
 """Of a file in one answer: what a frame holds behind the headers of message, target and FTP."""

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from host.link.ports import Cameras, Port
-from host.link.session import Session
-from host.link.vehicle import Vehicle
-from protocol.telemetry import TICK_US
+from trimtab.host.link.ports import Cameras, Port
+from trimtab.host.link.session import Session
+from trimtab.host.link.vehicle import Vehicle
+from trimtab.protocol.telemetry import TICK_US
 
 LATE_US = 20_000
 """Behind the wall clock by more than this, simulated time is stretched and an overrun counted."""

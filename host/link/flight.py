@@ -14,13 +14,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from host.errors import FlightFailed, LinkError, Refused, TrimtabError, UsageError
-from host.link.client import NEVER_US, Client
-from host.link.clock import CameraClock
-from host.link.recorder import Recorder
-from host.link.session import Session
-from host.link.swap import Swap, SwapEnd
-from host.link.tasks import (
+from trimtab.host.errors import FlightFailed, LinkError, Refused, TrimtabError, UsageError
+from trimtab.host.link.client import NEVER_US, Client
+from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.recorder import Recorder
+from trimtab.host.link.session import Session
+from trimtab.host.link.swap import Swap, SwapEnd
+from trimtab.host.link.tasks import (
     PATIENCE_US,
     Command,
     FindVehicle,
@@ -32,14 +32,14 @@ from host.link.tasks import (
     Task,
     make_live,
 )
-from host.link.whose import check_same_vehicle, neutral_feedforward
-from host.log import LogError, LogWriter, Provenance, failsafe_name
-from host.vehicle import Vehicle, to_parameters
-from protocol import messages as m
-from protocol.blobs import FeedForward, Kind, Reference
-from protocol.messages import Message, mavlink
-from protocol.parameters import differences, equal
-from protocol.telemetry import TICK_US
+from trimtab.host.link.whose import check_same_vehicle, neutral_feedforward
+from trimtab.host.log import LogError, LogWriter, Provenance, failsafe_name
+from trimtab.host.vehicle import Vehicle, to_parameters
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import FeedForward, Kind, Reference
+from trimtab.protocol.messages import Message, mavlink
+from trimtab.protocol.parameters import differences, equal
+from trimtab.protocol.telemetry import TICK_US
 
 ARM_PATIENCE_US = 10_000_000
 SILENCE_US = 30_000_000

@@ -6,13 +6,13 @@ import contextlib
 import gc
 from collections.abc import Callable, Iterator
 
-from host.errors import FlightFailed, TrimtabError
-from host.link.drivers import DriveStatistics, Interrupts, run_lockstep, run_port
-from host.link.flight import FlightDirector, FlightOrder
-from host.link.ports import Cameras, open_port
-from host.link.summary import FlightResult, summarise
-from host.link.vehicle import Vehicle
-from host.log import FAILSAFE_WORDS
+from trimtab.host.errors import FlightFailed, TrimtabError
+from trimtab.host.link.drivers import DriveStatistics, Interrupts, run_lockstep, run_port
+from trimtab.host.link.flight import FlightDirector, FlightOrder
+from trimtab.host.link.ports import Cameras, open_port
+from trimtab.host.link.summary import FlightResult, summarise
+from trimtab.host.link.vehicle import Vehicle
+from trimtab.host.log import FAILSAFE_WORDS
 
 
 class FlightEnded(FlightFailed):

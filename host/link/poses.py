@@ -7,13 +7,13 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
-from host.errors import LinkError
-from host.link.client import Client
-from host.link.clock import CameraClock
-from host.link.drivers import run_port
-from host.link.ports import Cameras, open_port
-from host.link.session import Session
-from host.link.tasks import FindVehicle, Task
+from trimtab.host.errors import LinkError
+from trimtab.host.link.client import Client
+from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.drivers import run_port
+from trimtab.host.link.ports import Cameras, open_port
+from trimtab.host.link.session import Session
+from trimtab.host.link.tasks import FindVehicle, Task
 
 LOOK_US = 1_000_000
 SILENT_US = 30_000_000

@@ -8,15 +8,21 @@ from typing import Any, cast
 
 import numpy as np
 
-from host.link.client import Client, RadioCounts
-from host.link.clock import CameraClock
-from host.log import LogWriter, topics
-from host.log.tracking import reference_at
-from protocol import messages as m
-from protocol.blobs import Reference
-from protocol.generated import flight_pb2
-from protocol.messages import Message, mavlink
-from protocol.telemetry import OVERTAKEN_TICKS, TICK_US, IntervalDecoder, decode_age, decode_quaternion
+from trimtab.host.link.client import Client, RadioCounts
+from trimtab.host.link.clock import CameraClock
+from trimtab.host.log import LogWriter, topics
+from trimtab.host.log.tracking import reference_at
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Reference
+from trimtab.protocol.generated import flight_pb2
+from trimtab.protocol.messages import Message, mavlink
+from trimtab.protocol.telemetry import (
+    OVERTAKEN_TICKS,
+    TICK_US,
+    IntervalDecoder,
+    decode_age,
+    decode_quaternion,
+)
 
 LINK_US = 100_000
 DISPLAY_EVERY = 5

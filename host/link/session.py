@@ -1,6 +1,7 @@
 """One connection from its first byte to its end, without I/O: a script of tasks, poses forwarded meanwhile.
 
-A driver (host.link.drivers) carries bytes and datagrams between a session and the world, and passes the time.
+A driver (trimtab.host.link.drivers) carries bytes and datagrams between a session and the world, and passes
+the time.
 """
 
 from __future__ import annotations
@@ -8,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from typing import Any, Protocol
 
-from host.link.client import NEVER_US, Client
-from host.link.clock import CameraClock
-from host.link.tasks import Task
-from protocol import messages as m
-from protocol.codec import decode_message
-from protocol.messages import Message
-from protocol.uwb import split
+from trimtab.host.link.client import NEVER_US, Client
+from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.tasks import Task
+from trimtab.protocol import messages as m
+from trimtab.protocol.codec import decode_message
+from trimtab.protocol.messages import Message
+from trimtab.protocol.uwb import split
 
 Script = Generator[Task, Any, Any]
 """Yields tasks, gets back their results, returns the session's result; errors of a task are raised in it."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from host.link.drivers import DriveStatistics
-from host.link.flight import FlightDirector, FlightEnd
-from host.log import Flight, link_report, read_flight, topics
-from host.log.tracking import tracking_error
+from trimtab.host.link.drivers import DriveStatistics
+from trimtab.host.link.flight import FlightDirector, FlightEnd
+from trimtab.host.log import Flight, link_report, read_flight, topics
+from trimtab.host.log.tracking import tracking_error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +20,7 @@ class FlightResult:
 
     end: None where the flight was left before it came to one.
     clipped_share: share of the ticks in flight on which the motors could not give what was commanded.
-    link: see `host.log.link_report`.
+    link: see `trimtab.host.log.link_report`.
     """
 
     log: Path

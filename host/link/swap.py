@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from firmware_model.law.smoothness import JUMPS, jump_text, jumps
-from host.errors import UsageError
-from host.link.client import NEVER_US, Client
-from host.log.tracking import reference_at
-from protocol import messages as m
-from protocol.blobs import Reference
-from protocol.messages import Message
-from protocol.telemetry import TICK_US
-from protocol.upload import UploadSender
+from trimtab.firmware_model.law.smoothness import JUMPS, jump_text, jumps
+from trimtab.host.errors import UsageError
+from trimtab.host.link.client import NEVER_US, Client
+from trimtab.host.log.tracking import reference_at
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Reference
+from trimtab.protocol.messages import Message
+from trimtab.protocol.telemetry import TICK_US
+from trimtab.protocol.upload import UploadSender
 
 PACE_US = 10_000
 """Least time between two chunks in flight: 100 a second, and about 45 answers, of the 500 slots."""

@@ -1,7 +1,7 @@
 """What a host asks of a vehicle, each a small state machine that asks again until it is answered or gives up.
 
 A task queues messages through the client and sees those it names in `wants`. It ends with a `result`, or
-raises one of `host.errors` out of `receive` or `advance`.
+raises one of `trimtab.host.errors` out of `receive` or `advance`.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-from host.errors import LinkError, Refused
-from host.link.client import NEVER_US, Client
-from protocol import messages as m
-from protocol.blobs import Blob
-from protocol.messages import Message, UploadState, mavlink
-from protocol.parameter_wire import decode, encode, type_of
-from protocol.parameters import BY_NAME, NAME_MAX, equal, float32
-from protocol.upload import SenderState, UploadSender
-from protocol.upload.transfer import tag_of
+from trimtab.host.errors import LinkError, Refused
+from trimtab.host.link.client import NEVER_US, Client
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Blob
+from trimtab.protocol.messages import Message, UploadState, mavlink
+from trimtab.protocol.parameter_wire import decode, encode, type_of
+from trimtab.protocol.parameters import BY_NAME, NAME_MAX, equal, float32
+from trimtab.protocol.upload import SenderState, UploadSender
+from trimtab.protocol.upload.transfer import tag_of
 
 PATIENCE_US = 5_000_000
 RETRY_US = 300_000

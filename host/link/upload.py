@@ -7,16 +7,16 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
-from host.errors import LinkError
-from host.link.download import NAMES, id_on_board, read_back
-from host.link.drivers import run_lockstep, run_port
-from host.link.ports import open_port
-from host.link.session import Session
-from host.link.tasks import FindVehicle, FreshStatus, Identity, Task, make_live
-from host.link.vehicle import Vehicle
-from host.link.whose import check_same_vehicle, neutral_feedforward
-from protocol import messages as m
-from protocol.blobs import Blob
+from trimtab.host.errors import LinkError
+from trimtab.host.link.download import NAMES, id_on_board, read_back
+from trimtab.host.link.drivers import run_lockstep, run_port
+from trimtab.host.link.ports import open_port
+from trimtab.host.link.session import Session
+from trimtab.host.link.tasks import FindVehicle, FreshStatus, Identity, Task, make_live
+from trimtab.host.link.vehicle import Vehicle
+from trimtab.host.link.whose import check_same_vehicle, neutral_feedforward
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Blob
 
 STALE_MAX = 5
 """Statuses that may still be under way from before the commit."""

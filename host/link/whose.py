@@ -5,10 +5,10 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from host.errors import UsageError
-from host.link.tasks import Identity
-from host.vehicle import ConfigurationError, list_vehicles, load_vehicle
-from protocol.blobs import NEUTRAL_BLOCK, FeedForward
+from trimtab.host.errors import UsageError
+from trimtab.host.link.tasks import Identity
+from trimtab.host.vehicle import ConfigurationError, list_vehicles, load_vehicle
+from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward
 
 
 def name_of(vehicle_id: str) -> str | None:

@@ -1,12 +1,12 @@
 """Flight logs: written while flying, read as arrays, described, recovered."""
 
-from host.log.errors import LogError
-from host.log.flight import read_flight
-from host.log.imported import write_imported
-from host.log.info import describe, to_lines
-from host.log.recover import Recovery, recover
-from host.log.topics import FLIGHT_TOPICS, IMPORTED_TOPICS, Topic
-from host.log.tracks import (
+from trimtab.host.log.errors import LogError
+from trimtab.host.log.flight import read_flight
+from trimtab.host.log.imported import write_imported
+from trimtab.host.log.info import describe, to_lines
+from trimtab.host.log.recover import Recovery, recover
+from trimtab.host.log.topics import FLIGHT_TOPICS, IMPORTED_TOPICS, Topic
+from trimtab.host.log.tracks import (
     FAILSAFE_WORDS,
     Battery,
     Control,
@@ -20,7 +20,7 @@ from host.log.tracks import (
     Status,
     failsafe_name,
 )
-from host.log.writer import LogWriter, Provenance, partial_path
+from trimtab.host.log.writer import LogWriter, Provenance, partial_path
 
 __all__ = [
     "FAILSAFE_WORDS",

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from host.log.tracking import reference_at
-from protocol.blobs import Node, Reference, YawNode
+from trimtab.host.log.tracking import reference_at
+from trimtab.protocol.blobs import Node, Reference, YawNode
 
 CLOSEST_US = 20_000
 """Nodes of the first reference nearer to the takeover are left out: float32 would ruin the jerk between."""

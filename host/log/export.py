@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from host.log.flight import scan_closed
-from host.log.scan import Entry
-from host.log.topics import FLIGHT_TOPICS, IMPORTED_TOPICS
+from trimtab.host.log.flight import scan_closed
+from trimtab.host.log.scan import Entry
+from trimtab.host.log.topics import FLIGHT_TOPICS, IMPORTED_TOPICS
 
 _KINDS = {topic.name: topic.message for topic in (*FLIGHT_TOPICS, *IMPORTED_TOPICS)}
 

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from google.protobuf.message import DecodeError
 
-from host.log import topics
-from host.log.composed import composed, swap_us
-from host.log.errors import LogError
-from host.log.scan import Entry, Scan, find_damaged, scan
-from host.log.tracks import (
+from trimtab.host.log import topics
+from trimtab.host.log.composed import composed, swap_us
+from trimtab.host.log.errors import LogError
+from trimtab.host.log.scan import Entry, Scan, find_damaged, scan
+from trimtab.host.log.tracks import (
     Battery,
     Control,
     Estimate,
@@ -34,7 +34,7 @@ from host.log.tracks import (
     Times,
     failsafe_name,
 )
-from host.log.writer import (
+from trimtab.host.log.writer import (
     FEEDFORWARD_FILE,
     PARAMETERS,
     PROVENANCE,
@@ -42,9 +42,9 @@ from host.log.writer import (
     THEN_FILE,
     VEHICLE_FILE,
 )
-from host.vehicle import ConfigurationError, parse_vehicle
-from protocol.blobs import FeedForward, Reference, blob_id
-from protocol.generated import flight_pb2
+from trimtab.host.vehicle import ConfigurationError, parse_vehicle
+from trimtab.protocol.blobs import FeedForward, Reference, blob_id
+from trimtab.protocol.generated import flight_pb2
 
 State = flight_pb2.Status.State
 CAMERAS_SET_US = 25_000

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from host.log import topics
-from host.log.tracks import Battery, Mocap, RecordedImu, RecordedInputs
-from host.log.writer import LogWriter, Provenance
-from host.vehicle import Vehicle
-from protocol.generated import flight_pb2
+from trimtab.host.log import topics
+from trimtab.host.log.tracks import Battery, Mocap, RecordedImu, RecordedInputs
+from trimtab.host.log.writer import LogWriter, Provenance
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.generated import flight_pb2
 
 DISPLAY_INTERVAL_US = 50_000
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from host.log import link_report
-from host.log.flight import scan_closed, to_flight
-from host.log.topics import MOCAP_POSE
-from host.log.tracks import FAILSAFE_WORDS
+from trimtab.host.log import link_report
+from trimtab.host.log.flight import scan_closed, to_flight
+from trimtab.host.log.topics import MOCAP_POSE
+from trimtab.host.log.tracks import FAILSAFE_WORDS
 
 
 def describe(path: Path) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from host.log.tracks import Flight, LinkHealth
+from trimtab.host.log.tracks import Flight, LinkHealth
 
 
 def link_report(flight: Flight) -> dict[str, Any]:

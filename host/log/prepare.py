@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from host.log.errors import TooLittleData
-from host.log.smoothing import Series, Smoothed, smooth
-from host.log.tracks import Control, Estimate, Flight
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.log.smoothing import Series, Smoothed, smooth
+from trimtab.host.log.tracks import Control, Estimate, Flight
 
 STEP_S = 0.02
 _JERK_DENSITY = 20.0

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from host.log.errors import LogError
-from host.log.flight import to_flight
-from host.log.mcap_file import McapFile
-from host.log.scan import find_damaged, scan
-from host.log.writer import PROVENANCE
+from trimtab.host.log.errors import LogError
+from trimtab.host.log.flight import to_flight
+from trimtab.host.log.mcap_file import McapFile
+from trimtab.host.log.scan import find_damaged, scan
+from trimtab.host.log.writer import PROVENANCE
 
 SUFFIX = ".recovered.mcap"
 

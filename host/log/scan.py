@@ -21,9 +21,9 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Footer, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
-from host.log.errors import LogError
-from host.log.mcap_file import MAGIC
-from host.log.writer import partial_path
+from trimtab.host.log.errors import LogError
+from trimtab.host.log.mcap_file import MAGIC
+from trimtab.host.log.writer import partial_path
 
 CHUNK_LIMIT_BYTES = 64 * 2**20
 """No chunk of ours comes near this; a length beyond it is damage, not data."""

@@ -8,7 +8,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import Message
 
-from protocol.generated import flight_pb2
+from trimtab.protocol.generated import flight_pb2
 
 MOCAP_POSE = "/mocap/pose"
 FC_ESTIMATE = "/fc/estimate"

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_model.law.reference import hermite_yaw, septic
-from host.log.tracks import Flight, Floats, Times
-from protocol.blobs import Reference
+from trimtab.firmware_model.law.reference import hermite_yaw, septic
+from trimtab.host.log.tracks import Flight, Floats, Times
+from trimtab.protocol.blobs import Reference
 
 FLAT_SIZE = 14
 """p, v, a, j (NED, 3 each), yaw, yaw rate."""

@@ -14,10 +14,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from host.vehicle import Vehicle
-from protocol.blobs import FeedForward, Reference
-from protocol.generated import flight_pb2
-from protocol.telemetry import TICK_US
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import FeedForward, Reference
+from trimtab.protocol.generated import flight_pb2
+from trimtab.protocol.telemetry import TICK_US
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]

@@ -4,7 +4,8 @@ Times are integer microseconds on the host's clock from arm: a log starts when t
 arming. What arrived or was measured before that instant is not logged (the format has no negative times).
 
 The file grows under `NAME.part` and gets its name when it is closed. Every chunk reaches the system as
-soon as it is full, so that a killed writer loses the last chunk at most; `host.log.recover` reads the rest.
+soon as it is full, so that a killed writer loses the last chunk at most; `trimtab.host.log.recover` reads
+the rest.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from host.log import topics
-from host.log.errors import LogError
-from host.log.mcap_file import McapFile, Sink
-from host.log.topics import Topic
-from host.vehicle import Vehicle
-from protocol.blobs import blob_id
-from protocol.generated import flight_pb2
+from trimtab.host.log import topics
+from trimtab.host.log.errors import LogError
+from trimtab.host.log.mcap_file import McapFile, Sink
+from trimtab.host.log.topics import Topic
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import blob_id
+from trimtab.protocol.generated import flight_pb2
 
 FORMAT = "1"
 PROVENANCE = "trimtab"

@@ -6,7 +6,7 @@ to flight, is no effect, and shows in the log as the mean of estimate less camer
 
 So does what late poses do to the estimated attitude: turning while leaning, it is wrong to one side, and
 thrust that points elsewhere than estimated looks like a bias. In quick flight that is more than the bias, so
-both are passed through the estimator's equations (`host.models.estimator`, linear) and told apart.
+both are passed through the estimator's equations (`trimtab.host.models.estimator`, linear) and told apart.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.estimator import EstimatorGains
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.estimator import EstimatorGains
 
 _LED_IN_S = 2.0
 """Time before the first sample in which the vehicle is taken to have been as it was there."""
@@ -25,7 +25,7 @@ _LED_IN_S = 2.0
 def standing_errors(gains: EstimatorGains, age_s: Any, interval_s: Any) -> tuple[Any, Any]:
     """Estimated less true position and velocity, over a constant excess of acceleration (s^2, s).
 
-    Where corrections balance it: `host.models.estimator` at rest.
+    Where corrections balance it: `trimtab.host.models.estimator` at rest.
     """
     jump = 1.0 / (1.0 - 0.5 * interval_s * gains.position)
     velocity = gains.position / gains.velocity + age_s

@@ -10,11 +10,11 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import Any, Protocol
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.ops import Ops
-from firmware_model.law.rotations import euler_rates, euler_to_matrix, mat_t_vec, mat_vec
-from host.effects import Context, Effect
-from host.effects.effect import SLOTS
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.ops import Ops
+from trimtab.firmware_model.law.rotations import euler_rates, euler_to_matrix, mat_t_vec, mat_vec
+from trimtab.host.effects import Context, Effect
+from trimtab.host.effects.effect import SLOTS
 
 Scalar = Any
 Part = tuple[Effect, Sequence[Scalar]]  # an effect and its parameter values
@@ -83,7 +83,7 @@ def rigid_body(
     `acceleration_ned` and `rate_dot_frd` are added to the translational and angular acceleration: the learned
     residual d(x) of paper equation 2, or a disturbance being estimated. `memory` holds the effects' own
     states, one after the other; without it they are as at rest. Paper equation 1; the slots' meaning is
-    stated in `host.effects.effect`.
+    stated in `trimtab.host.effects.effect`.
     """
     v, rate = x[V], x[RATE]
     R = euler_to_matrix(ops, x[THETA])

@@ -2,8 +2,8 @@
 
 The estimate is truth plus error: p + e_p, v + e_v, R exp(e_q), gyro bias + e_b. Gyro and accelerometer are
 taken as exact. A pose measured at t - age shows the vehicle of t - age - latency; the law compares it with
-its estimate predicted back by age + prediction (`firmware_model.law.estimator`), its gains being rates
-already.
+its estimate predicted back by age + prediction (`trimtab.firmware_model.law.estimator`), its gains being
+rates already.
 
 A tick's prediction holds the samples of its end over the whole tick, so velocity and attitude run ahead of
 the truth by half a tick's worth of acceleration and body rate. The states are the errors less that lead.
@@ -16,11 +16,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.estimator import EstimatorGains
-from firmware_model.law.ops import Ops
-from firmware_model.law.rotations import cross, mat_t_vec, mat_vec, quat_exp, quat_to_matrix
-from firmware_model.law.step import TICK_S
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.estimator import EstimatorGains
+from trimtab.firmware_model.law.ops import Ops
+from trimtab.firmware_model.law.rotations import cross, mat_t_vec, mat_vec, quat_exp, quat_to_matrix
+from trimtab.firmware_model.law.step import TICK_S
 
 Scalar = Any
 SIZE = 12

@@ -10,13 +10,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from host import artefacts
-from host.errors import UsageError
-from host.models.model import Covariance, Model, network_digest
-from host.models.network import Frame, Layout, Network
-from host.models.region import Region
-from host.vehicle.files import write_toml
-from host.vehicle.strict_toml import ConfigurationError, Strict, read_strict
+from trimtab.host import artefacts
+from trimtab.host.errors import UsageError
+from trimtab.host.models.model import Covariance, Model, network_digest
+from trimtab.host.models.network import Frame, Layout, Network
+from trimtab.host.models.region import Region
+from trimtab.host.vehicle.files import write_toml
+from trimtab.host.vehicle.strict_toml import ConfigurationError, Strict, read_strict
 
 SUFFIX = ".model.toml"
 _Id = Annotated[str, Field(pattern=r"^[0-9a-f]{12}$")]

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 import casadi
 import numpy as np
 
-from host.codegen import compile_function
+from trimtab.host.codegen import compile_function
 
 FEW = 48
 """Up to as many lanes CasADi's virtual machine is faster: about 3 us a lane against 300 us for all."""

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
-from host.artefacts import content_id
-from host.effects import Effect
-from host.models.dynamics import Part
-from host.models.network import Network
-from host.models.region import Region
+from trimtab.host.artefacts import content_id
+from trimtab.host.effects import Effect
+from trimtab.host.models.dynamics import Part
+from trimtab.host.models.network import Network
+from trimtab.host.models.region import Region
 
 Values = Mapping[str, Mapping[str, float]]
 """Effect name -> parameter key -> value."""

@@ -17,10 +17,10 @@ from typing import Any, Literal, NamedTuple
 import casadi
 import numpy as np
 
-from firmware_model.law.feedforward import NETWORK_INPUTS, NETWORK_OUTPUTS, network, weight_count
-from firmware_model.law.ops import Ops
-from firmware_model.law.rotations import euler_to_matrix, mat_t_vec, mat_vec
-from host.codegen.ops import CASADI, NUMPY
+from trimtab.firmware_model.law.feedforward import NETWORK_INPUTS, NETWORK_OUTPUTS, network, weight_count
+from trimtab.firmware_model.law.ops import Ops
+from trimtab.firmware_model.law.rotations import euler_to_matrix, mat_t_vec, mat_vec
+from trimtab.host.codegen.ops import CASADI, NUMPY
 
 Frame = Literal["world", "body"]
 

@@ -25,19 +25,19 @@ from typing import Any, Literal
 import casadi
 import numpy as np
 
-from firmware_model.law import step as law_step
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.dfbc import Reference, control
-from firmware_model.law.observer import GREATEST, bounded, disturbance_seen
-from firmware_model.law.ops import Ops
-from firmware_model.law.rotations import dot, euler_to_matrix, mat_vec
-from host.codegen.interrupts import held_interrupts
-from host.codegen.ops import CASADI, NUMPY
-from host.codegen.rk4 import RungeKutta, runge_kutta
-from host.effects import Effect
-from host.models import estimator
-from host.models.bias import standing_errors
-from host.models.dynamics import (
+from trimtab.firmware_model.law import step as law_step
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.dfbc import Reference, control
+from trimtab.firmware_model.law.observer import GREATEST, bounded, disturbance_seen
+from trimtab.firmware_model.law.ops import Ops
+from trimtab.firmware_model.law.rotations import dot, euler_to_matrix, mat_vec
+from trimtab.host.codegen.interrupts import held_interrupts
+from trimtab.host.codegen.ops import CASADI, NUMPY
+from trimtab.host.codegen.rk4 import RungeKutta, runge_kutta
+from trimtab.host.effects import Effect
+from trimtab.host.models import estimator
+from trimtab.host.models.bias import standing_errors
+from trimtab.host.models.dynamics import (
     RATE,
     STATE_SIZE,
     THETA,
@@ -55,9 +55,9 @@ from host.models.dynamics import (
     rotor_torque,
     thrust_rates,
 )
-from host.models.lanes import LaneProgram, lane_program
-from host.vehicle import Vehicle, to_parameters
-from protocol.parameters import DEFAULTS
+from trimtab.host.models.lanes import LaneProgram, lane_program
+from trimtab.host.vehicle import Vehicle, to_parameters
+from trimtab.protocol.parameters import DEFAULTS
 
 Scalar = Any
 Drive = Literal["reference", "estimate", "inputs"]
@@ -91,7 +91,7 @@ FLIGHT = (
 )
 """Constants of one flight: form (a) of the feed-forward, age of a pose at its use, time between poses,
 further delay of the position and velocity fed back, accelerometer bias as it looks from the poses, and by how
-much it looks less for gravity towards north and east in their frame (`host.models.bias`)."""
+much it looks less for gravity towards north and east in their frame (`trimtab.host.models.bias`)."""
 
 
 def flight_constants(
@@ -335,7 +335,7 @@ class Phi:
         gain: Scalar,
         command: Sequence[Scalar],
     ) -> list[Scalar]:
-        """Derivative of the observer's states (`firmware_model.law.observer`); v_dot and R as estimated."""
+        """Derivative of the observer's states (`law.observer`); v_dot and R as estimated."""
         *d_hat, thrust = (x[i] for i in range(self.observer.start, self.observer.stop))
         bandwidth, lag = law_step.observer(self.firmware)
         seen = disturbance_seen(v_dot, R, thrust, law_step.body(self.firmware).mass_kg)

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from firmware_model.law import feedforward as law_feedforward
-from firmware_model.law.dfbc import Reference as FlatOutputs
-from firmware_model.law.flatness import flat_attitude
-from firmware_model.law.rotations import matrix_to_euler
-from firmware_model.law.step import feedforward_terms
-from host.codegen.ops import NUMPY
-from host.log.tracking import reference_at
-from protocol.blobs import FeedForward, Reference
+from trimtab.firmware_model.law import feedforward as law_feedforward
+from trimtab.firmware_model.law.dfbc import Reference as FlatOutputs
+from trimtab.firmware_model.law.flatness import flat_attitude
+from trimtab.firmware_model.law.rotations import matrix_to_euler
+from trimtab.firmware_model.law.step import feedforward_terms
+from trimtab.host.codegen.ops import NUMPY
+from trimtab.host.log.tracking import reference_at
+from trimtab.protocol.blobs import FeedForward, Reference
 
 FLAT_ROWS = 14
 """p, v, a, j (NED), yaw, yaw rate."""

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from host.models.network import Network
-from host.models.phi import DRIVE_ROWS, Phi
-from host.models.reference import FLAT_ROWS, feedforward_rows, flat_outputs
-from protocol.blobs import FeedForward, Reference
+from trimtab.host.models.network import Network
+from trimtab.host.models.phi import DRIVE_ROWS, Phi
+from trimtab.host.models.reference import FLAT_ROWS, feedforward_rows, flat_outputs
+from trimtab.protocol.blobs import FeedForward, Reference
 
 
 def half_steps(start_s: float, steps: int, step_s: float) -> np.ndarray:

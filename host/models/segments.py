@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from host.models.phi import Phi
-from host.models.rollout import half_steps, reference_drive
-from host.models.states import States
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.rollout import half_steps, reference_drive
+from trimtab.host.models.states import States
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

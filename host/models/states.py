@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from firmware_model.law import step as law_step
-from firmware_model.law.allocation import command_to_thrust
-from host.log import Control, Flight, Observer
-from host.log.prepare import STEP_S, Prepared, prepare
-from host.models.bias import accelerometer_bias, standing_errors
-from host.models.phi import INTEGRAL, Phi, flight_constants
-from host.models.reference import block
-from host.vehicle import Vehicle, to_parameters
-from protocol.blobs import FeedForward, Reference
-from protocol.parameters import DEFAULTS
+from trimtab.firmware_model.law import step as law_step
+from trimtab.firmware_model.law.allocation import command_to_thrust
+from trimtab.host.log import Control, Flight, Observer
+from trimtab.host.log.prepare import STEP_S, Prepared, prepare
+from trimtab.host.models.bias import accelerometer_bias, standing_errors
+from trimtab.host.models.phi import INTEGRAL, Phi, flight_constants
+from trimtab.host.models.reference import block
+from trimtab.host.vehicle import Vehicle, to_parameters
+from trimtab.protocol.blobs import FeedForward, Reference
+from trimtab.protocol.parameters import DEFAULTS
 
 PLAUSIBLE_VOLTAGE = (0.5, 1.3)
 """Of the full voltage: what lies outside is no measurement."""
@@ -83,7 +83,7 @@ def flight_states(
 ) -> list[States]:
     """The states of the flights' tracking phases; poses are taken to be `latency_s` older than stamped.
 
-    Together they cost less than one by one. Raises TooLittleData as `host.log.prepare` does.
+    Together they cost less than one by one. Raises TooLittleData as `trimtab.host.log.prepare` does.
     """
     return [_states(prepared) for prepared in prepare(flights, step_s=step_s, latency_s=latency_s)]
 

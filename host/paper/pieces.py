@@ -15,10 +15,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from host.artefacts import write_atomic
-from host.errors import UsageError
-from host.output import json_text
-from host.vehicle import load_vehicle
+from trimtab.host.artefacts import write_atomic
+from trimtab.host.errors import UsageError
+from trimtab.host.output import json_text
+from trimtab.host.vehicle import load_vehicle
 
 ORDER, PIECES = "study.json", "pieces"
 

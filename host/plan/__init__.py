@@ -1,9 +1,9 @@
 """Plans: from a route to a checked reference. `plan` makes one, `write_plan` keeps it."""
 
-from host.plan.dynamics import ResidualModel, Weights
-from host.plan.files import write_plan
-from host.plan.planner import plan
-from host.plan.result import KINDS, Kind, Plan, PlanRefused, PlanUnsolved, Settings
+from trimtab.host.plan.dynamics import ResidualModel, Weights
+from trimtab.host.plan.files import write_plan
+from trimtab.host.plan.planner import plan
+from trimtab.host.plan.result import KINDS, Kind, Plan, PlanRefused, PlanUnsolved, Settings
 
 __all__ = [
     "KINDS",

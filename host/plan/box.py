@@ -11,10 +11,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from firmware_model.law.checks import Limits as CheckedLimits
-from host.models.region import Region
-from host.plan.dynamics import Dynamics
-from host.vehicle import Limits
+from trimtab.firmware_model.law.checks import Limits as CheckedLimits
+from trimtab.host.models.region import Region
+from trimtab.host.plan.dynamics import Dynamics
+from trimtab.host.vehicle import Limits
 
 _INSET = 0.01  # of every range at the start, except:
 _INSET_RATE = 0.05
@@ -26,7 +26,7 @@ KEEP_OUT = "keep_out_m"
 GATES = "gates_m"
 YAW_RATE = "yaw_rate_rad_s"
 """Names of the margins to keep-out shapes, gates' edges and a free heading's greatest rate, beside those of
-`firmware_model.law.checks`."""
+`trimtab.firmware_model.law.checks`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,12 +15,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.ops import Ops
-from firmware_model.law.rotations import euler_rates, euler_to_matrix, mat_vec
-from host.codegen import CASADI, NUMPY
-from host.effects import Effect
-from host.models.dynamics import (
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.ops import Ops
+from trimtab.firmware_model.law.rotations import euler_rates, euler_to_matrix, mat_vec
+from trimtab.host.codegen import CASADI, NUMPY
+from trimtab.host.effects import Effect
+from trimtab.host.models.dynamics import (
     RATE,
     THETA,
     THRUST,
@@ -31,11 +31,11 @@ from host.models.dynamics import (
     residual_loads,
     rigid_body,
 )
-from host.models.model import Model
-from host.models.network import Network
-from host.models.region import Region
-from host.plan.stage import StageModel
-from host.vehicle import Limits, Vehicle
+from trimtab.host.models.model import Model
+from trimtab.host.models.network import Network
+from trimtab.host.models.region import Region
+from trimtab.host.plan.stage import StageModel
+from trimtab.host.vehicle import Limits, Vehicle
 
 Array = NDArray[np.float64]
 
@@ -116,8 +116,8 @@ class ResidualModel:
         3 rows NED, and where an effect beyond tolerance can change the torque 3 more about the body axes:
         that torque over arm length and mass, the acceleration by a force that gives it at an arm's end. One
         arm for all axes, the rotors' mean distance from the z axis: what counts is how far the vehicle is
-        turned, not how hard its rotors find it to turn back about that axis. x: as in `host.models`, thrusts
-        in N. parts: in place of the model's, the same effects with other arithmetic's values.
+        turned, not how hard its rotors find it to turn back about that axis. x: as in `trimtab.host.models`,
+        thrusts in N. parts: in place of the model's, the same effects with other arithmetic's values.
         """
         parts = self.parts if parts is None else parts
         d = residual_acceleration_ned(ops, vehicle, parts, x)
@@ -229,7 +229,7 @@ class Dynamics:
         return self.vehicle.mass_kg * GRAVITY / 4.0
 
     def newtons(self, x: Sequence[Any]) -> list[Any]:
-        """The state in the units of `host.models`: rotor thrusts in N."""
+        """The state in the units of `trimtab.host.models`: rotor thrusts in N."""
         return [*x[: THRUST.start], *(self.hover_n * thrust for thrust in x[THRUST])]
 
     def _scalars(self, x: ca.SX) -> list[Any]:

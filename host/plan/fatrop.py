@@ -21,10 +21,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from host.codegen.compiler import Compiler, shared_library
-from host.codegen.interrupts import held_interrupts
-from host.plan.problem import Enough, SolveStatus
-from host.plan.transcription import Assembly, ranks
+from trimtab.host.codegen.compiler import Compiler, shared_library
+from trimtab.host.codegen.interrupts import held_interrupts
+from trimtab.host.plan.problem import Enough, SolveStatus
+from trimtab.host.plan.transcription import Assembly, ranks
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from host.demo.flights import Airfield
-from host.errors import FlightFailed
-from host.log import read_flight
-from host.log.tracking import tracking_error
-from host.plan.result import Plan
+from trimtab.host.demo.flights import Airfield
+from trimtab.host.errors import FlightFailed
+from trimtab.host.log import read_flight
+from trimtab.host.log.tracking import tracking_error
+from trimtab.host.plan.result import Plan
 
 
 @dataclass(frozen=True, kw_only=True)

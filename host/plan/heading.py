@@ -8,15 +8,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_model.law.reference import cubic_at, cubic_coefficients
-from firmware_model.law.rotations import euler_rates
-from host.codegen import NUMPY
-from host.errors import UsageError
-from host.models.dynamics import RATE, THETA, P, Part, V, rigid_body
-from host.plan.dynamics import Dynamics
-from host.plan.problem import Solution
-from host.vehicle import Vehicle
-from protocol.blobs import YawNode
+from trimtab.firmware_model.law.reference import cubic_at, cubic_coefficients
+from trimtab.firmware_model.law.rotations import euler_rates
+from trimtab.host.codegen import NUMPY
+from trimtab.host.errors import UsageError
+from trimtab.host.models.dynamics import RATE, THETA, P, Part, V, rigid_body
+from trimtab.host.plan.dynamics import Dynamics
+from trimtab.host.plan.problem import Solution
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import YawNode
 
 Array = NDArray[np.float64]
 

@@ -12,11 +12,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from host.codegen.buffered import Buffered
-from host.codegen.compiler import wanted_compiler
-from host.codegen.simd import LANES, aligned
-from host.plan.kernel import Kernel, kernel
-from host.plan.stage import Stage, StageModel, build_stage
+from trimtab.host.codegen.buffered import Buffered
+from trimtab.host.codegen.compiler import wanted_compiler
+from trimtab.host.codegen.simd import LANES, aligned
+from trimtab.host.plan.kernel import Kernel, kernel
+from trimtab.host.plan.stage import Stage, StageModel, build_stage
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from host.errors import UsageError
-from host.plan.dynamics import Dynamics
-from host.plan.judge import Judged, judge, measure, passings
-from host.plan.result import Kind, Plan, Settings, label
-from host.plan.snap import optimise_durations
-from host.plan.table import Table, snap_table
-from host.route import Route
-from host.vehicle import Limits
-from protocol.blobs import BLOB_BYTES_MAX, YawNode
+from trimtab.host.errors import UsageError
+from trimtab.host.plan.dynamics import Dynamics
+from trimtab.host.plan.judge import Judged, judge, measure, passings
+from trimtab.host.plan.result import Kind, Plan, Settings, label
+from trimtab.host.plan.snap import optimise_durations
+from trimtab.host.plan.table import Table, snap_table
+from trimtab.host.route import Route
+from trimtab.host.vehicle import Limits
+from trimtab.protocol.blobs import BLOB_BYTES_MAX, YawNode
 
 Array = NDArray[np.float64]
 

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from firmware_model.law.checks import Verdict, check_reference, from_parameters
-from host.codegen import NUMPY
-from host.plan.box import GATES, KEEP_OUT, YAW_RATE, checked
-from host.plan.dynamics import ResidualModel
-from host.plan.heading import fastest_turn
-from host.plan.profile import profile, sample_times
-from host.plan.table import Table, evaluate, from_reference, round_times, to_reference
-from host.route import Gate, Route
-from host.route.shapes import Shape
-from host.vehicle import Limits, Vehicle, to_parameters
-from protocol.blobs import Reference, YawNode
+from trimtab.firmware_model.law.checks import Verdict, check_reference, from_parameters
+from trimtab.host.codegen import NUMPY
+from trimtab.host.plan.box import GATES, KEEP_OUT, YAW_RATE, checked
+from trimtab.host.plan.dynamics import ResidualModel
+from trimtab.host.plan.heading import fastest_turn
+from trimtab.host.plan.profile import profile, sample_times
+from trimtab.host.plan.table import Table, evaluate, from_reference, round_times, to_reference
+from trimtab.host.route import Gate, Route
+from trimtab.host.route.shapes import Shape
+from trimtab.host.vehicle import Limits, Vehicle, to_parameters
+from trimtab.protocol.blobs import Reference, YawNode
 
 
 @dataclass(frozen=True, kw_only=True)

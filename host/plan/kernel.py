@@ -2,7 +2,8 @@
 
 A lane is an interval. Dynamics, cost and path rows are emitted from their SX graphs; RK4, its sensitivities
 and its adjoint are loops in `kernel.c`, and so is the network, whose weights are data: neither learning nor
-another course or limit rebuilds anything. The same derivatives as `host.plan.stage`, which needs no compiler.
+another course or limit rebuilds anything. The same derivatives as `trimtab.host.plan.stage`, which needs no
+compiler.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from host.codegen.compiler import Compiler
-from host.codegen.interrupts import held_interrupts
-from host.codegen.simd import LAYERS, lane_source, simd_library
-from host.models.network import Layout
-from host.plan.stage import NETWORK_INPUTS, StageModel, network_ends
+from trimtab.host.codegen.compiler import Compiler
+from trimtab.host.codegen.interrupts import held_interrupts
+from trimtab.host.codegen.simd import LAYERS, lane_source, simd_library
+from trimtab.host.models.network import Layout
+from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel, network_ends
 
 _SOURCE = Path(__file__).parent / "kernel.c"
 
@@ -68,7 +69,7 @@ def kernel(model: StageModel, compiler: Compiler) -> Kernel:
 
 
 def kernel_source(model: StageModel) -> str:
-    """The kernel's C, to stand behind `host.codegen.simd.PRELUDE`."""
+    """The kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
     return _Parts(model).source()
 
 
@@ -158,7 +159,7 @@ class _Parts:
         return Pattern(x_slope=slope, path_slope=_mask(self.path), hessian=np.triu(hessian | own))
 
     def source(self) -> str:
-        """The kernel's C, to stand behind `host.codegen.simd.PRELUDE`."""
+        """The kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
         model = self.model
         functions, network = dict(self.functions), model.network
         sizes = {

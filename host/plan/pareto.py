@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from host.effects import Effect
-from host.errors import UsageError
-from host.models.model import Model
-from host.plan.dynamics import ResidualModel
-from host.plan.flown import Flown
-from host.plan.planner import plan
-from host.plan.profile import profile
-from host.plan.result import Plan, PlanRefused, PlanUnsolved, Settings
-from host.plan.table import from_reference
-from host.route import LimitsOverride, Route
-from host.vehicle import Vehicle
+from trimtab.host.effects import Effect
+from trimtab.host.errors import UsageError
+from trimtab.host.models.model import Model
+from trimtab.host.plan.dynamics import ResidualModel
+from trimtab.host.plan.flown import Flown
+from trimtab.host.plan.planner import plan
+from trimtab.host.plan.profile import profile
+from trimtab.host.plan.result import Plan, PlanRefused, PlanUnsolved, Settings
+from trimtab.host.plan.table import from_reference
+from trimtab.host.route import LimitsOverride, Route
+from trimtab.host.vehicle import Vehicle
 
 FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0)
 """On the weights of thrusts and their rates, from wild to tame."""
@@ -160,8 +160,8 @@ def pareto(
 
     kind: min-residual, or with a star, which min-control then has too. factors: positive, on the weights of
     thrusts and their rates in `settings`. on_point: called with each point as it is found. The other
-    arguments are those of `host.plan.plan`, whose ConfigurationError and UsageError are raised here too; a
-    plan that is refused or not solved is a point with its reason.
+    arguments are those of `trimtab.host.plan.plan`, whose ConfigurationError and UsageError are raised here
+    too; a plan that is refused or not solved is a point with its reason.
     """
     star = "*" if kind.endswith("*") else ""
     if kind.removesuffix("*") != "min-residual":

@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from host.codegen.buffered import Buffered
-from host.codegen.ops import CASADI
-from host.route.shapes import Shape
+from trimtab.host.codegen.buffered import Buffered
+from trimtab.host.codegen.ops import CASADI
+from trimtab.host.route.shapes import Shape
 
 Array = NDArray[np.float64]
 

@@ -21,19 +21,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from host.effects import Effect, load_effects
-from host.errors import UsageError
-from host.models.model import Model
-from host.plan.box import within_region
-from host.plan.dynamics import Dynamics, ResidualModel
-from host.plan.heading import check_turnable
-from host.plan.job import Job
-from host.plan.result import Kind, Plan, Settings, label, parse_kind
-from host.plan.rounds import plan_shooting
-from host.plan.shooting import NODES_MAX
-from host.plan.stretch import plan_snap
-from host.route import TIME_MAX_S, LimitsOverride, Route, check_route
-from host.vehicle import Limits, Vehicle
+from trimtab.host.effects import Effect, load_effects
+from trimtab.host.errors import UsageError
+from trimtab.host.models.model import Model
+from trimtab.host.plan.box import within_region
+from trimtab.host.plan.dynamics import Dynamics, ResidualModel
+from trimtab.host.plan.heading import check_turnable
+from trimtab.host.plan.job import Job
+from trimtab.host.plan.result import Kind, Plan, Settings, label, parse_kind
+from trimtab.host.plan.rounds import plan_shooting
+from trimtab.host.plan.shooting import NODES_MAX
+from trimtab.host.plan.stretch import plan_snap
+from trimtab.host.route import TIME_MAX_S, LimitsOverride, Route, check_route
+from trimtab.host.vehicle import Limits, Vehicle
 
 
 def plan(

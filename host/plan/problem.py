@@ -28,8 +28,8 @@ class Problem:
     high, in units of h0_s; where both are 1 the steps are no unknowns. total_bounds_s: low, high of the whole
     time; equal ones pin it. x_start: (nx, N + 1); u_start: (nu, N); h_start: (steps,). step_penalty: cost of
     (h - 1)^2 for each step size. gates: (12, N) frame, row by row, and centre of the gate at each node, whose
-    rows are the first after the vehicle's path rows (`host.plan.places`); None without any. near: the start
-    is near the solution; multipliers: those there, if known.
+    rows are the first after the vehicle's path rows (`trimtab.host.plan.places`); None without any. near:
+    the start is near the solution; multipliers: those there, if known.
     """
 
     leg_of: NDArray[np.int64]

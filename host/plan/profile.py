@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from host.codegen import NUMPY
-from host.models.dynamics import RATE, THETA, THRUST, P, V
-from host.plan.box import KEEP_OUT
-from host.plan.dynamics import ResidualModel
-from host.plan.table import Table, evaluate, flat_states
-from host.route.shapes import Shape
-from host.vehicle import Limits, Vehicle
-from protocol.blobs import YawNode
+from trimtab.host.codegen import NUMPY
+from trimtab.host.models.dynamics import RATE, THETA, THRUST, P, V
+from trimtab.host.plan.box import KEEP_OUT
+from trimtab.host.plan.dynamics import ResidualModel
+from trimtab.host.plan.table import Table, evaluate, flat_states
+from trimtab.host.route.shapes import Shape
+from trimtab.host.vehicle import Limits, Vehicle
+from trimtab.protocol.blobs import YawNode
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class Profile:
         return None if self.residual is None else np.linalg.norm(self.residual, axis=0)
 
     def margins(self, limits: Limits, keep_out: Sequence[Shape] = ()) -> dict[str, Array]:
-        """(n,) distance to each limit by the names of `firmware_model.law.checks`, negative beyond it."""
+        """(n,) distance to each limit by the names of `law.checks`, negative beyond it."""
         fence, rates = np.array(limits.geofence_m), np.array(limits.body_rate_max_rad_s)
         low, high = limits.thrust_headroom
         p = self.p_ned

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from firmware_model.law.checks import Verdict
-from host.errors import Refused, SolverError, UsageError
-from host.plan.dynamics import Weights
-from host.plan.problem import SolveStatus
-from host.vehicle import Limits
-from protocol.blobs import Reference
+from trimtab.firmware_model.law.checks import Verdict
+from trimtab.host.errors import Refused, SolverError, UsageError
+from trimtab.host.plan.dynamics import Weights
+from trimtab.host.plan.problem import SolveStatus
+from trimtab.host.vehicle import Limits
+from trimtab.protocol.blobs import Reference
 
 Kind = Literal["min-snap", "min-control", "min-residual", "min-control-r"]
 KINDS: Mapping[str, tuple[Kind, bool]] = {

@@ -16,17 +16,17 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from host.models.dynamics import P
-from host.plan.box import SolverBox
-from host.plan.dynamics import YAW, ResidualModel
-from host.plan.heading import yaw_nodes
-from host.plan.intervals import Engine
-from host.plan.job import Effort, Job
-from host.plan.judge import Judged, measure
-from host.plan.problem import Enough, Problem, Solution, SolveStatus
-from host.plan.profile import profile
-from host.plan.result import Plan, PlanRefused, PlanUnsolved
-from host.plan.shooting import (
+from trimtab.host.models.dynamics import P
+from trimtab.host.plan.box import SolverBox
+from trimtab.host.plan.dynamics import YAW, ResidualModel
+from trimtab.host.plan.heading import yaw_nodes
+from trimtab.host.plan.intervals import Engine
+from trimtab.host.plan.job import Effort, Job
+from trimtab.host.plan.judge import Judged, measure
+from trimtab.host.plan.problem import Enough, Problem, Solution, SolveStatus
+from trimtab.host.plan.profile import profile
+from trimtab.host.plan.result import Plan, PlanRefused, PlanUnsolved
+from trimtab.host.plan.shooting import (
     NODE_S,
     Grid,
     along,
@@ -40,9 +40,9 @@ from host.plan.shooting import (
     table_start,
     yaw_profile,
 )
-from host.plan.solver import solve
-from host.plan.table import from_reference
-from protocol.blobs import YawNode
+from trimtab.host.plan.solver import solve
+from trimtab.host.plan.table import from_reference
+from trimtab.protocol.blobs import YawNode
 
 Array = NDArray[np.float64]
 

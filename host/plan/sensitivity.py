@@ -10,13 +10,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_model.law.rotations import euler_rates
-from host.codegen import CASADI, held_interrupts
-from host.models.dynamics import STATE_SIZE, THETA, V
-from host.plan.dynamics import ResidualModel
-from host.plan.table import Table, flat_states
-from host.vehicle import Vehicle
-from protocol.blobs import YawNode
+from trimtab.firmware_model.law.rotations import euler_rates
+from trimtab.host.codegen import CASADI, held_interrupts
+from trimtab.host.models.dynamics import STATE_SIZE, THETA, V
+from trimtab.host.plan.dynamics import ResidualModel
+from trimtab.host.plan.table import Table, flat_states
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import YawNode
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from host.errors import UsageError
-from host.models.dynamics import RATE, THETA, THRUST, P, V
-from host.plan.box import SolverBox
-from host.plan.dynamics import (
+from trimtab.host.errors import UsageError
+from trimtab.host.models.dynamics import RATE, THETA, THRUST, P, V
+from trimtab.host.plan.box import SolverBox
+from trimtab.host.plan.dynamics import (
     INPUTS,
     JERK_ROW,
     PATH_ROWS,
@@ -22,14 +22,14 @@ from host.plan.dynamics import (
     Dynamics,
     Weights,
 )
-from host.plan.intervals import Engine
-from host.plan.places import GATE_ROWS
-from host.plan.problem import Problem, Solution
-from host.plan.smooth import fit
-from host.plan.table import Table, evaluate, flat_states, yaw_at
-from host.route import Gate
-from host.vehicle import Limits
-from protocol.blobs import YawNode
+from trimtab.host.plan.intervals import Engine
+from trimtab.host.plan.places import GATE_ROWS
+from trimtab.host.plan.problem import Problem, Solution
+from trimtab.host.plan.smooth import fit
+from trimtab.host.plan.table import Table, evaluate, flat_states, yaw_at
+from trimtab.host.route import Gate
+from trimtab.host.vehicle import Limits
+from trimtab.protocol.blobs import YawNode
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from scipy.interpolate import BSpline
 from scipy.sparse import bmat, csr_matrix, identity, vstack
 from scipy.sparse.linalg import splu
 
-from host.plan.table import SPACING_S, Table, knot_times, round_times
+from trimtab.host.plan.table import SPACING_S, Table, knot_times, round_times
 
 Array = NDArray[np.float64]
 

@@ -11,12 +11,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from host.codegen.compiler import wanted_compiler
-from host.plan import fatrop
-from host.plan.intervals import Engine
-from host.plan.problem import Enough, Multipliers, Problem, Solution, SolveStatus
-from host.plan.transcription import Assembly
-from host.route.shapes import Shape
+from trimtab.host.codegen.compiler import wanted_compiler
+from trimtab.host.plan import fatrop
+from trimtab.host.plan.intervals import Engine
+from trimtab.host.plan.problem import Enough, Multipliers, Problem, Solution, SolveStatus
+from trimtab.host.plan.transcription import Assembly
+from trimtab.host.route.shapes import Shape
 
 Array = NDArray[np.float64]
 Solver = Literal["fatrop", "ipopt"]

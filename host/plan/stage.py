@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from host.codegen.interrupts import held_interrupts
-from host.codegen.ops import CASADI
-from host.models.network import Layout, Network
+from trimtab.host.codegen.interrupts import held_interrupts
+from trimtab.host.codegen.ops import CASADI
+from trimtab.host.models.network import Layout, Network
 
 NETWORK_INPUTS = slice(3, 9)  # v_ned and Theta in the state
 NETWORK_ROWS = slice(3, 6)  # the acceleration in the state's derivative

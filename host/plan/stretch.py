@@ -8,9 +8,9 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from host.plan.job import Effort, Job
-from host.plan.judge import Judged
-from host.plan.result import Plan, PlanRefused
+from trimtab.host.plan.job import Effort, Job
+from trimtab.host.plan.judge import Judged
+from trimtab.host.plan.result import Plan, PlanRefused
 
 Array = NDArray[np.float64]
 

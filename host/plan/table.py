@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from firmware_model.law.allocation import allocation_matrix, invert4
-from firmware_model.law.flatness import Body, flat_full
-from firmware_model.law.reference import cubic_acceleration, cubic_coefficients, hermite_yaw, septic
-from firmware_model.law.rotations import matrix_to_euler
-from host.codegen import NUMPY
-from host.plan.snap import REST, SnapSpline, solve_snap
-from host.vehicle import Vehicle
-from protocol.blobs import Node, Reference, YawNode
+from trimtab.firmware_model.law.allocation import allocation_matrix, invert4
+from trimtab.firmware_model.law.flatness import Body, flat_full
+from trimtab.firmware_model.law.reference import cubic_acceleration, cubic_coefficients, hermite_yaw, septic
+from trimtab.firmware_model.law.rotations import matrix_to_euler
+from trimtab.host.codegen import NUMPY
+from trimtab.host.plan.snap import REST, SnapSpline, solve_snap
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import Node, Reference, YawNode
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 
-from host.plan.intervals import Engine
-from host.plan.places import Places
-from host.plan.problem import Problem
-from host.route.shapes import Shape
+from trimtab.host.plan.intervals import Engine
+from trimtab.host.plan.places import Places
+from trimtab.host.plan.problem import Problem
+from trimtab.host.route.shapes import Shape
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

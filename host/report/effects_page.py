@@ -1,6 +1,6 @@
 """The page on the candidate effects, docs/effects.md, made from the effects themselves.
 
-`python -m host.report.effects_page FILE` writes it; a test holds the page against the code.
+`python -m trimtab.host.report.effects_page FILE` writes it; a test holds the page against the code.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from host.effects import Effect, load_effects
+from trimtab.host.effects import Effect, load_effects
 
 _HEAD = """# Candidate effects
 

@@ -17,8 +17,8 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 
-from host.trace.describe import UNITS, Dependence, Description
-from host.trace.score import Errors
+from trimtab.host.trace.describe import UNITS, Dependence, Description
+from trimtab.host.trace.score import Errors
 
 BEFORE, AFTER, FLOOR, NEUTRAL = "#b5482f", "#1f6f8b", "#8a8a8a", "#444444"
 STYLE: Any = {

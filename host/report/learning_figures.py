@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib import rc_context
 
-from host.report.figures import AFTER, BEFORE, FLOOR, NEUTRAL, STYLE, Figure, finish
+from trimtab.host.report.figures import AFTER, BEFORE, FLOOR, NEUTRAL, STYLE, Figure, finish
 
 _COLOURS = (AFTER, BEFORE, "#5a9bb0", "#d59a87")
 

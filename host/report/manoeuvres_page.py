@@ -1,6 +1,6 @@
 """The page on manoeuvres, docs/manoeuvres.md, made from the shipped routes and what they separate.
 
-`python -m host.report.manoeuvres_page FILE` writes it; a test holds the page against the code.
+`python -m trimtab.host.report.manoeuvres_page FILE` writes it; a test holds the page against the code.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from host.effects import load_effects
-from host.route import list_routes, load_route, route_description
-from host.trace.data import DT_S
-from host.trace.evidence import Process
-from host.trace.form import Form
-from host.trace.manoeuvres import Manoeuvre, manoeuvres
-from host.trace.parameters import space
-from host.trace.separate import DECISIVE_SIGMA, Instruments, information, separation
-from host.vehicle import Vehicle, load_vehicle
+from trimtab.host.effects import load_effects
+from trimtab.host.route import list_routes, load_route, route_description
+from trimtab.host.trace.data import DT_S
+from trimtab.host.trace.evidence import Process
+from trimtab.host.trace.form import Form
+from trimtab.host.trace.manoeuvres import Manoeuvre, manoeuvres
+from trimtab.host.trace.parameters import space
+from trimtab.host.trace.separate import DECISIVE_SIGMA, Instruments, information, separation
+from trimtab.host.vehicle import Vehicle, load_vehicle
 
 INSTRUMENTS = Instruments(
     sigma=np.array([1.0e-3, 5.15e-3, 6.4e-3, 0.0255]),

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from host.paper.learning.summary import METHODS
-from host.report import learning_figures
-from host.report.figures import Figure
-from host.report.tables import tables_page
+from trimtab.host.paper.learning.summary import METHODS
+from trimtab.host.report import learning_figures
+from trimtab.host.report.figures import Figure
+from trimtab.host.report.tables import tables_page
 
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from host.paper.planning.compare import KINDS
-from host.report import learning_figures
-from host.report.figures import Figure
-from host.report.tables import tables_page
+from trimtab.host.paper.planning.compare import KINDS
+from trimtab.host.report import learning_figures
+from trimtab.host.report.figures import Figure
+from trimtab.host.report.tables import tables_page
 
 _MEASURES = {
     "planned residual": "residual_mean_m_s2",

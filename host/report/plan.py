@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from host.plan.box import GATES, KEEP_OUT, YAW_RATE
-from host.plan.dynamics import ResidualModel
-from host.plan.files import figures
-from host.plan.judge import Passing, inside_gates, passings
-from host.plan.pareto import Point, tabulate
-from host.plan.problem import SolveStatus
-from host.plan.profile import Profile, profile, with_nodes
-from host.plan.result import Plan
-from host.plan.sensitivity import Sensitivity, sensitivity
-from host.plan.table import from_reference
-from host.report import plan_figures, trade_figures
-from host.report.html import render, script_data
-from host.report.plan_path import path
-from host.route import Route
-from host.vehicle import Limits, Vehicle
+from trimtab.host.plan.box import GATES, KEEP_OUT, YAW_RATE
+from trimtab.host.plan.dynamics import ResidualModel
+from trimtab.host.plan.files import figures
+from trimtab.host.plan.judge import Passing, inside_gates, passings
+from trimtab.host.plan.pareto import Point, tabulate
+from trimtab.host.plan.problem import SolveStatus
+from trimtab.host.plan.profile import Profile, profile, with_nodes
+from trimtab.host.plan.result import Plan
+from trimtab.host.plan.sensitivity import Sensitivity, sensitivity
+from trimtab.host.plan.table import from_reference
+from trimtab.host.report import plan_figures, trade_figures
+from trimtab.host.report.html import render, script_data
+from trimtab.host.report.plan_path import path
+from trimtab.host.route import Route
+from trimtab.host.vehicle import Limits, Vehicle
 
 _LIMITS = {
     "geofence_m": ("geofence", "m"),

@@ -11,13 +11,13 @@ from matplotlib import rc_context
 from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike
 
-from host.plan.box import KEEP_OUT
-from host.plan.profile import Profile
-from host.plan.result import Plan
-from host.plan.sensitivity import Sensitivity
-from host.report.figures import AFTER, BEFORE, FLOOR, NEUTRAL, STYLE, Figure, finish
-from host.report.plan_path import FORBIDDEN, MANY
-from host.route import Route
+from trimtab.host.plan.box import KEEP_OUT
+from trimtab.host.plan.profile import Profile
+from trimtab.host.plan.result import Plan
+from trimtab.host.plan.sensitivity import Sensitivity
+from trimtab.host.report.figures import AFTER, BEFORE, FLOOR, NEUTRAL, STYLE, Figure, finish
+from trimtab.host.report.plan_path import FORBIDDEN, MANY
+from trimtab.host.route import Route
 
 _COLOURS = (AFTER, BEFORE, "#c29a3a", "#6b5b95")
 _MARGIN_COLOURS = (*_COLOURS, "#6a9a5b")

@@ -12,10 +12,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Ellipse, Patch, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 
-from host.plan.profile import Profile
-from host.report.figures import NEUTRAL, STYLE, Figure, finish
-from host.route import Gate, Route
-from host.route.shapes import Box, Shape, Sphere
+from trimtab.host.plan.profile import Profile
+from trimtab.host.report.figures import NEUTRAL, STYLE, Figure, finish
+from trimtab.host.route import Gate, Route
+from trimtab.host.route.shapes import Box, Shape, Sphere
 
 FORBIDDEN = "#b5482f"
 MANY = 40

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from host.report import link, paper_learning, paper_planning, study
-from host.report.figures import Figure
+from trimtab.host.report import link, paper_learning, paper_planning, study
+from trimtab.host.report.figures import Figure
 
 
 class Reporter(Protocol):

@@ -6,9 +6,9 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from host.report import figures
-from host.report.figures import Figure
-from host.report.html import render, script_data
+from trimtab.host.report import figures
+from trimtab.host.report.figures import Figure
+from trimtab.host.report.html import render, script_data
 
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:

@@ -6,8 +6,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from host.report.figures import Figure
-from host.report.html import render, script_data
+from trimtab.host.report.figures import Figure
+from trimtab.host.report.html import render, script_data
 
 
 def tables_page(

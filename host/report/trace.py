@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from host.log import Flight
-from host.report import figures
-from host.report.html import render, script_data
-from host.trace.result import Trace
-from host.trace.score import Errors
+from trimtab.host.log import Flight
+from trimtab.host.report import figures
+from trimtab.host.report.html import render, script_data
+from trimtab.host.trace.result import Trace
+from trimtab.host.trace.score import Errors
 
 VERDICTS = {
     "traced": "Traced",

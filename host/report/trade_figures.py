@@ -9,8 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib import rc_context
 
-from host.plan.pareto import Point
-from host.report.figures import AFTER, BEFORE, STYLE, Figure, finish
+from trimtab.host.plan.pareto import Point
+from trimtab.host.report.figures import AFTER, BEFORE, STYLE, Figure, finish
 
 _MARGIN = 0.16
 _Value = Callable[[Point], float | None]

@@ -1,11 +1,11 @@
 """Routes: waypoints, gates, times, heading, limits and keep-out shapes, read strictly from TOML."""
 
-from host.route.checks import TIME_MAX_S, check_route
-from host.route.files import list_routes, load_route, parse_route, route_description, route_file
-from host.route.gates import Gate
-from host.route.generators import FigureEight, RandomWaypoints, random_route
-from host.route.model import LimitsOverride, Route, YawProfile
-from host.route.shapes import Box, Cylinder, Sphere
+from trimtab.host.route.checks import TIME_MAX_S, check_route
+from trimtab.host.route.files import list_routes, load_route, parse_route, route_description, route_file
+from trimtab.host.route.gates import Gate
+from trimtab.host.route.generators import FigureEight, RandomWaypoints, random_route
+from trimtab.host.route.model import LimitsOverride, Route, YawProfile
+from trimtab.host.route.shapes import Box, Cylinder, Sphere
 
 __all__ = [
     "TIME_MAX_S",

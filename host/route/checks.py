@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator
 from itertools import pairwise
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.ops import FLOAT
-from host.route.model import Route
-from host.vehicle import ConfigurationError, Limits, Vehicle
-from host.vehicle.model import Vector3
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.route.model import Route
+from trimtab.host.vehicle import ConfigurationError, Limits, Vehicle
+from trimtab.host.vehicle.model import Vector3
 
 HEIGHT_MIN_M = 0.5
 """A reference starts and ends at least this high."""

@@ -10,15 +10,15 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from host.route.checks import TIME_MAX_S, check_route
-from host.route.gates import Gate
-from host.route.generators import FigureEight, RandomWaypoints
-from host.route.laps import LAPS_MAX, flown
-from host.route.model import LEG_MIN_M, LimitsOverride, Route, YawProfile
-from host.route.shapes import Shape
-from host.vehicle.files import find_file, list_files, read_text, shown
-from host.vehicle.model import Name, Positive, Vector3, Vehicle
-from host.vehicle.strict_toml import ConfigurationError, Strict, parse_toml, validate
+from trimtab.host.route.checks import TIME_MAX_S, check_route
+from trimtab.host.route.gates import Gate
+from trimtab.host.route.generators import FigureEight, RandomWaypoints
+from trimtab.host.route.laps import LAPS_MAX, flown
+from trimtab.host.route.model import LEG_MIN_M, LimitsOverride, Route, YawProfile
+from trimtab.host.route.shapes import Shape
+from trimtab.host.vehicle.files import find_file, list_files, read_text, shown
+from trimtab.host.vehicle.model import Name, Positive, Vector3, Vehicle
+from trimtab.host.vehicle.strict_toml import ConfigurationError, Strict, parse_toml, validate
 
 
 class RouteFile(Strict):

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import model_validator
 
-from host.vehicle.model import Positive
-from host.vehicle.strict_toml import Strict
+from trimtab.host.vehicle.model import Positive
+from trimtab.host.vehicle.strict_toml import Strict
 
 Array = NDArray[np.float64]
 

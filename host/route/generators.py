@@ -10,9 +10,9 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from host.route.model import Route, YawProfile
-from host.vehicle.model import Interval, Positive, Vector3
-from host.vehicle.strict_toml import ConfigurationError, Strict
+from trimtab.host.route.model import Route, YawProfile
+from trimtab.host.vehicle.model import Interval, Positive, Vector3
+from trimtab.host.vehicle.strict_toml import ConfigurationError, Strict
 
 POINTS_A_TURN = 8
 _TRIES = 2000

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from host.route.model import Route
+from trimtab.host.route.model import Route
 
 LAPS_MAX = 100
 

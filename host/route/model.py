@@ -10,11 +10,11 @@ from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from host.route.gates import Gate
-from host.route.shapes import Shape
-from host.vehicle.files import write_toml
-from host.vehicle.model import Interval, Limits, Name, Positive, Positive3, Vector3
-from host.vehicle.strict_toml import Strict
+from trimtab.host.route.gates import Gate
+from trimtab.host.route.shapes import Shape
+from trimtab.host.vehicle.files import write_toml
+from trimtab.host.vehicle.model import Interval, Limits, Name, Positive, Positive3, Vector3
+from trimtab.host.vehicle.strict_toml import Strict
 
 LEG_MIN_M = 1e-3
 """Waypoints nearer to each other are one."""

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from firmware_model.law.ops import Ops
-from host.vehicle.model import Interval, Positive, Vector3
-from host.vehicle.strict_toml import Strict
+from trimtab.firmware_model.law.ops import Ops
+from trimtab.host.vehicle.model import Interval, Positive, Vector3
+from trimtab.host.vehicle.strict_toml import Strict
 
 
 class Box(Strict):

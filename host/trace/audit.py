@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from firmware_model.law.constants import GRAVITY
-from host.log import Flight, topics
-from host.trace.signals import Signals, averaged, signals, without_inputs
-from host.vehicle import Vehicle
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.log import Flight, topics
+from trimtab.host.trace.signals import Signals, averaged, signals, without_inputs
+from trimtab.host.vehicle import Vehicle
 
 TILT_LIMIT = np.deg2rad(75.0)
 """The lateral forces of such attitudes are not what a hovering vehicle's model is asked for."""

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from host.log import Flight
-from host.log.errors import TooLittleData
-from host.trace.audit import Audit, audit
-from host.trace.segments import BIN_S, PATH_S, Segments
-from host.trace.signals import Signals, averaged, noise, pose_interval_s, signals, unknowns
+from trimtab.host.log import Flight
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.trace.audit import Audit, audit
+from trimtab.host.trace.segments import BIN_S, PATH_S, Segments
+from trimtab.host.trace.signals import Signals, averaged, noise, pose_interval_s, signals, unknowns
 
 DT_S = 0.01
 SEGMENT_S = 0.6

@@ -13,10 +13,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from host.trace.fields import CLEAR, WITHIN, Form, fit_forms
-from host.trace.segments import BIN_S, Segments
-from host.trace.twins import FORCE_FLOOR, TORQUE_FLOOR
-from host.vehicle import Vehicle
+from trimtab.host.trace.fields import CLEAR, WITHIN, Form, fit_forms
+from trimtab.host.trace.segments import BIN_S, Segments
+from trimtab.host.trace.twins import FORCE_FLOOR, TORQUE_FLOOR
+from trimtab.host.vehicle import Vehicle
 
 Channel = Literal["force", "torque"]
 UNITS = {"force": "m/s^2", "torque": "rad/s^2"}

@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from host.trace import evidence, segments
-from host.trace.evidence import Linearisation, Prior, Process
-from host.trace.form import Form
-from host.trace.parameters import Space
-from host.trace.search import Names, none_of
-from host.trace.segments import Basis, Segments
-from host.trace.twins import Repeat
+from trimtab.host.trace import evidence, segments
+from trimtab.host.trace.evidence import Linearisation, Prior, Process
+from trimtab.host.trace.form import Form
+from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.search import Names, none_of
+from trimtab.host.trace.segments import Basis, Segments
+from trimtab.host.trace.twins import Repeat
 
 _CALM = float(np.log(0.05**2))
 START = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6**2)))

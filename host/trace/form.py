@@ -10,14 +10,14 @@ from typing import Any
 import casadi
 import numpy as np
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.rotations import euler_to_matrix, mat_t_vec
-from host.codegen.interrupts import held_interrupts
-from host.codegen.ops import CASADI
-from host.models import dynamics
-from host.models.lanes import LaneProgram, Lanes, lane_program
-from host.trace.parameters import Space
-from host.vehicle import Vehicle
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.rotations import euler_to_matrix, mat_t_vec
+from trimtab.host.codegen.interrupts import held_interrupts
+from trimtab.host.codegen.ops import CASADI
+from trimtab.host.models import dynamics
+from trimtab.host.models.lanes import LaneProgram, Lanes, lane_program
+from trimtab.host.trace.parameters import Space
+from trimtab.host.vehicle import Vehicle
 
 Scalar = Any
 

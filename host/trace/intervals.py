@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from host.trace import evidence
-from host.trace.diagnose import Fit
-from host.trace.evidence import Linearisation
-from host.trace.parameters import Space
-from host.trace.refine import ClosedFit, prior_of
+from trimtab.host.trace import evidence
+from trimtab.host.trace.diagnose import Fit
+from trimtab.host.trace.evidence import Linearisation
+from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.refine import ClosedFit, prior_of
 
 JACKKNIFE_PRIOR = 7.0
 """Flights that a jackknife is taken to have seen spread as the parameters do in the median."""

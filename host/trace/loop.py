@@ -13,16 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from host.codegen.ops import NUMPY
-from host.log import Flight
-from host.models.dynamics import mocap_latency_s as latency_of
-from host.models.phi import INTEGRAL, Phi
-from host.models.rollout import half_steps, reference_drive, roll_out
-from host.models.states import States, flight_states
-from host.trace.parameters import Space
-from host.trace.signals import Signals, signals
-from host.trace.whitening import CHANNELS, affordable
-from host.vehicle import Vehicle
+from trimtab.host.codegen.ops import NUMPY
+from trimtab.host.log import Flight
+from trimtab.host.models.dynamics import mocap_latency_s as latency_of
+from trimtab.host.models.phi import INTEGRAL, Phi
+from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
+from trimtab.host.models.states import States, flight_states
+from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.signals import Signals, signals
+from trimtab.host.trace.whitening import CHANNELS, affordable
+from trimtab.host.vehicle import Vehicle
 
 STEP_S = 0.02
 PER_BIN = 2

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from host.errors import TrimtabError
-from host.models.reference import flat_outputs
-from host.trace.data import DT_S
-from host.vehicle import ConfigurationError, Vehicle
+from trimtab.host.errors import TrimtabError
+from trimtab.host.models.reference import flat_outputs
+from trimtab.host.trace.data import DT_S
+from trimtab.host.vehicle import ConfigurationError, Vehicle
 
 if TYPE_CHECKING:
-    from host.route import Route
+    from trimtab.host.route import Route
 
 PACES = (1.0, 1.4, 2.0)
 """Shares of a route's own time that are tried, the shortest first."""
@@ -24,7 +24,8 @@ PACES = (1.0, 1.4, 2.0)
 class Manoeuvre:
     """A flight along a route in `total_time_s`; `slowed` where the route's own time is too short for it.
 
-    flat (14, n): p, v, a, j NED, yaw, yaw rate each DT_S, as `host.models.reference.flat_outputs` gives them.
+    flat (14, n): p, v, a, j NED, yaw, yaw rate each DT_S, as `trimtab.host.models.reference.flat_outputs`
+    gives them.
     """
 
     route: str
@@ -37,7 +38,7 @@ def manoeuvre(name: str, route: Route, vehicle: Vehicle) -> Manoeuvre | None:
     """The min-snap flight along the route known as `name`, at the first of PACES that keeps limits and
     geofence; None where none does.
     """
-    from host.plan import plan  # takes long to import, and few traces ask for a flight
+    from trimtab.host.plan import plan  # takes long to import, and few traces ask for a flight
 
     for pace in PACES:
         try:

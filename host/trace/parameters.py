@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from host.effects import Effect
-from host.errors import UsageError
-from host.trace.evidence import Prior
-from host.vehicle import Vehicle
+from trimtab.host.effects import Effect
+from trimtab.host.errors import UsageError
+from trimtab.host.trace.evidence import Prior
+from trimtab.host.vehicle import Vehicle
 
 MASS = "mass"
 """Never a candidate: exactly thrust's alias. It moves within its tolerance, so that a gain's interval holds

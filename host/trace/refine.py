@@ -15,12 +15,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from host.trace import evidence
-from host.trace.evidence import Prior
-from host.trace.loop import Loop
-from host.trace.parameters import Space
-from host.trace.search import WORTH_FITTING, Names
-from host.trace.whitening import (
+from trimtab.host.trace import evidence
+from trimtab.host.trace.evidence import Prior
+from trimtab.host.trace.loop import Loop
+from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.search import WORTH_FITTING, Names
+from trimtab.host.trace.whitening import (
     Whitening,
     autoregression,
     span_of,

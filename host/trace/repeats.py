@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from host.trace.loop import BIN_S, Loop
-from host.trace.refine import TEMPER, ClosedFit, weighted
-from host.trace.twins import Repeat
-from host.trace.whitening import CHANNELS, Whitening, affordable, autoregression, stretches, whitened
+from trimtab.host.trace.loop import BIN_S, Loop
+from trimtab.host.trace.refine import TEMPER, ClosedFit, weighted
+from trimtab.host.trace.twins import Repeat
+from trimtab.host.trace.whitening import CHANNELS, Whitening, affordable, autoregression, stretches, whitened
 
 APART_S = 1.0
 """Twins shifted by more than this have nothing in common but by chance."""

@@ -8,15 +8,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from host.models.model import Model
-from host.trace.audit import Audit, lines
-from host.trace.describe import Description
-from host.trace.diagnose import Diagnosis
-from host.trace.parameters import Space
-from host.trace.score import Errors
-from host.trace.separate import NextFlight
-from host.trace.twins import Leftover, Repeat
-from host.trace.unexplained import Unexplained
+from trimtab.host.models.model import Model
+from trimtab.host.trace.audit import Audit, lines
+from trimtab.host.trace.describe import Description
+from trimtab.host.trace.diagnose import Diagnosis
+from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.score import Errors
+from trimtab.host.trace.separate import NextFlight
+from trimtab.host.trace.twins import Leftover, Repeat
+from trimtab.host.trace.unexplained import Unexplained
 
 SHOWN = 4.2
 """Sigma by which an effect stands out where flights show it."""

@@ -10,26 +10,26 @@ from typing import Any
 
 import numpy as np
 
-from host.effects import Effect
-from host.errors import UsageError
-from host.log import Flight
-from host.models.model import Covariance, Model
-from host.models.region import Region
-from host.models.states import battery_of
-from host.trace import evidence
-from host.trace.audit import without_twins
-from host.trace.data import SEGMENT_S, segments_of
-from host.trace.describe import describe
-from host.trace.diagnose import Diagnosis, Fit, SegmentFitter, at_parameters, refit, stands_out
-from host.trace.form import Form
-from host.trace.intervals import by_segments, honest_covariance
-from host.trace.loop import closed_loop, order_of, too_little
-from host.trace.manoeuvres import Manoeuvre
-from host.trace.parameters import MASS, Space, space, tolerance_of
-from host.trace.refine import ClosedFit, LoopFitter, fit_loop, prior_of
-from host.trace.repeats import in_turbulence, repeat
-from host.trace.result import Named, Trace, Value
-from host.trace.score import (
+from trimtab.host.effects import Effect
+from trimtab.host.errors import UsageError
+from trimtab.host.log import Flight
+from trimtab.host.models.model import Covariance, Model
+from trimtab.host.models.region import Region
+from trimtab.host.models.states import battery_of
+from trimtab.host.trace import evidence
+from trimtab.host.trace.audit import without_twins
+from trimtab.host.trace.data import SEGMENT_S, segments_of
+from trimtab.host.trace.describe import describe
+from trimtab.host.trace.diagnose import Diagnosis, Fit, SegmentFitter, at_parameters, refit, stands_out
+from trimtab.host.trace.form import Form
+from trimtab.host.trace.intervals import by_segments, honest_covariance
+from trimtab.host.trace.loop import closed_loop, order_of, too_little
+from trimtab.host.trace.manoeuvres import Manoeuvre
+from trimtab.host.trace.parameters import MASS, Space, space, tolerance_of
+from trimtab.host.trace.refine import ClosedFit, LoopFitter, fit_loop, prior_of
+from trimtab.host.trace.repeats import in_turbulence, repeat
+from trimtab.host.trace.result import Named, Trace, Value
+from trimtab.host.trace.score import (
     Errors,
     drive_of,
     noise_floor,
@@ -39,13 +39,13 @@ from host.trace.score import (
     strata_of,
     twins_of,
 )
-from host.trace.search import WITHIN_NATS, Found, likeliest, search, sizes, smallest
-from host.trace.segments import Segments, nominal_thrust
-from host.trace.separate import NextFlight, propose
-from host.trace.signals import signals, unknowns
-from host.trace.twins import leftover
-from host.trace.unexplained import unexplained
-from host.trace.verdict import (
+from trimtab.host.trace.search import WITHIN_NATS, Found, likeliest, search, sizes, smallest
+from trimtab.host.trace.segments import Segments, nominal_thrust
+from trimtab.host.trace.separate import NextFlight, propose
+from trimtab.host.trace.signals import signals, unknowns
+from trimtab.host.trace.twins import leftover
+from trimtab.host.trace.unexplained import unexplained
+from trimtab.host.trace.verdict import (
     SOMETHING,
     closest_of,
     explained_beyond,
@@ -57,7 +57,7 @@ from host.trace.verdict import (
     with_each_other,
     with_hidden,
 )
-from host.vehicle import Vehicle
+from trimtab.host.vehicle import Vehicle
 
 WEIGHED = 0.005
 """A declared mass tolerance below this share means the vehicle was weighed: mass is then no alias of

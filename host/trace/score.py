@@ -14,21 +14,21 @@ from itertools import combinations
 
 import numpy as np
 
-from host.codegen.ops import NUMPY
-from host.effects import Effect
-from host.log import Flight
-from host.log.errors import TooLittleData
-from host.models.dynamics import mocap_latency_s as latency_of
-from host.models.model import Model
-from host.models.phi import Phi
-from host.models.rollout import half_steps, reference_drive, roll_out
-from host.models.states import flight_states
-from host.trace import evidence, segments
-from host.trace.data import DT_S, SEGMENT_S, segments_of
-from host.trace.diagnose import starting_process
-from host.trace.form import Form
-from host.trace.segments import Segments
-from host.trace.signals import pose_interval_s, signals
+from trimtab.host.codegen.ops import NUMPY
+from trimtab.host.effects import Effect
+from trimtab.host.log import Flight
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.models.dynamics import mocap_latency_s as latency_of
+from trimtab.host.models.model import Model
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
+from trimtab.host.models.states import flight_states
+from trimtab.host.trace import evidence, segments
+from trimtab.host.trace.data import DT_S, SEGMENT_S, segments_of
+from trimtab.host.trace.diagnose import starting_process
+from trimtab.host.trace.form import Form
+from trimtab.host.trace.segments import Segments
+from trimtab.host.trace.signals import pose_interval_s, signals
 
 CALIBRATION = 0.25
 """Share of a held-out flight that its own nuisances are fitted to, where recorded inputs drive the model."""

@@ -1,8 +1,8 @@
 """The search for the set of missing effects: forward steps, swaps and drops, each screened in a
 linearisation, then fitted; the smallest set that explains the flights is kept.
 
-What fits a set is a `Fitter`: command-driven segments (`host.trace.diagnose`) or whole flights over the
-closed loop (`host.trace.refine`).
+What fits a set is a `Fitter`: command-driven segments (`trimtab.host.trace.diagnose`) or whole flights over
+the closed loop (`trimtab.host.trace.refine`).
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from host.trace.evidence import Prior
-from host.trace.parameters import Space
+from trimtab.host.trace.evidence import Prior
+from trimtab.host.trace.parameters import Space
 
 MAX_EFFECTS = 6
 BEAM = 25

@@ -2,7 +2,7 @@
 
 A lane is one column of the Jacobian of one segment: the base roll-out, one initial-state direction, one
 scaled parameter, one local nuisance or one disturbance bin. All lanes advance together through the program of
-`host.trace.form`.
+`trimtab.host.trace.form`.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from host.models import dynamics
-from host.trace.evidence import Linearisation
-from host.trace.form import CHANNELS, LOCALS, STATES, Form
-from host.vehicle import Vehicle
+from trimtab.host.models import dynamics
+from trimtab.host.trace.evidence import Linearisation
+from trimtab.host.trace.form import CHANNELS, LOCALS, STATES, Form
+from trimtab.host.vehicle import Vehicle
 
 BIN_S = 0.1
 PATH_S = 0.02

@@ -13,19 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from firmware_model.law.allocation import allocation_matrix, invert4
-from firmware_model.law.flatness import Body, flat_full
-from firmware_model.law.rotations import matrix_to_euler
-from host.codegen.ops import NUMPY
-from host.trace import evidence, segments
-from host.trace.data import DT_S, LAGS, SEGMENT_S
-from host.trace.diagnose import Fit
-from host.trace.evidence import Prior, Process
-from host.trace.form import Form
-from host.trace.manoeuvres import Manoeuvre
-from host.trace.parameters import Space
-from host.trace.segments import BIN_S, PATH_S, Segments
-from host.vehicle import Vehicle
+from trimtab.firmware_model.law.allocation import allocation_matrix, invert4
+from trimtab.firmware_model.law.flatness import Body, flat_full
+from trimtab.firmware_model.law.rotations import matrix_to_euler
+from trimtab.host.codegen.ops import NUMPY
+from trimtab.host.trace import evidence, segments
+from trimtab.host.trace.data import DT_S, LAGS, SEGMENT_S
+from trimtab.host.trace.diagnose import Fit
+from trimtab.host.trace.evidence import Prior, Process
+from trimtab.host.trace.form import Form
+from trimtab.host.trace.manoeuvres import Manoeuvre
+from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.segments import BIN_S, PATH_S, Segments
+from trimtab.host.vehicle import Vehicle
 
 DECISIVE_SIGMA = 4.2
 """Sigma by which an effect must stand out of another one, whatever size that takes, to be told from it."""

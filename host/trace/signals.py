@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from firmware_model.law.allocation import allocation_matrix, invert4
-from firmware_model.law.constants import GRAVITY
-from host.log import Flight
-from host.log.errors import TooLittleData
-from host.models.states import battery_of
-from host.vehicle import Vehicle
+from trimtab.firmware_model.law.allocation import allocation_matrix, invert4
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.log import Flight
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.models.states import battery_of
+from trimtab.host.vehicle import Vehicle
 
 SIGMA_FLOOR = (1e-3, 3e-3, 5e-3, 0.02)
 """Least sigma of position (m), attitude (rad), rate (rad/s) and specific force (m/s^2): smoothed logs look

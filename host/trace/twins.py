@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincc, gammainccinv
 
-from host.trace.segments import BIN_S, Segments
+from trimtab.host.trace.segments import BIN_S, Segments
 
 REPEAT_Z = 3.0
 FORCE_FLOOR = 0.06

@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from host.effects import Effect
-from host.learn import Settings, learn
-from host.learn.evaluate import Errors
-from host.log import Flight
-from host.log.errors import TooLittleData
-from host.models.model import Model
-from host.trace.describe import Description
+from trimtab.host.effects import Effect
+from trimtab.host.learn import Settings, learn
+from trimtab.host.learn.evaluate import Errors
+from trimtab.host.log import Flight
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.models.model import Model
+from trimtab.host.trace.describe import Description
 
 SETTINGS = {"hidden": (16,), "epochs": 40, "patience": 20}
 """Smaller and shorter than `trimtab learn` takes by default: some ten seconds for four flights."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from host.trace.diagnose import Diagnosis, Fit, refit
-from host.trace.form import Form
-from host.trace.parameters import Space
-from host.trace.result import SHOWN, Verdict
-from host.trace.search import WITHIN_NATS, Names, likeliest
-from host.trace.twins import Leftover
+from trimtab.host.trace.diagnose import Diagnosis, Fit, refit
+from trimtab.host.trace.form import Form
+from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.result import SHOWN, Verdict
+from trimtab.host.trace.search import WITHIN_NATS, Names, likeliest
+from trimtab.host.trace.twins import Leftover
 
 ALIAS_PROBABILITY = 0.05
 """What the data gives an effect more than is not excluded."""

@@ -7,9 +7,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from host.vehicle.model import Vehicle, hover_problem
-from host.vehicle.parameters import parameter_problems
-from host.vehicle.strict_toml import ConfigurationError, Strict, parse_toml, validate
+from trimtab.host.vehicle.model import Vehicle, hover_problem
+from trimtab.host.vehicle.parameters import parameter_problems
+from trimtab.host.vehicle.strict_toml import ConfigurationError, Strict, parse_toml, validate
 
 
 def parse_vehicle(text: str, source: str) -> Vehicle:
@@ -53,7 +53,7 @@ def list_vehicles(workspace: Path | None = None) -> dict[str, Path]:
 def list_files(folder: str, workspace: Path | None) -> dict[str, Path]:
     """Name to file of every TOML in the shipped `folder`, over them those of `workspace`; sorted by name."""
     found: dict[str, Path] = {}
-    places = [Path(str(files("host") / folder))]
+    places = [Path(str(files("trimtab.host") / folder))]
     if workspace is not None:
         places.append(Path(workspace) / folder)
     for place in places:

@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from firmware_model.law.constants import GRAVITY
-from host.vehicle.strict_toml import Strict, number, validate, value_at
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.vehicle.strict_toml import Strict, number, validate, value_at
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
@@ -192,7 +192,7 @@ class Vehicle(Strict):
 
     def to_toml(self) -> str:
         """Canonical TOML text: the same vehicle gives the same bytes, and reads back equal."""
-        from host.vehicle.files import write_toml
+        from trimtab.host.vehicle.files import write_toml
 
         return write_toml(self)
 
@@ -201,7 +201,7 @@ class Vehicle(Strict):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How to build the same vehicle in another process."""
-        from host.vehicle.files import parse_vehicle
+        from trimtab.host.vehicle.files import parse_vehicle
 
         return parse_vehicle, (self.to_toml(), self.name)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from host.vehicle.model import SPIN_SIGN, Vehicle
-from host.vehicle.strict_toml import ConfigurationError, key_path, number, value_at
-from protocol.parameters import BY_NAME, complete
+from trimtab.host.vehicle.model import SPIN_SIGN, Vehicle
+from trimtab.host.vehicle.strict_toml import ConfigurationError, key_path, number, value_at
+from trimtab.protocol.parameters import BY_NAME, complete
 
 THRUST_MIN_SHARE = 1.0 / 170.0
 """Least thrust of an armed rotor, of thrust_max_n, so that it keeps turning; 0.05 N for the research quad."""

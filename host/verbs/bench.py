@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from host.verbs.options import DEFAULT_VEHICLE, Json, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import DEFAULT_VEHICLE, Json, VehicleName, WorkspaceFolder
 
 
 def command(
@@ -33,11 +33,11 @@ def command(
     courses
         Random courses that the success rate of planning is over: 40 without it, 10 with --quick.
     """
-    from host.bench import flown, learning, planning, session
-    from host.errors import UsageError
-    from host.output import emit, say
-    from host.progress import Progress
-    from host.workspace import open_workspace
+    from trimtab.host.bench import flown, learning, planning, session
+    from trimtab.host.errors import UsageError
+    from trimtab.host.output import emit, say
+    from trimtab.host.progress import Progress
+    from trimtab.host.workspace import open_workspace
 
     if seed < 0:
         raise UsageError(f"--seed {seed} is negative, give 0 or more")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
 
 FOLDER = "trimtab-demo"
 
@@ -33,13 +33,13 @@ def command(
     """
     import time
 
-    from host.demo import report
-    from host.demo.session import WORLD, DemoOrder, run_demo
-    from host.effects import load_effects
-    from host.errors import UsageError
-    from host.output import emit, say
-    from host.verbs.trace import manoeuvres
-    from host.workspace import open_workspace
+    from trimtab.host.demo import report
+    from trimtab.host.demo.session import WORLD, DemoOrder, run_demo
+    from trimtab.host.effects import load_effects
+    from trimtab.host.errors import UsageError
+    from trimtab.host.output import emit, say
+    from trimtab.host.verbs.trace import manoeuvres
+    from trimtab.host.workspace import open_workspace
 
     begin_s = time.perf_counter()
     if seed < 0:
@@ -73,8 +73,8 @@ def command(
 
 def free_folder(root: Path, output: Path | None, force: bool) -> Path:
     """A folder that is empty or yet to be made; with `force` any. Raises UsageError."""
-    from host import artefacts
-    from host.errors import UsageError
+    from trimtab.host import artefacts
+    from trimtab.host.errors import UsageError
 
     if output is None:
         output, number = root / FOLDER, 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from host.verbs.options import Force, Json, Output
+from trimtab.host.verbs.options import Force, Json, Output
 
 Name = Literal["reference", "feedforward", "staged-reference", "staged-feedforward"]
 
@@ -25,10 +25,10 @@ def command(
     """
     from pathlib import Path
 
-    from host.artefacts import check_output, write_atomic
-    from host.link.download import NAMES, download_port
-    from host.output import emit, say
-    from host.progress import Progress
+    from trimtab.host.artefacts import check_output, write_atomic
+    from trimtab.host.link.download import NAMES, download_port
+    from trimtab.host.output import emit, say
+    from trimtab.host.progress import Progress
 
     target = check_output(output or Path(name + NAMES[name].suffix), force)
     with Progress(f"downloading {name}") as bar:

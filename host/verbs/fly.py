@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from host.link.flight import FlightOrder
-    from host.link.summary import FlightResult
+    from trimtab.host.link.flight import FlightOrder
+    from trimtab.host.link.summary import FlightResult
 
 CAMERA_DELAY_MS = 4.0
 _LEFT_OUT_WITH_VALUE = ("-o", "--output", "--port", "--mocap", "--workspace")
@@ -86,16 +86,16 @@ def command(
     output
         Flight log to write; NAME-FLIGHT.mcap by default, with the reference file's name.
     """
-    from host import artefacts
-    from host.errors import UsageError
-    from host.link.blob_files import model_of, read_feedforward, read_reference
-    from host.link.drivers import Interrupts
-    from host.link.flight import ON_REQUEST, FlightOrder
-    from host.link.fly import FlightEnded, FlightInterrupted
-    from host.link.swap import swap_time_us
-    from host.output import emit, say, warn
-    from host.progress import Progress
-    from host.workspace import open_workspace
+    from trimtab.host import artefacts
+    from trimtab.host.errors import UsageError
+    from trimtab.host.link.blob_files import model_of, read_feedforward, read_reference
+    from trimtab.host.link.drivers import Interrupts
+    from trimtab.host.link.flight import ON_REQUEST, FlightOrder
+    from trimtab.host.link.fly import FlightEnded, FlightInterrupted
+    from trimtab.host.link.swap import swap_time_us
+    from trimtab.host.output import emit, say, warn
+    from trimtab.host.progress import Progress
+    from trimtab.host.workspace import open_workspace
 
     if (port is None) != (mocap is None):
         raise UsageError("--port and --mocap go together: poses reach the vehicle through this host only")
@@ -141,7 +141,7 @@ def command(
                     warn("landing; Ctrl-C again leaves the vehicle to its failsafe")
 
             if port is not None and mocap is not None:
-                from host.link.fly import fly_port
+                from trimtab.host.link.fly import fly_port
 
                 result = fly_port(order, port, mocap, on_phase=on_phase)
             else:
@@ -158,8 +158,8 @@ def command(
 
 def _parameters(assignments: tuple[str, ...]) -> dict[str, float]:
     """Value by name of NAME=VALUE texts. Raises UsageError where one is not in the table or not allowed."""
-    from host.errors import UsageError
-    from protocol.parameters import BY_NAME
+    from trimtab.host.errors import UsageError
+    from trimtab.protocol.parameters import BY_NAME
 
     values = {}
     for text in assignments:
@@ -188,8 +188,8 @@ def _fly_simulated(
     """The flight with a simulated vehicle below the reference's first node; its truth goes beside the log."""
     from contextlib import closing
 
-    from host.link.fly import fly_lockstep
-    from host.link.vehicle import vehicle_class
+    from trimtab.host.link.fly import fly_lockstep
+    from trimtab.host.link.vehicle import vehicle_class
 
     world, world_seed, flight, plant, plant_options = world_options
     first = order.reference.nodes_ned()[0].state
@@ -221,7 +221,7 @@ def _write_truth(log: Path, truth: dict[str, object]) -> None:
     """The sealed truth beside the log, tied to it by its id. Only checks open it."""
     import json
 
-    from host.artefacts import content_id, write_atomic
+    from trimtab.host.artefacts import content_id, write_atomic
 
     record = {**truth, "log": content_id(log.read_bytes())}
     text = json.dumps(record, indent=2, sort_keys=True) + "\n"
@@ -232,7 +232,7 @@ def _provenance() -> dict[str, str]:
     """Version, git state and command, without what two runs of the same flight may differ in."""
     import sys
 
-    from host import artefacts
+    from trimtab.host import artefacts
 
     kept = artefacts.without_options(sys.argv[1:], _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
     told = {"version": artefacts.version(), "command": artefacts.public_command(kept)}

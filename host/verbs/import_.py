@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from host.verbs.options import Force, Json, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import Force, Json, VehicleName, WorkspaceFolder
 
 
 def command(
@@ -34,13 +34,13 @@ def command(
     columns
         For csv: TOML file that says which column is what.
     """
-    from host import artefacts
-    from host.errors import UsageError
-    from host.imports.profiles import read
-    from host.imports.write import write
-    from host.log import partial_path, read_flight
-    from host.output import emit, say
-    from host.workspace import open_workspace
+    from trimtab.host import artefacts
+    from trimtab.host.errors import UsageError
+    from trimtab.host.imports.profiles import read
+    from trimtab.host.imports.write import write
+    from trimtab.host.log import partial_path, read_flight
+    from trimtab.host.output import emit, say
+    from trimtab.host.workspace import open_workspace
 
     artefacts.check_log(output, force)
     if (profile == "csv") != (columns is not None):

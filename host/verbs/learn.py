@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from host.verbs.options import Force, Json, WorkspaceFolder
+from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
 
 if TYPE_CHECKING:
-    from host.learn import Judged
+    from trimtab.host.learn import Judged
 
 DEFAULT_OUTPUT = "learned.model.toml"
 
@@ -74,17 +74,17 @@ def command(
     """
     from time import monotonic
 
-    from host import artefacts
-    from host.effects import load_effects
-    from host.errors import GateMissed, UsageError
-    from host.learn import DEFAULT_FORMS, CondensedSettings, Settings, learn
-    from host.log import read_flight
-    from host.models.file import SUFFIX, read_model, write_model
-    from host.models.network import Layout
-    from host.output import emit, say, warn
-    from host.progress import Progress
-    from host.workspace import open_workspace
-    from protocol.blobs import HIDDEN_MAX, WIDTH_MAX
+    from trimtab.host import artefacts
+    from trimtab.host.effects import load_effects
+    from trimtab.host.errors import GateMissed, UsageError
+    from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, Settings, learn
+    from trimtab.host.log import read_flight
+    from trimtab.host.models.file import SUFFIX, read_model, write_model
+    from trimtab.host.models.network import Layout
+    from trimtab.host.output import emit, say, warn
+    from trimtab.host.progress import Progress
+    from trimtab.host.workspace import open_workspace
+    from trimtab.protocol.blobs import HIDDEN_MAX, WIDTH_MAX
 
     if not logs:
         raise UsageError("no log given, name one or more flight logs")

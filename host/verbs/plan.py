@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
 
 if TYPE_CHECKING:
-    from host.plan.result import Plan
-    from host.route import LimitsOverride
+    from trimtab.host.plan.result import Plan
+    from trimtab.host.route import LimitsOverride
 
 REPORT_SUFFIX = ".html"
 
@@ -75,20 +75,20 @@ def command(
         Reference to write; NAME.ref by default, with the route's name. With --world the folder for all
         references and logs, NAME-pareto by default.
     """
-    from host import artefacts
-    from host.effects import load_effects
-    from host.errors import UsageError
-    from host.models.file import read_model
-    from host.output import emit, say
-    from host.plan import plan as make_plan
-    from host.plan.dynamics import ResidualModel
-    from host.plan.files import check_name, figures, write_plan
-    from host.plan.sensitivity import sensitivity
-    from host.plan.table import from_reference
-    from host.progress import Progress
-    from host.route import route_file
-    from host.verbs import plan_pareto
-    from host.workspace import open_workspace
+    from trimtab.host import artefacts
+    from trimtab.host.effects import load_effects
+    from trimtab.host.errors import UsageError
+    from trimtab.host.models.file import read_model
+    from trimtab.host.output import emit, say
+    from trimtab.host.plan import plan as make_plan
+    from trimtab.host.plan.dynamics import ResidualModel
+    from trimtab.host.plan.files import check_name, figures, write_plan
+    from trimtab.host.plan.sensitivity import sensitivity
+    from trimtab.host.plan.table import from_reference
+    from trimtab.host.progress import Progress
+    from trimtab.host.route import route_file
+    from trimtab.host.verbs import plan_pareto
+    from trimtab.host.workspace import open_workspace
 
     if pareto and (model is None or stretch):
         raise UsageError("--pareto needs --model, and goes without --stretch")
@@ -156,7 +156,7 @@ def command(
             source=route_file(route, place.root),
         )
     if report is not None:
-        from host.report.plan import page
+        from trimtab.host.report.plan import page
 
         artefacts.write_atomic(report, page(made, way, airframe, residual, origin), force)
     write_plan(made, target, provenance=origin, force=force)
@@ -168,8 +168,8 @@ def command(
 
 def _check_report(path: Path, force: bool) -> None:
     """Raises UsageError where no page may be written; call it before planning."""
-    from host import artefacts
-    from host.errors import UsageError
+    from trimtab.host import artefacts
+    from trimtab.host.errors import UsageError
 
     if path.suffix != REPORT_SUFFIX:
         raise UsageError(f"{path}: a report's name ends in {REPORT_SUFFIX}")
@@ -178,8 +178,8 @@ def _check_report(path: Path, force: bool) -> None:
 
 def _headroom(low: float, high: float) -> LimitsOverride:
     """These shares of a rotor's thrust as limits. Raises UsageError."""
-    from host.errors import UsageError
-    from host.route import LimitsOverride
+    from trimtab.host.errors import UsageError
+    from trimtab.host.route import LimitsOverride
 
     if not 0.0 <= low < high <= 1.0:
         raise UsageError(f"--headroom {low:g} {high:g}: give two shares within 0 to 1, the lower one first")

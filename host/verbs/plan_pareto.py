@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from host.models.model import Model
-    from host.plan.pareto import Point
-    from host.route import Route
-    from host.vehicle import Vehicle
+    from trimtab.host.models.model import Model
+    from trimtab.host.plan.pareto import Point
+    from trimtab.host.route import Route
+    from trimtab.host.vehicle import Vehicle
 
 _LEFT_OUT_WITH_VALUE = ("-o", "--output", "--report", "--workspace")
 _LEFT_OUT = ("--json", "--force")
@@ -30,7 +30,7 @@ class Hangar:
 
 def check_options(world: str | None, world_seed: int, output: Path | None, *, pareto: bool) -> None:
     """Nothing comes back. Raises UsageError for options of a flown trade that do not go together."""
-    from host.errors import UsageError
+    from trimtab.host.errors import UsageError
 
     if world is not None and not pareto:
         raise UsageError("--world goes with --pareto: `trimtab fly` flies a single reference")
@@ -60,11 +60,11 @@ def trade(
     """
     from dataclasses import replace
 
-    from host import artefacts
-    from host.errors import FlightFailed, Refused
-    from host.output import emit, say
-    from host.plan.pareto import FACTORS, pareto
-    from host.progress import Progress
+    from trimtab.host import artefacts
+    from trimtab.host.errors import FlightFailed, Refused
+    from trimtab.host.output import emit, say
+    from trimtab.host.plan.pareto import FACTORS, pareto
+    from trimtab.host.progress import Progress
 
     count = len(FACTORS) + 2
     fly = None if hangar is None else _Flights(hangar, vehicle, model.id, origin)
@@ -79,7 +79,7 @@ def trade(
                     points[k] = replace(point, flown=fly(point))
                 progress.advance(1.0)
     if report is not None:
-        from host.report.plan import trade_page
+        from trimtab.host.report.plan import trade_page
 
         artefacts.write_atomic(report, trade_page(points, route, origin), force)
     say(*_lines(points))
@@ -102,9 +102,9 @@ class _Flights:
         """Raises ConfigurationError where there is no such world, UsageError for a folder that is taken."""
         import sys
 
-        from host import artefacts
-        from host.demo.flights import Airfield
-        from host.verbs.demo import free_folder
+        from trimtab.host import artefacts
+        from trimtab.host.demo.flights import Airfield
+        from trimtab.host.verbs.demo import free_folder
 
         kept = artefacts.without_options(sys.argv[1:], _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
         told = {
@@ -124,9 +124,9 @@ class _Flights:
 
     def __call__(self, point: Point) -> Any:
         """The point's `Flown`; its reference is written too."""
-        from host import artefacts
-        from host.plan.files import write_plan
-        from host.plan.flown import fly_plan
+        from trimtab.host import artefacts
+        from trimtab.host.plan.files import write_plan
+        from trimtab.host.plan.flown import fly_plan
 
         assert point.plan is not None
         self._folder.mkdir(exist_ok=True)
@@ -138,7 +138,7 @@ class _Flights:
 
 def _lines(points: Sequence[Point]) -> list[str]:
     """The trade for people: a table, then why plans or flights are missing."""
-    from host.plan.pareto import tabulate
+    from trimtab.host.plan.pareto import tabulate
 
     units, cells = tabulate(points)
     rows = [("plan", *units, "status"), ("", *units.values(), "")]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from host.verbs.fly import CAMERA_DELAY_MS
-from host.verbs.options import Json
+from trimtab.host.verbs.fly import CAMERA_DELAY_MS
+from trimtab.host.verbs.options import Json
 
 if TYPE_CHECKING:
-    from host.link.session import Session
+    from trimtab.host.link.session import Session
 
 
 def command(*, port: str, mocap: str, mocap_delay_ms: float = CAMERA_DELAY_MS, json: Json = False) -> None:
@@ -25,10 +25,10 @@ def command(*, port: str, mocap: str, mocap_delay_ms: float = CAMERA_DELAY_MS, j
     mocap_delay_ms
         Least time from a camera's exposure to the arrival of its pose, as the maker states it.
     """
-    from host.errors import UsageError
-    from host.link.poses import forward_port
-    from host.output import emit, say
-    from host.progress import Progress
+    from trimtab.host.errors import UsageError
+    from trimtab.host.link.poses import forward_port
+    from trimtab.host.output import emit, say
+    from trimtab.host.progress import Progress
 
     if not 0.0 <= mocap_delay_ms <= 1000.0:
         raise UsageError(f"--mocap-delay-ms {mocap_delay_ms:g} is no delay, give 0 to 1000")

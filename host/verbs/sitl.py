@@ -12,7 +12,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from host.verbs.options import DEFAULT_VEHICLE, Force, Json, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, VehicleName, WorkspaceFolder
 
 
 def command(
@@ -61,11 +61,11 @@ def command(
     import json as encoder
     from contextlib import closing
 
-    from host import artefacts
-    from host.errors import UsageError
-    from host.link.vehicle import vehicle_class
-    from host.output import emit, say
-    from host.workspace import open_workspace
+    from trimtab.host import artefacts
+    from trimtab.host.errors import UsageError
+    from trimtab.host.link.vehicle import vehicle_class
+    from trimtab.host.output import emit, say
+    from trimtab.host.workspace import open_workspace
 
     if min(world_seed, flight) < 0:
         raise UsageError("seeds and flight indices are not negative")

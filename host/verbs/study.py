@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from host.verbs.options import DEFAULT_VEHICLE, Json, Output, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import DEFAULT_VEHICLE, Json, Output, VehicleName, WorkspaceFolder
 
 REPORT_NAME, JSON_NAME = "report.html", "report.json"
 
@@ -52,13 +52,13 @@ def command(
     """
     import os
 
-    from host import artefacts
-    from host.errors import UsageError
-    from host.output import emit, json_text, say
-    from host.progress import Progress
-    from host.report.studies import REPORTS
-    from host.studies import find_study, options_of
-    from host.workspace import open_workspace
+    from trimtab.host import artefacts
+    from trimtab.host.errors import UsageError
+    from trimtab.host.output import emit, json_text, say
+    from trimtab.host.progress import Progress
+    from trimtab.host.report.studies import REPORTS
+    from trimtab.host.studies import find_study, options_of
+    from trimtab.host.workspace import open_workspace
 
     study = find_study(name)
     if seed < 0:

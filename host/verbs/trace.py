@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from host.verbs.options import Force, Json, WorkspaceFolder
+from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
 
 if TYPE_CHECKING:
-    from host.trace.manoeuvres import Manoeuvre
-    from host.vehicle import Vehicle
-    from host.workspace import Workspace
+    from trimtab.host.trace.manoeuvres import Manoeuvre
+    from trimtab.host.vehicle import Vehicle
+    from trimtab.host.workspace import Workspace
 
 MODEL_NAME = "trace.model.toml"
 REPORT_NAME = "trace.html"
@@ -46,14 +46,14 @@ def command(
     network
         Where the cause is outside the library, train a network on what is left: some ten seconds more.
     """
-    from host import artefacts
-    from host.effects import load_effects
-    from host.errors import UsageError
-    from host.log import read_flight
-    from host.output import emit, json_text, say
-    from host.progress import Progress
-    from host.trace.run import run
-    from host.workspace import open_workspace
+    from trimtab.host import artefacts
+    from trimtab.host.effects import load_effects
+    from trimtab.host.errors import UsageError
+    from trimtab.host.log import read_flight
+    from trimtab.host.output import emit, json_text, say
+    from trimtab.host.progress import Progress
+    from trimtab.host.trace.run import run
+    from trimtab.host.workspace import open_workspace
 
     if not logs:
         raise UsageError("no log given, name one or more flight logs")
@@ -79,8 +79,8 @@ def command(
         )
     model_path = report_path = network_path = None
     if output is not None:
-        from host.models.file import write_model
-        from host.report.trace import page
+        from trimtab.host.models.file import write_model
+        from trimtab.host.report.trace import page
 
         model_path, report_path = str(output / MODEL_NAME), str(output / REPORT_NAME)
         learned = None if result.unexplained is None else result.unexplained.model
@@ -101,9 +101,9 @@ def command(
 
 def manoeuvres(space: Workspace, vehicle: Vehicle) -> tuple[Manoeuvre, ...]:
     """The shipped routes and the workspace's own that this vehicle can fly."""
-    from host.route import list_routes
-    from host.trace.manoeuvres import manoeuvres as flyable
-    from host.vehicle import ConfigurationError
+    from trimtab.host.route import list_routes
+    from trimtab.host.trace.manoeuvres import manoeuvres as flyable
+    from trimtab.host.vehicle import ConfigurationError
 
     routes = {}
     for name in list_routes(space.root):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from host.verbs.options import Json
+from trimtab.host.verbs.options import Json
 
 
 def command(
@@ -29,10 +29,10 @@ def command(
     """
     from pathlib import Path
 
-    from host.link.blob_files import read_blob
-    from host.link.upload import upload_port
-    from host.output import emit, say
-    from host.progress import Progress
+    from trimtab.host.link.blob_files import read_blob
+    from trimtab.host.link.upload import upload_port
+    from trimtab.host.output import emit, say
+    from trimtab.host.progress import Progress
 
     found = None if blob == "neutral" else read_blob(blob)
     with Progress(f"uploading {Path(blob).name}") as bar:

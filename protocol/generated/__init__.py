@@ -1,1 +1,1 @@
-"""Made by `python -m protocol.generate`; not edited by hand."""
+"""Made by `python -m trimtab.protocol.generate`; not edited by hand."""

@@ -1,4 +1,4 @@
-"""What finds messages in a byte stream. Made by `python -m protocol.generate`."""
+"""What finds messages in a byte stream. Made by `python -m trimtab.protocol.generate`."""
 
 DIALECT_VERSION = 2
 

@@ -12,9 +12,9 @@ Both ends are state machines without I/O. `receive(message, now_us)` and `advanc
 `send(now_us)` returns the messages that are due, `next_deadline_us()` says when to call again at the latest.
 """
 
-from protocol.upload.receiver import BlobStore, UploadReceiver
-from protocol.upload.sender import SenderState, UploadSender
-from protocol.upload.transfer import (
+from trimtab.protocol.upload.receiver import BlobStore, UploadReceiver
+from trimtab.protocol.upload.sender import SenderState, UploadSender
+from trimtab.protocol.upload.transfer import (
     CHUNK_BYTES,
     Agreement,
     Incoming,

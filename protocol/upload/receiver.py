@@ -10,12 +10,12 @@ import hashlib
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
-from protocol import messages as m
-from protocol.blobs import Kind
-from protocol.messages import Message, UploadResult, UploadState
-from protocol.upload.receiver_reports import Reports
-from protocol.upload.receiver_table import TABLE, Action, Event, Refusal
-from protocol.upload.transfer import (
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Kind
+from trimtab.protocol.messages import Message, UploadResult, UploadState
+from trimtab.protocol.upload.receiver_reports import Reports
+from trimtab.protocol.upload.receiver_table import TABLE, Action, Event, Refusal
+from trimtab.protocol.upload.transfer import (
     CHUNK_BYTES,
     SIZE_MAX,
     Agreement,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from protocol import messages as m
-from protocol.messages import Message, UploadResult, UploadState
-from protocol.upload.receiver_table import STATES
-from protocol.upload.transfer import Verdict, encode_bitmap, encode_text, tag_of
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import Message, UploadResult, UploadState
+from trimtab.protocol.upload.receiver_table import STATES
+from trimtab.protocol.upload.transfer import Verdict, encode_bitmap, encode_text, tag_of
 
 REPORT_CHUNKS, REPORT_US = 24, 40_000
 """Chunks after which a status goes out, and time after a chunk by which it does. Each takes a slot from the

@@ -5,8 +5,8 @@ from __future__ import annotations
 from enum import Enum, auto
 from typing import NamedTuple
 
-from protocol.messages import UploadResult, UploadState
-from protocol.upload.transfer import Table
+from trimtab.protocol.messages import UploadResult, UploadState
+from trimtab.protocol.upload.transfer import Table
 
 
 class Event(Enum):

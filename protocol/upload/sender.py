@@ -20,10 +20,10 @@ import heapq
 from collections.abc import Callable
 from typing import NamedTuple
 
-from protocol import messages as m
-from protocol.messages import Message, UploadResult, UploadState
-from protocol.upload.sender_table import TABLE, Action, Event, Refusal, SenderState
-from protocol.upload.transfer import (
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import Message, UploadResult, UploadState
+from trimtab.protocol.upload.sender_table import TABLE, Action, Event, Refusal, SenderState
+from trimtab.protocol.upload.transfer import (
     BITMAP_BYTES,
     CHUNK_BYTES,
     SIZE_MAX,

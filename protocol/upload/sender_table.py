@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum, auto
 from typing import NamedTuple
 
-from protocol.upload.transfer import Table
+from trimtab.protocol.upload.transfer import Table
 
 
 class SenderState(Enum):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Generic, NamedTuple, TypeVar
 
-from protocol.messages import UploadResult
+from trimtab.protocol.messages import UploadResult
 
 CHUNK_BYTES = 99
 """Bytes of a blob in one UPLOAD_CHUNK, which then fills a radio frame."""

@@ -18,16 +18,25 @@ from multiprocessing.connection import wait as wait_for_any
 from pathlib import Path
 from typing import Any
 
-from host.vehicle import load_vehicle
-from sitl.studies.files import Ledger, StudyError, read_json, sha256_of, write_json
-from sitl.studies.flights import BLIND, SCORE, TRUTH, VERDICT, Programme, fly_and_seal, plan_references, trace
-from sitl.studies.real import judge_real, read_groups
-from sitl.studies.scoring.baselines import BASELINES, judge_others
-from sitl.studies.scoring.metrics import baseline_rows, confusion, deviations, summary
-from sitl.studies.scoring.world import library, score_world
-from sitl.studies.table import baseline_table, failure, lines, real_table, table, thin_table
-from sitl.studies.thin import copier_of, plan_thin_references, programme_of
-from sitl.studies.worlds import PlannedWorld, plan_worlds
+from trimtab.host.vehicle import load_vehicle
+from trimtab.sitl.studies.files import Ledger, StudyError, read_json, sha256_of, write_json
+from trimtab.sitl.studies.flights import (
+    BLIND,
+    SCORE,
+    TRUTH,
+    VERDICT,
+    Programme,
+    fly_and_seal,
+    plan_references,
+    trace,
+)
+from trimtab.sitl.studies.real import judge_real, read_groups
+from trimtab.sitl.studies.scoring.baselines import BASELINES, judge_others
+from trimtab.sitl.studies.scoring.metrics import baseline_rows, confusion, deviations, summary
+from trimtab.sitl.studies.scoring.world import library, score_world
+from trimtab.sitl.studies.table import baseline_table, failure, lines, real_table, table, thin_table
+from trimtab.sitl.studies.thin import copier_of, plan_thin_references, programme_of
+from trimtab.sitl.studies.worlds import PlannedWorld, plan_worlds
 
 LEDGER, ORDER = "ledger.json", "study.json"
 Report = Callable[[float, float, str], None]

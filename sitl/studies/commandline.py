@@ -15,7 +15,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from sitl.studies.files import StudyError
+from trimtab.sitl.studies.files import StudyError
 
 COMMAND = "trimtab"
 
@@ -37,7 +37,7 @@ def run_apart(words: Sequence[str], folder: Path) -> Answer:
     """The answer of `trimtab WORDS --json` in a process of its own, with `folder` as current one."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
-        [sys.executable, "-m", "host.cli", *words, "--json"],
+        [sys.executable, "-m", "trimtab.host.cli", *words, "--json"],
         cwd=folder,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
         capture_output=True,

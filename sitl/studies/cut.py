@@ -8,9 +8,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from firmware_model.law.allocation import allocation_matrix, thrust_to_command
-from firmware_model.law.ops import FLOAT
-from host.log import (
+from trimtab.firmware_model.law.allocation import allocation_matrix, thrust_to_command
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.log import (
     Battery,
     Control,
     Flight,
@@ -23,10 +23,10 @@ from host.log import (
     topics,
     write_imported,
 )
-from host.log.flight import scan_closed, to_flight
-from host.log.scan import Entry
-from host.log.writer import PROVENANCE
-from host.vehicle import Vehicle
+from trimtab.host.log.flight import scan_closed, to_flight
+from trimtab.host.log.scan import Entry
+from trimtab.host.log.writer import PROVENANCE
+from trimtab.host.vehicle import Vehicle
 
 _Rows = TypeVar("_Rows", Battery, Control, Mocap)
 _FLOWN = (topics.REFERENCE, topics.DISPLAY_REFERENCE)

@@ -9,9 +9,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from sitl.studies.commandline import run_apart, run_inside
-from sitl.studies.files import StudyError, read_json, sha256_of, write_json, write_whole
-from sitl.studies.worlds import PlannedWorld
+from trimtab.sitl.studies.commandline import run_apart, run_inside
+from trimtab.sitl.studies.files import StudyError, read_json, sha256_of, write_json, write_whole
+from trimtab.sitl.studies.worlds import PlannedWorld
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class Programme:
 
 
 BLIND = Programme(
-    routes=Path(str(files("sitl.studies"))) / "routes",
+    routes=Path(str(files("trimtab.sitl.studies"))) / "routes",
     learning=("quick", "low", "climbs", "sprint"),
     held_out=("check-loop", "check-points"),
 )

@@ -14,15 +14,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from host.vehicle import load_vehicle
-from sitl.studies.files import StudyError, read_json, write_json, write_whole
-from sitl.studies.fuzz.run import run_fuzz
-from sitl.studies.upload_blob import reference_blob
-from sitl.studies.upload_cuts import INTERRUPTIONS, interrupt
-from sitl.studies.upload_flight import RADIOS, fly_upload
-from sitl.studies.upload_peers import PEERS, peer_s
-from sitl.studies.upload_picture import picture
-from sitl.studies.uploads import CHANNELS, bound_s, figures, time_upload
+from trimtab.host.vehicle import load_vehicle
+from trimtab.sitl.studies.files import StudyError, read_json, write_json, write_whole
+from trimtab.sitl.studies.fuzz.run import run_fuzz
+from trimtab.sitl.studies.upload_blob import reference_blob
+from trimtab.sitl.studies.upload_cuts import INTERRUPTIONS, interrupt
+from trimtab.sitl.studies.upload_flight import RADIOS, fly_upload
+from trimtab.sitl.studies.upload_peers import PEERS, peer_s
+from trimtab.sitl.studies.upload_picture import picture
+from trimtab.sitl.studies.uploads import CHANNELS, bound_s, figures, time_upload
 
 NAME = "link"
 RUNS, FLIGHTS, TRIALS, FUZZ_INPUTS = 200, 10, 1_000, 100_000

@@ -12,10 +12,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from host.vehicle.strict_toml import Strict, read_strict
-from sitl.studies.commandline import run_apart
-from sitl.studies.files import StudyError, read_json, sha256_of, write_json
-from sitl.studies.flights import VERDICT, ask
+from trimtab.host.vehicle.strict_toml import Strict, read_strict
+from trimtab.sitl.studies.commandline import run_apart
+from trimtab.sitl.studies.files import StudyError, read_json, sha256_of, write_json
+from trimtab.sitl.studies.flights import VERDICT, ask
 
 REAL = "real"
 

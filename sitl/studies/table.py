@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sitl.studies.scoring.metrics import OUTCOMES, is_right
+from trimtab.sitl.studies.scoring.metrics import OUTCOMES, is_right
 
 Row = dict[str, Any]
 

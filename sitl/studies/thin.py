@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
-from host.vehicle import load_vehicle
-from sitl.studies import cut
-from sitl.studies.files import write_whole
-from sitl.studies.flights import Programme, plan_references, plan_route
+from trimtab.host.vehicle import load_vehicle
+from trimtab.sitl.studies import cut
+from trimtab.sitl.studies.files import write_whole
+from trimtab.sitl.studies.flights import Programme, plan_references, plan_route
 
-ROUTES = Path(str(files("sitl.studies"))) / "thin_routes"
+ROUTES = Path(str(files("trimtab.sitl.studies"))) / "thin_routes"
 HOVER, SHORT, OTHER = "thin-hover", "thin-short", "thin-other"
 OTHER_MASS = 1.1
 """The second vehicle's mass over the first one's: another build of the same make."""

@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from host.vehicle import load_vehicle
-from protocol.blobs import Node, Reference, YawNode
+from trimtab.host.vehicle import load_vehicle
+from trimtab.protocol.blobs import Node, Reference, YawNode
 
 NODES, SPACING_S = 399, 0.1
 _RAMP_S, _FINE = 3.0, 10

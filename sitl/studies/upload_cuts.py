@@ -14,15 +14,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from protocol.blobs import Kind
-from protocol.messages import Message, UploadChunk, UploadStatus
-from protocol.upload import SenderState
-from protocol.upload.transfer import decode_bitmap
-from sitl.seeds import Purpose, flight_generator
-from sitl.studies.upload_blob import reference_blob
-from sitl.studies.upload_rig import UploadRig
-from sitl.studies.uploads import CHANNELS, GIVE_UP_US
-from sitl.world import RadioSettings
+from trimtab.protocol.blobs import Kind
+from trimtab.protocol.messages import Message, UploadChunk, UploadStatus
+from trimtab.protocol.upload import SenderState
+from trimtab.protocol.upload.transfer import decode_bitmap
+from trimtab.sitl.seeds import Purpose, flight_generator
+from trimtab.sitl.studies.upload_blob import reference_blob
+from trimtab.sitl.studies.upload_rig import UploadRig
+from trimtab.sitl.studies.uploads import CHANNELS, GIVE_UP_US
+from trimtab.sitl.world import RadioSettings
 
 CUT_S = 5.0
 INTERRUPTIONS = ("cut", "host", "vehicle")

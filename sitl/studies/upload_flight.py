@@ -13,16 +13,16 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from host.link.flight import FlightOrder
-from host.link.fly import fly_lockstep
-from host.link.summary import FlightResult
-from host.vehicle import load_vehicle
-from protocol import messages as m
-from protocol.blobs import Node, Reference
-from protocol.uwb import message_id, split
-from sitl.studies.upload_blob import NODES, reference_blob
-from sitl.vehicle import SimulatedVehicle
-from sitl.world import RadioSettings
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import fly_lockstep
+from trimtab.host.link.summary import FlightResult
+from trimtab.host.vehicle import load_vehicle
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Node, Reference
+from trimtab.protocol.uwb import message_id, split
+from trimtab.sitl.studies.upload_blob import NODES, reference_blob
+from trimtab.sitl.vehicle import SimulatedVehicle
+from trimtab.sitl.world import RadioSettings
 
 LOSS = 0.1
 RADIOS: dict[str, dict[str, float]] = {

@@ -9,8 +9,8 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 
-from sitl.radio import BurstLoss
-from sitl.world import RadioSettings
+from trimtab.sitl.radio import BurstLoss
+from trimtab.sitl.world import RadioSettings
 
 
 @dataclass(frozen=True, kw_only=True)

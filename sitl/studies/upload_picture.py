@@ -1,6 +1,7 @@
 """The sequence picture of an upload: a simulated one over lossy air that is cut for a while, frame by frame.
 
-`python -m sitl.studies.upload_picture FILE` writes it. Time runs downwards; every line is a frame in the air.
+`python -m trimtab.sitl.studies.upload_picture FILE` writes it. Time runs downwards; every line is a frame in
+the air.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.sax.saxutils import escape
 
-from protocol.codec import Codec
-from protocol.messages import (
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import (
     HOST,
     Message,
     UploadBegin,
@@ -23,11 +24,11 @@ from protocol.messages import (
     UploadStatus,
     UploadVerdict,
 )
-from sitl.radio import Radio
-from sitl.studies.upload_blob import reference_blob
-from sitl.studies.upload_rig import UploadRig, begin_us
-from sitl.studies.uploads import GIVE_UP_US, LATENCY_US
-from sitl.world import RadioSettings
+from trimtab.sitl.radio import Radio
+from trimtab.sitl.studies.upload_blob import reference_blob
+from trimtab.sitl.studies.upload_rig import UploadRig, begin_us
+from trimtab.sitl.studies.uploads import GIVE_UP_US, LATENCY_US
+from trimtab.sitl.world import RadioSettings
 
 SEED, NODES, LOSS = 9, 70, 0.15
 CUT_AFTER_US, CUT_US = 75_000, 100_000

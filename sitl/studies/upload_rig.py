@@ -12,24 +12,24 @@ from array import array
 from collections.abc import Callable
 from functools import lru_cache
 
-from firmware_model.flash import Flash
-from firmware_model.flight_mcu import LOOK_US, FlightMcu
-from firmware_model.law import step as law
-from firmware_model.parameters import ParameterValues
-from firmware_model.radio_mcu import BAUD, RadioMcu
-from firmware_model.store import ReferenceStore
-from firmware_model.uart import NEVER_US, UartPort, connect
-from firmware_model.verdict import check_blob
-from host.vehicle import Vehicle, load_vehicle, to_parameters
-from protocol.blobs import Kind
-from protocol.codec import Codec
-from protocol.messages import HOST, HOST_RADIO, VEHICLE_RADIO, Message
-from protocol.telemetry import TICK_US
-from protocol.upload import UploadSender, Verdict
-from sitl.radio import Radio, RadioChannel
-from sitl.seeds import Purpose, flight_generator
-from sitl.vehicle import HOST_RX_BYTES, HOST_TX_BYTES
-from sitl.world import RadioSettings
+from trimtab.firmware_model.flash import Flash
+from trimtab.firmware_model.flight_mcu import LOOK_US, FlightMcu
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.parameters import ParameterValues
+from trimtab.firmware_model.radio_mcu import BAUD, RadioMcu
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.firmware_model.uart import NEVER_US, UartPort, connect
+from trimtab.firmware_model.verdict import check_blob
+from trimtab.host.vehicle import Vehicle, load_vehicle, to_parameters
+from trimtab.protocol.blobs import Kind
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import HOST, HOST_RADIO, VEHICLE_RADIO, Message
+from trimtab.protocol.telemetry import TICK_US
+from trimtab.protocol.upload import UploadSender, Verdict
+from trimtab.sitl.radio import Radio, RadioChannel
+from trimtab.sitl.seeds import Purpose, flight_generator
+from trimtab.sitl.vehicle import HOST_RX_BYTES, HOST_TX_BYTES
+from trimtab.sitl.world import RadioSettings
 
 OFF_US = 300_000
 """From the loss of power until the flight processor listens again."""

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from protocol.messages import UploadStatus
-from protocol.upload import SenderState
-from protocol.upload.transfer import chunk_count
-from sitl.studies.upload_blob import reference_blob
-from sitl.studies.upload_rig import UploadRig
-from sitl.world import RadioSettings
+from trimtab.protocol.messages import UploadStatus
+from trimtab.protocol.upload import SenderState
+from trimtab.protocol.upload.transfer import chunk_count
+from trimtab.sitl.studies.upload_blob import reference_blob
+from trimtab.sitl.studies.upload_rig import UploadRig
+from trimtab.sitl.world import RadioSettings
 
 LATENCY_US = 4_000
 LOSS = 0.1

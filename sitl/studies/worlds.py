@@ -15,9 +15,9 @@ from typing import Literal
 
 import numpy as np
 
-from sitl.kinds import DRAG, KINDS
-from sitl.studies.files import StudyError
-from sitl.world import ImuSettings, Turbulence
+from trimtab.sitl.kinds import DRAG, KINDS
+from trimtab.sitl.studies.files import StudyError
+from trimtab.sitl.world import ImuSettings, Turbulence
 
 Class = Literal["none", "single", "pair", "outside", "thin"]
 FULL: dict[Class, int] = {"single": 150, "pair": 60, "none": 200, "outside": 80, "thin": 48}

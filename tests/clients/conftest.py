@@ -36,7 +36,7 @@ NORTH_M, DOWN_M = 0.6, -1.2
 
 def run(*words: str) -> list[str]:
     """A verb of trimtab as a command line."""
-    return [sys.executable, "-m", "host.cli", *words]
+    return [sys.executable, "-m", "trimtab.host.cli", *words]
 
 
 @pytest.fixture(scope="session")

@@ -7,23 +7,23 @@ from collections import deque
 
 import pytest
 
-from firmware_model.flight import Flight
-from firmware_model.flight_mcu import FlightMcu
-from firmware_model.law import step as law
-from firmware_model.law.reference import septic
-from firmware_model.parameters import ParameterValues
-from firmware_model.radio_mcu import RadioMcu
-from firmware_model.store import ReferenceStore
-from firmware_model.supervisor import Event, State
-from firmware_model.track import track
-from firmware_model.uart import UartPort, connect
-from host.codegen import compile_blocks
-from protocol import messages as m
-from protocol.blobs import Node, Reference, YawNode
-from protocol.codec import Codec
-from protocol.messages import HOST, HOST_RADIO
-from protocol.parameters import DEFAULTS
-from protocol.upload import UploadSender
+from trimtab.firmware_model.flight import Flight
+from trimtab.firmware_model.flight_mcu import FlightMcu
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.reference import septic
+from trimtab.firmware_model.parameters import ParameterValues
+from trimtab.firmware_model.radio_mcu import RadioMcu
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.firmware_model.supervisor import Event, State
+from trimtab.firmware_model.track import track
+from trimtab.firmware_model.uart import UartPort, connect
+from trimtab.host.codegen import compile_blocks
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Node, Reference, YawNode
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import HOST, HOST_RADIO
+from trimtab.protocol.parameters import DEFAULTS
+from trimtab.protocol.upload import UploadSender
 
 GRAVITY = 9.81
 TICK_US = 1_000

@@ -2,9 +2,9 @@
 
 import pytest
 
-from firmware_model.engine import FloatEngine
-from firmware_model.law import step as law
-from firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.engine import FloatEngine
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.ops import FLOAT
 
 
 def test_float_engine_keeps_its_views():

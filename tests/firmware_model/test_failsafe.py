@@ -4,12 +4,12 @@ import math
 
 import pytest
 
-from firmware_model.failsafe import BY_EVENT, CONDITIONS, Action, Failsafe, escalate
-from firmware_model.parameters import ParameterValues
-from firmware_model.supervisor import FAILURES, FLYING, Event, State, update
-from firmware_model.watch import Seen, Watch
-from protocol.messages import mavlink
-from protocol.parameters import BY_NAME, DEFAULTS
+from trimtab.firmware_model.failsafe import BY_EVENT, CONDITIONS, Action, Failsafe, escalate
+from trimtab.firmware_model.parameters import ParameterValues
+from trimtab.firmware_model.supervisor import FAILURES, FLYING, Event, State, update
+from trimtab.firmware_model.watch import Seen, Watch
+from trimtab.protocol.messages import mavlink
+from trimtab.protocol.parameters import BY_NAME, DEFAULTS
 
 ROWS = [row for row in CONDITIONS if row.failsafe is not Failsafe.NONE]
 

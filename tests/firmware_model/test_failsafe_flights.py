@@ -6,13 +6,13 @@ import math
 
 import pytest
 
-from firmware_model.failsafe import BY_EVENT, Action, Failsafe
-from firmware_model.setpoints import AttitudeTarget
-from firmware_model.supervisor import Event, State
-from firmware_model.watch import FLOOR_HEIGHT
-from protocol import messages as m
-from protocol.messages import mavlink
-from protocol.parameters import DEFAULTS
+from trimtab.firmware_model.failsafe import BY_EVENT, Action, Failsafe
+from trimtab.firmware_model.setpoints import AttitudeTarget
+from trimtab.firmware_model.supervisor import Event, State
+from trimtab.firmware_model.watch import FLOOR_HEIGHT
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import mavlink
+from trimtab.protocol.parameters import DEFAULTS
 
 NEVER = 10.0
 

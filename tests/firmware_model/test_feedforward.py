@@ -4,8 +4,8 @@ from array import array
 
 import pytest
 
-from firmware_model.feedforward import FeedForwardInput
-from protocol.blobs import FeedForward
+from trimtab.firmware_model.feedforward import FeedForwardInput
+from trimtab.protocol.blobs import FeedForward
 
 IDS = {"vehicle_id": "0123456789ab", "model_id": "00112233aabb"}
 

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from firmware_model.flash import SECTOR_BYTES, Flash, PowerCut
+from trimtab.firmware_model.flash import SECTOR_BYTES, Flash, PowerCut
 
 
 def test_program_clears_bits_and_never_sets_them():

@@ -4,12 +4,12 @@ import math
 
 import pytest
 
-from firmware_model.failsafe import Action, Failsafe
-from firmware_model.law import step as law
-from firmware_model.phases import BLIND_END_US
-from firmware_model.supervisor import Event, State
-from firmware_model.watch import FLOOR_HEIGHT
-from protocol.parameters import DEFAULTS
+from trimtab.firmware_model.failsafe import Action, Failsafe
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.phases import BLIND_END_US
+from trimtab.firmware_model.supervisor import Event, State
+from trimtab.firmware_model.watch import FLOOR_HEIGHT
+from trimtab.protocol.parameters import DEFAULTS
 
 PHASES = [
     State.BOOT,

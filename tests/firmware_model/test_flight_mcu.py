@@ -6,16 +6,16 @@ import struct
 
 import pytest
 
-from firmware_model.supervisor import State
-from firmware_model.verdict import Reason
-from protocol import messages as m
-from protocol.blobs import FeedForward, Kind, Node, Reference
-from protocol.codec import Codec
-from protocol.messages import HOST, UploadResult, mavlink
-from protocol.parameter_wire import INT32, REAL32, decode, encode
-from protocol.parameters import DEFAULTS, PARAMETERS, float32
-from protocol.telemetry import IntervalDecoder
-from protocol.upload import UploadSender
+from trimtab.firmware_model.supervisor import State
+from trimtab.firmware_model.verdict import Reason
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import FeedForward, Kind, Node, Reference
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import HOST, UploadResult, mavlink
+from trimtab.protocol.parameter_wire import INT32, REAL32, decode, encode
+from trimtab.protocol.parameters import DEFAULTS, PARAMETERS, float32
+from trimtab.protocol.telemetry import IntervalDecoder
+from trimtab.protocol.upload import UploadSender
 
 VEHICLE_ID = "0123456789ab"
 PLANNED = [state for state in State if state not in (State.FAILSAFE, State.OFFBOARD)]

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from firmware_model.files import BlobFiles
-from firmware_model.ftp import IDLE_US, SESSIONS_MAX, FtpServer
-from firmware_model.store import ReferenceStore
-from firmware_model.supervisor import State
-from protocol import messages as m
-from protocol.blobs import Kind
-from protocol.ftp import DATA_BYTES, Error, Opcode, Packet, crc32
-from protocol.messages import UploadState
-from protocol.upload import UploadReceiver, UploadSender, Verdict
+from trimtab.firmware_model.files import BlobFiles
+from trimtab.firmware_model.ftp import IDLE_US, SESSIONS_MAX, FtpServer
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.firmware_model.supervisor import State
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Kind
+from trimtab.protocol.ftp import DATA_BYTES, Error, Opcode, Packet, crc32
+from trimtab.protocol.messages import UploadState
+from trimtab.protocol.upload import UploadReceiver, UploadSender, Verdict
 
 STATION, OTHER = (245, 190), (255, 230)
 LIVE = bytes(range(256)) * 9

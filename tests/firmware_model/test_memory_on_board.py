@@ -4,12 +4,12 @@ import random
 
 import pytest
 
-from firmware_model.flash import Flash
-from firmware_model.store import MAGIC, ReferenceStore, memory_bytes
-from protocol import messages as m
-from protocol.blobs import Kind
-from protocol.parameters import DEFAULTS
-from protocol.upload import UploadSender
+from trimtab.firmware_model.flash import Flash
+from trimtab.firmware_model.store import MAGIC, ReferenceStore, memory_bytes
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Kind
+from trimtab.protocol.parameters import DEFAULTS
+from trimtab.protocol.upload import UploadSender
 
 OTHER = bytes.fromhex("ba9876543210")
 

@@ -6,12 +6,12 @@ import math
 
 import pytest
 
-from firmware_model.failsafe import Failsafe
-from firmware_model.law import step as law
-from firmware_model.setpoints import AttitudeTarget, PositionTarget
-from firmware_model.supervisor import Event, State
-from firmware_model.watch import FLOOR_HEIGHT
-from protocol.parameters import DEFAULTS
+from trimtab.firmware_model.failsafe import Failsafe
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.setpoints import AttitudeTarget, PositionTarget
+from trimtab.firmware_model.supervisor import Event, State
+from trimtab.firmware_model.watch import FLOOR_HEIGHT
+from trimtab.protocol.parameters import DEFAULTS
 
 NONE3 = (None, None, None)
 HOVER = DEFAULTS["MASS"] * 9.81 / (4.0 * DEFAULTS["THRUST_MAX"])

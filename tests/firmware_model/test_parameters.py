@@ -2,9 +2,9 @@
 
 import pytest
 
-from firmware_model.law import step as law
-from firmware_model.parameters import ParameterValues, index_of, name_at
-from protocol.parameters import DEFAULTS, PARAMETERS, float32
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.parameters import ParameterValues, index_of, name_at
+from trimtab.protocol.parameters import DEFAULTS, PARAMETERS, float32
 
 
 def test_values_start_at_the_table_with_what_is_given():

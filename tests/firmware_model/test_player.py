@@ -4,9 +4,9 @@ from array import array
 
 import pytest
 
-from firmware_model.player import Player
-from firmware_model.track import track
-from firmware_model.uart import NEVER_US
+from trimtab.firmware_model.player import Player
+from trimtab.firmware_model.track import track
+from trimtab.firmware_model.uart import NEVER_US
 
 
 def node(x):

@@ -4,12 +4,12 @@ import random
 
 import pytest
 
-from firmware_model.radio_mcu import AIR_BYTES, RadioMcu
-from firmware_model.uart import UartPort, connect
-from protocol import messages as m
-from protocol.codec import Codec
-from protocol.messages import HOST, HOST_RADIO, VEHICLE
-from protocol.uwb import FRAME_BYTES
+from trimtab.firmware_model.radio_mcu import AIR_BYTES, RadioMcu
+from trimtab.firmware_model.uart import UartPort, connect
+from trimtab.protocol import messages as m
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import HOST, HOST_RADIO, VEHICLE
+from trimtab.protocol.uwb import FRAME_BYTES
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from firmware_model.readiness import (
+from trimtab.firmware_model.readiness import (
     CHECKS,
     Facts,
     GyroCalibration,
@@ -13,10 +13,10 @@ from firmware_model.readiness import (
     reasons,
     start_refusal,
 )
-from firmware_model.services import TEXT_BYTES
-from firmware_model.supervisor import Event
-from host.vehicle import list_vehicles, load_vehicle, to_parameters
-from protocol.parameters import DEFAULTS
+from trimtab.firmware_model.services import TEXT_BYTES
+from trimtab.firmware_model.supervisor import Event
+from trimtab.host.vehicle import list_vehicles, load_vehicle, to_parameters
+from trimtab.protocol.parameters import DEFAULTS
 
 LEVEL = (0.0, 0.0, -9.81)
 READY = Facts(

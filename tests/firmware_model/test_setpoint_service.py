@@ -6,11 +6,11 @@ import math
 
 import pytest
 
-from firmware_model.setpoint_service import NOT_FINITE, SetpointService
-from firmware_model.setpoints import AttitudeTarget, PositionTarget
-from firmware_model.supervisor import State
-from protocol import messages as m
-from protocol.messages import mavlink
+from trimtab.firmware_model.setpoint_service import NOT_FINITE, SetpointService
+from trimtab.firmware_model.setpoints import AttitudeTarget, PositionTarget
+from trimtab.firmware_model.supervisor import State
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import mavlink
 
 NAN = math.nan
 NO_P, NO_V, NO_A, NO_YAW, NO_YAW_RATE = 0b111, 0b111_000, 0b111_000_000, 1 << 10, 1 << 11

@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from firmware_model.flash import Flash, PowerCut
-from firmware_model.settings import SETTINGS_BYTES, Settings
+from trimtab.firmware_model.flash import Flash, PowerCut
+from trimtab.firmware_model.settings import SETTINGS_BYTES, Settings
 
 ID = bytes(range(6))
 

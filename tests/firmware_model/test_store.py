@@ -5,8 +5,8 @@ import random
 
 import pytest
 
-from firmware_model.flash import Flash, PowerCut
-from firmware_model.store import MAGIC, ReferenceStore, memory_bytes
+from trimtab.firmware_model.flash import Flash, PowerCut
+from trimtab.firmware_model.store import MAGIC, ReferenceStore, memory_bytes
 
 REF, FF = 1, 2
 

@@ -5,11 +5,11 @@ from array import array
 
 import pytest
 
-from firmware_model.streams import ASKED_MOST_US, GROUPS, OWN, STATION_US, STREAMS
-from firmware_model.supervisor import State
-from protocol import messages as m
-from protocol.generated.frames import MESSAGES
-from protocol.messages import mavlink
+from trimtab.firmware_model.streams import ASKED_MOST_US, GROUPS, OWN, STATION_US, STREAMS
+from trimtab.firmware_model.supervisor import State
+from trimtab.protocol import messages as m
+from trimtab.protocol.generated.frames import MESSAGES
+from trimtab.protocol.messages import mavlink
 
 STATION = (245, 190)
 SET, GET, REQUEST = 511, 510, 512

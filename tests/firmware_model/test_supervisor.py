@@ -4,8 +4,8 @@ import itertools
 
 import pytest
 
-from firmware_model.services import TEXT_BYTES
-from firmware_model.supervisor import COMMANDS, FAILURES, FLYING, TRANSITIONS, Event, State, update
+from trimtab.firmware_model.services import TEXT_BYTES
+from trimtab.firmware_model.supervisor import COMMANDS, FAILURES, FLYING, TRANSITIONS, Event, State, update
 
 
 @pytest.mark.parametrize(("state", "event"), list(itertools.product(State, Event)))

@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import pytest
 
-from firmware_model.law.checks import from_parameters
-from firmware_model.law.reference import septic
-from firmware_model.law.smoothness import JUMPS
-from firmware_model.supervisor import State
-from firmware_model.swap import agree_swap
-from firmware_model.track import track
-from protocol import messages as m
-from protocol.blobs import Node
-from protocol.messages import NO_TICK, UploadResult, UploadState
-from protocol.parameters import DEFAULTS
-from protocol.upload import UploadSender
+from trimtab.firmware_model.law.checks import from_parameters
+from trimtab.firmware_model.law.reference import septic
+from trimtab.firmware_model.law.smoothness import JUMPS
+from trimtab.firmware_model.supervisor import State
+from trimtab.firmware_model.swap import agree_swap
+from trimtab.firmware_model.track import track
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Node
+from trimtab.protocol.messages import NO_TICK, UploadResult, UploadState
+from trimtab.protocol.parameters import DEFAULTS
+from trimtab.protocol.upload import UploadSender
 
 LIMITS = from_parameters(DEFAULTS)[1]
 REST9 = (0.0,) * 9

@@ -6,7 +6,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from firmware_model.track import Room, Track, climb, hold, land, level_descent, seconds_us, stop, track
+from trimtab.firmware_model.track import (
+    Room,
+    Track,
+    climb,
+    hold,
+    land,
+    level_descent,
+    seconds_us,
+    stop,
+    track,
+)
 
 REST = (0.0,) * 9
 WIDE = Room((-99.0,) * 3, (99.0,) * 3)

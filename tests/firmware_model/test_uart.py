@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.uart import NEVER_US, UartPort, connect
+from trimtab.firmware_model.uart import NEVER_US, UartPort, connect
 
 
 def pair(baud=1_000_000, rx_bytes=64, tx_bytes=256):

@@ -17,13 +17,13 @@ from itertools import count
 
 import pytest
 
-from firmware_model.flash import SECTOR_BYTES, Flash, PowerCut
-from firmware_model.settings import SETTINGS_BYTES
-from firmware_model.store import ReferenceStore
-from protocol import messages as m
-from protocol.blobs import Kind
-from protocol.messages import Message
-from protocol.upload import SenderState, UploadReceiver, UploadSender, Verdict
+from trimtab.firmware_model.flash import SECTOR_BYTES, Flash, PowerCut
+from trimtab.firmware_model.settings import SETTINGS_BYTES
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Kind
+from trimtab.protocol.messages import Message
+from trimtab.protocol.upload import SenderState, UploadReceiver, UploadSender, Verdict
 
 REFERENCE = Kind.REFERENCE
 BANK_BYTES = 8_192

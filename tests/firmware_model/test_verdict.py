@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from firmware_model.parameters import ParameterValues
-from firmware_model.verdict import Reason, check_blob
-from protocol.blobs import FeedForward, Kind, Node, Reference
+from trimtab.firmware_model.parameters import ParameterValues
+from trimtab.firmware_model.verdict import Reason, check_blob
+from trimtab.protocol.blobs import FeedForward, Kind, Node, Reference
 
 VEHICLE_ID = "0123456789ab"
 BLOCK = (1.0, *(0.0,) * 12)

@@ -11,21 +11,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.commands import Commands
-from firmware_model.flight_mcu import FlightMcu
-from firmware_model.parameter_service import ParameterService
-from firmware_model.services import Services
-from firmware_model.store import ReferenceStore
-from firmware_model.supervisor import State
-from host.link.client import Client
-from protocol import uwb
-from protocol.codec import Codec
-from protocol.messages import HOST, CommandLong, ParamSet, StatusText
-from protocol.uwb import StreamSplitter, split
-from sitl.studies.fuzz import KINDS, FuzzReport, replay, run_fuzz
-from sitl.studies.fuzz.__main__ import main
-from sitl.studies.fuzz.inputs import FLUSH, frame, pack, valid_messages
-from sitl.studies.fuzz.source import record
+from trimtab.firmware_model.commands import Commands
+from trimtab.firmware_model.flight_mcu import FlightMcu
+from trimtab.firmware_model.parameter_service import ParameterService
+from trimtab.firmware_model.services import Services
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.firmware_model.supervisor import State
+from trimtab.host.link.client import Client
+from trimtab.protocol import uwb
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import HOST, CommandLong, ParamSet, StatusText
+from trimtab.protocol.uwb import StreamSplitter, split
+from trimtab.sitl.studies.fuzz import KINDS, FuzzReport, replay, run_fuzz
+from trimtab.sitl.studies.fuzz.__main__ import main
+from trimtab.sitl.studies.fuzz.inputs import FLUSH, frame, pack, valid_messages
+from trimtab.sitl.studies.fuzz.source import record
 
 INPUTS = 100_000
 SEED = 20_261

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from host.artefacts import (
+from trimtab.host.artefacts import (
     check_folder,
     check_log,
     check_output,
@@ -23,7 +23,7 @@ from host.artefacts import (
     without_options,
     write_atomic,
 )
-from host.errors import UsageError
+from trimtab.host.errors import UsageError
 
 
 def test_write_leaves_the_file_and_nothing_else(tmp_path: Path) -> None:

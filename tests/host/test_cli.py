@@ -14,9 +14,17 @@ from pathlib import Path
 
 import pytest
 
-from host import cli, output
-from host.errors import EXIT_CODES, FlightFailed, GateMissed, LinkError, LogError, SolverError, UsageError
-from host.vehicle import ConfigurationError
+from trimtab.host import cli, output
+from trimtab.host.errors import (
+    EXIT_CODES,
+    FlightFailed,
+    GateMissed,
+    LinkError,
+    LogError,
+    SolverError,
+    UsageError,
+)
+from trimtab.host.vehicle import ConfigurationError
 
 HEAVY = ("numpy", "casadi", "scipy", "matplotlib", "pydantic", "pymavlink", "google", "rich.progress")
 
@@ -33,9 +41,9 @@ def verb(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., object]], N
     monkeypatch.setattr(output, "_emitted", False)
 
     def install(command: Callable[..., object]) -> None:
-        module = types.ModuleType("host.verbs.probe")
+        module = types.ModuleType("trimtab.host.verbs.probe")
         module.command = command  # pyright: ignore[reportAttributeAccessIssue]
-        monkeypatch.setitem(sys.modules, "host.verbs.probe", module)
+        monkeypatch.setitem(sys.modules, "trimtab.host.verbs.probe", module)
         probe = cli.Verb(name="probe", module="probe", help="A verb of this test.")
         monkeypatch.setattr(cli, "present_verbs", lambda: (probe,))
 
@@ -44,9 +52,9 @@ def verb(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., object]], N
 
 def test_help_imports_no_verb_and_nothing_heavy() -> None:
     printed = run_python(
-        "import sys\nfrom host.cli import main\nmain(['--help'])\n"
+        "import sys\nfrom trimtab.host.cli import main\nmain(['--help'])\n"
         f"print('LOADED', [m for m in {HEAVY!r} if m in sys.modules],"
-        " [m for m in sys.modules if m.startswith('host.verbs.')])"
+        " [m for m in sys.modules if m.startswith('trimtab.host.verbs.')])"
     )
     assert "Close the gap" in printed
     assert printed.rstrip().endswith("LOADED [] []")
@@ -79,9 +87,9 @@ def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_listed_verbs_have_modules_with_a_command() -> None:
     code = (
-        "import importlib\nfrom host.cli import present_verbs\n"
+        "import importlib\nfrom trimtab.host.cli import present_verbs\n"
         "for v in present_verbs():\n"
-        "    assert hasattr(importlib.import_module('host.verbs.' + v.module), 'command'), v.name\n"
+        "    assert hasattr(importlib.import_module('trimtab.host.verbs.' + v.module), 'command'), v.name\n"
     )
     run_python(code)
 
@@ -184,7 +192,7 @@ class Finder:
             press()
 sys.argv = ["trimtab", "--help"]
 {when}
-from host.cli import main
+from trimtab.host.cli import main
 sys.exit(main())
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
@@ -222,7 +230,7 @@ def test_full_disk_is_the_users_and_not_a_bug(
 def test_stdout_that_is_full_is_one_line(words: list[str]) -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "host.cli", *words],
+            [sys.executable, "-m", "trimtab.host.cli", *words],
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,
@@ -235,7 +243,7 @@ def test_stdout_that_is_full_is_one_line(words: list[str]) -> None:
 
 def run_shell(line: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """`line` in a shell in which `trimtab` runs this code."""
-    script = f'trimtab() {{ {shlex.quote(sys.executable)} -m host.cli "$@"; }}; {line}'
+    script = f'trimtab() {{ {shlex.quote(sys.executable)} -m trimtab.host.cli "$@"; }}; {line}'
     root = str(Path(__file__).parents[2])
     return subprocess.run(
         ["sh", "-c", script],

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host import output
-from host.progress import Progress
+from trimtab.host import output
+from trimtab.host.progress import Progress
 
 
 def test_json_is_one_line_with_plain_numbers(capsys: pytest.CaptureFixture[str]) -> None:
@@ -34,7 +34,7 @@ def test_json_refuses_numbers_that_are_none(value: float) -> None:
 
 
 def test_warning_that_nobody_takes_stops_nothing() -> None:
-    code = "from host.output import warn; warn('one'); warn('two'); print('done')"
+    code = "from trimtab.host.output import warn; warn('one'); warn('two'); print('done')"
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=full, text=True)
     assert (ended.returncode, ended.stdout) == (0, "done\n")

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from firmware_model.law.ops import FLOAT
-from host.cli import main
-from host.effects import Context, load_effects
-from host.errors import UsageError
-from host.models.file import write_model
-from host.models.model import Model
-from host.vehicle import load_vehicle
-from host.workspace import open_workspace
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.cli import main
+from trimtab.host.effects import Context, load_effects
+from trimtab.host.errors import UsageError
+from trimtab.host.models.file import write_model
+from trimtab.host.models.model import Model
+from trimtab.host.vehicle import load_vehicle
+from trimtab.host.workspace import open_workspace
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -14,7 +14,7 @@ TICK_S = 0.001
 
 
 class Thermal:
-    """The plant; see `sitl.foreign` for what is asked of one."""
+    """The plant; see `trimtab.sitl.foreign` for what is asked of one."""
 
     def __init__(self, vehicle, options, seed):
         self.vehicle = vehicle

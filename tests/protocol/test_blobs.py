@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol import blobs
-from protocol.blobs import NEUTRAL_BLOCK, BlobError, FeedForward, Kind, Node, Reference, YawNode
+from trimtab.protocol import blobs
+from trimtab.protocol.blobs import NEUTRAL_BLOCK, BlobError, FeedForward, Kind, Node, Reference, YawNode
 
 VEHICLE = "0123456789ab"
 GOLDEN = (
@@ -179,7 +179,7 @@ def test_feedforward_of_origin_minus_zero_is_refused() -> None:
 
 
 def test_block_and_network_sizes_are_those_of_the_law() -> None:
-    from firmware_model.law import feedforward
+    from trimtab.firmware_model.law import feedforward
 
     assert blobs.BLOCK_SIZE == feedforward.FF_SIZE
     assert blobs.NEUTRAL_BLOCK == feedforward.NEUTRAL

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol import messages as m
-from protocol.codec import Codec, decode_message
-from protocol.messages import Message, mavlink
+from trimtab.protocol import messages as m
+from trimtab.protocol.codec import Codec, decode_message
+from trimtab.protocol.messages import Message, mavlink
 
 RANGES = {
     "uint8_t": (0, 2**8 - 1),

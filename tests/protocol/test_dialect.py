@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from protocol import generate
-from protocol import messages as m
-from protocol.codec import Codec
-from protocol.generated.frames import DIALECT_VERSION, MESSAGES
-from protocol.messages import mavlink
-from protocol.uwb import FRAME_BYTES
+from trimtab.protocol import generate
+from trimtab.protocol import messages as m
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.generated.frames import DIALECT_VERSION, MESSAGES
+from trimtab.protocol.messages import mavlink
+from trimtab.protocol.uwb import FRAME_BYTES
 
 OVERHEAD = 12
 STANDARD = sorted(number for number in MESSAGES if number < 52100)
@@ -75,9 +75,9 @@ def test_telemetry_and_chunks_have_the_sizes_of_the_budget() -> None:
 
 
 def test_enums_of_the_dialect_equal_those_of_the_vehicle() -> None:
-    from firmware_model.failsafe import Failsafe
-    from firmware_model.supervisor import State
-    from protocol.blobs import Kind
+    from trimtab.firmware_model.failsafe import Failsafe
+    from trimtab.firmware_model.supervisor import State
+    from trimtab.protocol.blobs import Kind
 
     for enum, prefix in ((State, "STATE"), (Failsafe, "FAILSAFE"), (Kind, "BLOB")):
         for member in enum:
@@ -100,7 +100,7 @@ def test_generate_gives_the_committed_bytes(tmp_path: Path) -> None:
     committed = sorted(path for path in generate.GENERATED.iterdir() if path.suffix in (".py", ".pyi"))
     assert [path.name for path in written] == [path.name for path in committed]
     for new, old in zip(written, committed, strict=True):
-        assert new.read_bytes() == old.read_bytes(), f"{new.name}: run python -m protocol.generate"
+        assert new.read_bytes() == old.read_bytes(), f"{new.name}: run python -m trimtab.protocol.generate"
 
 
 def test_vehicle_heartbeat_tells_the_dialect_version_and_state() -> None:

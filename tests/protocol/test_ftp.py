@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.ftp import DATA_BYTES, Opcode, Packet, crc32
+from trimtab.protocol.ftp import DATA_BYTES, Opcode, Packet, crc32
 
 
 def test_packet_by_hand():

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol import messages as m
-from protocol.codec import Codec
-from protocol.parameter_wire import INT32, REAL32, decode, encode, type_of
-from protocol.parameters import BY_NAME
+from trimtab.protocol import messages as m
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.parameter_wire import INT32, REAL32, decode, encode, type_of
+from trimtab.protocol.parameters import BY_NAME
 
 
 @given(st.integers(-(2**22), 2**24))

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from protocol import parameters
-from protocol.parameters import BY_NAME, DEFAULTS, INDEX, PARAMETERS, Parameter
+from trimtab.protocol import parameters
+from trimtab.protocol.parameters import BY_NAME, DEFAULTS, INDEX, PARAMETERS, Parameter
 
 
 def test_every_row_has_a_short_name_a_description_and_a_default_that_survives_float32() -> None:
@@ -32,7 +32,7 @@ def test_defaults_let_the_research_quad_hover() -> None:
 
 
 def test_the_law_reads_only_names_of_the_table() -> None:
-    from firmware_model.law import step
+    from trimtab.firmware_model.law import step
 
     assert set(step.SOURCES) <= set(BY_NAME)
 

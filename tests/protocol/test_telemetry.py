@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol import messages as m
-from protocol import telemetry
-from protocol.codec import Codec
-from protocol.telemetry import ControlInterval, IntervalDecoder, whole_tick
+from trimtab.protocol import messages as m
+from trimtab.protocol import telemetry
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.telemetry import ControlInterval, IntervalDecoder, whole_tick
 
 
 class Vehicle:

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol import messages as m
-from protocol.blobs import Kind
-from protocol.codec import Codec
-from protocol.messages import Message, UploadResult, UploadState
-from protocol.upload import (
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Kind
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import Message, UploadResult, UploadState
+from trimtab.protocol.upload import (
     CHUNK_BYTES,
     Incoming,
     SenderState,
@@ -24,7 +24,7 @@ from protocol.upload import (
     UploadSender,
     Verdict,
 )
-from protocol.upload.transfer import chunk_count
+from trimtab.protocol.upload.transfer import chunk_count
 
 REFERENCE = Kind.REFERENCE
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from protocol.messages import UploadState
-from protocol.upload import SenderState
-from protocol.upload import receiver_table as receiver
-from protocol.upload import sender_table as sender
-from protocol.upload.transfer import Table
+from trimtab.protocol.messages import UploadState
+from trimtab.protocol.upload import SenderState
+from trimtab.protocol.upload import receiver_table as receiver
+from trimtab.protocol.upload import sender_table as sender
+from trimtab.protocol.upload.transfer import Table
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol import messages as m
-from protocol.codec import Codec
-from protocol.uwb import (
+from trimtab.protocol import messages as m
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.uwb import (
     CAPACITY_BYTES,
     FRAME_BYTES,
     FRAME_LEAST,

@@ -11,16 +11,16 @@ from typing import Any
 
 import pytest
 
-from host import cli, output
-from host.link.flight import FlightOrder
-from host.link.fly import fly_lockstep
-from host.link.summary import FlightResult
-from host.link.vehicle import vehicle_class
-from host.log import Flight, read_flight
-from host.models.file import write_model
-from host.models.model import Model
-from host.vehicle import Vehicle, load_vehicle
-from protocol.blobs import Node, Reference
+from trimtab.host import cli, output
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import fly_lockstep
+from trimtab.host.link.summary import FlightResult
+from trimtab.host.link.vehicle import vehicle_class
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.models.file import write_model
+from trimtab.host.models.model import Model
+from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.protocol.blobs import Node, Reference
 
 # A polynomial of degree 9 from 0 to 1 whose first four derivatives vanish at both ends.
 _SMOOTH = (0.0, 0.0, 0.0, 0.0, 0.0, 126.0, -420.0, 540.0, -315.0, 70.0)

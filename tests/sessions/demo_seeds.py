@@ -32,7 +32,7 @@ def run(seed: int, folder: Path, world: str | None) -> dict[str, Any]:
     command = [
         sys.executable,
         "-m",
-        "host.cli",
+        "trimtab.host.cli",
         "demo",
         "--seed",
         str(seed),

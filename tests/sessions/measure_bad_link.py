@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from host.demo.plans import plan_first
-from host.demo.routes import draw_routes
-from host.demo.seeds import host_seed, world_seed
-from host.link.flight import FlightOrder
-from host.link.fly import FlightEnded, fly_lockstep
-from host.link.summary import FlightResult
-from host.vehicle import Vehicle, load_vehicle
-from protocol.blobs import Reference
-from sitl.vehicle import SimulatedVehicle
+from trimtab.host.demo.plans import plan_first
+from trimtab.host.demo.routes import draw_routes
+from trimtab.host.demo.seeds import host_seed, world_seed
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import FlightEnded, fly_lockstep
+from trimtab.host.link.summary import FlightResult
+from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.protocol.blobs import Reference
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 LINKS = {
     "clean": ("empty", {"loss": 0.0}),

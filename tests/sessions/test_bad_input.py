@@ -26,15 +26,15 @@ from typing import Any
 
 import pytest
 
-from host import cli, output
-from host.errors import EXIT_CODES
-from host.log import LogError, read_flight
-from host.models.file import write_model
-from host.models.model import Model
-from host.vehicle import Vehicle, load_vehicle
-from protocol import messages as m
-from protocol.blobs import Reference
-from protocol.codec import Codec
+from trimtab.host import cli, output
+from trimtab.host.errors import EXIT_CODES
+from trimtab.host.log import LogError, read_flight
+from trimtab.host.models.file import write_model
+from trimtab.host.models.model import Model
+from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Reference
+from trimtab.protocol.codec import Codec
 
 Refused = Callable[..., str]
 HERE = Path(__file__).parent
@@ -564,7 +564,7 @@ def test_blob_for_another_vehicle_than_the_ports_is_refused(
     require: Callable[[str], None],
 ) -> None:
     require("pty")
-    words = [sys.executable, "-m", "host.cli", "sitl", "--port", "pty", "--vehicle", "nano"]
+    words = [sys.executable, "-m", "trimtab.host.cli", "sitl", "--port", "pty", "--vehicle", "nano"]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=HERE.parent.parent)
     assert process.stdout is not None
     try:
@@ -621,7 +621,7 @@ def test_flight_interrupted_in_the_air_leaves_a_readable_log(
     ours, theirs = os.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, b"\x20\x00\xc8\x00" + bytes(4))
     process = subprocess.Popen(
-        [sys.executable, "-m", "host.cli", *words],
+        [sys.executable, "-m", "trimtab.host.cli", *words],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=theirs,

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from host.link.summary import FlightResult
+from trimtab.host.link.summary import FlightResult
 
 CLEAN = {"loss": 0.0}
 

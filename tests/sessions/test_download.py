@@ -11,19 +11,19 @@ from typing import Any
 
 import pytest
 
-from host import cli
-from host.errors import LinkError, UsageError
-from host.link import download
-from host.link.download import PIECE_BYTES, download_lockstep
-from host.link.upload import upload_lockstep
-from host.vehicle import Vehicle
-from protocol import messages as m
-from protocol.blobs import NEUTRAL_BLOCK, FeedForward, Reference
-from protocol.codec import Codec
-from protocol.ftp import Opcode, Packet
-from protocol.uwb import FRAME_BYTES
-from sitl.serve import serve
-from sitl.vehicle import SimulatedVehicle
+from trimtab.host import cli
+from trimtab.host.errors import LinkError, UsageError
+from trimtab.host.link import download
+from trimtab.host.link.download import PIECE_BYTES, download_lockstep
+from trimtab.host.link.upload import upload_lockstep
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward, Reference
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.ftp import Opcode, Packet
+from trimtab.protocol.uwb import FRAME_BYTES
+from trimtab.sitl.serve import serve
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 
 def simulated(vehicle: Vehicle, **options: Any) -> SimulatedVehicle:

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from firmware_model.failsafe import BY_EVENT, Action
-from firmware_model.supervisor import Event, State
-from host import cli
-from host.link.fly import FlightEnded
-from host.log import Flight, read_flight, topics
-from host.log.scan import scan
-from protocol.blobs import Reference
+from trimtab.firmware_model.failsafe import BY_EVENT, Action
+from trimtab.firmware_model.supervisor import Event, State
+from trimtab.host import cli
+from trimtab.host.link.fly import FlightEnded
+from trimtab.host.log import Flight, read_flight, topics
+from trimtab.host.log.scan import scan
+from trimtab.protocol.blobs import Reference
 
 STRUCK_S = 7.0
 """On the host's clock, in the tracking phase."""

@@ -15,27 +15,27 @@ from typing import Any
 
 import pytest
 
-from host import cli
-from host.bench import flown as bench_flown
-from host.bench import learning as bench
-from host.bench import planning
-from host.bench.session import realtime_factor
-from host.demo.compare import Comparison
-from host.link.download import Download
-from host.link.upload import UploadResult
-from host.log import read_flight
-from host.paper.learning import noise
-from host.paper.learning.summary import summary as paper_summary
-from host.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS
-from host.paper.planning.summary import summary as planning_summary
-from host.vehicle import load_vehicle
-from protocol.blobs import Reference
-from sitl.studies.link import summary as link_summary
-from sitl.studies.real import Group, real_row
-from sitl.studies.scoring.metrics import baseline_rows, summary
-from sitl.studies.upload_cuts import INTERRUPTIONS
-from sitl.studies.upload_flight import RADIOS
-from sitl.studies.uploads import CHANNELS
+from trimtab.host import cli
+from trimtab.host.bench import flown as bench_flown
+from trimtab.host.bench import learning as bench
+from trimtab.host.bench import planning
+from trimtab.host.bench.session import realtime_factor
+from trimtab.host.demo.compare import Comparison
+from trimtab.host.link.download import Download
+from trimtab.host.link.upload import UploadResult
+from trimtab.host.log import read_flight
+from trimtab.host.paper.learning import noise
+from trimtab.host.paper.learning.summary import summary as paper_summary
+from trimtab.host.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS
+from trimtab.host.paper.planning.summary import summary as planning_summary
+from trimtab.host.vehicle import load_vehicle
+from trimtab.protocol.blobs import Reference
+from trimtab.sitl.studies.link import summary as link_summary
+from trimtab.sitl.studies.real import Group, real_row
+from trimtab.sitl.studies.scoring.metrics import baseline_rows, summary
+from trimtab.sitl.studies.upload_cuts import INTERRUPTIONS
+from trimtab.sitl.studies.upload_flight import RADIOS
+from trimtab.sitl.studies.uploads import CHANNELS
 
 ROOT = Path(__file__).parent.parent.parent
 MADE = ROOT / "tests" / "data"
@@ -187,7 +187,7 @@ def test_download_prints_what_the_page_says(reference: Reference) -> None:
 @contextmanager
 def running(*words: str) -> Iterator[tuple[str, Callable[[], Any]]]:
     """First line of a verb that stays, in a process of its own, and a function that ends it: its JSON."""
-    command = [sys.executable, "-m", "host.cli", *words, "--json"]
+    command = [sys.executable, "-m", "trimtab.host.cli", *words, "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     assert process.stdout is not None
 

@@ -14,19 +14,19 @@ from pathlib import Path
 
 import pytest
 
-from host.effects import load_effects
-from host.link.flight import FlightOrder
-from host.link.fly import fly_lockstep
-from host.link.vehicle import vehicle_class
-from host.log import Flight, read_flight
-from host.plan import plan
-from host.route import Route, YawProfile
-from host.trace.result import Trace
-from host.trace.run import run
-from host.vehicle import Vehicle, load_vehicle
-from protocol.blobs import Reference
-from sitl.draw import draw_world
-from sitl.world import load_world
+from trimtab.host.effects import load_effects
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import fly_lockstep
+from trimtab.host.link.vehicle import vehicle_class
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.plan import plan
+from trimtab.host.route import Route, YawProfile
+from trimtab.host.trace.result import Trace
+from trimtab.host.trace.run import run
+from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.protocol.blobs import Reference
+from trimtab.sitl.draw import draw_world
+from trimtab.sitl.world import load_world
 
 WORLD_SEED = 11
 VEHICLE = load_vehicle("research")

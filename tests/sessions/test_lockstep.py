@@ -13,24 +13,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.errors import LinkError, Refused, UsageError
-from host.link import fly as fly_module
-from host.link.drivers import run_lockstep
-from host.link.flight import FlightDirector, FlightOrder
-from host.link.fly import FlightEnded, FlightInterrupted, fly_lockstep
-from host.link.session import Session
-from host.link.summary import FlightResult
-from host.link.tasks import FreshStatus, SetParameter
-from host.link.upload import upload_lockstep
-from host.link.whose import neutral_feedforward
-from host.log import Flight, LogError, describe, read_flight, recover, topics
-from host.log.scan import scan
-from host.log.tracking import reference_at
-from host.vehicle import Vehicle, load_vehicle
-from protocol import messages as m
-from protocol.blobs import NEUTRAL_BLOCK, FeedForward, Reference
-from protocol.codec import Codec
-from protocol.generated import flight_pb2
+from trimtab.host.errors import LinkError, Refused, UsageError
+from trimtab.host.link import fly as fly_module
+from trimtab.host.link.drivers import run_lockstep
+from trimtab.host.link.flight import FlightDirector, FlightOrder
+from trimtab.host.link.fly import FlightEnded, FlightInterrupted, fly_lockstep
+from trimtab.host.link.session import Session
+from trimtab.host.link.summary import FlightResult
+from trimtab.host.link.tasks import FreshStatus, SetParameter
+from trimtab.host.link.upload import upload_lockstep
+from trimtab.host.link.whose import neutral_feedforward
+from trimtab.host.log import Flight, LogError, describe, read_flight, recover, topics
+from trimtab.host.log.scan import scan
+from trimtab.host.log.tracking import reference_at
+from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward, Reference
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.generated import flight_pb2
 
 Flown = tuple[FlightResult, Flight]
 Fly = Callable[..., FlightResult]

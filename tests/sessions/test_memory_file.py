@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from firmware_model.flash import Flash
-from firmware_model.store import ReferenceStore
-from host.vehicle import Vehicle
-from protocol.blobs import Kind, Reference
-from protocol.upload.transfer import chunk_count
+from trimtab.firmware_model.flash import Flash
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import Kind, Reference
+from trimtab.protocol.upload.transfer import chunk_count
 
 pytestmark = pytest.mark.xdist_group("serial")
-TRIMTAB = (sys.executable, "-m", "host.cli")
+TRIMTAB = (sys.executable, "-m", "trimtab.host.cli")
 CLEAN = "tolerances = false\n[radio]\nloss = 0.0\n"
 
 

@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from host.effects import load_effects
-from host.link.flight import FlightOrder
-from host.link.fly import fly_lockstep
-from host.log import Flight, read_flight
-from host.trace.run import run
-from host.trace.score import predict_flights, rmse
-from host.vehicle import Vehicle
-from protocol.blobs import Reference
+from trimtab.host.effects import load_effects
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import fly_lockstep
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.trace.run import run
+from trimtab.host.trace.score import predict_flights, rmse
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import Reference
 
 WORLDS = {
     "thrust-gain": "[effects.thrust-gain]\ngain = 0.92\n",

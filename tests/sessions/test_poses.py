@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from host.errors import LinkError
-from host.link.client import NEVER_US
-from host.link.poses import SILENT_US, forward_session
-from protocol.messages import AttPosMocap, FcEstimate, Message
-from protocol.telemetry import TICK_US
+from trimtab.host.errors import LinkError
+from trimtab.host.link.client import NEVER_US
+from trimtab.host.link.poses import SILENT_US, forward_session
+from trimtab.protocol.messages import AttPosMocap, FcEstimate, Message
+from trimtab.protocol.telemetry import TICK_US
 
 
 class Estimates:

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from host.link.flight import FlightOrder
-from host.link.fly import fly_port
-from host.link.upload import upload_port
-from host.log import read_flight
-from host.vehicle import Vehicle
-from protocol.blobs import Reference
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import fly_port
+from trimtab.host.link.upload import upload_port
+from trimtab.host.log import read_flight
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import Reference
 
 pytestmark = pytest.mark.xdist_group("serial")
 
@@ -30,7 +30,7 @@ def _pty(require: Callable[[str], None]) -> None:
 @contextmanager
 def served(*words: str) -> Iterator[tuple[str, Callable[[], dict]]]:
     """`trimtab sitl` in a process of its own: its port, and a function that ends it and gives its JSON."""
-    command = [sys.executable, "-m", "host.cli", "sitl", *words, "--json"]
+    command = [sys.executable, "-m", "trimtab.host.cli", "sitl", *words, "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
 

@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.flight import Flight as Firmware
-from firmware_model.law.reference import septic
-from host import cli
-from host.errors import UsageError
-from host.link.fly import FlightEnded
-from host.link.summary import FlightResult
-from host.link.swap import SLOTS_PER_S, swap_time_us
-from host.log import read_flight, topics
-from host.log.scan import scan
-from host.log.tracking import reference_at
-from protocol.blobs import Node, Reference
-from protocol.generated import flight_pb2
+from trimtab.firmware_model.flight import Flight as Firmware
+from trimtab.firmware_model.law.reference import septic
+from trimtab.host import cli
+from trimtab.host.errors import UsageError
+from trimtab.host.link.fly import FlightEnded
+from trimtab.host.link.summary import FlightResult
+from trimtab.host.link.swap import SLOTS_PER_S, swap_time_us
+from trimtab.host.log import read_flight, topics
+from trimtab.host.log.scan import scan
+from trimtab.host.log.tracking import reference_at
+from trimtab.protocol.blobs import Node, Reference
+from trimtab.protocol.generated import flight_pb2
 
 AT_US = 3_150_000
 """Between two nodes of the first reference, in its quickest part."""

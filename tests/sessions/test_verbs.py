@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from host import cli, output
-from host.effects import load_effects
-from host.log import read_flight
-from host.log.scan import scan
-from protocol.blobs import Reference
-from sitl.vehicle import SimulatedVehicle
+from trimtab.host import cli, output
+from trimtab.host.effects import load_effects
+from trimtab.host.log import read_flight
+from trimtab.host.log.scan import scan
+from trimtab.protocol.blobs import Reference
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 FLY_KEYS = {
     "log",
@@ -343,7 +343,7 @@ def test_sitl_interrupted_while_the_vehicle_is_built_ends(monkeypatch: pytest.Mo
             os.kill(os.getpid(), signal.SIGINT)
             return super().create(*of, **how)
 
-    monkeypatch.setattr("host.link.vehicle.vehicle_class", lambda: Built)
+    monkeypatch.setattr("trimtab.host.link.vehicle.vehicle_class", lambda: Built)
     assert cli.main(["sitl", "--port", "udp:127.0.0.1:0"]) == 0
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from host.link.client import Client
-from host.vehicle import Vehicle
-from protocol.blobs import Kind, Node, Reference
-from protocol.codec import Codec
-from protocol.messages import CAMERAS, AttPosMocap, CommandLong, FcStatus, Message, mavlink
-from sitl.vehicle import SimulatedVehicle
+from trimtab.host.link.client import Client
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import Kind, Node, Reference
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import CAMERAS, AttPosMocap, CommandLong, FcStatus, Message, mavlink
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 STANDBY, TRACKING, FAILSAFE = 1, 4, 7
 RETRY_US = 300_000

@@ -15,13 +15,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-from host.codegen import find_compiler
-from host.codegen.compiler import ENGINE_VARIABLE
-from host.link.flight import FlightOrder
-from host.link.fly import fly_lockstep
-from host.link.upload import upload_lockstep
-from host.vehicle import load_vehicle
-from sitl.vehicle import SimulatedVehicle
+from trimtab.host.codegen import find_compiler
+from trimtab.host.codegen.compiler import ENGINE_VARIABLE
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import fly_lockstep
+from trimtab.host.link.upload import upload_lockstep
+from trimtab.host.vehicle import load_vehicle
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 LAPS = 3
 ROUNDS = 5

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from host.vehicle import load_vehicle
-from protocol.messages import VEHICLE, FcControl, FcEstimate, FcStatus
-from protocol.uwb import StreamSplitter, message_id
-from sitl.vehicle import SimulatedVehicle
+from trimtab.host.vehicle import load_vehicle
+from trimtab.protocol.messages import VEHICLE, FcControl, FcEstimate, FcStatus
+from trimtab.protocol.uwb import StreamSplitter, message_id
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 PAGE = Path(__file__).parent.parent.parent / "docs" / "link.md"
 POSE = 138

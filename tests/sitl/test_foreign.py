@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from host.vehicle import load_vehicle
-from sitl.foreign import ForeignPlant, ForeignPlantError, load_foreign_plant, read_plant_options
+from trimtab.host.vehicle import load_vehicle
+from trimtab.sitl.foreign import ForeignPlant, ForeignPlantError, load_foreign_plant, read_plant_options
 
 FILE = Path(__file__).parent.parent / "plants" / "thermal.py"
 LEVEL = (1.0, 0.0, 0.0, 0.0)

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.vehicle import Vehicle, load_vehicle
-from protocol.blobs import Reference
-from sitl.kinds import KINDS
-from sitl.vehicle import SimulatedVehicle
+from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.protocol.blobs import Reference
+from trimtab.sitl.kinds import KINDS
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 WHOLE_FLIGHT = [0, 1, 2, 3, 4, 5, 6, 1]
 FARTHEST_M = 1.5

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from firmware_model.store import MAGIC, memory_bytes
-from host.vehicle import ConfigurationError, load_vehicle
-from protocol.blobs import Kind
-from protocol.codec import Codec
-from protocol.messages import HOST, ParamRequestRead, ParamSet, ParamValue
-from sitl.memory import open_memory
-from sitl.vehicle import SimulatedVehicle
+from trimtab.firmware_model.store import MAGIC, memory_bytes
+from trimtab.host.vehicle import ConfigurationError, load_vehicle
+from trimtab.protocol.blobs import Kind
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import HOST, ParamRequestRead, ParamSet, ParamValue
+from trimtab.sitl.memory import open_memory
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 VEHICLE = load_vehicle("research")
 

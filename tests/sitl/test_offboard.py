@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from host.link.client import Client
-from host.vehicle import load_vehicle
-from protocol.codec import Codec
-from protocol.messages import (
+from trimtab.host.link.client import Client
+from trimtab.host.vehicle import load_vehicle
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import (
     CAMERAS,
     AttPosMocap,
     CommandAck,
@@ -23,7 +23,7 @@ from protocol.messages import (
     StatusText,
     mavlink,
 )
-from sitl.vehicle import SimulatedVehicle
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 ARM, TAKEOFF, SET_MODE, LAND = 400, 22, 176, 21
 HOLD, LANDING, STANDBY, OFFBOARD = (

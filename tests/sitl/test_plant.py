@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.vehicle import Vehicle, load_vehicle
-from sitl.draw import World, draw_world
-from sitl.plant import Plant, pack, plant_engine
-from sitl.plant_constants import plant_parameters
-from sitl.plant_model import PARAMETERS, PARTS, Block
-from sitl.surroundings import GRAVITY_M_S2
-from sitl.vectors import rotation
-from sitl.world import WorldFile, load_world
+from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.sitl.draw import World, draw_world
+from trimtab.sitl.plant import Plant, pack, plant_engine
+from trimtab.sitl.plant_constants import plant_parameters
+from trimtab.sitl.plant_model import PARAMETERS, PARTS, Block
+from trimtab.sitl.surroundings import GRAVITY_M_S2
+from trimtab.sitl.vectors import rotation
+from trimtab.sitl.world import WorldFile, load_world
 
 PAYLOAD = slice(30, 36)
 LEVEL = (1.0, 0.0, 0.0, 0.0)

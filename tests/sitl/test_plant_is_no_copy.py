@@ -1,7 +1,7 @@
 """How far the plant is from the best fit of the host's form of each effect: near, and never the same.
 
 Two copies of one equation agree to the last digit and prove copying. Each test fits the simple form of an
-effect (`host.effects`) to what the plant does in flight states like those of a fast figure eight, and
+effect (`trimtab.host.effects`) to what the plant does in flight states like those of a fast figure eight, and
 measures what is left over against the size of the effect. Figures are printed with `pytest -s`. What a
 form says nothing of (the damping of a turning body by inflow at its hubs) is not in the figure.
 """
@@ -14,16 +14,16 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from host.codegen import NUMPY
-from host.vehicle import Vehicle, load_vehicle
-from sitl.draw import World, draw_world
-from sitl.plant import Plant
-from sitl.plant_constants import plant_parameters
-from sitl.plant_model import PARAMETERS, PARTS, STATE, TICK_S, tick
-from sitl.sensors import Mocap
-from sitl.surroundings import GRAVITY_M_S2, payload
-from sitl.vectors import rotation
-from sitl.world import MocapSettings, WorldFile
+from trimtab.host.codegen import NUMPY
+from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.sitl.draw import World, draw_world
+from trimtab.sitl.plant import Plant
+from trimtab.sitl.plant_constants import plant_parameters
+from trimtab.sitl.plant_model import PARAMETERS, PARTS, STATE, TICK_S, tick
+from trimtab.sitl.sensors import Mocap
+from trimtab.sitl.surroundings import GRAVITY_M_S2, payload
+from trimtab.sitl.vectors import rotation
+from trimtab.sitl.world import MocapSettings, WorldFile
 
 COPY = 0.001
 ABSURD = 0.15

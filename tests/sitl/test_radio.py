@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from firmware_model.uart import NEVER_US
-from sitl.air_time import air_us
-from sitl.radio import BurstLoss, RadioChannel
-from sitl.world import RadioSettings
+from trimtab.firmware_model.uart import NEVER_US
+from trimtab.sitl.air_time import air_us
+from trimtab.sitl.radio import BurstLoss, RadioChannel
+from trimtab.sitl.world import RadioSettings
 
 FRAME = bytes(range(116))
 CLEAN = RadioSettings(loss=0.0, duplicate=0.0, corrupt=0.0, jitter_us=0)

@@ -8,8 +8,8 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from sitl.sensors import Imu, Mocap, Pose
-from sitl.world import ImuSettings, MocapSettings
+from trimtab.sitl.sensors import Imu, Mocap, Pose
+from trimtab.sitl.world import ImuSettings, MocapSettings
 
 STILL = (1.0, -2.0, -1.5, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 NO_RATE = (0.0, 0.0, 0.0)

@@ -17,9 +17,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from host.vehicle import load_vehicle
-from protocol.codec import Codec
-from protocol.messages import (
+from trimtab.host.vehicle import load_vehicle
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import (
     CAMERAS,
     HOST,
     AttPosMocap,
@@ -29,9 +29,9 @@ from protocol.messages import (
     host_heartbeat,
     is_vehicle,
 )
-from protocol.parameters import PARAMETERS
-from sitl import serve as server
-from sitl.vehicle import SimulatedVehicle
+from trimtab.protocol.parameters import PARAMETERS
+from trimtab.sitl import serve as server
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 
 class Echo:

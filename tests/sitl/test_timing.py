@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.vehicle import Vehicle, load_vehicle
-from protocol.messages import FcControl, FcEstimate, FcStatus
-from protocol.telemetry import IntervalDecoder
-from sitl.timing import TickTimes
-from sitl.vehicle import SimulatedVehicle
-from sitl.world import TimingSettings
+from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.protocol.messages import FcControl, FcEstimate, FcStatus
+from trimtab.protocol.telemetry import IntervalDecoder
+from trimtab.sitl.timing import TickTimes
+from trimtab.sitl.vehicle import SimulatedVehicle
+from trimtab.sitl.world import TimingSettings
 
 TRACKING = 4
 

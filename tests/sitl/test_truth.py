@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 
-from host.vehicle import load_vehicle
-from sitl.seeds import session_uid
-from sitl.vehicle import SimulatedVehicle
+from trimtab.host.vehicle import load_vehicle
+from trimtab.sitl.seeds import session_uid
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 
 def test_truth_names_uid_world_seed_and_drawn_values() -> None:

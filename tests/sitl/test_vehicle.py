@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_model.law.reference import septic
-from host.vehicle import ConfigurationError, load_vehicle
-from protocol.blobs import Reference
-from protocol.codec import Codec
-from protocol.messages import HOST, HOST_RADIO, FcStatus, RadioStats
-from sitl.foreign import ForeignPlantError
-from sitl.vehicle import SimulatedVehicle
+from trimtab.firmware_model.law.reference import septic
+from trimtab.host.vehicle import ConfigurationError, load_vehicle
+from trimtab.protocol.blobs import Reference
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import HOST, HOST_RADIO, FcStatus, RadioStats
+from trimtab.sitl.foreign import ForeignPlantError
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 THERMAL = f"{Path(__file__).parent.parent / 'plants' / 'thermal.py'}:Thermal"
 WHOLE_FLIGHT = [0, 1, 2, 3, 4, 5, 6, 1]

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.vehicle import ConfigurationError, Vehicle, load_vehicle
-from sitl.draw import draw_world
-from sitl.kinds import DRAG, KINDS, Kind
-from sitl.seeds import Purpose, flight_generator, session_uid, world_generator
-from sitl.world import WorldFile, list_worlds, load_world
+from trimtab.host.effects import load_effects
+from trimtab.host.vehicle import ConfigurationError, Vehicle, load_vehicle
+from trimtab.sitl.draw import draw_world
+from trimtab.sitl.kinds import DRAG, KINDS, Kind
+from trimtab.sitl.seeds import Purpose, flight_generator, session_uid, world_generator
+from trimtab.sitl.world import WorldFile, list_worlds, load_world
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from host.paper.learning.flights import Flights
-from host.paper.learning.measure import AccelerationError, Candidate, acceleration_error
-from host.paper.learning.methods import PAPER_EPOCHS, PAPER_MLP, WORLD, exact_segments, paper, phi_of
+from trimtab.host.paper.learning.flights import Flights
+from trimtab.host.paper.learning.measure import AccelerationError, Candidate, acceleration_error
+from trimtab.host.paper.learning.methods import PAPER_EPOCHS, PAPER_MLP, WORLD, exact_segments, paper, phi_of
 
 SETS = ("train", "test", "ood")
 PAPER_RMSE = {"train": (0.684, 0.260), "test": (0.603, 0.173)}

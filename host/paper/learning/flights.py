@@ -2,7 +2,7 @@
 
 The paper simulates its own closed loop and so does this: phi with a linear drag, integrated in steps of
 1 ms, of which the learner sees every twentieth. What is measured on it is the learning alone; flights through
-firmware, radio and a plant of its own are in `host.paper.learning.flown`.
+firmware, radio and a plant of its own are in `trimtab.host.paper.learning.flown`.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from host.effects import load_effects
-from host.models.network import Network
-from host.models.phi import Phi, flight_constants
-from host.models.reference import flat_outputs
-from host.models.rollout import half_steps, reference_drive, roll_out
-from host.models.segments import Segments
-from host.plan.snap import optimise_durations
-from host.plan.table import snap_table, to_reference
-from host.vehicle import Vehicle
-from protocol.blobs import Reference, YawNode
+from trimtab.host.effects import load_effects
+from trimtab.host.models.network import Network
+from trimtab.host.models.phi import Phi, flight_constants
+from trimtab.host.models.reference import flat_outputs
+from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
+from trimtab.host.models.segments import Segments
+from trimtab.host.plan.snap import optimise_durations
+from trimtab.host.plan.table import snap_table, to_reference
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import Reference, YawNode
 
 DRAG = (0.45, 0.35, 0.25)
 """1/s along the body's axes: with it the paper's nominal error of 0.6 to 0.7 m/s^2 comes out."""

@@ -15,21 +15,21 @@ from typing import Any
 
 import numpy as np
 
-from host.artefacts import write_atomic
-from host.demo.flights import Airfield
-from host.effects import Effect, load_effects
-from host.errors import FlightFailed
-from host.learn import DEFAULT_FORMS, CondensedSettings, Learned, Settings, learn
-from host.learn.evaluate import model_errors
-from host.log import Flight, read_flight
-from host.models.model import Model
-from host.models.network import Layout
-from host.output import json_text
-from host.plan.judge import judge
-from host.plan.snap import optimise_durations
-from host.plan.table import Table, evaluate, snap_table
-from host.vehicle import Vehicle
-from protocol.blobs import Reference, YawNode
+from trimtab.host.artefacts import write_atomic
+from trimtab.host.demo.flights import Airfield
+from trimtab.host.effects import Effect, load_effects
+from trimtab.host.errors import FlightFailed
+from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, Learned, Settings, learn
+from trimtab.host.learn.evaluate import model_errors
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.models.model import Model
+from trimtab.host.models.network import Layout
+from trimtab.host.output import json_text
+from trimtab.host.plan.judge import judge
+from trimtab.host.plan.snap import optimise_durations
+from trimtab.host.plan.table import Table, evaluate, snap_table
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import Reference, YawNode
 
 WORLD = "drawn"
 DECAYS = (1.0, 0.87, 0.75, 0.65)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from host.models.network import Network
-from host.models.phi import Phi, flight_constants
-from host.models.rollout import roll_out
-from host.paper.learning.flights import STEP_S, Flights, accelerations
+from trimtab.host.models.network import Network
+from trimtab.host.models.phi import Phi, flight_constants
+from trimtab.host.models.rollout import roll_out
+from trimtab.host.paper.learning.flights import STEP_S, Flights, accelerations
 
 
 @dataclass(frozen=True, kw_only=True)

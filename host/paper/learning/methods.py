@@ -7,13 +7,13 @@ from time import perf_counter
 
 import numpy as np
 
-from host.learn.quick import CondensedSettings, train_condensed
-from host.learn.train import Settings, Trained, train
-from host.models.network import Layout
-from host.models.phi import Phi
-from host.models.segments import Segments
-from host.paper.learning.flights import Flights
-from host.paper.learning.measure import Candidate
+from trimtab.host.learn.quick import CondensedSettings, train_condensed
+from trimtab.host.learn.train import Settings, Trained, train
+from trimtab.host.models.network import Layout
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.segments import Segments
+from trimtab.host.paper.learning.flights import Flights
+from trimtab.host.paper.learning.measure import Candidate
 
 WEIGHT = 1.0 / np.square(np.repeat([1e-3, 0.02, 5e-3, 0.02], 3))
 """Of the loss on exact data: 1/sigma^2 of a motion capture, m, m/s, rad, rad/s."""

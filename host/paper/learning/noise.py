@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from host.learn.quick import CondensedSettings
-from host.log.smoothing import Series, Smoothed, smooth
-from host.paper.learning.flights import STEP_S, Flights
-from host.paper.learning.measure import acceleration_error
-from host.paper.learning.methods import Regressor, condensed, patience_of, phi_of
-from host.paper.learning.supervised import label, train_supervised
+from trimtab.host.learn.quick import CondensedSettings
+from trimtab.host.log.smoothing import Series, Smoothed, smooth
+from trimtab.host.paper.learning.flights import STEP_S, Flights
+from trimtab.host.paper.learning.measure import acceleration_error
+from trimtab.host.paper.learning.methods import Regressor, condensed, patience_of, phi_of
+from trimtab.host.paper.learning.supervised import label, train_supervised
 
 POSITION_M, ATTITUDE_RAD, RATE_RAD_S = 1e-3, float(np.deg2rad(0.3)), 0.02
 """Noise of one node, one sigma, at scale 1."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from host.paper.learning import curves, flown, noise, transfer
-from host.paper.learning.flights import Flights, make_flights
-from host.paper.learning.measure import acceleration_error
-from host.paper.learning.methods import BODY, CLOSED, LONG, REGRESSORS, SHORT, WORLD, learn_exact
-from host.paper.learning.summary import summary
-from host.paper.pieces import Piece, study_of
-from host.vehicle import load_vehicle
+from trimtab.host.paper.learning import curves, flown, noise, transfer
+from trimtab.host.paper.learning.flights import Flights, make_flights
+from trimtab.host.paper.learning.measure import acceleration_error
+from trimtab.host.paper.learning.methods import BODY, CLOSED, LONG, REGRESSORS, SHORT, WORLD, learn_exact
+from trimtab.host.paper.learning.summary import summary
+from trimtab.host.paper.pieces import Piece, study_of
+from trimtab.host.vehicle import load_vehicle
 
 NAME = "paper-learning"
 WORLDS = 5

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from host.paper.learning import curves, noise
-from host.paper.text import text
+from trimtab.host.paper.learning import curves, noise
+from trimtab.host.paper.text import text
 
 Row = dict[str, Any]
 

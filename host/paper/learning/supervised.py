@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from host.learn.condensed import Condensed
-from host.learn.fit import Basis, Examples, fit
-from host.learn.linear import effect_scales
-from host.learn.quick import CondensedSettings
-from host.models.network import Network
-from host.models.phi import Phi
-from host.paper.learning.flights import STEP_S, Flights, accelerations, cut
-from host.paper.learning.measure import Candidate
+from trimtab.host.learn.condensed import Condensed
+from trimtab.host.learn.fit import Basis, Examples, fit
+from trimtab.host.learn.linear import effect_scales
+from trimtab.host.learn.quick import CondensedSettings
+from trimtab.host.models.network import Network
+from trimtab.host.models.phi import Phi
+from trimtab.host.paper.learning.flights import STEP_S, Flights, accelerations, cut
+from trimtab.host.paper.learning.measure import Candidate
 
 _LABEL_SIGMA = 0.01
 """m/s^2: small enough that what is known of an effect's size beforehand does not count."""

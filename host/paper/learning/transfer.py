@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from host.models.phi import Phi
-from host.paper.learning.flights import Flights, fly
-from host.paper.learning.measure import Candidate, acceleration_error, position_error_m
-from host.paper.learning.methods import DEEP, learn_exact
-from host.vehicle import Vehicle, to_parameters
+from trimtab.host.models.phi import Phi
+from trimtab.host.paper.learning.flights import Flights, fly
+from trimtab.host.paper.learning.measure import Candidate, acceleration_error, position_error_m
+from trimtab.host.paper.learning.methods import DEEP, learn_exact
+from trimtab.host.vehicle import Vehicle, to_parameters
 
 STEPS_S = (0.005, 0.01, 0.02, 0.04)
 FEW = 4

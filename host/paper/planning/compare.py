@@ -16,20 +16,20 @@ from typing import Any
 
 import numpy as np
 
-from firmware_model.law.constants import GRAVITY
-from host.demo.flights import Airfield
-from host.effects import Effect, load_effects
-from host.errors import Refused, SolverError
-from host.learn import DEFAULT_FORMS, CondensedSettings, learn
-from host.log import Flight, read_flight
-from host.log.tracking import reference_at
-from host.models.network import Frame, Layout
-from host.paper.planning.courses import Course, draw, draw_course
-from host.plan import Plan, ResidualModel, Settings, Weights, plan
-from host.plan.flown import fly_plan
-from host.plan.profile import profile
-from host.plan.table import from_reference
-from host.vehicle import Vehicle
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.demo.flights import Airfield
+from trimtab.host.effects import Effect, load_effects
+from trimtab.host.errors import Refused, SolverError
+from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, learn
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.log.tracking import reference_at
+from trimtab.host.models.network import Frame, Layout
+from trimtab.host.paper.planning.courses import Course, draw, draw_course
+from trimtab.host.plan import Plan, ResidualModel, Settings, Weights, plan
+from trimtab.host.plan.flown import fly_plan
+from trimtab.host.plan.profile import profile
+from trimtab.host.plan.table import from_reference
+from trimtab.host.vehicle import Vehicle
 
 WORLD = "paper-drag"
 DRAG_FORM = "linear-drag"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 
-from host.errors import Refused
-from host.plan import Plan, plan
-from host.route import Route, random_route
-from host.vehicle import Vehicle
+from trimtab.host.errors import Refused
+from trimtab.host.plan import Plan, plan
+from trimtab.host.route import Route, random_route
+from trimtab.host.vehicle import Vehicle
 
 BOX_M = ((-3.5, 3.5), (-3.5, 3.5), (-2.6, -1.0))
 WAYPOINTS = 9

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from host.paper.pieces import Piece, study_of
-from host.paper.planning import compare
-from host.paper.planning.summary import summary
-from host.vehicle import load_vehicle
+from trimtab.host.paper.pieces import Piece, study_of
+from trimtab.host.paper.planning import compare
+from trimtab.host.paper.planning.summary import summary
+from trimtab.host.vehicle import load_vehicle
 
 NAME = "paper-planning"
 WORLDS, COURSES, PLANNED = 5, 4, 20

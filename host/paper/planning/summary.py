@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from host.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS, RESIDUAL_KINDS
-from host.paper.text import text
+from trimtab.host.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS, RESIDUAL_KINDS
+from trimtab.host.paper.text import text
 
 Row = dict[str, Any]
 

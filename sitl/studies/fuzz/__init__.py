@@ -4,6 +4,6 @@ It looks for exceptions that no caller expects and for changes of state without 
 noticed stands in `vehicle`, `host` and `files`; `run` holds the kinds of inputs and their shares.
 """
 
-from sitl.studies.fuzz.run import KINDS, Crash, FuzzReport, replay, run_fuzz
+from trimtab.sitl.studies.fuzz.run import KINDS, Crash, FuzzReport, replay, run_fuzz
 
 __all__ = ["KINDS", "Crash", "FuzzReport", "replay", "run_fuzz"]

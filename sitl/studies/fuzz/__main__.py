@@ -1,4 +1,4 @@
-"""`python -m sitl.studies.fuzz --inputs N --seed S`: summary line, crashes saved as hex; code 1 where any."""
+"""`python -m trimtab.sitl.studies.fuzz --inputs N --seed S`: crashes are saved as hex, exit code 1."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import sys
 import time
 from pathlib import Path
 
-from host.progress import Progress
-from sitl.studies.fuzz.run import KINDS, Crash, replay, run_fuzz
+from trimtab.host.progress import Progress
+from trimtab.sitl.studies.fuzz.run import KINDS, Crash, replay, run_fuzz
 
 
 def main(words: list[str] | None = None) -> int:
     """The exit code: 0 without crashes, 1 with."""
-    parser = argparse.ArgumentParser(prog="python -m sitl.studies.fuzz", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m trimtab.sitl.studies.fuzz", description=__doc__)
     parser.add_argument("--inputs", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=1, help="processes")

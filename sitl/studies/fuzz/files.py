@@ -13,20 +13,20 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from firmware_model import track
-from firmware_model.parameters import ParameterValues
-from firmware_model.verdict import check_blob
-from host.errors import TrimtabError
-from host.log import LogError, read_flight, recover
-from host.models.file import read_model
-from host.route import load_route
-from host.vehicle import ConfigurationError, load_vehicle, to_parameters
-from protocol.blobs import BlobError, Reference, from_bytes
-from sitl.draw import draw_world
-from sitl.studies.fuzz import inputs
-from sitl.studies.fuzz.source import Source
-from sitl.studies.fuzz.vehicle import Broken
-from sitl.world import load_world
+from trimtab.firmware_model import track
+from trimtab.firmware_model.parameters import ParameterValues
+from trimtab.firmware_model.verdict import check_blob
+from trimtab.host.errors import TrimtabError
+from trimtab.host.log import LogError, read_flight, recover
+from trimtab.host.models.file import read_model
+from trimtab.host.route import load_route
+from trimtab.host.vehicle import ConfigurationError, load_vehicle, to_parameters
+from trimtab.protocol.blobs import BlobError, Reference, from_bytes
+from trimtab.sitl.draw import draw_world
+from trimtab.sitl.studies.fuzz import inputs
+from trimtab.sitl.studies.fuzz.source import Source
+from trimtab.sitl.studies.fuzz.vehicle import Broken
+from trimtab.sitl.world import load_world
 
 _SUFFIX = {"vehicle": ".toml", "route": ".toml", "world": ".toml", "model": ".model.toml"}
 

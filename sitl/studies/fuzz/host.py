@@ -13,12 +13,12 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from host.errors import TrimtabError
-from host.link.client import Client
-from host.link.clock import CameraClock
-from host.link.recorder import Recorder
-from host.link.session import Script, Session
-from host.link.tasks import (
+from trimtab.host.errors import TrimtabError
+from trimtab.host.link.client import Client
+from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.recorder import Recorder
+from trimtab.host.link.session import Script, Session
+from trimtab.host.link.tasks import (
     Command,
     FindVehicle,
     FreshStatus,
@@ -27,15 +27,15 @@ from host.link.tasks import (
     SetParameter,
     SettleClock,
 )
-from host.log import LogWriter, Provenance
-from protocol import messages as m
-from protocol.blobs import Kind, Reference
-from protocol.codec import Codec
-from protocol.messages import mavlink
-from sitl.studies.fuzz import inputs
-from sitl.studies.fuzz.inputs import FLUSH, frame, pack, valid_messages
-from sitl.studies.fuzz.source import Source
-from sitl.studies.fuzz.vehicle import Broken
+from trimtab.host.log import LogWriter, Provenance
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Kind, Reference
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import mavlink
+from trimtab.sitl.studies.fuzz import inputs
+from trimtab.sitl.studies.fuzz.inputs import FLUSH, frame, pack, valid_messages
+from trimtab.sitl.studies.fuzz.source import Source
+from trimtab.sitl.studies.fuzz.vehicle import Broken
 
 LONGEST = 1_600
 STEP_US = 7_000

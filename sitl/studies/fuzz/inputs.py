@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from random import Random
 from typing import Any, NamedTuple
 
-from protocol.messages import VEHICLE, Message, mavlink
+from trimtab.protocol.messages import VEHICLE, Message, mavlink
 
 MAGIC = 0xFD
 HEADER_BYTES = 10

@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Any, NamedTuple
 
-from sitl.studies.fuzz import files, host, vehicle
-from sitl.studies.fuzz.source import Source, record
+from trimtab.sitl.studies.fuzz import files, host, vehicle
+from trimtab.sitl.studies.fuzz.source import Source, record
 
 BATCH = 1_000
 """Inputs that meet the same instances."""

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from firmware_model.law.reference import septic
-from firmware_model.store import ReferenceStore
-from host.link.flight import FlightOrder
-from host.link.fly import fly_lockstep
-from host.route import list_routes
-from host.vehicle import Vehicle, list_vehicles, load_vehicle
-from protocol.blobs import BLOCK_SIZE, NEUTRAL_BLOCK, FeedForward, Node, Reference, YawNode
-from sitl.vehicle import Setting, SimulatedVehicle
-from sitl.world import list_worlds
+from trimtab.firmware_model.law.reference import septic
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import fly_lockstep
+from trimtab.host.route import list_routes
+from trimtab.host.vehicle import Vehicle, list_vehicles, load_vehicle
+from trimtab.protocol.blobs import BLOCK_SIZE, NEUTRAL_BLOCK, FeedForward, Node, Reference, YawNode
+from trimtab.sitl.vehicle import Setting, SimulatedVehicle
+from trimtab.sitl.world import list_worlds
 
 _REST = (0.0,) * 9
 _MODEL = """kind = "trimtab-model"

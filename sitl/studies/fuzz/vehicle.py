@@ -16,25 +16,25 @@ import math
 from random import Random
 from typing import Any
 
-from firmware_model.flight_mcu import FlightMcu
-from firmware_model.law import step as law
-from firmware_model.law.constants import GRAVITY
-from firmware_model.radio_mcu import RadioMcu
-from firmware_model.store import ReferenceStore
-from firmware_model.supervisor import FLYING, State
-from firmware_model.uart import UartPort, connect
-from host.codegen import function_engine
-from host.vehicle import to_parameters
-from protocol import messages as m
-from protocol.blobs import Kind
-from protocol.messages import HOST_RADIO, VEHICLE, mavlink
-from protocol.telemetry import TICK_US
-from protocol.upload.transfer import CHUNK_BYTES, tag_of
-from protocol.uwb import FRAME_BYTES, PIECE, PIECE_HEADER_BYTES, StreamSplitter, message_id
-from sitl.studies.fuzz import inputs
-from sitl.studies.fuzz.inputs import FLUSH, Found, frame, pack, valid_messages
-from sitl.studies.fuzz.source import Source
-from sitl.vehicle import traced_law
+from trimtab.firmware_model.flight_mcu import FlightMcu
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.radio_mcu import RadioMcu
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.firmware_model.supervisor import FLYING, State
+from trimtab.firmware_model.uart import UartPort, connect
+from trimtab.host.codegen import function_engine
+from trimtab.host.vehicle import to_parameters
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Kind
+from trimtab.protocol.messages import HOST_RADIO, VEHICLE, mavlink
+from trimtab.protocol.telemetry import TICK_US
+from trimtab.protocol.upload.transfer import CHUNK_BYTES, tag_of
+from trimtab.protocol.uwb import FRAME_BYTES, PIECE, PIECE_HEADER_BYTES, StreamSplitter, message_id
+from trimtab.sitl.studies.fuzz import inputs
+from trimtab.sitl.studies.fuzz.inputs import FLUSH, Found, frame, pack, valid_messages
+from trimtab.sitl.studies.fuzz.source import Source
+from trimtab.sitl.vehicle import traced_law
 
 BAUD = 100 * 921_600
 """So fast that an input arrives within one tick."""

@@ -15,18 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from host.effects import load_effects
-from host.log import Flight, read_flight
-from host.trace import segments
-from host.trace.data import DT_S, segments_of
-from host.trace.form import LOCALS, Form
-from host.trace.parameters import Space, space
-from host.trace.segments import Segments
-from host.vehicle import Vehicle, load_vehicle
-from sitl.studies.commandline import run_apart
-from sitl.studies.files import StudyError, read_json, write_json
-from sitl.studies.flights import SCORE, TRUTH, Programme
-from sitl.studies.scoring.names import collapsed
+from trimtab.host.effects import load_effects
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.trace import segments
+from trimtab.host.trace.data import DT_S, segments_of
+from trimtab.host.trace.form import LOCALS, Form
+from trimtab.host.trace.parameters import Space, space
+from trimtab.host.trace.segments import Segments
+from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.sitl.studies.commandline import run_apart
+from trimtab.sitl.studies.files import StudyError, read_json, write_json
+from trimtab.sitl.studies.flights import SCORE, TRUTH, Programme
+from trimtab.sitl.studies.scoring.names import collapsed
 
 BASELINES = "baselines.json"
 RUN_S = 0.1

@@ -15,16 +15,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from host.effects import Effect
-from host.log import Flight
-from host.models.model import Model
-from host.trace.loop import closed_loop, order_of
-from host.trace.parameters import Space
-from host.trace.refine import prior_of, weighted
-from host.trace.repeats import turbulence
-from host.trace.score import predict_flights, rmse, twins_of
-from host.trace.separate import DECISIVE_SIGMA, separation
-from host.vehicle import Vehicle
+from trimtab.host.effects import Effect
+from trimtab.host.log import Flight
+from trimtab.host.models.model import Model
+from trimtab.host.trace.loop import closed_loop, order_of
+from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.refine import prior_of, weighted
+from trimtab.host.trace.repeats import turbulence
+from trimtab.host.trace.score import predict_flights, rmse, twins_of
+from trimtab.host.trace.separate import DECISIVE_SIGMA, separation
+from trimtab.host.vehicle import Vehicle
 
 Values = dict[str, dict[str, float]]
 

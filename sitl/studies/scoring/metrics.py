@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from sitl.studies.worlds import THIN
+from trimtab.sitl.studies.worlds import THIN
 
 SURE_SIGMA = 15.0
 """Parameter errors count where the truth is at least typical and so many sigma of the bound."""

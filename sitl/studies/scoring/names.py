@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from sitl.studies.worlds import SAME_RATIO
+from trimtab.sitl.studies.worlds import SAME_RATIO
 
 RATIO = "thrust-over-mass"
 """What a flight shows of mass and thrust gain."""

@@ -6,17 +6,24 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from host.effects import Effect, load_effects
-from host.log import read_flight
-from host.trace.parameters import space
-from host.vehicle import load_vehicle
-from sitl.kinds import KINDS
-from sitl.studies.files import Ledger, StudyError, read_json, sha256_of, write_json
-from sitl.studies.flights import SCORE, STILL, TRUTH, VERDICT, Programme
-from sitl.studies.scoring.effective import Effective, effective, floor_m, is_identifiable, nearest, off_by
-from sitl.studies.scoring.names import RATIO, collapsed, family, ordered
-from sitl.studies.thin import CASES
-from sitl.studies.worlds import SAME_RATIO
+from trimtab.host.effects import Effect, load_effects
+from trimtab.host.log import read_flight
+from trimtab.host.trace.parameters import space
+from trimtab.host.vehicle import load_vehicle
+from trimtab.sitl.kinds import KINDS
+from trimtab.sitl.studies.files import Ledger, StudyError, read_json, sha256_of, write_json
+from trimtab.sitl.studies.flights import SCORE, STILL, TRUTH, VERDICT, Programme
+from trimtab.sitl.studies.scoring.effective import (
+    Effective,
+    effective,
+    floor_m,
+    is_identifiable,
+    nearest,
+    off_by,
+)
+from trimtab.sitl.studies.scoring.names import RATIO, collapsed, family, ordered
+from trimtab.sitl.studies.thin import CASES
+from trimtab.sitl.studies.worlds import SAME_RATIO
 
 INSIDE = ("single", "pair", "none")
 """Classes of worlds in which the host has a form of everything, and enough data to hold numbers against."""

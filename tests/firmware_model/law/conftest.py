@@ -6,12 +6,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from firmware_model.law import feedforward
-from firmware_model.law import step as law
-from firmware_model.law.ops import FLOAT
-from firmware_model.law.reference import cubic_coefficients, septic_coefficients
-from host.codegen.ops import CASADI, NUMPY
-from protocol.parameters import DEFAULTS
+from trimtab.firmware_model.law import feedforward
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.reference import cubic_coefficients, septic_coefficients
+from trimtab.host.codegen.ops import CASADI, NUMPY
+from trimtab.protocol.parameters import DEFAULTS
 
 
 def _flatten(values):

@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from firmware_model.law import allocation, dfbc, estimator, feedforward, flatness, reference, rotations
-from firmware_model.law import step as law
-from protocol.parameters import DEFAULTS
+from trimtab.firmware_model.law import (
+    allocation,
+    dfbc,
+    estimator,
+    feedforward,
+    flatness,
+    reference,
+    rotations,
+)
+from trimtab.firmware_model.law import step as law
+from trimtab.protocol.parameters import DEFAULTS
 
 LANES = 10_000
 PARAMETERS = law.parameter_vector(DEFAULTS)
@@ -125,7 +133,7 @@ def test_step_on_random_states_agrees_in_every_number_type(assert_alike, random_
 
 
 def test_step_on_random_states_saturates_often(random_steps):
-    from host.codegen.ops import NUMPY
+    from trimtab.host.codegen.ops import NUMPY
 
     inputs = random_steps(1, 2_000)
     outputs = law.step(NUMPY, {name: list(block) for name, block in inputs.items()})

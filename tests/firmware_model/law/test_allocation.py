@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from firmware_model.law.allocation import (
+from trimtab.firmware_model.law.allocation import (
     allocate,
     allocation_matrix,
     allocation_table,
@@ -16,7 +16,7 @@ from firmware_model.law.allocation import (
     invert4,
     thrust_to_command,
 )
-from firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.ops import FLOAT
 
 LOW, HIGH = 0.05, 8.5
 SPINS = (1, 1, -1, -1)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_model.law.checks import (
+from trimtab.firmware_model.law.checks import (
     Airframe,
     Limits,
     Reason,
@@ -17,9 +17,9 @@ from firmware_model.law.checks import (
     check_reference,
     from_parameters,
 )
-from firmware_model.law.reference import septic
-from protocol.parameters import DEFAULTS
-from protocol.upload.transfer import MESSAGE_BYTES
+from trimtab.firmware_model.law.reference import septic
+from trimtab.protocol.parameters import DEFAULTS
+from trimtab.protocol.upload.transfer import MESSAGE_BYTES
 
 AIRFRAME, LIMITS = from_parameters(DEFAULTS)
 YAW = [(0, 0.0, 0.0)]

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.law import step as law
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.dfbc import GREATEST_FEEDBACK, Reference, control
-from firmware_model.law.flatness import flat_attitude, flat_rates
-from firmware_model.law.ops import FLOAT
-from firmware_model.law.rotations import euler_to_matrix, mat_vec
-from protocol.parameters import DEFAULTS
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.dfbc import GREATEST_FEEDBACK, Reference, control
+from trimtab.firmware_model.law.flatness import flat_attitude, flat_rates
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.rotations import euler_to_matrix, mat_vec
+from trimtab.protocol.parameters import DEFAULTS
 
 PARAMETERS = law.parameter_vector(DEFAULTS)
 GAINS, BODY = law.gains(PARAMETERS), law.body(PARAMETERS)

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.estimator import (
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.estimator import (
     LONGEST_INTERVAL_S,
     Estimate,
     EstimatorGains,
@@ -18,9 +18,15 @@ from firmware_model.law.estimator import (
     correct,
     predict,
 )
-from firmware_model.law.ops import FLOAT
-from firmware_model.law.rotations import mat_t_vec, quat_exp, quat_from_euler, quat_multiply, quat_to_matrix
-from firmware_model.law.step import TICK_S
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.rotations import (
+    mat_t_vec,
+    quat_exp,
+    quat_from_euler,
+    quat_multiply,
+    quat_to_matrix,
+)
+from trimtab.firmware_model.law.step import TICK_S
 
 GAINS = EstimatorGains(20.0, 150.0, 6.0, 0.5)
 number = st.floats(-3.0, 3.0)

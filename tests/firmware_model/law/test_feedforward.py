@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from firmware_model.law import feedforward as ff
-from firmware_model.law.ops import FLOAT
-from firmware_model.law.rotations import euler_to_matrix, quat_exp, quat_multiply, quat_to_matrix
-from protocol import blobs
+from trimtab.firmware_model.law import feedforward as ff
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.rotations import euler_to_matrix, quat_exp, quat_multiply, quat_to_matrix
+from trimtab.protocol import blobs
 
 LEVEL = euler_to_matrix(FLOAT, (0.0, 0.0, 0.0))
 

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.flatness import Body, flat_attitude, flat_full, flat_rates
-from firmware_model.law.ops import FLOAT
-from firmware_model.law.rotations import matrix_to_euler
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.flatness import Body, flat_attitude, flat_full, flat_rates
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.rotations import matrix_to_euler
 
 BODY = Body(0.752, (2.5e-3, 2.1e-3, 4.3e-3))
 small = st.floats(-3.0, 3.0)

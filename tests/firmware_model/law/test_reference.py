@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
-from firmware_model.law.reference import cubic_acceleration, cubic_coefficients, hermite_yaw, septic
+from trimtab.firmware_model.law.reference import cubic_acceleration, cubic_coefficients, hermite_yaw, septic
 
 number = st.floats(-5.0, 5.0)
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from firmware_model.law import rotations as rot
-from firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law import rotations as rot
+from trimtab.firmware_model.law.ops import FLOAT
 
 angle = st.floats(-3.0, 3.0)
 vector = st.tuples(angle, angle, angle)

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import pytest
 
-from firmware_model.law import smoothness
-from firmware_model.law.checks import Reason, check_reference, from_parameters
-from firmware_model.law.reference import septic
-from firmware_model.law.smoothness import SMOOTH_M_S2, SMOOTH_S, worst_misfit
-from host.models.model import Model
-from host.plan import plan, table
-from host.route import load_route
-from host.vehicle import load_vehicle, to_parameters
-from protocol.blobs import Node, Reference
+from trimtab.firmware_model.law import smoothness
+from trimtab.firmware_model.law.checks import Reason, check_reference, from_parameters
+from trimtab.firmware_model.law.reference import septic
+from trimtab.firmware_model.law.smoothness import SMOOTH_M_S2, SMOOTH_S, worst_misfit
+from trimtab.host.models.model import Model
+from trimtab.host.plan import plan, table
+from trimtab.host.route import load_route
+from trimtab.host.vehicle import load_vehicle, to_parameters
+from trimtab.protocol.blobs import Node, Reference
 
 VEHICLE = load_vehicle("research")
 MODEL = Model(

@@ -7,15 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from firmware_model.law import step as law
-from firmware_model.law.allocation import allocation_matrix, command_to_thrust
-from firmware_model.law.constants import GRAVITY
-from firmware_model.law.feedforward import GAIN, NEUTRAL, PREDICTION_TIME
-from firmware_model.law.flatness import flat_attitude
-from firmware_model.law.observer import GREATEST
-from firmware_model.law.ops import FLOAT
-from firmware_model.law.reference import septic_coefficients
-from firmware_model.law.rotations import (
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.allocation import allocation_matrix, command_to_thrust
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.feedforward import GAIN, NEUTRAL, PREDICTION_TIME
+from trimtab.firmware_model.law.flatness import flat_attitude
+from trimtab.firmware_model.law.observer import GREATEST
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.reference import septic_coefficients
+from trimtab.firmware_model.law.rotations import (
     mat_t_vec,
     mat_vec,
     quat_exp,
@@ -23,8 +23,8 @@ from firmware_model.law.rotations import (
     quat_normalize,
     quat_to_matrix,
 )
-from host.codegen.ops import NUMPY
-from protocol.parameters import DEFAULTS, complete
+from trimtab.host.codegen.ops import NUMPY
+from trimtab.protocol.parameters import DEFAULTS, complete
 
 TABLE = complete({})
 PARAMETERS = law.parameter_vector(TABLE)

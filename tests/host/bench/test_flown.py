@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from host.bench import flown
-from host.paper.planning import compare
-from host.vehicle import Vehicle, load_vehicle
+from trimtab.host.bench import flown
+from trimtab.host.paper.planning import compare
+from trimtab.host.vehicle import Vehicle, load_vehicle
 
 VEHICLE = load_vehicle("research")
 SIZE = flown.Size(worlds=2, courses=2)

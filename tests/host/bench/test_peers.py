@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.law import step as law_step
-from host.bench import peers
-from host.learn.adjoint import Gradient, Rollouts
-from host.models.network import Layout
-from host.models.phi import Phi
-from host.models.segments import Segments
-from host.paper.learning.flights import make_flights
-from host.paper.learning.methods import WEIGHT, WORLD, exact_segments, phi_of
-from host.vehicle import load_vehicle
+from trimtab.firmware_model.law import step as law_step
+from trimtab.host.bench import peers
+from trimtab.host.learn.adjoint import Gradient, Rollouts
+from trimtab.host.models.network import Layout
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.segments import Segments
+from trimtab.host.paper.learning.flights import make_flights
+from trimtab.host.paper.learning.methods import WEIGHT, WORLD, exact_segments, phi_of
+from trimtab.host.vehicle import load_vehicle
 
 LAYOUT = Layout(hidden=(4, 4))
 STATES = 400
@@ -62,7 +62,7 @@ def test_derivative_at_states_of_every_kind_is_phis(
     require("diffrax")
     import jax
 
-    from host.bench.jax_loop import JaxLoop
+    from trimtab.host.bench.jax_loop import JaxLoop
 
     phi, _, xi, _ = batch
     x, drive, constants = drawn(phi, np.random.default_rng(1))
@@ -101,7 +101,7 @@ def test_peer_with_another_gradient_is_refused(
     require("diffrax")
     import jax
 
-    from host.bench import jax_rollouts
+    from trimtab.host.bench import jax_rollouts
 
     def euler(rate: Any, x0: Any, drive: Any, weights: Any, step_s: float) -> Any:
         def step(x: Any, row: Any) -> tuple[Any, Any]:
@@ -124,7 +124,7 @@ def test_phi_or_layout_that_jax_lacks_is_refused(
     require: Callable[[str], None], change: dict[str, Any], layout: Layout
 ) -> None:
     require("diffrax")
-    from host.bench.jax_loop import JaxLoop
+    from trimtab.host.bench.jax_loop import JaxLoop
 
     phi = Phi(vehicle=load_vehicle("research"), **{"estimator": False, **change})
     with pytest.raises(ValueError, match="JAX has the drive `reference`"):

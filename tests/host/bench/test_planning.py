@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.bench import naive, planning, rockit_ocp, snap_peer
-from host.plan import Plan, PlanRefused, ResidualModel, Weights, plan
-from host.plan.dynamics import Dynamics
-from host.plan.job import Job
-from host.plan.planner import make_job
-from host.plan.rounds import first_round
-from host.plan.snap import optimise_durations, solve_snap
-from host.plan.solver import solve
-from host.route import Route
-from host.vehicle import ConfigurationError, load_vehicle
+from trimtab.host.bench import naive, planning, rockit_ocp, snap_peer
+from trimtab.host.plan import Plan, PlanRefused, ResidualModel, Weights, plan
+from trimtab.host.plan.dynamics import Dynamics
+from trimtab.host.plan.job import Job
+from trimtab.host.plan.planner import make_job
+from trimtab.host.plan.rounds import first_round
+from trimtab.host.plan.snap import optimise_durations, solve_snap
+from trimtab.host.plan.solver import solve
+from trimtab.host.route import Route
+from trimtab.host.vehicle import ConfigurationError, load_vehicle
 
 VEHICLE = load_vehicle("research")
 SIZE = planning.Size(

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from host.codegen import compiler as module
-from host.codegen.compiler import (
+from trimtab.host.codegen import compiler as module
+from trimtab.host.codegen.compiler import (
     CodegenError,
     Compiler,
     cache_directory,

@@ -12,9 +12,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from firmware_model.law import step as law
-from firmware_model.law.ops import FLOAT
-from host.codegen import (
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.codegen import (
     CodegenError,
     Compiler,
     compile_blocks,
@@ -24,10 +24,10 @@ from host.codegen import (
     held_interrupts,
     sx_function,
 )
-from host.codegen import engine as module
-from host.codegen.compiler import cache_directory
-from host.codegen.engine import Block
-from protocol.parameters import DEFAULTS
+from trimtab.host.codegen import engine as module
+from trimtab.host.codegen.compiler import cache_directory
+from trimtab.host.codegen.engine import Block
+from trimtab.protocol.parameters import DEFAULTS
 
 IN = (Block(name="x", size=2), Block(name="k", size=1))
 OUT = (Block(name="sum", size=1), Block(name="scaled", size=2))
@@ -186,7 +186,7 @@ def test_damaged_library_in_the_cache_is_made_anew(cache, require):
 
 
 def test_without_a_compiler_auto_is_the_virtual_machine_and_c_an_error(monkeypatch):
-    monkeypatch.setattr("host.codegen.compiler.find_compiler", lambda: None)
+    monkeypatch.setattr("trimtab.host.codegen.compiler.find_compiler", lambda: None)
     monkeypatch.delenv("TRIMTAB_ENGINE", raising=False)
     assert compile_blocks(_example, IN, OUT, "example").kind == "vm"
     with pytest.raises(CodegenError, match="install cc, gcc, clang or the Python package ziglang"):
@@ -195,7 +195,7 @@ def test_without_a_compiler_auto_is_the_virtual_machine_and_c_an_error(monkeypat
 
 def test_with_a_compiler_that_fails_auto_warns_and_is_the_virtual_machine(cache, monkeypatch, caplog):
     broken = Compiler(command=("no-such-compiler",), identity="broken")
-    monkeypatch.setattr("host.codegen.compiler.find_compiler", lambda: broken)
+    monkeypatch.setattr("trimtab.host.codegen.compiler.find_compiler", lambda: broken)
     engine = compile_blocks(_example, IN, OUT, "example", engine="auto")
     engine.inputs["x"][0] = 2.0
     engine()

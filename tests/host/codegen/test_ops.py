@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from firmware_model.law.ops import FLOAT
-from host.codegen.ops import CASADI, NUMPY
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.codegen.ops import CASADI, NUMPY
 
 UNARY = ("sqrt", "sin", "cos", "tan", "asin", "exp", "log", "tanh", "fabs", "floor")
 BINARY = ("minimum", "maximum", "atan2")

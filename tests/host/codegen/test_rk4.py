@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from host.codegen.rk4 import runge_kutta
+from trimtab.host.codegen.rk4 import runge_kutta
 
 
 def driven() -> ca.Function:

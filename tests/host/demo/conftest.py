@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from host.demo.flights import Airfield
-from host.demo.routes import DemoRoutes
-from host.plan import plan
-from host.route import Route, YawProfile, random_route
-from host.vehicle import Vehicle, load_vehicle
-from protocol.blobs import Reference
+from trimtab.host.demo.flights import Airfield
+from trimtab.host.demo.routes import DemoRoutes
+from trimtab.host.plan import plan
+from trimtab.host.route import Route, YawProfile, random_route
+from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.protocol.blobs import Reference
 
 BOX = ((-3.0, 3.0), (-3.0, 3.0), (-2.8, -1.0))
 WORLD_SEED = 4_611_686_018_427_387_847

@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from host import cli
-from host.demo import session
-from host.demo.flights import Airfield
-from host.demo.routes import DemoRoutes
-from host.demo.session import JSON_NAME, REPORT_NAME, DemoOrder, Outcome, run_demo
-from host.effects import load_effects
-from host.errors import FlightFailed, SolverError
-from host.vehicle import Vehicle
+from trimtab.host import cli
+from trimtab.host.demo import session
+from trimtab.host.demo.flights import Airfield
+from trimtab.host.demo.routes import DemoRoutes
+from trimtab.host.demo.session import JSON_NAME, REPORT_NAME, DemoOrder, Outcome, run_demo
+from trimtab.host.effects import load_effects
+from trimtab.host.errors import FlightFailed, SolverError
+from trimtab.host.vehicle import Vehicle
 
 pytestmark = pytest.mark.xdist_group("demo")
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.demo.applied import feedforward_of, to_apply, voltage_ratio
-from host.effects import load_effects
-from host.models.model import Model
-from host.vehicle import Vehicle
+from trimtab.host.demo.applied import feedforward_of, to_apply, voltage_ratio
+from trimtab.host.effects import load_effects
+from trimtab.host.models.model import Model
+from trimtab.host.vehicle import Vehicle
 
 EFFECTS = load_effects()
 

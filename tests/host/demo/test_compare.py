@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.demo import report
-from host.demo.compare import Comparison, Tracked, latency_of, tracked, what_got_worse
-from host.demo.flights import Airfield
-from host.demo.plans import Planned, plan_first
-from host.log import Flight, read_flight
-from host.log.tracking import reference_at, tracking_error
-from host.route import Route
-from host.vehicle import Vehicle
+from trimtab.host.demo import report
+from trimtab.host.demo.compare import Comparison, Tracked, latency_of, tracked, what_got_worse
+from trimtab.host.demo.flights import Airfield
+from trimtab.host.demo.plans import Planned, plan_first
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.log.tracking import reference_at, tracking_error
+from trimtab.host.route import Route
+from trimtab.host.vehicle import Vehicle
 
 LATENCY_S = 0.05
 NOTHING: Any = {"no_new_plan": "nothing was traced", "no_applied": "nothing was traced"}

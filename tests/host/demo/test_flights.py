@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from host.demo.flights import TRUTH_SUFFIX, Airfield, upload_through_pty
-from host.errors import FlightFailed, UsageError
-from host.log import read_flight
-from host.vehicle import ConfigurationError
-from protocol.blobs import Reference
+from trimtab.host.demo.flights import TRUTH_SUFFIX, Airfield, upload_through_pty
+from trimtab.host.errors import FlightFailed, UsageError
+from trimtab.host.log import read_flight
+from trimtab.host.vehicle import ConfigurationError
+from trimtab.protocol.blobs import Reference
 
 GAPS = """
 description = "For a test: the cameras fall silent in the air"

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from host.demo import plans
-from host.demo.plans import Planned, fastest, plan_again, plan_first
-from host.errors import Refused
-from host.plan import PlanRefused, Weights
-from host.route import Route
-from host.vehicle import Vehicle
+from trimtab.host.demo import plans
+from trimtab.host.demo.plans import Planned, fastest, plan_again, plan_first
+from trimtab.host.errors import Refused
+from trimtab.host.plan import PlanRefused, Weights
+from trimtab.host.route import Route
+from trimtab.host.vehicle import Vehicle
 
 ROUTE = Route(name="hop", waypoints_m=((0.0, 0.0, -1.0), (2.0, 0.0, -1.2)), total_time_s=2.0)
 

@@ -7,9 +7,9 @@ import math
 
 import pytest
 
-from host.demo.routes import Space, draw_routes
-from host.route import check_route
-from host.vehicle import load_vehicle
+from trimtab.host.demo.routes import Space, draw_routes
+from trimtab.host.route import check_route
+from trimtab.host.vehicle import load_vehicle
 
 
 @pytest.mark.parametrize("name", ["research", "nano"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from host.demo.seeds import host_seed, world_seed
+from trimtab.host.demo.seeds import host_seed, world_seed
 
 
 def test_seeds_of_a_demo_differ_and_never_hold_its_own() -> None:

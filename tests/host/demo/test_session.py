@@ -17,15 +17,15 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from host.demo.flights import TRUTH_SUFFIX
-from host.demo.routes import DemoRoutes
-from host.demo.seeds import host_seed, world_seed
-from host.demo.session import JSON_NAME, MODEL_NAME, REPORT_NAME, DemoOrder, Outcome, run_demo
-from host.effects import load_effects
-from host.log import read_flight
-from host.models.file import read_model
-from host.vehicle import load_vehicle
-from protocol.blobs import FeedForward, Reference
+from trimtab.host.demo.flights import TRUTH_SUFFIX
+from trimtab.host.demo.routes import DemoRoutes
+from trimtab.host.demo.seeds import host_seed, world_seed
+from trimtab.host.demo.session import JSON_NAME, MODEL_NAME, REPORT_NAME, DemoOrder, Outcome, run_demo
+from trimtab.host.effects import load_effects
+from trimtab.host.log import read_flight
+from trimtab.host.models.file import read_model
+from trimtab.host.vehicle import load_vehicle
+from trimtab.protocol.blobs import FeedForward, Reference
 
 pytestmark = pytest.mark.xdist_group("demo")
 
@@ -218,7 +218,9 @@ def test_logs_alone_give_the_same_verdict_where_there_is_no_simulator(demo: Demo
     logs = [path.name for path in sorted(folder.glob("*.mcap"))]
     for name in logs[:5]:
         shutil.copy(folder / name, tmp_path)
-    code = "import sys; sys.modules['sitl'] = None; from host.cli import main; sys.exit(main())"
+    code = (
+        "import sys; sys.modules['trimtab.sitl'] = None; from trimtab.host.cli import main; sys.exit(main())"
+    )
     command = [sys.executable, "-c", code, "trace", *logs[:4], "--hold-out", logs[4], "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=280)
     assert done.returncode == 0, done.stderr

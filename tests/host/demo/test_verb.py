@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from host import cli
-from host.verbs.demo import free_folder
+from trimtab.host import cli
+from trimtab.host.verbs.demo import free_folder
 
 
 @pytest.fixture(autouse=True)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from host.demo.routes import DemoRoutes
-from host.demo.session import REPORT_NAME, DemoOrder, Outcome, run_demo
-from host.effects import load_effects
-from host.vehicle import Vehicle
+from trimtab.host.demo.routes import DemoRoutes
+from trimtab.host.demo.session import REPORT_NAME, DemoOrder, Outcome, run_demo
+from trimtab.host.effects import load_effects
+from trimtab.host.vehicle import Vehicle
 
 
 def run(world: str, seed: int, folder: Path, vehicle: Vehicle, routes: DemoRoutes) -> Outcome:

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from firmware_model.law.ops import FLOAT
-from host.effects import compose_feedforward, load_effects
-from host.models import dynamics
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.effects import compose_feedforward, load_effects
+from trimtab.host.models import dynamics
 
 EFFECTS = load_effects()
 S = 0.088

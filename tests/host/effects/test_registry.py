@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from host.effects import SLOTS, EffectError, load_effects
+from trimtab.host.effects import SLOTS, EffectError, load_effects
 
 SHIPPED = {
     "linear-drag": ("dx", "dy", "dz"),
@@ -31,7 +31,7 @@ SHIPPED = {
 }
 
 WORKSPACE_EFFECT = """
-from host.effects import Closing, Effect, Parameter
+from trimtab.host.effects import Closing, Effect, Parameter
 
 EFFECT = Effect(
     name="{name}",

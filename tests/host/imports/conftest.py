@@ -1,7 +1,7 @@
 """A made-up flight, consistent by construction, and the foreign files that would hold it.
 
-The conversions here are not those of host.imports: rotations are composed from half turns by scipy, numbers
-written as text or packed by struct.
+The conversions here are not those of trimtab.host.imports: rotations are composed from half turns by scipy,
+numbers written as text or packed by struct.
 """
 
 from __future__ import annotations

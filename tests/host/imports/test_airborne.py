@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.imports import ImportFormatError, Recording
-from host.imports.airborne import EDGE_US, airborne
+from trimtab.host.imports import ImportFormatError, Recording
+from trimtab.host.imports.airborne import EDGE_US, airborne
 
 T_US = np.arange(0, 12_000_000, 10_000, dtype=np.int64)
 T = T_US * 1e-6

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from host.imports import ImportFormatError
-from host.imports.columns import read, read_map
-from host.vehicle import ConfigurationError
+from trimtab.host.imports import ImportFormatError
+from trimtab.host.imports.columns import read, read_map
+from trimtab.host.vehicle import ConfigurationError
 
 LEAST = """
 world = "nwu"

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from host.imports import ImportFormatError
-from host.imports.crazyflie_usd import UNKNOWN, VARIABLES, decode, read
+from trimtab.host.imports import ImportFormatError
+from trimtab.host.imports.crazyflie_usd import UNKNOWN, VARIABLES, decode, read
 
 SMALL = (("a", "h"), ("b", "f"))
 

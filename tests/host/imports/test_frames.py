@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from host.imports.frames import (
+from trimtab.host.imports.frames import (
     TO_FRD,
     TO_NED,
     q_ned_frd,

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from host.imports import ImportFormatError, crazyflie_usd, nanobench, profiles
-from host.imports.airborne import airborne
-from host.imports.plausible import check
-from host.vehicle import ConfigurationError
+from trimtab.host.imports import ImportFormatError, crazyflie_usd, nanobench, profiles
+from trimtab.host.imports.airborne import airborne
+from trimtab.host.imports.plausible import check
+from trimtab.host.vehicle import ConfigurationError
 
 MORE = settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 MAP = """

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from host.imports import ImportFormatError
-from host.imports.nanobench import COLUMNS, CORNERS, UNKNOWN, read
+from trimtab.host.imports import ImportFormatError
+from trimtab.host.imports.nanobench import COLUMNS, CORNERS, UNKNOWN, read
 
 
 def test_nanobench_flight_is_told_in_ned_and_frd(nanobench_file: Callable[..., Path], made_up: Any) -> None:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from host.imports import ImportFormatError, Recording
-from host.imports.airborne import airborne
-from host.imports.frames import q_ned_frd, to_frd, to_ned
-from host.imports.plausible import check
+from trimtab.host.imports import ImportFormatError, Recording
+from trimtab.host.imports.airborne import airborne
+from trimtab.host.imports.frames import q_ned_frd, to_frd, to_ned
+from trimtab.host.imports.plausible import check
 
 
 def read_as(flight: Any, world: str, body: str) -> Recording:

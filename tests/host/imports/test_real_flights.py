@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from host.effects import load_effects
-from host.imports.profiles import read
-from host.imports.write import write
-from host.log import Flight, read_flight
-from host.trace.result import Named, Trace
-from host.trace.run import run
-from host.vehicle import load_vehicle
+from trimtab.host.effects import load_effects
+from trimtab.host.imports.profiles import read
+from trimtab.host.imports.write import write
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.trace.result import Named, Trace
+from trimtab.host.trace.run import run
+from trimtab.host.vehicle import load_vehicle
 
 FLIGHTS = Path(__file__).parents[4] / "shared" / "data"
 NANOBENCH = ("B3_figure8_fast_rep1.csv", "B7_oval_fast_rep2.csv", "B8_star_slow_rep1.csv")

@@ -7,9 +7,9 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from host.imports import ImportFormatError, Recording
-from host.imports.recording import Unknown, first_of_equal, fresh, since_first_us
-from host.trace.parameters import UNKNOWN as TRACED_AS_NUISANCE
+from trimtab.host.imports import ImportFormatError, Recording
+from trimtab.host.imports.recording import Unknown, first_of_equal, fresh, since_first_us
+from trimtab.host.trace.parameters import UNKNOWN as TRACED_AS_NUISANCE
 
 T_US = np.arange(0, 50_000, 10_000, dtype=np.int64)
 

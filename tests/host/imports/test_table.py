@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from host.imports import ImportFormatError
-from host.imports.table import table
+from trimtab.host.imports import ImportFormatError
+from trimtab.host.imports.table import table
 
 
 def read(tmp_path: Path, text: str | bytes, *needed: str) -> dict[str, list[float]]:

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.imports import ImportFormatError, Recording
-from host.imports.nanobench import CORNERS, read
-from host.imports.write import write
-from host.log import read_flight
-from host.vehicle import ConfigurationError, Vehicle, load_vehicle
+from trimtab.host.imports import ImportFormatError, Recording
+from trimtab.host.imports.nanobench import CORNERS, read
+from trimtab.host.imports.write import write
+from trimtab.host.log import read_flight
+from trimtab.host.vehicle import ConfigurationError, Vehicle, load_vehicle
 
 
 @pytest.fixture(scope="session")

@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.models.phi import Phi, flight_constants
-from host.models.reference import flat_outputs
-from host.models.rollout import half_steps, reference_drive, roll_out
-from host.models.states import States
-from host.vehicle import load_vehicle
-from protocol.blobs import Node, Reference
+from trimtab.host.effects import load_effects
+from trimtab.host.models.phi import Phi, flight_constants
+from trimtab.host.models.reference import flat_outputs
+from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
+from trimtab.host.models.states import States
+from trimtab.host.vehicle import load_vehicle
+from trimtab.protocol.blobs import Node, Reference
 
 DRAG = (load_effects()["linear-drag"], (0.45, 0.35, 0.25))
 SIGMA = np.repeat([3e-4, 8e-3, 2e-3, 1e-2], 3)

@@ -6,16 +6,16 @@ import casadi
 import numpy as np
 import pytest
 
-from host.codegen import find_compiler
-from host.effects import load_effects
-from host.learn.adjoint import Rollouts, loss_of
-from host.learn.lanes import LaneRollouts
-from host.learn.train import LOSS_SIGMA
-from host.models.network import Layout
-from host.models.phi import FLIGHT, Phi
-from host.models.rollout import roll_out
-from host.models.segments import cut
-from host.vehicle import load_vehicle
+from trimtab.host.codegen import find_compiler
+from trimtab.host.effects import load_effects
+from trimtab.host.learn.adjoint import Rollouts, loss_of
+from trimtab.host.learn.lanes import LaneRollouts
+from trimtab.host.learn.train import LOSS_SIGMA
+from trimtab.host.models.network import Layout
+from trimtab.host.models.phi import FLIGHT, Phi
+from trimtab.host.models.rollout import roll_out
+from trimtab.host.models.segments import cut
+from trimtab.host.vehicle import load_vehicle
 
 LAYOUT = Layout(hidden=(8, 8))
 LAYOUTS = [LAYOUT, Layout(hidden=(5, 7, 3), frame="body")]

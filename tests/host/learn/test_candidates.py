@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from host.learn.candidates import Trial, best, note
-from host.learn.evaluate import Errors
+from trimtab.host.learn.candidates import Trial, best, note
+from trimtab.host.learn.evaluate import Errors
 
 WHATS = ("nothing", "effects", "effects and network")
 NAN, INF = float("nan"), float("inf")

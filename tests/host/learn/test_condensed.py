@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from host.codegen import find_compiler
-from host.effects import load_effects
-from host.learn.adjoint import Rollouts, loss_of
-from host.learn.condensed import DELAY_S, condense
-from host.learn.fit import Basis, Examples, accelerations, fit
-from host.learn.lanes import LaneRollouts, rollouts
-from host.learn.linear import between, effect_scales
-from host.learn.quick import CondensedSettings, train_condensed
-from host.learn.starts import start_sigma
-from host.learn.train import LOSS_SIGMA
-from host.models.network import Layout
-from host.models.phi import Phi
-from host.models.segments import Segments, cut
-from host.vehicle import load_vehicle
+from trimtab.host.codegen import find_compiler
+from trimtab.host.effects import load_effects
+from trimtab.host.learn.adjoint import Rollouts, loss_of
+from trimtab.host.learn.condensed import DELAY_S, condense
+from trimtab.host.learn.fit import Basis, Examples, accelerations, fit
+from trimtab.host.learn.lanes import LaneRollouts, rollouts
+from trimtab.host.learn.linear import between, effect_scales
+from trimtab.host.learn.quick import CondensedSettings, train_condensed
+from trimtab.host.learn.starts import start_sigma
+from trimtab.host.learn.train import LOSS_SIGMA
+from trimtab.host.models.network import Layout
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.segments import Segments, cut
+from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 DRAG = load_effects()["linear-drag"]
@@ -121,7 +121,7 @@ def test_slope_of_what_is_learned_is_its_difference(segments, frame):
     examples = Examples(
         condensed=condensed_about(few, np.zeros((3, STEPS + 1, 3)), np.zeros(3)), states=states
     )
-    from host.learn.fit import _Problem
+    from trimtab.host.learn.fit import _Problem
 
     problem = _Problem(basis, examples, l2=1e-3, headings=headings)
     v = np.concatenate([layout.initial(rng), [0.3, 0.2, 0.1, 0.05]])

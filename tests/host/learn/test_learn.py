@@ -10,22 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.cli import main
-from host.effects import load_effects
-from host.learn import DEFAULT_FORMS, CondensedSettings, Judged, Learned, Settings, learn
-from host.learn.candidates import Trial
-from host.learn.evaluate import Errors
-from host.learn.train import Trained
-from host.link.flight import FlightOrder
-from host.link.fly import fly_lockstep
-from host.log import Flight, read_flight
-from host.log.errors import TooLittleData
-from host.models.file import read_model
-from host.models.model import Model
-from host.models.network import Layout, Network
-from host.vehicle import load_vehicle
-from protocol.blobs import Reference
-from sitl.vehicle import SimulatedVehicle
+from trimtab.host.cli import main
+from trimtab.host.effects import load_effects
+from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, Judged, Learned, Settings, learn
+from trimtab.host.learn.candidates import Trial
+from trimtab.host.learn.evaluate import Errors
+from trimtab.host.learn.train import Trained
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import fly_lockstep
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.models.file import read_model
+from trimtab.host.models.model import Model
+from trimtab.host.models.network import Layout, Network
+from trimtab.host.vehicle import load_vehicle
+from trimtab.protocol.blobs import Reference
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 MADE = Path(__file__).parents[2] / "data"
 WORLD = "[effects.linear-drag]\ndx = 0.8\ndy = 0.7\ndz = 0.3\n"
@@ -163,7 +163,7 @@ def test_learn_same_seed_gives_the_same_model(logs):
 
 
 def test_learn_on_a_traced_model_keeps_its_effects_and_starts_from_them(logs):
-    from host.effects import load_effects
+    from trimtab.host.effects import load_effects
 
     effects = load_effects()
     flights = [read_flight(path) for path in logs]
@@ -185,7 +185,7 @@ def test_learn_on_a_traced_model_keeps_its_effects_and_starts_from_them(logs):
 
 
 def test_learn_on_a_model_with_latency_judges_the_nominal_vehicle_without_it(logs):
-    from host.effects import load_effects
+    from trimtab.host.effects import load_effects
 
     effects = load_effects()
     flights = [read_flight(path) for path in logs[:2]]

@@ -7,17 +7,17 @@ import dataclasses
 import numpy as np
 import pytest
 
-from host.learn.adam import Adam
-from host.learn.evaluate import whole_flights
-from host.learn.lanes import rollouts
-from host.learn.learn import region, split_by_reference
-from host.learn.starts import free_starts
-from host.learn.train import LOSS_SIGMA, Settings, train
-from host.models.network import Layout
-from host.models.phi import Phi
-from host.models.rollout import roll_out
-from host.models.segments import cut
-from host.vehicle import load_vehicle, to_parameters
+from trimtab.host.learn.adam import Adam
+from trimtab.host.learn.evaluate import whole_flights
+from trimtab.host.learn.lanes import rollouts
+from trimtab.host.learn.learn import region, split_by_reference
+from trimtab.host.learn.starts import free_starts
+from trimtab.host.learn.train import LOSS_SIGMA, Settings, train
+from trimtab.host.models.network import Layout
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.rollout import roll_out
+from trimtab.host.models.segments import cut
+from trimtab.host.vehicle import load_vehicle, to_parameters
 
 PHI = Phi(vehicle=load_vehicle("research"), estimator=False)
 WHOLE = Phi(vehicle=load_vehicle("research"))

@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from firmware_model.store import ReferenceStore
-from host.link.session import Script, Session
-from protocol import messages as m
-from protocol.codec import Codec
-from protocol.messages import Message, mavlink
-from protocol.upload import UploadReceiver, Verdict
+from trimtab.firmware_model.store import ReferenceStore
+from trimtab.host.link.session import Script, Session
+from trimtab.protocol import messages as m
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import Message, mavlink
+from trimtab.protocol.upload import UploadReceiver, Verdict
 
 STEP_US = 1000
 

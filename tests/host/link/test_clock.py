@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from host.link.clock import BUCKETS, CAMERA_AGREEING, CameraClock, ClockSync, LeastDelay
+from trimtab.host.link.clock import BUCKETS, CAMERA_AGREEING, CameraClock, ClockSync, LeastDelay
 
 
 def exchange(clock: ClockSync, now_us: int, offset_us: float, up_us: float, down_us: float) -> int:

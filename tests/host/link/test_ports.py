@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 import serial
 
-from host.errors import LinkError, TrimtabError, UsageError
-from host.link.ports import Cameras, Port, open_port
+from trimtab.host.errors import LinkError, TrimtabError, UsageError
+from trimtab.host.link.ports import Cameras, Port, open_port
 
 
 def receive(port: Port | Cameras, size: int) -> bytes:

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from host.link.client import Client
-from host.link.clock import CameraClock
-from host.link.session import Session
-from host.link.tasks import FindVehicle, ReadParameters, SettleClock, Task
-from protocol import messages as m
-from protocol.codec import Codec
+from trimtab.host.link.client import Client
+from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.session import Session
+from trimtab.host.link.tasks import FindVehicle, ReadParameters, SettleClock, Task
+from trimtab.protocol import messages as m
+from trimtab.protocol.codec import Codec
 
 Run = Callable[..., Session]
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from host.errors import LinkError, Refused
-from host.link.session import Script, Session
-from host.link.tasks import (
+from trimtab.host.errors import LinkError, Refused
+from trimtab.host.link.session import Script, Session
+from trimtab.host.link.tasks import (
     Command,
     FindVehicle,
     FreshStatus,
@@ -22,11 +22,11 @@ from host.link.tasks import (
     Task,
     make_live,
 )
-from protocol import messages as m
-from protocol.blobs import Kind, Node, Reference
-from protocol.codec import Codec
-from protocol.messages import UploadState, mavlink
-from protocol.upload import Verdict
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Kind, Node, Reference
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import UploadState, mavlink
+from trimtab.protocol.upload import Verdict
 
 Run = Callable[..., Session]
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM

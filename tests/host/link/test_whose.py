@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from host.errors import UsageError
-from host.link.tasks import Identity
-from host.link.whose import check_same_vehicle, name_of, neutral_feedforward
-from host.vehicle import load_vehicle
-from host.vehicle.files import write_toml
+from trimtab.host.errors import UsageError
+from trimtab.host.link.tasks import Identity
+from trimtab.host.link.whose import check_same_vehicle, name_of, neutral_feedforward
+from trimtab.host.vehicle import load_vehicle
+from trimtab.host.vehicle.files import write_toml
 
 STRANGER = Identity(vehicle_id="a" * 12, uid="1")
 

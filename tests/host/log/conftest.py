@@ -10,10 +10,10 @@ from typing import IO
 
 import pytest
 
-from host.log import FLIGHT_TOPICS, LogWriter, Provenance
-from host.vehicle import Vehicle, load_vehicle
-from protocol.blobs import Node, Reference
-from protocol.generated import flight_pb2
+from trimtab.host.log import FLIGHT_TOPICS, LogWriter, Provenance
+from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.protocol.blobs import Node, Reference
+from trimtab.protocol.generated import flight_pb2
 
 ARM_HOST_US = 5_000_000
 OFFSET_US = 1234

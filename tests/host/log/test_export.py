@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from host.log import LogError
-from host.log.export import TABLES, csv_tables
+from trimtab.host.log import LogError
+from trimtab.host.log.export import TABLES, csv_tables
 
 
 def test_export_makes_a_table_a_topic(log_path: Path) -> None:

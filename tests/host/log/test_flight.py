@@ -17,7 +17,7 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
-from host.log import (
+from trimtab.host.log import (
     FAILSAFE_WORDS,
     FLIGHT_TOPICS,
     LogError,
@@ -28,8 +28,8 @@ from host.log import (
     read_flight,
     to_lines,
 )
-from protocol.blobs import Reference
-from protocol.messages import mavlink
+from trimtab.protocol.blobs import Reference
+from trimtab.protocol.messages import mavlink
 
 
 def test_flight_written_reads_back(log_path: Path, reference: Reference) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.log import (
+from trimtab.host.log import (
     Battery,
     Mocap,
     RecordedImu,
@@ -16,7 +16,7 @@ from host.log import (
     read_flight,
     write_imported,
 )
-from host.vehicle import Vehicle
+from trimtab.host.vehicle import Vehicle
 
 T_US = np.arange(0, 1_000_000, 10_000, dtype=np.int64)
 

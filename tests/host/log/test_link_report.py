@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from host.log import describe
-from host.log.link_report import to_lines
+from trimtab.host.log import describe
+from trimtab.host.log.link_report import to_lines
 
 DATA = Path(__file__).parent.parent.parent / "data"
 

@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from host.link.flight import FlightOrder
-from host.link.fly import fly_lockstep
-from host.log import Flight, read_flight
-from host.log import prepare as module
-from host.log.errors import TooLittleData
-from host.log.prepare import prepare
-from host.plan import plan
-from host.route import load_route
-from host.vehicle import load_vehicle
-from sitl.vehicle import SimulatedVehicle
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import fly_lockstep
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.log import prepare as module
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.log.prepare import prepare
+from trimtab.host.plan import plan
+from trimtab.host.route import load_route
+from trimtab.host.vehicle import load_vehicle
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 
 @pytest.fixture(scope="module")

@@ -15,13 +15,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from host.log import LogError, LogWriter, Provenance, partial_path, read_flight, recover
+from trimtab.host.log import LogError, LogWriter, Provenance, partial_path, read_flight, recover
 
 KILLED_WRITER = """
 import os, signal, sys
 from pathlib import Path
-from host.log import LogWriter, Provenance
-from host.vehicle import load_vehicle
+from trimtab.host.log import LogWriter, Provenance
+from trimtab.host.vehicle import load_vehicle
 log = LogWriter(Path(sys.argv[1]), Provenance(vehicle=load_vehicle("research")))
 for ms in range(0, 30000, 10):
     noise = [((ms * 7919 + k * 104729) % 1000003) / 7.0 for k in range(3)]

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from firmware_model.law.estimator import EstimatorGains
-from firmware_model.law.ops import FLOAT
-from host.log.smoothing import Series, Smoothed, smooth
-from host.models import estimator
-from host.models.bias import accelerometer_bias, standing_errors
+from trimtab.firmware_model.law.estimator import EstimatorGains
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.log.smoothing import Series, Smoothed, smooth
+from trimtab.host.models import estimator
+from trimtab.host.models.bias import accelerometer_bias, standing_errors
 
 
 def curve(t):

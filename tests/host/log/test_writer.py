@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from host.log import LogError, LogWriter, Provenance, partial_path, read_flight, recover
+from trimtab.host.log import LogError, LogWriter, Provenance, partial_path, read_flight, recover
 
 FullDisk = Callable[[int], AbstractContextManager[None]]
 

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.law import feedforward as law_feedforward
-from firmware_model.law import step as law_step
-from firmware_model.law.allocation import command_to_thrust
-from firmware_model.law.reference import cubic_coefficients, septic_coefficients
-from firmware_model.law.rotations import euler_to_matrix, mat_t_vec, quat_from_euler
-from host.codegen import Block, compile_blocks
-from host.models import dynamics
-from host.models.reference import flat_outputs
-from host.vehicle import Vehicle, load_vehicle, to_parameters
-from protocol.blobs import Node, Reference, YawNode
+from trimtab.firmware_model.law import feedforward as law_feedforward
+from trimtab.firmware_model.law import step as law_step
+from trimtab.firmware_model.law.allocation import command_to_thrust
+from trimtab.firmware_model.law.reference import cubic_coefficients, septic_coefficients
+from trimtab.firmware_model.law.rotations import euler_to_matrix, mat_t_vec, quat_from_euler
+from trimtab.host.codegen import Block, compile_blocks
+from trimtab.host.models import dynamics
+from trimtab.host.models.reference import flat_outputs
+from trimtab.host.vehicle import Vehicle, load_vehicle, to_parameters
+from trimtab.protocol.blobs import Node, Reference, YawNode
 
 
 @pytest.fixture(scope="session")

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.learn.evaluate import predict, whole_flights
-from host.link.flight import FlightOrder
-from host.link.fly import fly_lockstep
-from host.link.summary import FlightResult
-from host.log import Flight, read_flight
-from host.log.errors import TooLittleData
-from host.models.phi import Phi
-from host.models.reference import flat_outputs
-from host.models.states import flight_states
-from sitl.vehicle import SimulatedVehicle
+from trimtab.host.effects import load_effects
+from trimtab.host.learn.evaluate import predict, whole_flights
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import fly_lockstep
+from trimtab.host.link.summary import FlightResult
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.reference import flat_outputs
+from trimtab.host.models.states import flight_states
+from trimtab.sitl.vehicle import SimulatedVehicle
 
 DRAGGED = """description = "Linear drag, nothing else"
 tolerances = false

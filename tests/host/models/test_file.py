@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.errors import UsageError
-from host.models.file import ModelFileError, read_model, write_model
-from host.models.model import Covariance, Model
-from host.models.network import Layout, Network
-from host.models.region import Region
-from host.vehicle.strict_toml import ConfigurationError
+from trimtab.host.effects import load_effects
+from trimtab.host.errors import UsageError
+from trimtab.host.models.file import ModelFileError, read_model, write_model
+from trimtab.host.models.model import Covariance, Model
+from trimtab.host.models.network import Layout, Network
+from trimtab.host.models.region import Region
+from trimtab.host.vehicle.strict_toml import ConfigurationError
 
 LAYOUT = Layout(hidden=(4, 4))
 

@@ -6,7 +6,7 @@ import casadi
 import numpy as np
 import pytest
 
-from host.models.lanes import FEW, lane_program
+from trimtab.host.models.lanes import FEW, lane_program
 
 
 def every_operation() -> casadi.Function:

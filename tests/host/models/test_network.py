@@ -6,8 +6,8 @@ import casadi
 import numpy as np
 import pytest
 
-from firmware_model.law.ops import FLOAT
-from host.models.network import Layout, Network
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.models.network import Layout, Network
 
 
 @pytest.mark.parametrize("hidden", [(32, 32), (32, 32, 32), (5,)])

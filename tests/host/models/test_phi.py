@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from firmware_model.law import feedforward as law_feedforward
-from firmware_model.law.ops import FLOAT
-from host.effects import load_effects
-from host.models.network import Layout, Network
-from host.models.phi import DRIVE_ROWS, Phi, flight_constants
-from host.models.reference import feedforward_rows, flat_outputs
-from host.models.rollout import half_steps, reference_drive, roll_out
-from host.vehicle import to_parameters
-from protocol.blobs import FeedForward
+from trimtab.firmware_model.law import feedforward as law_feedforward
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.effects import load_effects
+from trimtab.host.models.network import Layout, Network
+from trimtab.host.models.phi import DRIVE_ROWS, Phi, flight_constants
+from trimtab.host.models.reference import feedforward_rows, flat_outputs
+from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
+from trimtab.host.vehicle import to_parameters
+from trimtab.protocol.blobs import FeedForward
 
 EFFECTS = load_effects()
 DRAG = (EFFECTS["linear-drag"], (0.4, 0.35, 0.2))

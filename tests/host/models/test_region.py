@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from host.models.region import Region
+from trimtab.host.models.region import Region
 
 
 def test_region_of_data_holds_all_of_it_and_tells_what_is_beyond():

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.models.phi import Phi, flight_constants
-from host.models.rollout import roll_out
-from host.vehicle import load_vehicle
+from trimtab.host.effects import load_effects
+from trimtab.host.models.phi import Phi, flight_constants
+from trimtab.host.models.rollout import roll_out
+from trimtab.host.vehicle import load_vehicle
 
 
 @pytest.mark.parametrize("every", [1, 2])

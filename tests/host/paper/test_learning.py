@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from host.models.network import Layout, Network
-from host.paper.learning.curves import nominal_errors
-from host.paper.learning.flights import DRAG, STEP_S, Flights, accelerations, cut, make_flights
-from host.paper.learning.flown import draw_courses, statistics
-from host.paper.learning.measure import Candidate, acceleration_error, position_error_m
-from host.paper.learning.methods import CLOSED, exact_segments, phi_of
-from host.paper.learning.noise import observe
-from host.paper.learning.supervised import CondensedSettings, label, train_supervised
-from host.vehicle import load_vehicle
+from trimtab.host.models.network import Layout, Network
+from trimtab.host.paper.learning.curves import nominal_errors
+from trimtab.host.paper.learning.flights import DRAG, STEP_S, Flights, accelerations, cut, make_flights
+from trimtab.host.paper.learning.flown import draw_courses, statistics
+from trimtab.host.paper.learning.measure import Candidate, acceleration_error, position_error_m
+from trimtab.host.paper.learning.methods import CLOSED, exact_segments, phi_of
+from trimtab.host.paper.learning.noise import observe
+from trimtab.host.paper.learning.supervised import CondensedSettings, label, train_supervised
+from trimtab.host.vehicle import load_vehicle
 
 COUNTS = {"train": 6, "test": 3, "validation": 2, "ood": 2}
 

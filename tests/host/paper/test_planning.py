@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.cli import main
-from host.effects import load_effects
-from host.log import read_flight
-from host.paper.planning import compare
-from host.paper.planning.courses import draw_course
-from host.paper.planning.study import COURSES, PLANNED, WORLDS, plan_pieces
-from host.paper.planning.summary import summary
-from host.vehicle import load_vehicle
+from trimtab.host.cli import main
+from trimtab.host.effects import load_effects
+from trimtab.host.log import read_flight
+from trimtab.host.paper.planning import compare
+from trimtab.host.paper.planning.courses import draw_course
+from trimtab.host.paper.planning.study import COURSES, PLANNED, WORLDS, plan_pieces
+from trimtab.host.paper.planning.summary import summary
+from trimtab.host.vehicle import load_vehicle
 
 DATA = Path(__file__).parent.parent.parent / "data"
 VEHICLE = load_vehicle("research")

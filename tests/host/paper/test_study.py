@@ -6,9 +6,9 @@ import json
 
 import pytest
 
-from host.cli import main
-from host.paper.learning import study, summary
-from host.paper.learning.study import QUICK, Scope, plan
+from trimtab.host.cli import main
+from trimtab.host.paper.learning import study, summary
+from trimtab.host.paper.learning.study import QUICK, Scope, plan
 
 SMALL = Scope(trials=1, epochs=2, seeds=1, iterations=(4,), scales=(1.0,), noisy=(study.CLOSED.name,))
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from host.plan import plan
-from host.plan.box import SolverBox
-from host.route import Route
-from host.vehicle import load_vehicle
+from trimtab.host.plan import plan
+from trimtab.host.plan.box import SolverBox
+from trimtab.host.route import Route
+from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 

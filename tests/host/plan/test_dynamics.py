@@ -6,13 +6,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from host.codegen import NUMPY
-from host.effects import load_effects
-from host.models.dynamics import Part, rigid_body
-from host.models.model import Model, Values
-from host.models.network import Layout, Network
-from host.plan.dynamics import Dynamics, ResidualModel, Weights
-from host.vehicle import load_vehicle
+from trimtab.host.codegen import NUMPY
+from trimtab.host.effects import load_effects
+from trimtab.host.models.dynamics import Part, rigid_body
+from trimtab.host.models.model import Model, Values
+from trimtab.host.models.network import Layout, Network
+from trimtab.host.plan.dynamics import Dynamics, ResidualModel, Weights
+from trimtab.host.vehicle import load_vehicle
 
 EFFECTS = load_effects()
 VEHICLE = load_vehicle("research")

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from host.cli import main
-from host.errors import UsageError
-from host.link.blob_files import model_of, read_reference
-from host.models.file import write_model
-from host.models.model import Model
-from host.plan import plan, write_plan
-from host.route import load_route
-from host.vehicle import load_vehicle
+from trimtab.host.cli import main
+from trimtab.host.errors import UsageError
+from trimtab.host.link.blob_files import model_of, read_reference
+from trimtab.host.models.file import write_model
+from trimtab.host.models.model import Model
+from trimtab.host.plan import plan, write_plan
+from trimtab.host.route import load_route
+from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 ROUTE = """

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from host.demo.flights import Airfield
-from host.log import read_flight
-from host.log.tracking import tracking_error
-from host.plan import Plan, plan
-from host.plan.flown import fly_plan
-from host.route import Route
-from host.vehicle import load_vehicle
+from trimtab.host.demo.flights import Airfield
+from trimtab.host.log import read_flight
+from trimtab.host.log.tracking import tracking_error
+from trimtab.host.plan import Plan, plan
+from trimtab.host.plan.flown import fly_plan
+from trimtab.host.route import Route
+from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 NO_POSES = """

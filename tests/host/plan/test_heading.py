@@ -9,22 +9,22 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from firmware_model.law.checks import check_reference, from_parameters
-from host.effects import load_effects
-from host.errors import UsageError
-from host.models.dynamics import THETA
-from host.models.network import Frame, Layout, Network
-from host.plan import Plan, ResidualModel, plan
-from host.plan.dynamics import Dynamics
-from host.plan.heading import SPACING_US, fastest_turn, yaw_nodes
-from host.plan.judge import judge
-from host.plan.planner import make_job
-from host.plan.rounds import first_round
-from host.plan.stage import build_stage
-from host.plan.table import from_reference, yaw_at
-from host.route import YawProfile, load_route
-from host.vehicle import load_vehicle, to_parameters
-from protocol.blobs import YawNode
+from trimtab.firmware_model.law.checks import check_reference, from_parameters
+from trimtab.host.effects import load_effects
+from trimtab.host.errors import UsageError
+from trimtab.host.models.dynamics import THETA
+from trimtab.host.models.network import Frame, Layout, Network
+from trimtab.host.plan import Plan, ResidualModel, plan
+from trimtab.host.plan.dynamics import Dynamics
+from trimtab.host.plan.heading import SPACING_US, fastest_turn, yaw_nodes
+from trimtab.host.plan.judge import judge
+from trimtab.host.plan.planner import make_job
+from trimtab.host.plan.rounds import first_round
+from trimtab.host.plan.stage import build_stage
+from trimtab.host.plan.table import from_reference, yaw_at
+from trimtab.host.route import YawProfile, load_route
+from trimtab.host.vehicle import load_vehicle, to_parameters
+from trimtab.protocol.blobs import YawNode
 
 EFFECTS = load_effects()
 VEHICLE = load_vehicle("research")

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.law.constants import GRAVITY
-from host.effects import load_effects
-from host.errors import UsageError
-from host.plan import PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
-from host.plan.flown import Flown
-from host.plan.pareto import COLUMNS, Point, pareto, tabulate
-from host.plan.problem import SolveStatus
-from host.plan.table import evaluate, from_reference
-from host.route import Route
-from host.vehicle import load_vehicle
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.effects import load_effects
+from trimtab.host.errors import UsageError
+from trimtab.host.plan import PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
+from trimtab.host.plan.flown import Flown
+from trimtab.host.plan.pareto import COLUMNS, Point, pareto, tabulate
+from trimtab.host.plan.problem import SolveStatus
+from trimtab.host.plan.table import evaluate, from_reference
+from trimtab.host.route import Route
+from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 DRAG = ResidualModel(parts=((load_effects()["linear-drag"], (0.5, 0.4, 0.1)),))
@@ -102,7 +102,7 @@ def test_pareto_scales_thrusts_and_their_rates_alone(monkeypatch: pytest.MonkeyP
         asked.append(settings.weights)
         raise PlanRefused("no way")
 
-    monkeypatch.setattr("host.plan.pareto.plan", refuse)
+    monkeypatch.setattr("trimtab.host.plan.pareto.plan", refuse)
     base = Settings(weights=Weights(control=0.2, thrust_rate=0.1, yaw=50.0, time=3.0))
     pareto(ROUTE, VEHICLE, DRAG, factors=(2.0,), settings=base)
     assert asked == [base.weights] * 2 + [Weights(control=0.4, thrust_rate=0.2, yaw=50.0, time=3.0)]
@@ -114,7 +114,7 @@ def test_pareto_tells_of_plans_that_fail_and_goes_on(monkeypatch: pytest.MonkeyP
             raise PlanRefused("too fast")
         raise PlanUnsolved("no luck", SolveStatus.ITERATIONS)
 
-    monkeypatch.setattr("host.plan.pareto.plan", give_up)
+    monkeypatch.setattr("trimtab.host.plan.pareto.plan", give_up)
     seen: list[Point] = []
     found = pareto(ROUTE, VEHICLE, DRAG, factors=(1.0,), kind="min-residual*", on_point=seen.append)
     assert seen == found

@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.law.checks import check_reference, from_parameters
-from host.effects import load_effects
-from host.errors import UsageError
-from host.models.model import Model
-from host.models.network import Frame, Layout, Network
-from host.models.region import Region
-from host.plan import Plan, PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
-from host.plan.judge import Passing, judge, measure
-from host.plan.table import evaluate, from_reference
-from host.route import TIME_MAX_S, Gate, LimitsOverride, Route, YawProfile, load_route, random_route
-from host.route.shapes import Cylinder
-from host.vehicle import ConfigurationError, load_vehicle, to_parameters
-from protocol.blobs import BLOB_BYTES_MAX, Reference, YawNode
+from trimtab.firmware_model.law.checks import check_reference, from_parameters
+from trimtab.host.effects import load_effects
+from trimtab.host.errors import UsageError
+from trimtab.host.models.model import Model
+from trimtab.host.models.network import Frame, Layout, Network
+from trimtab.host.models.region import Region
+from trimtab.host.plan import Plan, PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
+from trimtab.host.plan.judge import Passing, judge, measure
+from trimtab.host.plan.table import evaluate, from_reference
+from trimtab.host.route import TIME_MAX_S, Gate, LimitsOverride, Route, YawProfile, load_route, random_route
+from trimtab.host.route.shapes import Cylinder
+from trimtab.host.vehicle import ConfigurationError, load_vehicle, to_parameters
+from trimtab.protocol.blobs import BLOB_BYTES_MAX, Reference, YawNode
 
 EFFECTS = load_effects()
 VEHICLE = load_vehicle("research")
@@ -162,8 +162,8 @@ def test_min_residual_is_tracked_better_under_drag_than_min_snap(seed: int) -> N
 
 def _tracking_rmse(made: Plan) -> float:
     """RMSE of position in m, by RK4 at 2 ms."""
-    from host.models.phi import Phi, flight_constants
-    from host.models.reference import flat_outputs
+    from trimtab.host.models.phi import Phi, flight_constants
+    from trimtab.host.models.reference import flat_outputs
 
     phi = Phi(
         vehicle=VEHICLE, effects=tuple(effect for effect, _ in DRAG.parts), drive="reference", estimator=False

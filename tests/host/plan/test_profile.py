@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.models.region import Region
-from host.plan import Plan, ResidualModel, plan
-from host.plan.profile import profile, sample_times, with_nodes
-from host.plan.table import from_reference
-from host.route import Route, YawProfile
-from host.route.shapes import Sphere
-from host.vehicle import load_vehicle
+from trimtab.host.effects import load_effects
+from trimtab.host.models.region import Region
+from trimtab.host.plan import Plan, ResidualModel, plan
+from trimtab.host.plan.profile import profile, sample_times, with_nodes
+from trimtab.host.plan.table import from_reference
+from trimtab.host.route import Route, YawProfile
+from trimtab.host.route.shapes import Sphere
+from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 MODEL = ResidualModel(

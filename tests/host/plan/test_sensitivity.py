@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from firmware_model.law.rotations import euler_to_matrix, matrix_to_euler
-from host.codegen import NUMPY
-from host.effects import load_effects
-from host.models.dynamics import THETA, V, residual_acceleration_ned
-from host.models.network import Layout, Network
-from host.plan import ResidualModel
-from host.plan.sensitivity import Sensitivity, sensitivity
-from host.plan.table import flat_states, snap_table
-from host.vehicle import load_vehicle
-from protocol.blobs import YawNode
+from trimtab.firmware_model.law.rotations import euler_to_matrix, matrix_to_euler
+from trimtab.host.codegen import NUMPY
+from trimtab.host.effects import load_effects
+from trimtab.host.models.dynamics import THETA, V, residual_acceleration_ned
+from trimtab.host.models.network import Layout, Network
+from trimtab.host.plan import ResidualModel
+from trimtab.host.plan.sensitivity import Sensitivity, sensitivity
+from trimtab.host.plan.table import flat_states, snap_table
+from trimtab.host.vehicle import load_vehicle
+from trimtab.protocol.blobs import YawNode
 
 Array = NDArray[np.float64]
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from host.errors import UsageError
-from host.plan import plan
-from host.plan.planner import make_job
-from host.plan.rounds import first_round
-from host.plan.shooting import NODES_MAX, Grid, coarser, make_grid, on_grid
-from host.route import Route
-from host.vehicle import load_vehicle
+from trimtab.host.errors import UsageError
+from trimtab.host.plan import plan
+from trimtab.host.plan.planner import make_job
+from trimtab.host.plan.rounds import first_round
+from trimtab.host.plan.shooting import NODES_MAX, Grid, coarser, make_grid, on_grid
+from trimtab.host.route import Route
+from trimtab.host.vehicle import load_vehicle
 
 
 def test_grid_rounds_each_leg_s_share() -> None:

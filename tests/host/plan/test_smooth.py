@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
-from host.plan.smooth import fit
-from host.plan.snap import optimise_durations
-from host.plan.table import evaluate, snap_table
+from trimtab.host.plan.smooth import fit
+from trimtab.host.plan.snap import optimise_durations
+from trimtab.host.plan.table import evaluate, snap_table
 
 REST = np.zeros((2, 3))
 ENDS = np.array([[0.5, -0.2, 0.1], [-0.3, 0.0, 0.4]])

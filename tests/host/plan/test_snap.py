@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from host.plan.snap import (
+from trimtab.host.plan.snap import (
     SnapSpline,
     cost_gradient,
     heuristic_durations,

@@ -6,15 +6,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from host.codegen import CASADI
-from host.effects import load_effects
-from host.models.dynamics import THRUST, Part
-from host.models.network import Frame, Layout, Network
-from host.plan.dynamics import INPUTS, PATH_ROWS, STATES, Dynamics, ResidualModel, Weights
-from host.plan.intervals import Engine, Intervals
-from host.plan.kernel import kernel_source
-from host.plan.stage import NETWORK_INPUTS, StageModel, build_stage
-from host.vehicle import load_vehicle
+from trimtab.host.codegen import CASADI
+from trimtab.host.effects import load_effects
+from trimtab.host.models.dynamics import THRUST, Part
+from trimtab.host.models.network import Frame, Layout, Network
+from trimtab.host.plan.dynamics import INPUTS, PATH_ROWS, STATES, Dynamics, ResidualModel, Weights
+from trimtab.host.plan.intervals import Engine, Intervals
+from trimtab.host.plan.kernel import kernel_source
+from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel, build_stage
+from trimtab.host.vehicle import load_vehicle
 
 _EFFECTS = load_effects()
 _VEHICLE = load_vehicle("research")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import BPoly
 
-from host.plan.snap import solve_snap
-from host.plan.table import (
+from trimtab.host.plan.snap import solve_snap
+from trimtab.host.plan.table import (
     Table,
     evaluate,
     flat_states,
@@ -18,8 +18,8 @@ from host.plan.table import (
     to_reference,
     yaw_at,
 )
-from host.vehicle import load_vehicle
-from protocol.blobs import YawNode
+from trimtab.host.vehicle import load_vehicle
+from trimtab.protocol.blobs import YawNode
 
 WAYPOINTS = np.array([[0.0, 0.0, -1.0], [2.0, 1.0, -1.5], [3.0, -1.0, -2.0], [0.5, 0.0, -1.0]])
 DURATIONS = np.array([1.3333333, 0.9, 1.41])
@@ -79,8 +79,8 @@ def test_yaw_outside_its_nodes_is_held() -> None:
 
 def test_flat_states_integrate_to_themselves() -> None:
     # Velocity, Euler rates and the vehicle's own equations must agree with finite differences along the path.
-    from host.codegen import NUMPY
-    from host.models.dynamics import rigid_body
+    from trimtab.host.codegen import NUMPY
+    from trimtab.host.models.dynamics import rigid_body
 
     vehicle = load_vehicle("research")
     table = snap_table(WAYPOINTS, DURATIONS)

@@ -12,17 +12,17 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from host.plan import fatrop
-from host.plan.intervals import Engine
-from host.plan.planner import make_job
-from host.plan.problem import Enough, Problem, SolveStatus
-from host.plan.rounds import first_round
-from host.plan.solver import Solver, solve
-from host.plan.stage import StageModel
-from host.plan.transcription import Assembly
-from host.route import Gate, random_route
-from host.route.shapes import Sphere
-from host.vehicle import load_vehicle
+from trimtab.host.plan import fatrop
+from trimtab.host.plan.intervals import Engine
+from trimtab.host.plan.planner import make_job
+from trimtab.host.plan.problem import Enough, Problem, SolveStatus
+from trimtab.host.plan.rounds import first_round
+from trimtab.host.plan.solver import Solver, solve
+from trimtab.host.plan.stage import StageModel
+from trimtab.host.plan.transcription import Assembly
+from trimtab.host.route import Gate, random_route
+from trimtab.host.route.shapes import Sphere
+from trimtab.host.vehicle import load_vehicle
 
 INF = np.inf
 

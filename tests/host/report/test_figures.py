@@ -17,7 +17,7 @@ def test_figures_without_a_home_to_keep_a_cache_in_are_silent(tmp_path: Path) ->
         "MPLCONFIGDIR": "",
     }
     done = subprocess.run(
-        [sys.executable, "-c", "import host.report.figures"],
+        [sys.executable, "-c", "import trimtab.host.report.figures"],
         capture_output=True,
         text=True,
         check=False,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from host.report.manoeuvres_page import PAIRS, page
+from trimtab.host.report.manoeuvres_page import PAIRS, page
 
 DOCS = Path(__file__).parent.parent.parent.parent / "docs"
 NUMBER = re.compile(r"(?<= )\d+\.\d(?= \|)")

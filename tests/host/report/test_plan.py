@@ -13,21 +13,21 @@ import matplotlib.pyplot as plt
 import pytest
 from matplotlib.patches import Circle, Polygon
 
-from host.effects import load_effects
-from host.models.region import Region
-from host.plan import Plan, ResidualModel, plan
-from host.plan.flown import Flown
-from host.plan.pareto import Point
-from host.plan.problem import SolveStatus
-from host.plan.profile import profile
-from host.plan.sensitivity import sensitivity
-from host.plan.table import from_reference
-from host.report import plan_figures, plan_path, trade_figures
-from host.report.plan import page, trade_page
-from host.report.plan_path import path
-from host.route import Gate, Route
-from host.route.shapes import Box, Cylinder, Sphere
-from host.vehicle import load_vehicle
+from trimtab.host.effects import load_effects
+from trimtab.host.models.region import Region
+from trimtab.host.plan import Plan, ResidualModel, plan
+from trimtab.host.plan.flown import Flown
+from trimtab.host.plan.pareto import Point
+from trimtab.host.plan.problem import SolveStatus
+from trimtab.host.plan.profile import profile
+from trimtab.host.plan.sensitivity import sensitivity
+from trimtab.host.plan.table import from_reference
+from trimtab.host.report import plan_figures, plan_path, trade_figures
+from trimtab.host.report.plan import page, trade_page
+from trimtab.host.report.plan_path import path
+from trimtab.host.route import Gate, Route
+from trimtab.host.route.shapes import Box, Cylinder, Sphere
+from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 MODEL = ResidualModel(

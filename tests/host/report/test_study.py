@@ -6,9 +6,9 @@ import re
 
 import pytest
 
-from host.errors import UsageError
-from host.report.study import page, pictures
-from host.studies import find_study
+from trimtab.host.errors import UsageError
+from trimtab.host.report.study import page, pictures
+from trimtab.host.studies import find_study
 
 OUTCOME = {
     "answer": {

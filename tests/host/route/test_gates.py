@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from host.route import Gate, Route, check_route, parse_route
-from host.vehicle import ConfigurationError, load_vehicle
+from trimtab.host.route import Gate, Route, check_route, parse_route
+from trimtab.host.vehicle import ConfigurationError, load_vehicle
 
 SPHERE = Gate(waypoint=1, radius_m=0.3)
 OPENING = Gate(waypoint=1, width_m=0.8, height_m=0.6, heading_deg=90.0)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from host.plan import plan
-from host.plan.table import evaluate, from_reference
-from host.route import check_route, parse_route
-from host.vehicle import ConfigurationError, Vehicle, load_vehicle
+from trimtab.host.plan import plan
+from trimtab.host.plan.table import evaluate, from_reference
+from trimtab.host.route import check_route, parse_route
+from trimtab.host.vehicle import ConfigurationError, Vehicle, load_vehicle
 
 CLOSED = """
 name = "round"

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.law.ops import FLOAT
-from host.plan.table import SPACING_S
-from host.route import (
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.plan.table import SPACING_S
+from trimtab.host.route import (
     TIME_MAX_S,
     Box,
     Cylinder,
@@ -25,8 +25,8 @@ from host.route import (
     random_route,
     route_file,
 )
-from host.vehicle import ConfigurationError, Vehicle, load_vehicle
-from protocol.blobs import BLOB_BYTES_MAX, HEADER_BYTES, NODE_BYTES
+from trimtab.host.vehicle import ConfigurationError, Vehicle, load_vehicle
+from trimtab.protocol.blobs import BLOB_BYTES_MAX, HEADER_BYTES, NODE_BYTES
 
 SHIPPED = (
     "circuit",

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from host.log import Flight, RecordedImu, RecordedInputs, read_flight
-from host.trace.audit import (
+from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight
+from trimtab.host.trace.audit import (
     CONTACT,
     IMPACT,
     JUMP,
@@ -25,7 +25,7 @@ from host.trace.audit import (
     lines,
     without_twins,
 )
-from host.trace.data import segments_of
+from trimtab.host.trace.data import segments_of
 
 DATA = Path(__file__).parents[2] / "data"
 BEGIN_S, END_S = 3.0, 3.5

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from host.log import Battery, Mocap, RecordedInputs, read_flight, write_imported
-from host.log.errors import TooLittleData
-from host.trace.data import segments_of
-from host.trace.signals import averaged, signals, unknowns
-from host.vehicle import load_vehicle
+from trimtab.host.log import Battery, Mocap, RecordedInputs, read_flight, write_imported
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.signals import averaged, signals, unknowns
+from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.log import read_flight
-from host.report.figures import dependence
-from host.trace.data import segments_of
-from host.trace.describe import Bins, Description, bins_of, describe
-from host.trace.segments import Segments
-from host.vehicle import load_vehicle
+from trimtab.host.log import read_flight
+from trimtab.host.report.figures import dependence
+from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.describe import Bins, Description, bins_of, describe
+from trimtab.host.trace.segments import Segments
+from trimtab.host.vehicle import load_vehicle
 
 DATA = Path(__file__).parents[2] / "data"
 VEHICLE = load_vehicle("research")

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from host.effects import load_effects
-from host.log import read_flight
-from host.trace import evidence
-from host.trace.data import segments_of
-from host.trace.diagnose import at_parameters, refit
-from host.trace.form import Form
-from host.trace.parameters import space
+from trimtab.host.effects import load_effects
+from trimtab.host.log import read_flight
+from trimtab.host.trace import evidence
+from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.diagnose import at_parameters, refit
+from trimtab.host.trace.form import Form
+from trimtab.host.trace.parameters import space
 
 DATA = Path(__file__).parents[2] / "data"
 LIBRARY = ("thrust-gain", "mass", "com-offset", "ground-effect")

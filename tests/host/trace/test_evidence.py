@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from host.trace import evidence
-from host.trace.evidence import Linearisation, Prior, Process
+from trimtab.host.trace import evidence
+from trimtab.host.trace.evidence import Linearisation, Prior, Process
 
 BINS, P, K, ROWS = 2, 3, 2, 40
 PROCESS = Process(log_lateral=np.log(0.5), log_axial=np.log(0.2), log_torque=np.log(2.0))

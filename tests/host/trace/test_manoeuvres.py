@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from host.route import list_routes, load_route, route_description
-from host.trace.manoeuvres import Manoeuvre, manoeuvre, manoeuvres
-from host.vehicle import Vehicle, load_vehicle
+from trimtab.host.route import list_routes, load_route, route_description
+from trimtab.host.trace.manoeuvres import Manoeuvre, manoeuvre, manoeuvres
+from trimtab.host.vehicle import Vehicle, load_vehicle
 
 ROUTES = tuple(list_routes())
 TOO_LARGE_FOR_NANO = ("sprint",)

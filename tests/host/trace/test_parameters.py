@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.errors import UsageError
-from host.trace.parameters import REPLACES, UNKNOWN, space
-from host.vehicle import load_vehicle
+from trimtab.host.effects import load_effects
+from trimtab.host.errors import UsageError
+from trimtab.host.trace.parameters import REPLACES, UNKNOWN, space
+from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 EFFECTS = load_effects()

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.log import read_flight
-from host.models.phi import INTEGRAL
-from host.trace import intervals, refine, whitening
-from host.trace import loop as closed
-from host.trace.loop import Loop
-from host.trace.parameters import Space, space
-from host.trace.whitening import CHANNELS
+from trimtab.host.effects import load_effects
+from trimtab.host.log import read_flight
+from trimtab.host.models.phi import INTEGRAL
+from trimtab.host.trace import intervals, refine, whitening
+from trimtab.host.trace import loop as closed
+from trimtab.host.trace.loop import Loop
+from trimtab.host.trace.parameters import Space, space
+from trimtab.host.trace.whitening import CHANNELS
 
 DATA = Path(__file__).parents[2] / "data"
 PRESENT = ("thrust-gain", "motor-lag", "mocap-latency")

@@ -8,9 +8,9 @@ from typing import cast
 import numpy as np
 import pytest
 
-from host.trace.loop import CHANNELS, Loop
-from host.trace.repeats import repeat
-from host.trace.twins import REPEAT_SHARE, REPEAT_Z, Leftover, Repeat
+from trimtab.host.trace.loop import CHANNELS, Loop
+from trimtab.host.trace.repeats import repeat
+from trimtab.host.trace.twins import REPEAT_SHARE, REPEAT_Z, Leftover, Repeat
 
 BINS = 290
 TWINS = [(0, 1), (2, 3), (4, 5), (6, 7)]

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.errors import UsageError
-from host.log import Battery, Mocap, read_flight, write_imported
-from host.log.errors import TooLittleData
-from host.trace.data import segments_of
-from host.trace.diagnose import refit
-from host.trace.form import Form
-from host.trace.parameters import space
-from host.trace.run import check_logs, run
-from host.trace.verdict import explained_beyond, spoken_against, with_each_other
-from host.vehicle import Vehicle, load_vehicle
+from trimtab.host.effects import load_effects
+from trimtab.host.errors import UsageError
+from trimtab.host.log import Battery, Mocap, read_flight, write_imported
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.diagnose import refit
+from trimtab.host.trace.form import Form
+from trimtab.host.trace.parameters import space
+from trimtab.host.trace.run import check_logs, run
+from trimtab.host.trace.verdict import explained_beyond, spoken_against, with_each_other
+from trimtab.host.vehicle import Vehicle, load_vehicle
 
 DATA = Path(__file__).parents[2] / "data"
 VEHICLE = load_vehicle("research")

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from host.effects import load_effects
-from host.log import Flight, Mocap, read_flight, write_imported
-from host.log.errors import TooLittleData
-from host.trace.data import DT_S
-from host.trace.form import Form
-from host.trace.parameters import space
-from host.trace.score import CALIBRATION, Errors, noise_floor, predict_segments
-from host.trace.signals import unknowns
-from host.vehicle import load_vehicle
+from trimtab.host.effects import load_effects
+from trimtab.host.log import Flight, Mocap, read_flight, write_imported
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.trace.data import DT_S
+from trimtab.host.trace.form import Form
+from trimtab.host.trace.parameters import space
+from trimtab.host.trace.score import CALIBRATION, Errors, noise_floor, predict_segments
+from trimtab.host.trace.signals import unknowns
+from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.trace import search as module
-from host.trace.evidence import Prior
-from host.trace.parameters import Space, space
-from host.trace.search import Names, search
-from host.vehicle import load_vehicle
+from trimtab.host.effects import load_effects
+from trimtab.host.trace import search as module
+from trimtab.host.trace.evidence import Prior
+from trimtab.host.trace.parameters import Space, space
+from trimtab.host.trace.search import Names, search
+from trimtab.host.vehicle import load_vehicle
 
 DRAG, GAIN = ("quadratic-drag",), ("thrust-gain",)
 BOTH = (*DRAG, *GAIN)

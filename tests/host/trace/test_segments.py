@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from firmware_model.law.constants import GRAVITY
-from host.effects import load_effects
-from host.trace import segments
-from host.trace.form import Form
-from host.trace.parameters import space
-from host.trace.segments import Segments
-from host.vehicle import load_vehicle
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.effects import load_effects
+from trimtab.host.trace import segments
+from trimtab.host.trace.form import Form
+from trimtab.host.trace.parameters import space
+from trimtab.host.trace.segments import Segments
+from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 SPACE = space(VEHICLE, load_effects())

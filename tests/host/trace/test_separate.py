@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.log import read_flight
-from host.report.manoeuvres_page import INSTRUMENTS
-from host.route import load_route
-from host.trace.data import segments_of
-from host.trace.diagnose import Fit, refit
-from host.trace.form import Form
-from host.trace.manoeuvres import Manoeuvre, manoeuvres
-from host.trace.parameters import Space, space
-from host.trace.separate import (
+from trimtab.host.effects import load_effects
+from trimtab.host.log import read_flight
+from trimtab.host.report.manoeuvres_page import INSTRUMENTS
+from trimtab.host.route import load_route
+from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.diagnose import Fit, refit
+from trimtab.host.trace.form import Form
+from trimtab.host.trace.manoeuvres import Manoeuvre, manoeuvres
+from trimtab.host.trace.parameters import Space, space
+from trimtab.host.trace.separate import (
     DECISIVE_SIGMA,
     UNDECIDED_SIGMA,
     Instruments,
@@ -26,7 +26,7 @@ from host.trace.separate import (
     propose,
     separation,
 )
-from host.vehicle import Vehicle, load_vehicle
+from trimtab.host.vehicle import Vehicle, load_vehicle
 
 DATA = Path(__file__).parent.parent.parent / "data"
 LIBRARY = ("com-offset", "frame-tilt", "linear-drag", "mass", "thrust-gain", "torque-bias", "wind")

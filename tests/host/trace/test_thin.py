@@ -11,17 +11,17 @@ from pathlib import Path
 
 import pytest
 
-from host.effects import load_effects
-from host.errors import UsageError
-from host.link.flight import FlightOrder
-from host.link.fly import fly_lockstep
-from host.link.vehicle import vehicle_class
-from host.log import Flight, RecordedImu, RecordedInputs, read_flight
-from host.log.errors import TooLittleData
-from host.trace.result import Trace
-from host.trace.run import run
-from host.vehicle import load_vehicle
-from protocol.blobs import Node, Reference
+from trimtab.host.effects import load_effects
+from trimtab.host.errors import UsageError
+from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.fly import fly_lockstep
+from trimtab.host.link.vehicle import vehicle_class
+from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.trace.result import Trace
+from trimtab.host.trace.run import run
+from trimtab.host.vehicle import load_vehicle
+from trimtab.protocol.blobs import Node, Reference
 
 DATA = Path(__file__).parents[2] / "data"
 PRESENT = {"thrust-gain", "motor-lag", "mocap-latency"}

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from host.trace.segments import BIN_S, Segments
-from host.trace.twins import LINE_CHANCE, LINE_RATIO, Repeat, leftover
+from trimtab.host.trace.segments import BIN_S, Segments
+from trimtab.host.trace.twins import LINE_CHANCE, LINE_RATIO, Repeat, leftover
 
 BINS, STEPS, SEGMENTS, FLIGHTS = 6, 60, 20, 4
 PAIRS = [(0, 1), (2, 3)]

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.log import read_flight
-from host.models.model import Model
-from host.trace import unexplained as module
-from host.trace.data import segments_of
-from host.trace.describe import describe
-from host.trace.unexplained import unexplained
+from trimtab.host.effects import load_effects
+from trimtab.host.log import read_flight
+from trimtab.host.models.model import Model
+from trimtab.host.trace import unexplained as module
+from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.describe import describe
+from trimtab.host.trace.unexplained import unexplained
 
 DATA = Path(__file__).parents[2] / "data"
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from host.vehicle import (
+from trimtab.host.vehicle import (
     ConfigurationError,
     Vehicle,
     list_vehicles,
@@ -18,7 +18,7 @@ from host.vehicle import (
     parse_vehicle,
     to_parameters,
 )
-from protocol.parameters import BY_NAME, DEFAULTS
+from trimtab.protocol.parameters import BY_NAME, DEFAULTS
 
 SHIPPED = ("nano", "research")
 

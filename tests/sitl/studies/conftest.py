@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sitl.studies.flights import Programme
+from trimtab.sitl.studies.flights import Programme
 
 ROUTE = """
 name = "{name}"

@@ -14,11 +14,11 @@ from typing import Any
 
 from pymavlink import mavftp
 
-from protocol.blobs import Kind
-from protocol.messages import HOST, FileTransfer, Message
-from sitl.studies.upload_blob import reference_blob
-from sitl.studies.upload_rig import UploadRig
-from sitl.studies.uploads import CHANNELS, percentile
+from trimtab.protocol.blobs import Kind
+from trimtab.protocol.messages import HOST, FileTransfer, Message
+from trimtab.sitl.studies.upload_blob import reference_blob
+from trimtab.sitl.studies.upload_rig import UploadRig
+from trimtab.sitl.studies.uploads import CHANNELS, percentile
 
 TICK_US = 1_000
 GIVE_UP_US = 300_000_000

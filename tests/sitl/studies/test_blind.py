@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 
-from sitl.studies import blind
-from sitl.studies.files import Ledger, SealBroken, StudyError, read_json, sha256_of
-from sitl.studies.flights import SCORE, TRUTH, VERDICT, Programme, fly_and_seal, plan_references
-from sitl.studies.worlds import PlannedWorld
+from trimtab.sitl.studies import blind
+from trimtab.sitl.studies.files import Ledger, SealBroken, StudyError, read_json, sha256_of
+from trimtab.sitl.studies.flights import SCORE, TRUTH, VERDICT, Programme, fly_and_seal, plan_references
+from trimtab.sitl.studies.worlds import PlannedWorld
 
 ROOT = Path(__file__).parents[3]
 KEYS = set(
@@ -45,8 +45,8 @@ KEYS = set(
 RUN = """
 import json, sys
 from pathlib import Path
-from sitl.studies import blind
-from sitl.studies.flights import Programme
+from trimtab.sitl.studies import blind
+from trimtab.sitl.studies.flights import Programme
 
 def main():
     programme = Programme(routes=Path(sys.argv[2]), learning=("one",), held_out=("two",))

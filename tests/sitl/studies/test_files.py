@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from sitl.studies.files import Ledger, SealBroken, StudyError, read_json, sha256_of, write_json
-from sitl.studies.flights import TRUTH, VERDICT
-from sitl.studies.scoring.world import open_truth
+from trimtab.sitl.studies.files import Ledger, SealBroken, StudyError, read_json, sha256_of, write_json
+from trimtab.sitl.studies.flights import TRUTH, VERDICT
+from trimtab.sitl.studies.scoring.world import open_truth
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from host.route import list_routes
-from sitl.studies.flights import BLIND
+from trimtab.host.route import list_routes
+from trimtab.sitl.studies.flights import BLIND
 
 
 @pytest.mark.parametrize("name", [*BLIND.learning, *BLIND.held_out])

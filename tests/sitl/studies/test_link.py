@@ -8,17 +8,17 @@ from xml.etree import ElementTree
 
 import pytest
 
-from host.link import swap
-from protocol.blobs import Kind, Reference
-from protocol.upload import UploadSender
-from sitl.studies import link, upload_flight, upload_picture
-from sitl.studies.files import StudyError
-from sitl.studies.upload_blob import reference_blob
-from sitl.studies.upload_cuts import INTERRUPTIONS, interrupt
-from sitl.studies.upload_peers import StopAndWait, peer_s
-from sitl.studies.upload_rig import UploadRig
-from sitl.studies.uploads import CHANNELS, bound_s, figures, percentile, time_upload
-from sitl.world import RadioSettings
+from trimtab.host.link import swap
+from trimtab.protocol.blobs import Kind, Reference
+from trimtab.protocol.upload import UploadSender
+from trimtab.sitl.studies import link, upload_flight, upload_picture
+from trimtab.sitl.studies.files import StudyError
+from trimtab.sitl.studies.upload_blob import reference_blob
+from trimtab.sitl.studies.upload_cuts import INTERRUPTIONS, interrupt
+from trimtab.sitl.studies.upload_peers import StopAndWait, peer_s
+from trimtab.sitl.studies.upload_rig import UploadRig
+from trimtab.sitl.studies.uploads import CHANNELS, bound_s, figures, percentile, time_upload
+from trimtab.sitl.world import RadioSettings
 
 ROOT = Path(__file__).parents[3]
 SEED = 9001

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from host.vehicle import ConfigurationError
-from sitl.studies.files import StudyError, read_json
-from sitl.studies.real import judge_real, read_groups
-from sitl.studies.table import real_table
+from trimtab.host.vehicle import ConfigurationError
+from trimtab.sitl.studies.files import StudyError, read_json
+from trimtab.sitl.studies.real import judge_real, read_groups
+from trimtab.sitl.studies.table import real_table
 
 ROOT = Path(__file__).parents[3]
 DATA = ROOT / "tests" / "data"

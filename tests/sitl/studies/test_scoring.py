@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from host.effects import load_effects
-from host.log import read_flight
-from host.trace.parameters import space
-from host.trace.signals import signals
-from host.vehicle import load_vehicle
-from sitl.studies.files import read_json
-from sitl.studies.flights import BLIND, STILL, TRUTH, fly_and_seal, plan_references
-from sitl.studies.scoring.baselines import stepwise_bic, weak_sindy
-from sitl.studies.scoring.effective import Effective, effective, nearest
-from sitl.studies.scoring.metrics import (
+from trimtab.host.effects import load_effects
+from trimtab.host.log import read_flight
+from trimtab.host.trace.parameters import space
+from trimtab.host.trace.signals import signals
+from trimtab.host.vehicle import load_vehicle
+from trimtab.sitl.studies.files import read_json
+from trimtab.sitl.studies.flights import BLIND, STILL, TRUTH, fly_and_seal, plan_references
+from trimtab.sitl.studies.scoring.baselines import stepwise_bic, weak_sindy
+from trimtab.sitl.studies.scoring.effective import Effective, effective, nearest
+from trimtab.sitl.studies.scoring.metrics import (
     baseline_rows,
     confusion,
     exact_interval,
@@ -26,10 +26,10 @@ from sitl.studies.scoring.metrics import (
     relative_errors,
     summary,
 )
-from sitl.studies.scoring.names import collapsed
-from sitl.studies.scoring.world import is_told, judge, parameter_rows
-from sitl.studies.table import failure, lines
-from sitl.studies.worlds import SAME_RATIO, PlannedWorld
+from trimtab.sitl.studies.scoring.names import collapsed
+from trimtab.sitl.studies.scoring.world import is_told, judge, parameter_rows
+from trimtab.sitl.studies.table import failure, lines
+from trimtab.sitl.studies.worlds import SAME_RATIO, PlannedWorld
 
 VEHICLE = load_vehicle("research")
 EFFECTS = load_effects()

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from host.log import Control, Flight, read_flight
-from host.trace.audit import audit
-from sitl.studies import cut
-from sitl.studies.commandline import run_apart
-from sitl.studies.files import read_json, sha256_of
-from sitl.studies.flights import BLIND, VERDICT, Programme, fly_and_seal, trace
-from sitl.studies.scoring.world import is_told
-from sitl.studies.thin import CASES, OTHER, copier_of, plan_thin_references, programme_of
-from sitl.studies.worlds import THIN, PlannedWorld
+from trimtab.host.log import Control, Flight, read_flight
+from trimtab.host.trace.audit import audit
+from trimtab.sitl.studies import cut
+from trimtab.sitl.studies.commandline import run_apart
+from trimtab.sitl.studies.files import read_json, sha256_of
+from trimtab.sitl.studies.flights import BLIND, VERDICT, Programme, fly_and_seal, trace
+from trimtab.sitl.studies.scoring.world import is_told
+from trimtab.sitl.studies.thin import CASES, OTHER, copier_of, plan_thin_references, programme_of
+from trimtab.sitl.studies.worlds import THIN, PlannedWorld
 
 LOG = Path(__file__).parents[2] / "data" / "a1.mcap"
 

@@ -6,14 +6,14 @@ from collections import Counter
 
 import pytest
 
-from host.vehicle import load_vehicle
-from host.vehicle.strict_toml import read_strict
-from sitl.draw import draw_world
-from sitl.kinds import DRAG, KINDS
-from sitl.studies.files import StudyError
-from sitl.studies.scoring.world import library
-from sitl.studies.worlds import FULL, SAME_RATIO, THIN, plan_worlds, split
-from sitl.world import WorldFile
+from trimtab.host.vehicle import load_vehicle
+from trimtab.host.vehicle.strict_toml import read_strict
+from trimtab.sitl.draw import draw_world
+from trimtab.sitl.kinds import DRAG, KINDS
+from trimtab.sitl.studies.files import StudyError
+from trimtab.sitl.studies.scoring.world import library
+from trimtab.sitl.studies.worlds import FULL, SAME_RATIO, THIN, plan_worlds, split
+from trimtab.sitl.world import WorldFile
 
 
 def test_split_of_full_size_is_the_full_study() -> None:
