@@ -17,7 +17,8 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 
-from trimtab.host.trace.describe import UNITS, Dependence, Description
+from trimtab.host.trace import words
+from trimtab.host.trace.describe import Dependence, Description
 from trimtab.host.trace.score import Errors
 
 BEFORE, AFTER, FLOOR, NEUTRAL = "#b5482f", "#1f6f8b", "#8a8a8a", "#444444"
@@ -216,7 +217,7 @@ def dependence(told: Description) -> Figure:
         canvas,
         "What the disturbance outside the library depends on: held-out skill of each group of quantities "
         "(bars hold it with 95 %), and the disturbance as the best group shows it.",
-        " ".join(told.lines()),
+        " ".join(words.description(told)),
     )
 
 
@@ -256,7 +257,7 @@ def _field(ax: Any, told: Description, across: str, up: str, take: tuple[int, in
 
 def _curves(row: Any, one: Dependence) -> None:
     """The two leading slopes, or that there is none."""
-    unit = UNITS[one.channel].replace("^2", "$^2$")
+    unit = words.UNITS[one.channel].replace("^2", "$^2$")
     for k, ax in enumerate(row):
         if k >= len(one.slopes):
             ax.axis("off")

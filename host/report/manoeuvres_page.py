@@ -15,11 +15,12 @@ import numpy as np
 from trimtab.host.effects import load_effects
 from trimtab.host.route import list_routes, load_route, route_description
 from trimtab.host.trace.data import DT_S
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Process
 from trimtab.host.trace.form import Form
 from trimtab.host.trace.manoeuvres import Manoeuvre, manoeuvres
 from trimtab.host.trace.parameters import space
-from trimtab.host.trace.separate import DECISIVE_SIGMA, Instruments, information, separation
+from trimtab.host.trace.separate import Instruments, information, separation
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
 INSTRUMENTS = Instruments(
@@ -34,6 +35,7 @@ INSTRUMENTS = Instruments(
 )
 """Noise and turbulence of a simulated flight as its log shows them, and a battery that empties."""
 
+DETECTABLE = RULES.detectable_sigma
 FLIGHT_S = 12.0
 
 
@@ -81,7 +83,7 @@ _TABLE_HEAD = f"""
 Sigma by which the first effect, of typical size, stands out of the second one, whatever size that takes, in
 {FLIGHT_S:g} s along the route: nominal `research` vehicle, camera, gyro, accelerometer and turbulence as
 simulated by default, wind with a drag of typical size, voltage falling by 0.1 % a second. Everything else
-moves within its tolerance. About {DECISIVE_SIGMA} are needed; sigma grows with the square root of time and in
+moves within its tolerance. About {DETECTABLE} are needed; sigma grows with the square root of time and in
 proportion to the effect. The figures are of a linearisation and know nothing of a plant that is not of the
 library's form: take them as upper bounds.
 

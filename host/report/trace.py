@@ -11,6 +11,7 @@ import numpy as np
 from trimtab.host.log import Flight
 from trimtab.host.report import figures
 from trimtab.host.report.html import render, script_data
+from trimtab.host.trace import words
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.score import Errors
 
@@ -48,7 +49,8 @@ def page(
     return render(
         "page.html.j2",
         title=VERDICTS[result.verdict],
-        sentence=sentence(result),
+        sentence=words.verdict(result),
+        words=words,
         result=result,
         figures=pictures,
         outside=None if result.description is None else figures.dependence(result.description),
@@ -60,32 +62,6 @@ def page(
         data=script_data({**answer, **(extra or {}).get("data", {})}),
         effects=result.space.effects,
     )
-
-
-def sentence(result: Trace) -> str:
-    """The verdict in one sentence."""
-    names = _listed([e.title.lower() for e in result.effects])
-    if result.verdict == "traced":
-        text = f"The model is missing {names}."
-    elif result.verdict == "undecided":
-        text = f"The model may be missing {names}; another explanation cannot be excluded."
-    elif result.verdict == "nothing-missing":
-        text = "Nothing beyond the vehicle's tolerances stands out."
-    else:
-        text = "Something acts that the library does not hold: " + "; ".join(result.reasons) + "."
-    if result.before_score and result.after_score and result.effects:
-        b, a = result.before_score["position_rmse_m"], result.after_score["position_rmse_m"]
-        n = len(result.before)
-        flights = "flight" if n == 1 else "flights"
-        text += (
-            f" On {n} held-out {flights} the prediction error went from {1e3 * b:.0f} to {1e3 * a:.0f} mm."
-        )
-    return text
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Names as in a sentence: a, b and c."""
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def _table(result: Trace) -> list[dict[str, Any]]:

@@ -10,46 +10,36 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from trimtab.host.log import Flight
-from trimtab.host.log.errors import TooLittleData
+from trimtab.host.trace import words
 from trimtab.host.trace.audit import Audit, audit
+from trimtab.host.trace.decision.findings import Code, Finding, TooLittleToTrace
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.segments import BIN_S, PATH_S, Segments
-from trimtab.host.trace.signals import Signals, averaged, noise, pose_interval_s, signals, unknowns
+from trimtab.host.trace.signals import Signals, averaged, noise, pose_interval_s, signals
 
 DT_S = 0.01
 SEGMENT_S = 0.6
 LAGS = 5
 """Run-up of the rotors before a segment, in nominal lags."""
 
-_MISSING = 0.4
-"""A segment that misses a greater share of its commands, or of the poses its log's rate gives, is left
-out.
-"""
-
 
 def segments_of(
-    flights: Sequence[Flight], *, segment_s: float = SEGMENT_S
+    flights: Sequence[Flight], *, rate_driven: bool, segment_s: float = SEGMENT_S
 ) -> tuple[Segments, tuple[Audit, ...]]:
-    """All usable segments of the flights, of one vehicle, and what was left out of each.
+    """Return all usable segments of the flights, of one vehicle, and what was left out of each.
 
-    Raises TooLittleData when fewer than five segments are left.
+    rate_driven: the measured body rate drives the attitude, since the torque is unknown. Raises
+    TooLittleToTrace when too few segments are left.
     """
-    rate_driven = "torque" in unknowns(flights)
     parts, audits = [], []
     for index, flight in enumerate(flights):
         part, audit = _cut(flight, index, segment_s, rate_driven)
         audits.append(audit)
         parts += part
-    if len(parts) < 5:
-        why = "; ".join(f"{audit.log}: {', '.join(audit.remarks)}" for audit in audits if audit.left_out)
-        logs = ", ".join(audit.log for audit in audits)
-        raise TooLittleData(
-            f"{logs}: only {len(parts)} usable segments of {segment_s} s; "
-            f"fly longer or log more{why and f' ({why})'}"
-        )
+    if len(parts) < RULES.min_segments:
+        raise TooLittleToTrace(Code.TOO_FEW_SEGMENTS, words.too_few_segments(audits, len(parts), segment_s))
     if len({bool(p["in_newton"]) for p in parts}) > 1:
-        raise TooLittleData(
-            "the logs record inputs of different kinds; trace those with motor commands apart"
-        )
+        raise TooLittleToTrace(Code.MIXED_INPUTS, words.MIXED_INPUTS)
     arrays = {key: np.stack([p[key] for p in parts]) for key in parts[0] if key != "in_newton"}
     in_newton = bool(parts[0]["in_newton"])
     paths = _paths(flights)
@@ -97,22 +87,26 @@ def _cut(
     keep = keep[(nearest[keep] >= 0) & (nearest[keep] < len(grid))]
     at = np.full(len(grid), -1)
     at[nearest[keep]] = keep
-    fewest = (1.0 - _MISSING) * min(1.0, DT_S / pose_interval_s(s))
+    fewest = (1.0 - RULES.missing_share) * min(1.0, DT_S / pose_interval_s(s))
 
     health = audit(flight)
     found: list[dict[str, Any]] = []
-    thin, lost = 0, dict[str, int]()
+    thin, lost = 0, dict[Code, int]()
     for k in range(count):
         a = pre + k * steps
         start_s = float(grid[a] - s.span_s[0])
         bad = health.overlaps(start_s, start_s + segment_s)
         if bad is not None:
-            lost[bad.reason] = lost.get(bad.reason, 0) + 1
+            lost[bad.code] = lost.get(bad.code, 0) + 1
             continue
         pick = at[a : a + steps]
         here = pick >= 0
         fed = covered[a - pre : a + steps] > 0.5
-        if here.mean() < fewest or fed.mean() < 1 - _MISSING or not here[: max(2, steps // 6)].any():
+        if (
+            here.mean() < fewest
+            or fed.mean() < 1 - RULES.missing_share
+            or not here[: max(2, steps // 6)].any()
+        ):
             thin += 1
             continue
         R = s.R[np.where(here, pick, 0)]
@@ -137,15 +131,19 @@ def _cut(
                 "sigma": sigma,
             }
         )
-    remarks = [f"{n} segments with {reason}" for reason, n in lost.items()]
+    log = flight.path.name
+    findings = [
+        Finding(code=Code.SEGMENTS_LEFT_OUT, value=count, unit="segments", subject=(str(code),), log=log)
+        for code, count in lost.items()
+    ]
     if thin:
-        remarks.append(f"{thin} segments with gaps in poses or commands")
+        findings.append(Finding(code=Code.SEGMENTS_WITH_GAPS, value=thin, unit="segments", log=log))
     return found, replace(
         health,
         used_s=len(found) * segment_s,
         segments=len(found),
         left_out=thin + sum(lost.values()),
-        remarks=(*remarks, *health.remarks),
+        findings=(*findings, *health.findings),
     )
 
 

@@ -13,16 +13,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from trimtab.host.trace.fields import CLEAR, WITHIN, Form, fit_forms
+from trimtab.host.trace import words
+from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.fields import ClosedForm, fit_forms
 from trimtab.host.trace.segments import BIN_S, Segments
-from trimtab.host.trace.twins import FORCE_FLOOR, TORQUE_FLOOR
 from trimtab.host.vehicle import Vehicle
 
 Channel = Literal["force", "torque"]
-UNITS = {"force": "m/s^2", "torque": "rad/s^2"}
-
-LEAST_SKILL = 0.1
-"""Share of the variance below which a dependence is not worth a word."""
 
 BLOCKS = 4
 """Contiguous parts of each flight that are left out in turn where all flew one reference."""
@@ -34,16 +31,14 @@ ANSWERS: dict[Channel, tuple[str, ...]] = {"force": ("thrust", "attitude"), "tor
 """What the law turns against any disturbance: it goes with one whatever its cause, so it names none where a
 cause explains as much."""
 
-FLOORS: dict[Channel, float] = {"force": FORCE_FLOOR, "torque": TORQUE_FLOOR}
-"""Explained disturbance, rms, below which it is not worth a name."""
+FLOORS: dict[Channel, float] = {"force": RULES.force_floor_m_s2, "torque": RULES.torque_floor_rad_s2}
+"""Explained disturbance, rms, below which it needs no name."""
 
 _CENTRES = 16
 _DRAWS = 400
 _RIDGES = 10.0 ** np.arange(-3.0, 3.1)
 _FEWEST = 5
 _CELLS = 6
-_LEADING = 0.35
-_ONE_HEADING = 0.995
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,34 +126,21 @@ class Dependence:
         """The skill of a group."""
         return next(skill for skill in self.skills if skill.group == group)
 
-    def lines(self) -> list[str]:
-        """For people."""
+    @property
+    def answers(self) -> tuple[str, ...]:
+        """Return the groups with which the law answers any disturbance of this channel."""
+        return ANSWERS[self.channel]
+
+    @property
+    def rivals(self) -> list[Skill]:
+        """Return the skills of the other groups that may explain as much; empty where no group does."""
         if self.group is None:
-            names = ", ".join(skill.group for skill in self.skills)
-            return [f"the {self.channel} depends on none of {names}: none explains it on held-out data"]
+            return []
         best = self.skill_of(self.group)
-        span = f"held-out skill {best.skill:.2f}, {best.low:.2f} to {best.high:.2f}"
-        if self.group == "constant":
-            x, y, z = self.mean
-            return [
-                f"of the {self.channel} only a constant part shows ({span}): in the mean "
-                f"({x:.2g}, {y:.2g}, {z:.2g}) {UNITS[self.channel]} in body axes"
-            ]
-        near = [
+        return [
             s
             for s in self.skills
             if s.counts and s.group not in (best.group, "constant") and s.high > best.low
-        ]
-        answers = ANSWERS[self.channel]
-        others = "".join(
-            f"; {'the law answers with' if s.group in answers else 'or'} {s.group}, {s.skill:.2f}"
-            for s in near
-        )
-        out = [f"the {self.channel} depends on {best.group} ({span}{others})"]
-        if self.group in answers:
-            out.append(f"  the law answers any disturbance with {best.group}: it need not be the cause")
-        return out + [
-            f"  {self.channel} {s.axis}: {s.value:+.3g} {s.unit} of {s.quantity}" for s in self.slopes
         ]
 
 
@@ -176,18 +158,7 @@ class Description:
     torque: Dependence | None
     cells: np.ndarray
     pushes: np.ndarray
-    form: Form | None
-
-    def lines(self) -> list[str]:
-        """For people."""
-        out = self.force.lines()
-        if self.form is not None:
-            out = [out[0], f"  it {self.form.words} (held-out skill {self.form.skill:.2f})"]
-        if self.torque is not None:
-            out += self.torque.lines()
-        if self.held_out == "blocks":
-            out.append("all flights flew one reference: skill is on parts of them left out, a weaker test")
-        return out
+    form: ClosedForm | None
 
     def to_json(self) -> dict[str, Any]:
         """The value of `description`."""
@@ -218,7 +189,7 @@ class Description:
                 for p, f in zip(self.cells, self.pushes, strict=True)
             ],
             "form": None if self.form is None else self.form.to_json(),
-            "words": self.lines(),
+            "words": words.description(self),
         }
 
 
@@ -290,15 +261,17 @@ def describe(
 
 
 def _clear_form(
-    bins: Bins, folds: np.ndarray, force: Dependence, forms: Sequence[tuple[Form, np.ndarray]]
-) -> Form | None:
+    bins: Bins, folds: np.ndarray, force: Dependence, forms: Sequence[tuple[ClosedForm, np.ndarray]]
+) -> ClosedForm | None:
     """The closed form of most skill where the force depends on position and the form says as much."""
     if force.group != "position":
         return None
     constant = _constant(bins, world=True)
     left = _held_out(_grams(constant, bins.w[:, :3], bins), bins, folds, constant.shape[2]).sum()
     scored = [replace(form, skill=1.0 - float(errors.sum() / left)) for form, errors in forms]
-    most = max(CLEAR, *(form.skill - WITHIN for form in scored), force.skill_of("position").skill - WITHIN)
+    margin = RULES.form_skill_margin
+    richest = max(*(form.skill for form in scored), force.skill_of("position").skill)
+    most = max(RULES.clear_form_skill, richest - margin)
     return next((form for form in scored if form.skill >= most), None)
 
 
@@ -327,7 +300,7 @@ def _features(bins: Bins) -> dict[str, tuple[np.ndarray, tuple[str, ...], str, b
     order = bins.flight.astype(float)
     t = bins.t_s
     v, attitude, angles = bins.v_frd, up[:, :2], ("tilt x", "tilt y")
-    if np.abs(np.exp(1j * yaw).mean()) < _ONE_HEADING:
+    if np.abs(np.exp(1j * yaw).mean()) < RULES.one_heading:
         attitude = np.column_stack([attitude, np.cos(yaw), np.sin(yaw)])
         angles = (*angles, "cos heading", "sin heading")
     speed = np.linalg.norm(v, axis=1, keepdims=True)
@@ -515,7 +488,7 @@ def _skill(
         low=float(low),
         high=float(high),
         rms=rms,
-        counts=bool(low > 0.0 and skill > LEAST_SKILL and rms > FLOORS[channel]),
+        counts=bool(low > 0.0 and skill > RULES.min_skill and rms > FLOORS[channel]),
     )
 
 
@@ -541,10 +514,10 @@ def _slopes(
             axis=axes[int(i)],
             quantity=names[int(k)],
             value=float(slope[k, i]),
-            unit=f"{UNITS[channel]} a {unit}",
+            unit=f"{words.UNITS[channel]} a {unit}",
             curve=_curve(linear[:, k], target[:, i]),
         )
-        for k, i in np.argwhere(does >= _LEADING * does.max())
+        for k, i in np.argwhere(does >= RULES.leading_share * does.max())
     ]
     return tuple(sorted(found, key=lambda s: -does[names.index(s.quantity), axes.index(s.axis)]))
 

@@ -14,13 +14,13 @@ from trimtab.host.trace.form import Form
 from trimtab.host.trace.parameters import Space
 from trimtab.host.trace.search import Names, none_of
 from trimtab.host.trace.segments import Basis, Segments
-from trimtab.host.trace.twins import Repeat
+from trimtab.host.trace.twins import FlightRepeat
 
 _CALM = float(np.log(0.05**2))
 START = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6**2)))
 START_RATE_DRIVEN = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.02**2)))
 
-SETTLED = 0.2
+SEGMENTS_SETTLED = 0.2
 """Greatest step, in standard deviations, after which a fit ends: what is left of a greater one makes the
 evidence depend on where the fit began, by nats."""
 
@@ -62,7 +62,7 @@ class Diagnosis:
     weights: Mapping[Names, float]
     sets: Mapping[Names, float]
     stands_out: Mapping[str, float]
-    repeats: tuple[Repeat | None, Repeat | None] = (None, None)
+    repeats: tuple[FlightRepeat | None, FlightRepeat | None] = (None, None)
 
     @property
     def none(self) -> float:
@@ -177,7 +177,7 @@ def refit(
         white = evidence.whitened(lin, process, prior)
         step, covariance = evidence.bounded(white.gram, z, precision, space.bounds)
         sigma = np.sqrt(np.diag(covariance))
-        if np.abs(step).max() < 0.03 or (iteration >= 1 and (np.abs(step) / sigma).max() < SETTLED):
+        if np.abs(step).max() < 0.03 or (iteration >= 1 and (np.abs(step) / sigma).max() < SEGMENTS_SETTLED):
             break
         if iteration < iterations - 1:
             step = space.clipped(z + np.clip(step, -4.0, 4.0)) - z

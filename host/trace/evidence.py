@@ -16,16 +16,10 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize
 
+from trimtab.host.trace.decision.rules import RULES
+
 FORCE_LIMITS = (-14.0, 6.0)
 TORQUE_LIMITS = (-14.0, 12.0)
-CORRELATION = 0.75
-"""Correlation of the process disturbance between neighbouring bins."""
-
-SLAB = 2.0
-"""One sigma of a selected parameter, in typical sizes."""
-
-LOG_ODDS = float(np.log(1 / 40.0))
-"""Prior log odds that any one effect of the library is present."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +47,7 @@ class Process:
 def correlation(bins: int) -> np.ndarray:
     """Correlation (bins, bins) of the disturbance between bins."""
     lag = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
-    return CORRELATION**lag
+    return RULES.disturbance_correlation**lag
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +99,7 @@ class Prior:
         sigma = self.spike.copy()
         for name in selected:
             for column in self.groups[name]:
-                sigma[column] = max(SLAB, sigma[column])
+                sigma[column] = max(RULES.slab_sigma, sigma[column])
         return 1.0 / sigma**2
 
 
@@ -180,7 +174,7 @@ def log_evidence(
     off = held(normal, free, limits[0] - z, limits[1] - z) - free
     quadratic += off @ normal @ off
     occam = 2.0 * np.log(np.diag(chol)).sum() - np.log(precision).sum()
-    return float(-0.5 * (quadratic + occam + log_det) + LOG_ODDS * count)
+    return float(-0.5 * (quadratic + occam + log_det) + RULES.prior_log_odds * count)
 
 
 def held(normal: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

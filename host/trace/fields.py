@@ -9,11 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-CLEAR = 0.5
-"""Held-out skill from which on a closed form is said."""
-
-WITHIN = 0.05
-"""How far a form may fall behind a richer one, another form or the smooth fit, and still be said."""
+from trimtab.host.trace import words
 
 _EACH = 3
 """Rows from one to the next that is fitted: neighbours are hardly two measurements."""
@@ -22,12 +18,11 @@ Law = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Form:
-    """A closed form by name with its parameters, in words, and its held-out skill."""
+class ClosedForm:
+    """A closed form of a force by name with its parameters and its held-out skill."""
 
     name: str
     parameters: dict[str, float]
-    words: str
     skill: float
 
     def to_json(self) -> dict[str, Any]:
@@ -35,7 +30,7 @@ class Form:
         return {
             "name": self.name,
             "parameters": {key: round(value, 4) for key, value in self.parameters.items()},
-            "words": self.words,
+            "words": words.closed_form(self),
             "skill": round(self.skill, 4),
         }
 
@@ -69,14 +64,14 @@ def _jet(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 def fit_forms(
     p: np.ndarray, force: np.ndarray, folds: np.ndarray, steady: np.ndarray
-) -> list[tuple[Form, np.ndarray]]:
+) -> list[tuple[ClosedForm, np.ndarray]]:
     """Every closed form of a force (n, 3) at places p (n, 3), NED, and its held-out squared errors (n,).
 
     folds (n,) says where each row is held out; columns `steady` (n, 3, k) take what the form leaves. The
     forms' skill is not known yet; those of fewest parameters come first.
     """
     found = []
-    for name, law, starts, bounds, said in _laws(p, force):
+    for name, law, starts, bounds, parameters in _laws(p, force):
         best = _fitted(law, p[::_EACH], force[::_EACH], starts, bounds)
         errors = np.empty(len(p))
         for fold in np.unique(folds):
@@ -88,8 +83,7 @@ def fit_forms(
                 steady[~out].reshape(-1, steady.shape[2]), left[~out].reshape(-1), rcond=None
             )
             errors[out] = ((left[out] - steady[out] @ rest[0]) ** 2).sum(1)
-        parameters, words = said(best)
-        found.append((Form(name=name, parameters=parameters, words=words, skill=np.nan), errors))
+        found.append((ClosedForm(name=name, parameters=parameters(best), skill=np.nan), errors))
     return found
 
 
@@ -111,7 +105,7 @@ def _fitted(
 
 
 def _laws(p: np.ndarray, force: np.ndarray) -> list[tuple[str, Law, list[np.ndarray], Any, Any]]:
-    """Each form with its law, starts, bounds and the words for its parameters."""
+    """Return each form with its law, starts, bounds and what makes named parameters of its own."""
     low, high, middle = p.min(0) - 2.0, p.max(0) + 2.0, p.mean(0)
     size = float(np.ptp(p, axis=0).max())
     floor = np.array([middle[0], middle[1], p[:, 2].max() + 0.5])
@@ -125,44 +119,10 @@ def _laws(p: np.ndarray, force: np.ndarray) -> list[tuple[str, Law, list[np.ndar
     turns = np.linspace(0.0, 2.0 * np.pi, 6, endpoint=False)
     wide = max(2.0 * size, 1.0)
 
-    def said_point(x: np.ndarray) -> tuple[dict[str, float], str]:
-        way = "pulls towards" if x[3] > 0.0 else "pushes away from"
-        n, e, d = x[:3]
-        words = f"{way} ({n:.2f}, {e:.2f}, {d:.2f}), {abs(x[3]):.2g} m/s^2 a metre"
-        if x[4] > 0.1:
-            words += f" beyond {x[4]:.2g} m"
-        keys = ("north_m", "east_m", "down_m", "per_s2", "slack_m")
-        return dict(zip(keys, map(float, x), strict=True)), words
-
-    def said_place(x: np.ndarray) -> tuple[dict[str, float], str]:
-        words = (
-            f"pushes by ({x[3]:.2g}, {x[4]:.2g}, {x[5]:.2g}) m/s^2 at ({x[0]:.2f}, {x[1]:.2f}, {x[2]:.2f}), "
-            f"and half as much {1.18 * x[6]:.2g} m from there"
-        )
-        keys = ("north_m", "east_m", "down_m", "push_north", "push_east", "push_down", "width_m")
-        return dict(zip(keys, map(float, x), strict=True)), words
-
-    def said_along(x: np.ndarray) -> tuple[dict[str, float], str]:
-        azimuth = float(np.rad2deg(x[0]) % 360.0)
+    def along_parameters(x: np.ndarray) -> dict[str, float]:
         n = np.array([np.cos(x[0]), np.sin(x[0]), 0.0])
-        most = float(x[1] * np.exp((p @ n).max() / x[2]))
-        way = "pushes" if most > 0.0 else "pushes back"
-        words = (
-            f"{way} towards azimuth {azimuth:.0f} deg, twice as much each {0.69 * x[2]:.2g} m that way, "
-            f"up to {abs(most):.2g} m/s^2 where it was flown"
-        )
-        values = {"azimuth_deg": azimuth, "length_m": float(x[2]), "greatest_m_s2": most}
-        return values, words
-
-    def said_jet(x: np.ndarray) -> tuple[dict[str, float], str]:
-        azimuth = float(np.rad2deg(x[0]) % 360.0)
-        foot = x[1] * np.array([-np.sin(x[0]), np.cos(x[0])])
-        words = (
-            f"blows by {x[2]:.2g} m/s^2 towards azimuth {azimuth:.0f} deg along a line through "
-            f"({foot[0]:.2f}, {foot[1]:.2f}), and half as much {1.18 * x[3]:.2g} m beside it"
-        )
-        values = {"azimuth_deg": azimuth, "offset_m": float(x[1]), "push_m_s2": float(x[2])}
-        return {**values, "width_m": float(x[3])}, words
+        greatest = float(x[1] * np.exp((p @ n).max() / x[2]))
+        return {"azimuth_deg": _azimuth_deg(x[0]), "length_m": float(x[2]), "greatest_m_s2": greatest}
 
     return [
         (
@@ -170,7 +130,7 @@ def _laws(p: np.ndarray, force: np.ndarray) -> list[tuple[str, Law, list[np.ndar
             _along,
             [np.array([a, s * strong * 0.3, 0.4 * size + 0.1]) for a in turns for s in (1.0, -1.0)],
             (np.array([-0.1, -50.0, 0.1]), np.array([2.0 * np.pi + 0.1, 50.0, wide])),
-            said_along,
+            along_parameters,
         ),
         (
             "jet",
@@ -180,14 +140,33 @@ def _laws(p: np.ndarray, force: np.ndarray) -> list[tuple[str, Law, list[np.ndar
                 for a in turns
             ],
             (np.array([-0.1, -20.0, 0.0, 0.1]), np.array([2.0 * np.pi + 0.1, 20.0, 50.0, wide])),
-            said_jet,
+            _jet_parameters,
         ),
-        ("point", _to_point, point, (np.r_[low, -50.0, 0.0], np.r_[high, 50.0, wide]), said_point),
+        ("point", _to_point, point, (np.r_[low, -50.0, 0.0], np.r_[high, 50.0, wide]), _point_parameters),
         (
             "place",
             _at_place,
             [np.r_[c, push, w] for c in (top, middle) for w in (0.2 * size + 0.1, 0.5 * size + 0.1)],
             (np.r_[low, -50.0, -50.0, -50.0, 0.1], np.r_[high, 50.0, 50.0, 50.0, wide]),
-            said_place,
+            _place_parameters,
         ),
     ]
+
+
+def _azimuth_deg(azimuth: float) -> float:
+    return float(np.rad2deg(azimuth) % 360.0)
+
+
+def _point_parameters(x: np.ndarray) -> dict[str, float]:
+    return dict(zip(("north_m", "east_m", "down_m", "per_s2", "slack_m"), map(float, x), strict=True))
+
+
+def _place_parameters(x: np.ndarray) -> dict[str, float]:
+    keys = ("north_m", "east_m", "down_m", "push_north", "push_east", "push_down", "width_m")
+    return dict(zip(keys, map(float, x), strict=True))
+
+
+def _jet_parameters(x: np.ndarray) -> dict[str, float]:
+    azimuth = _azimuth_deg(x[0])
+    keys = ("offset_m", "push_m_s2", "width_m")
+    return {"azimuth_deg": azimuth, **dict(zip(keys, map(float, x[1:]), strict=True))}

@@ -2,39 +2,27 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from trimtab.host.trace import evidence
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.diagnose import Fit
 from trimtab.host.trace.evidence import Linearisation
 from trimtab.host.trace.parameters import Space
 from trimtab.host.trace.refine import ClosedFit, prior_of
-
-JACKKNIFE_PRIOR = 7.0
-"""Flights that a jackknife is taken to have seen spread as the parameters do in the median."""
-
-LEAST_WIDENED = math.sqrt(2.0)
-"""Least factor on the standard deviations: estimates in 60 simulated worlds with one effect or two, held
-against the form's fit to flights in still air, had four times the variance of untempered fits. TEMPER is half
-of it.
-"""
-
-PIECES = 4
-"""Fewer flights than these are cut into as many pieces each, for a jackknife to leave out."""
 
 
 def honest_covariance(
     space: Space, closed: ClosedFit, strata: Sequence[Sequence[int]] | None = None
 ) -> np.ndarray:
     """Covariance (P, P), scaled: the fit's, widened by its jackknife over flights or within `strata`, and by
-    LEAST_WIDENED at least.
+    RULES.min_widening at least.
     """
     precision = prior_of(space).precision(closed.effects)
-    widened = np.maximum(jackknife_by_flight(closed.grams, closed.at, precision, strata), LEAST_WIDENED)
+    widened = np.maximum(jackknife_by_flight(closed.grams, closed.at, precision, strata), RULES.min_widening)
     return closed.covariance * np.outer(widened, widened)
 
 
@@ -52,15 +40,15 @@ def by_segments(space: Space, fit: Fit) -> np.ndarray:
 
 
 def _in_pieces(lin: Linearisation) -> Linearisation:
-    """The linearisation with PIECES or more flights, or else with each flight's quarters in their place."""
-    if len(lin.local) >= PIECES:
+    """Return the linearisation with each flight cut into pieces where there are few flights."""
+    if len(lin.local) >= RULES.jackknife_pieces:
         return lin
     quarter = np.empty(len(lin.flight), dtype=int)
     for flight in range(len(lin.local)):
         mine = np.flatnonzero(lin.flight == flight)
-        quarter[mine] = np.arange(len(mine)) * PIECES // max(len(mine), 1)
-    owner, piece = np.unique(lin.flight * PIECES + quarter, return_inverse=True)
-    return replace(lin, flight=piece, local=lin.local[owner // PIECES])
+        quarter[mine] = np.arange(len(mine)) * RULES.jackknife_pieces // max(len(mine), 1)
+    owner, piece = np.unique(lin.flight * RULES.jackknife_pieces + quarter, return_inverse=True)
+    return replace(lin, flight=piece, local=lin.local[owner // RULES.jackknife_pieces])
 
 
 def jackknife_by_flight(
@@ -71,7 +59,7 @@ def jackknife_by_flight(
     grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] at z (P,), linearised; the prior's
     precision (P,). Each parameter's spread over the fits that leave one flight out (Efron's jackknife),
     the others of its stratum counting for it, over its posterior's. Since so few flights tell one spread
-    badly, it counts together with JACKKNIFE_PRIOR flights that spread as the parameters do in the median.
+    badly, it counts together with a number of flights that spread as the parameters do in the median.
     `strata` part the flights that are alike (default: all are): what differs between strata, such as
     references, is what was flown, not chance.
     """
@@ -95,5 +83,7 @@ def jackknife_by_flight(
     # Wilson and Hilferty's median of chi-square over its degrees of freedom.
     middle = (1.0 - 2.0 / (9.0 * freedom)) ** 3
     usual = max(1.0, float(np.median(ratio[told])) / middle) if told.any() else 1.0
-    variance = (JACKKNIFE_PRIOR * usual + freedom * ratio) / (JACKKNIFE_PRIOR + freedom)
+    variance = (RULES.jackknife_prior_flights * usual + freedom * ratio) / (
+        RULES.jackknife_prior_flights + freedom
+    )
     return np.sqrt(np.maximum(variance, 1.0))

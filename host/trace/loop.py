@@ -33,12 +33,6 @@ STABLE = 2.5
 LEAD_S = 0.3
 """Time after the reference's start that is not compared: the start's own errors die away in it."""
 
-LEAST_S = 20 * CHANNELS * BIN_S
-"""Time of tracking below which whole flights are too little to whiten."""
-
-MOVED_M = 0.3
-"""Extent of a flight below which it is a hover: whitened, what is constant in it does not show."""
-
 _Z_STEP = 1e-4
 
 
@@ -347,18 +341,10 @@ def closed_loop(flights: Sequence[Flight], vehicle: Vehicle, space: Space, z: np
     return Loop([record(*each) for each in zip(flights, states, strict=True)], vehicle, space)
 
 
-def too_little(flights: Sequence[Flight]) -> str | None:
-    """What these flights lack to be searched over the closed loop; None where they are enough.
-
-    They are then searched by segments, and what they hide is listed beside what they show.
-    """
+def tracking_extent(flights: Sequence[Flight]) -> tuple[float, float]:
+    """Return the tracking time of all flights in s, and the greatest extent of one along an axis in m."""
     spans = [signals(flight) for flight in flights]
-    flown_s = sum(s.span_s[1] - s.span_s[0] for s in spans)
-    if flown_s < LEAST_S:
-        return f"only {flown_s:.1f} s of tracking in all: fly longer; whole flights are not searched"
-    if all(_extent(s) < MOVED_M for s in spans):
-        return "a hover throughout: fly manoeuvres; whole flights are not searched"
-    return None
+    return sum(s.span_s[1] - s.span_s[0] for s in spans), max(_extent(s) for s in spans)
 
 
 def _extent(s: Signals) -> float:

@@ -16,10 +16,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from trimtab.host.trace import evidence
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.loop import Loop
 from trimtab.host.trace.parameters import Space
-from trimtab.host.trace.search import WORTH_FITTING, Names
+from trimtab.host.trace.search import Names
 from trimtab.host.trace.whitening import (
     Whitening,
     autoregression,
@@ -33,17 +34,8 @@ LOOP_DISCREPANCY = {"motor-lag": 0.05, "translational-lift": 0.05}
 flights of a simulated vehicle without noise, turbulence or effect.
 """
 
-SETTLED = 0.3
+LOOP_SETTLED = 0.3
 """Greatest step, in standard deviations, that is taken without looking at the roll-outs again."""
-
-WORSE = 1.5
-"""A set that predicts positions so much worse than the set that it was made from explains nothing."""
-
-TEMPER = 2.0
-"""Where sizes are told, whitened residuals count for 1/TEMPER, since the innovations keep what is slower than
-the windows: by so much the slopes' products with what twins differ by vary more than they should, in the mean
-over the library's parameters in 11 simulated worlds without effects (2.0 to 2.3).
-"""
 
 _ITERATIONS = 6
 _PASSES, _SETTLED_WELL = 6, 0.1
@@ -96,7 +88,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
             white = autoregression(left, loop.known, order)
             grams = _grams(white, loop, base, slopes)
             step, covariance = evidence.bounded(grams.sum(0), z, precision, space.bounds)
-        small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < SETTLED
+        small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < LOOP_SETTLED
         if small or iteration == _ITERATIONS - 1:
             break
         moved, there = _line_search(loop, white, precision, z, step, base)
@@ -183,10 +175,10 @@ class LoopFitter:
             if self.space.effect(name).starts:
                 gain, begun = self._begun(name, start)
                 own = list(self.space.groups[name])
-                z[own] = begun[own] if gain > WORTH_FITTING else z[own]
+                z[own] = begun[own] if gain > RULES.worth_fitting_nats else z[own]
         fit = fit_loop(self.loop, effects, z, self.order)
         # What is smooth and large an autoregression foretells: that alone would not speak against it.
-        worse = not fit.error_m < WORSE * start.error_m or not np.isfinite(fit.log_evidence)
+        worse = not fit.error_m < RULES.worse_fit_ratio * start.error_m or not np.isfinite(fit.log_evidence)
         return replace(fit, log_evidence=-np.inf) if worse else fit
 
     def scorers(self, fit: ClosedFit) -> list[Callable[[Names], float]]:
@@ -203,7 +195,7 @@ class LoopFitter:
         """Sets with one effect more that explains much from one of its `starts`, if little as a slope."""
         absent = set(self.space.candidates) - set(fit.effects)
         found = [name for name in sorted(absent) if self.space.effect(name).starts]
-        grown = [name for name in found if self._begun(name, fit)[0] > WORTH_FITTING]
+        grown = [name for name in found if self._begun(name, fit)[0] > RULES.worth_fitting_nats]
         return [tuple(sorted((*fit.effects, name))) for name in grown]
 
     def _begun(self, name: str, fit: ClosedFit) -> tuple[float, np.ndarray]:
@@ -255,13 +247,15 @@ def weighted(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Scaled parameters (P,), covariance (P, P) and Grams (flights, 1 + P, 1 + P) of `effects` fitted from z.
 
-    The whitening stays as given, slopes are those where the effects are, residuals count for 1/TEMPER.
+    The whitening stays as given, slopes are those where the effects are, residuals count for 1/RULES.temper.
     `centre` (P,) is what the prior holds likeliest, `count` how often each flight counts.
     """
     precision = prior_of(loop.space).precision(effects)
     for turn in range(_PASSES):
         base = [r[0] for r in loop.residuals(z[:, None])]
-        grams = count / TEMPER * _grams(white, loop, base, loop.slopes(z, effects, base, afresh=turn < 2))
+        grams = (
+            count / RULES.temper * _grams(white, loop, base, loop.slopes(z, effects, base, afresh=turn < 2))
+        )
         away = z - centre
         limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
         step, covariance = evidence.bounded(grams.sum(0), away, precision, limits)

@@ -13,21 +13,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.loop import BIN_S, Loop
-from trimtab.host.trace.refine import TEMPER, ClosedFit, weighted
-from trimtab.host.trace.twins import Repeat
+from trimtab.host.trace.refine import ClosedFit, weighted
+from trimtab.host.trace.twins import FlightRepeat
 from trimtab.host.trace.whitening import CHANNELS, Whitening, affordable, autoregression, stretches, whitened
-
-APART_S = 1.0
-"""Twins shifted by more than this have nothing in common but by chance."""
-
-LEAST_S = 3.0
-"""Shorter twins say nothing."""
 
 _EVERY = 5
 
 
-def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int]]) -> Repeat | None:
+def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int]]) -> FlightRepeat | None:
     """What repeats at scaled parameters z (P,), whitened to an autoregression of `order`; None without twins.
 
     `twins` pair the loop's recordings.
@@ -40,7 +35,7 @@ def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int
     for one, other, known in pairs:
         at = stretches(known, white.span)
         x, y = whitened(white, np.stack([one, other]), known).reshape(2, len(at), -1)
-        apart = range(round(APART_S / BIN_S), len(at) - round(APART_S / BIN_S), _EVERY)
+        apart = range(round(RULES.twin_shift_s / BIN_S), len(at) - round(RULES.twin_shift_s / BIN_S), _EVERY)
         by_chance = [float((x * np.roll(y, shift, axis=0)).sum()) for shift in apart]
         common += float((x * y).sum())
         variance += max(float(x.size), float(np.var(by_chance)))
@@ -50,7 +45,7 @@ def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int
     # the sum's power is greater by as much as the coefficients and the innovation's covariance took up.
     rows, coefficients = count / CHANNELS, CHANNELS * white.order
     common -= 0.5 * count * (2 * coefficients + CHANNELS + 1) / (rows - coefficients - CHANNELS - 1)
-    return Repeat(
+    return FlightRepeat(
         share=common / count,
         z=common / float(np.sqrt(variance)),
         position_m=float(np.sqrt(max(position / len(pairs), 0.0))),
@@ -75,7 +70,7 @@ def in_turbulence(loop: Loop, fit: ClosedFit, order: int, twins: Sequence[tuple[
     """
     white = turbulence(loop, fit.z, order, twins)
     if white is None:
-        return replace(fit, covariance=TEMPER * fit.covariance, grams=fit.grams / TEMPER)
+        return replace(fit, covariance=RULES.temper * fit.covariance, grams=fit.grams / RULES.temper)
     z, covariance, grams = weighted(loop, white, fit.effects, fit.z)
     return replace(fit, z=z, at=z, covariance=covariance, whitening=white, grams=grams)
 
@@ -90,7 +85,7 @@ def _pairs(loop: Loop, z: np.ndarray, twins: Sequence[tuple[int, int]]) -> list[
     for a, b in twins:
         bins = min(len(left[a]), len(left[b]))
         known = loop.known[a][:bins] & loop.known[b][:bins]
-        if known.sum() * BIN_S >= LEAST_S:
+        if known.sum() * BIN_S >= RULES.twin_min_s:
             out.append((left[a][:bins], left[b][:bins], known))
     return out
 

@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from trimtab.host.models.model import Model
-from trimtab.host.trace.audit import Audit, lines
+from trimtab.host.trace import words
+from trimtab.host.trace.audit import Audit
+from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Finding, Verdict
 from trimtab.host.trace.describe import Description
 from trimtab.host.trace.diagnose import Diagnosis
 from trimtab.host.trace.parameters import Space
 from trimtab.host.trace.score import Errors
 from trimtab.host.trace.separate import NextFlight
-from trimtab.host.trace.twins import Leftover, Repeat
+from trimtab.host.trace.twins import FlightRepeat, UnexplainedResidual
 from trimtab.host.trace.unexplained import Unexplained
-
-SHOWN = 4.2
-"""Sigma by which an effect stands out where flights show it."""
-
-Verdict = Literal["traced", "nothing-missing", "undecided", "outside-library"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +39,14 @@ class Named:
     parameters: Mapping[str, Value]
     probability: float
     aliases: Mapping[str, float]
-    exact_alias: str | None
-    """A sentence on the ratio that is observable, where another effect fits exactly as well."""
+    exact_alias: Finding | None
+    """The observable ratio, where another effect fits exactly as well; its subject is both effects."""
+
+    @property
+    def told_aliases(self) -> dict[str, float]:
+        """Return the aliases without the exact one, which has a sentence of its own."""
+        exact = () if self.exact_alias is None else self.exact_alias.subject[1:]
+        return {name: p for name, p in self.aliases.items() if name not in exact}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +58,7 @@ class Trace:
     """
 
     verdict: Verdict
-    reasons: tuple[str, ...]
+    findings: tuple[Finding, ...]
     effects: tuple[Named, ...]
     possible: Mapping[str, float]
     drive: str
@@ -70,12 +73,10 @@ class Trace:
     model: Model
     space: Space
     diagnosis: Diagnosis
-    leftover: Leftover
+    residual: UnexplainedResidual
     audits: tuple[Audit, ...]
     description: Description | None
     """What the disturbance outside the library depends on; None where the verdict is another."""
-    doubts: tuple[str, ...]
-    """What the flights as a whole lack, a sentence each."""
     unexplained: Unexplained | None
     """The network's errors on what is left, where one was trained."""
 
@@ -97,55 +98,18 @@ class Trace:
 
     @property
     def hidden(self) -> tuple[str, ...]:
-        """Effects that these flights would not show at typical size, or only within an alias of theirs."""
-        weak = self.diagnosis.stands_out
-        kept = {effect.name for effect in self.effects}
-        return tuple(sorted(name for name, sigma in weak.items() if sigma < SHOWN and name not in kept))
+        """Return the effects that these flights would not show at typical size, or only within an alias."""
+        return tuple(finding.subject[0] for finding in self.findings if finding.code is Code.HIDDEN)
+
+    @property
+    def all_findings(self) -> tuple[Finding, ...]:
+        """Return the findings about the flights as a whole, the exact aliases, then those about each log."""
+        exact = [effect.exact_alias for effect in self.effects if effect.exact_alias is not None]
+        return (*self.findings, *exact, *(finding for audit in self.audits for finding in audit.findings))
 
     def lines(self) -> list[str]:
-        """The result for people, a few lines."""
-        out = [f"verdict: {self.verdict}"]
-        for effect in self.effects:
-            values = ", ".join(
-                f"{key} {v.value:.4g} +- {2 * v.sd:.2g}{'' if v.unit == '1' else ' ' + v.unit}"
-                for key, v in effect.parameters.items()
-            )
-            exact = "mass" if effect.exact_alias else None
-            others = "".join(f"; or {name} ({p:.2f})" for name, p in effect.aliases.items() if name != exact)
-            out.append(f"  {effect.name}: {values} (probability {effect.probability:.3f}{others})")
-            if effect.exact_alias:
-                out.append(f"    {effect.exact_alias}")
-        if self.effects:
-            out.append("  (+- is two standard deviations)")
-        if self.possible:
-            names = ", ".join(f"{name} ({p:.2f})" for name, p in self.possible.items())
-            out.append(f"  not excluded beside them: {names}" if self.effects else f"  not excluded: {names}")
-        if self.verdict == "undecided" and not self.effects and self.diagnosis.none < 0.5:
-            out.append(
-                f"  something is missing with probability {1.0 - self.diagnosis.none:.2f}, "
-                "and these flights do not say what"
-            )
-        out += [f"  {doubt}" for doubt in self.doubts]
-        if self.hidden:
-            out.append(f"  of typical size, these flights would not show: {', '.join(self.hidden)}")
-        out += [f"  {reason}" for reason in self.reasons]
-        if self.description is not None:
-            out += [f"  {line}" for line in self.description.lines()]
-        if self.before_score is not None and self.after_score is not None:
-            how = "whole flights" if self.horizon_s is None else f"{self.horizon_s} s ahead"
-            out.append(
-                f"prediction error on {len(self.before)} held-out flights ({how}): "
-                f"{1e3 * self.before_score['position_rmse_m']:.1f} mm before, "
-                f"{1e3 * self.after_score['position_rmse_m']:.1f} mm after"
-                f"{' (nothing was added)' if self.verdict == 'outside-library' else ''}"
-            )
-        else:
-            out.append("no flight held out: no error before and after; add --hold-out LOG")
-        if self.unexplained is not None:
-            out.append(self.unexplained.line())
-        if self.next_flight is not None:
-            out.append(self.next_flight.line())
-        return out + [f"data: {line}" for line in lines(self.audits)]
+        """Return the result for people, a few lines."""
+        return words.result_lines(self)
 
     def to_json(
         self, *, model_path: str | None, report_path: str | None, network_path: str | None = None
@@ -153,7 +117,7 @@ class Trace:
         """The JSON object of `trimtab trace`; the paths are those of files written."""
         null = {"position_rmse_m": None, "velocity_rmse_m_s": None}
         return {
-            "verdict": self.verdict,
+            "verdict": str(self.verdict),
             "effects": [
                 {
                     "name": e.name,
@@ -175,16 +139,49 @@ class Trace:
             "next_flight": None if self.next_flight is None else self.next_flight.to_json(),
             "model": model_path,
             "report": report_path,
-            "reasons": list(self.reasons),
+            "findings": [finding.to_json() for finding in self.all_findings],
+            "reasons": words.sentences(self.findings, UNEXPLAINED),
             "repeats": dict(zip(("after", "before"), map(_repeat, self.diagnosis.repeats), strict=True)),
             "possible": [{"name": name, "probability": p} for name, p in self.possible.items()],
             "hidden": list(self.hidden),
-            "doubts": list(self.doubts),
+            "doubts": words.sentences(self.findings, DOUBTS),
             "description": None if self.description is None else self.description.to_json(),
             "unexplained": None if self.unexplained is None else self.unexplained.to_json(network_path),
-            "audit": [audit.to_json() for audit in self.audits],
+            "audit": [_audit(audit) for audit in self.audits],
         }
 
 
-def _repeat(found: Repeat | None) -> dict[str, float] | None:
-    return None if found is None else {"share": found.share, "z": found.z, "position_m": found.position_m}
+def _repeat(repeat: FlightRepeat | None) -> dict[str, float] | None:
+    if repeat is None:
+        return None
+    return {"share": repeat.share, "z": repeat.z, "position_m": repeat.position_m}
+
+
+def _audit(audit: Audit) -> dict[str, Any]:
+    """Return the entry of a flight under `audit`."""
+    return {
+        "log": audit.log,
+        "used_s": round(audit.used_s, 3),
+        "segments": audit.segments,
+        "left_out": audit.left_out,
+        "largest_gap_s": round(audit.largest_gap_s, 4),
+        "rates": [
+            {
+                "topic": rate.topic,
+                "median_hz": round(rate.median_hz, 2),
+                "worst_hz": round(rate.worst_hz, 2),
+                "sampling": rate.sampling,
+            }
+            for rate in audit.rates
+        ],
+        "stretches": [
+            {
+                "start_s": round(stretch.start_s, 3),
+                "end_s": round(stretch.end_s, 3),
+                "code": str(stretch.code),
+                "reason": words.reason(stretch),
+            }
+            for stretch in audit.stretches
+        ],
+        "remarks": words.remarks(audit),
+    }

@@ -11,19 +11,21 @@ from typing import Any
 import numpy as np
 
 from trimtab.host.effects import Effect
-from trimtab.host.errors import UsageError
 from trimtab.host.log import Flight
 from trimtab.host.models.model import Covariance, Model
 from trimtab.host.models.region import Region
 from trimtab.host.models.states import battery_of
 from trimtab.host.trace import evidence
-from trimtab.host.trace.audit import without_twins
+from trimtab.host.trace.audit import with_missing_twins
 from trimtab.host.trace.data import SEGMENT_S, segments_of
+from trimtab.host.trace.decision.decide import Evidence, decide, is_null_probable, tracking_shortfall
+from trimtab.host.trace.decision.findings import Code, Finding, LogsRefused
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.describe import describe
 from trimtab.host.trace.diagnose import Diagnosis, Fit, SegmentFitter, at_parameters, refit, stands_out
 from trimtab.host.trace.form import Form
 from trimtab.host.trace.intervals import by_segments, honest_covariance
-from trimtab.host.trace.loop import closed_loop, order_of, too_little
+from trimtab.host.trace.loop import closed_loop, order_of, tracking_extent
 from trimtab.host.trace.manoeuvres import Manoeuvre
 from trimtab.host.trace.parameters import MASS, Space, space, tolerance_of
 from trimtab.host.trace.refine import ClosedFit, LoopFitter, fit_loop, prior_of
@@ -39,24 +41,12 @@ from trimtab.host.trace.score import (
     strata_of,
     twins_of,
 )
-from trimtab.host.trace.search import WITHIN_NATS, Found, likeliest, search, sizes, smallest
+from trimtab.host.trace.search import Found, Names, likeliest, search, sizes, smallest
 from trimtab.host.trace.segments import Segments, nominal_thrust
 from trimtab.host.trace.separate import NextFlight, propose
 from trimtab.host.trace.signals import signals, unknowns
-from trimtab.host.trace.twins import leftover
+from trimtab.host.trace.twins import unexplained_residual
 from trimtab.host.trace.unexplained import unexplained
-from trimtab.host.trace.verdict import (
-    SOMETHING,
-    closest_of,
-    explained_beyond,
-    possible_of,
-    restless_of,
-    spoken_against,
-    substitutes,
-    verdict_of,
-    with_each_other,
-    with_hidden,
-)
 from trimtab.host.vehicle import Vehicle
 
 WEIGHED = 0.005
@@ -67,9 +57,6 @@ thrust.
 SAG_SEEN = 0.01
 """Share of the full voltage by which a battery must have left it: less is the voltmeter's noise."""
 
-
-FAULT = 0.1
-"""Share of what repeats, in nats, that an effect must explain beside one that swings by itself."""
 
 Report = Callable[[str], None]
 Manoeuvres = Callable[[], Sequence[Manoeuvre]]
@@ -85,21 +72,26 @@ def check_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: V
     seen: dict[str, Flight] = {}
     for flight in (*flights, *held_out):
         if flight.vehicle.id != first.id:
-            raise UsageError(
+            raise LogsRefused(
+                Code.MIXED_VEHICLES,
                 f"{flight.path}: a log of vehicle {flight.vehicle.name} ({flight.vehicle.id}), "
                 f"not of {first.name} ({first.id}): {_differences(flight.vehicle, first)}; "
-                "trace each vehicle's logs apart"
+                "trace each vehicle's logs apart",
             )
         if flight.id in seen:
-            raise UsageError(f"{flight.path}: the same log as {seen[flight.id].path}; give it once")
+            raise LogsRefused(
+                Code.LOG_GIVEN_TWICE,
+                f"{flight.path}: the same log as {seen[flight.id].path}; give it once",
+            )
         seen[flight.id] = flight
         signals(flight)
     used = {flight.reference_id for flight in flights if flight.reference_id is not None}
     for flight in held_out:
         if flight.reference_id in used:
-            raise UsageError(
+            raise LogsRefused(
+                Code.HELD_OUT_REFERENCE_USED,
                 f"{flight.path}: flies reference {flight.reference_id}, which is among the flights used; "
-                "hold out flights of other references"
+                "hold out flights of other references",
             )
     return first
 
@@ -129,59 +121,38 @@ def run(
     """
     airframe = check_logs(flights, held_out, vehicle)
     report("reading segments")
-    chosen = space(airframe, _observable(effects, flights), unknowns([*flights, *held_out]))
-    data, audits = segments_of(flights)
+    unknown = unknowns([*flights, *held_out])
+    chosen = space(airframe, _observable(effects, flights), unknown)
+    data, audits = segments_of(flights, rate_driven="torque" in unknown)
     form = Form(airframe, chosen, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
     drive = drive_of([*flights, *held_out])
-    short = too_little(flights)
-    whole = flights if drive == "reference" and short is None else ()
-    diagnosis = _diagnosis(form, data, whole, report)
-    fit, twins = diagnosis.best, twins_of(flights)
-    axial = "thrust" not in unknowns(flights)
-    nothing, unread = diagnosis.nothing, _reading(chosen, diagnosis.nothing)
-    # How much is missing counts from the model without any: what the library fitted in vain may be wild.
-    missing = leftover(_left(nothing, unread), nothing.data, twins, axial=axial)
-    rest = leftover(*_remainder(form, diagnosis), twins, axial=axial)
-    rest, missing = (replace(e, whole=w) for e, w in zip((rest, missing), diagnosis.repeats, strict=True))
-    rest = rest.beside(missing, swinging=any(chosen.effect(name).memory for name in fit.effects))
-    aliases = {name: substitutes(diagnosis, chosen, name) for name in fit.effects}
-    if short is not None:
-        aliases = with_hidden(aliases, chosen, diagnosis.stands_out)
-    if diagnosis.method == "segments" or not twins:
-        aliases = with_each_other(aliases, chosen)
-    restless = None if twins else restless_of(fit, axial=axial)
-    if diagnosis.method == "segments":
-        against = explained_beyond(diagnosis.sets, diagnosis.weights)
-    else:
-        against = None if twins else spoken_against(form, nothing, fit.effects)
-    doubts = tuple(doubt for doubt in (short, restless, against) if doubt is not None)
-    verdict = verdict_of(diagnosis, rest, aliases, doubted=restless is not None or against is not None)
-    added = verdict != "outside-library"
-    named = _named(airframe, chosen, diagnosis, aliases) if added else ()
-    z = fit.z if added else unread
-    if not added and missing.reasons:
-        rest = missing
+    tracking_s, extent_m = tracking_extent(flights)
+    enough = tracking_shortfall(tracking_s, extent_m) is None
+    diagnosis = _diagnosis(form, data, flights if drive == "reference" and enough else (), report)
+    twins = twins_of(flights)
+    decision = decide(_evidence(form, diagnosis, twins, unknown, tracking_s, extent_m))
+    added, nothing = decision.effects_added, diagnosis.nothing
+    named = _named(airframe, chosen, diagnosis, decision.aliases) if added else ()
+    z = diagnosis.best.z if added else _reading(chosen, nothing)
     model = _model(chosen, diagnosis, z, flights, named, added, provenance)
 
     report("predicting the held-out flights")
     before, after, middle = _errors(drive, form, diagnosis, added, model, held_out, effects)
     following: NextFlight | None = None
-    closest = closest_of(aliases, diagnosis.inclusion) if verdict == "undecided" else None
-    if closest is not None and manoeuvres is not None:
+    if decision.to_separate is not None and manoeuvres is not None:
         report("looking for the flight that decides")
-        effect, alias = closest
-        following = propose(form, fit, effect, alias, manoeuvres())
-    told = more = None
+        following = propose(form, diagnosis.best, *decision.to_separate, manoeuvres())
+    described = more = None
     if not added:
         report("describing what is outside the library")
-        told = describe(_left(nothing, z), nothing.data, [f.reference_id for f in flights], airframe)
+        described = describe(_left(nothing, z), nothing.data, [f.reference_id for f in flights], airframe)
         if network and drive == "reference":
-            more = unexplained(flights, held_out, model, effects, told, report)
+            more = unexplained(flights, held_out, model, effects, described, report)
     return Trace(
-        verdict=verdict,
-        reasons=rest.reasons,
+        verdict=decision.verdict,
+        findings=decision.findings,
         effects=named,
-        possible=possible_of(diagnosis, aliases) if added else {},
+        possible=decision.possible,
         drive=drive,
         horizon_s=None if drive == "reference" else SEGMENT_S,
         before=before,
@@ -196,12 +167,62 @@ def run(
         model=model,
         space=chosen,
         diagnosis=diagnosis,
-        leftover=rest,
-        audits=without_twins(audits, twins),
-        doubts=doubts,
-        description=told,
+        residual=decision.residual,
+        audits=with_missing_twins(audits, twins),
+        description=described,
         unexplained=more,
     )
+
+
+def _evidence(
+    form: Form,
+    diagnosis: Diagnosis,
+    twins: Sequence[tuple[int, int]],
+    unknown: frozenset[str],
+    tracking_s: float,
+    extent_m: float,
+) -> Evidence:
+    """Return everything that the verdict is decided by."""
+    best, nothing = diagnosis.best, diagnosis.nothing
+    axial = "thrust" not in unknown
+    after, before = diagnosis.repeats
+    residual = unexplained_residual(*_remainder(form, diagnosis), twins, axial=axial)
+    without = unexplained_residual(
+        _left(nothing, _reading(form.space, nothing)), nothing.data, twins, axial=axial
+    )
+    by_segments = diagnosis.method == "segments"
+    return Evidence(
+        space=form.space,
+        selected=best.effects,
+        null_probability=diagnosis.none,
+        log_evidence=diagnosis.sets,
+        posterior_weights=diagnosis.weights,
+        inclusion_probability=diagnosis.inclusion,
+        detectability=diagnosis.stands_out,
+        by_segments=by_segments,
+        residual=replace(residual, flights=after),
+        residual_without=replace(without, flights=before),
+        disturbance_sigma=tuple(best.process.sigma().tolist()),
+        thrust_known=axial,
+        rate_driven=best.data.rate_driven,
+        segment_disagreement_nats=(
+            {}
+            if by_segments or twins or not best.effects
+            else _segment_disagreement(form, nothing, best.effects)
+        ),
+        tracking_s=tracking_s,
+        extent_m=extent_m,
+    )
+
+
+def _segment_disagreement(form: Form, nothing: Fit, selected: Names) -> dict[str, float]:
+    """Return by how many nats segments prefer the selected set without each of its effects."""
+    whole = refit(form, nothing.data, selected, nothing)
+    return {
+        name: refit(form, nothing.data, tuple(n for n in selected if n != name), whole).log_evidence
+        - whole.log_evidence
+        for name in selected
+    }
 
 
 def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Report) -> Diagnosis:
@@ -226,7 +247,7 @@ def _diagnosis(form: Form, data: Segments, flights: Sequence[Flight], report: Re
         twins, unread = twins_of(flights), _reading(form.space, nothing)
         found = _without_faults(found, fitter, twins)
         kept = in_turbulence(loop, found.best, order, twins)
-        there = tuple(name for name, size in sizes(fitter, kept).items() if size > 1.0)
+        there = tuple(name for name, size in sizes(fitter, kept).items() if size > RULES.present_tolerances)
         if there != kept.effects:  # sizes are told better than the search does
             found = replace(found, best=fitter.fit(there, found.best))
             kept = in_turbulence(loop, found.best, order, twins)
@@ -258,7 +279,12 @@ def _without_faults(
     if not any(fitter.space.effect(name).memory for name in found.best.effects):
         return found
     left = repeat(fitter.loop, found.best.z, fitter.order, twins)
-    names = smallest(found, WITHIN_NATS if left is None else max(WITHIN_NATS, FAULT * left.nats))
+    names = smallest(
+        found,
+        RULES.tie_nats
+        if left is None
+        else max(RULES.tie_nats, RULES.memory_fault_share * left.log_evidence(RULES)),
+    )
     if len(names) >= len(found.best.effects):
         return found
     return replace(found, best=fitter.fit(names, found.best))
@@ -284,7 +310,7 @@ def _remainder(form: Form, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
 
 def _is_judged(found: Found[Any] | Diagnosis) -> bool:
     """Whether abstention is judged by what was kept: not by nothing where that is improbable."""
-    return bool(found.best.effects) or found.none > SOMETHING
+    return bool(found.best.effects) or is_null_probable(found.none)
 
 
 def _left(fit: Fit, z: np.ndarray) -> np.ndarray:
@@ -317,13 +343,12 @@ def _named(
         for other, probability in aliases[name].items():
             title = chosen.effect(other).name
             others[title] = others.get(title, 0.0) + probability
-        sentence = None
+        exact = None
         if name == "thrust-gain" and tolerance_of(vehicle, MASS, "factor", 0.01) >= WEIGHED:
             others[MASS] = diagnosis.inclusion[name]
             ratio, ratio_sd = _thrust_over_mass(chosen, diagnosis)
-            sentence = (
-                f"only thrust over mass shows: {ratio:.4f} +- {2 * ratio_sd:.4f} times the nominal ratio; "
-                "weigh the vehicle to tell mass from thrust"
+            exact = Finding(
+                code=Code.EXACT_ALIAS, value=ratio, subject=(effect.name, MASS), details={"sd": ratio_sd}
             )
         out.append(
             Named(
@@ -332,7 +357,7 @@ def _named(
                 parameters=parameters,
                 probability=diagnosis.inclusion[name],
                 aliases=others,
-                exact_alias=sentence,
+                exact_alias=exact,
             )
         )
     return tuple(out)

@@ -25,16 +25,14 @@ from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.states import flight_states
 from trimtab.host.trace import evidence, segments
 from trimtab.host.trace.data import DT_S, SEGMENT_S, segments_of
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.diagnose import starting_process
 from trimtab.host.trace.form import Form
 from trimtab.host.trace.segments import Segments
 from trimtab.host.trace.signals import pose_interval_s, signals
 
-CALIBRATION = 0.25
-"""Share of a held-out flight that its own nuisances are fitted to, where recorded inputs drive the model."""
-
 _LEAD_S = 0.3
-_STEP_S = 0.005
+_ROLL_OUT_STEP_S = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,9 +117,9 @@ def _predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[st
     latency = float(latency_of(NUMPY, parts))
     known = flight_states(flights, latency_s=latency)
     duration = [states.reference.nodes[-1].t_us * 1e-6 for states in known]
-    steps = round(max(duration) / _STEP_S)
-    fine = phi.substeps(_STEP_S)
-    stages = half_steps(0.0, steps * fine, _STEP_S / fine)
+    steps = round(max(duration) / _ROLL_OUT_STEP_S)
+    fine = phi.substeps(_ROLL_OUT_STEP_S)
+    stages = half_steps(0.0, steps * fine, _ROLL_OUT_STEP_S / fine)
     drives = [
         reference_drive(
             states.reference,
@@ -137,11 +135,11 @@ def _predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[st
         drive=np.stack(drives, axis=2),
         flight=np.stack([states.constants for states in known], axis=1),
         theta=phi.theta(parts),
-        step_s=_STEP_S / fine,
+        step_s=_ROLL_OUT_STEP_S / fine,
         every=fine,
         compiled=True,
     )
-    grid = _STEP_S * np.arange(steps + 1)
+    grid = _ROLL_OUT_STEP_S * np.arange(steps + 1)
     out = []
     for k, flight in enumerate(flights):
         assert flight.tracking is not None
@@ -170,10 +168,10 @@ def predict_segments(flights: Sequence[Flight], form: Form, z: np.ndarray) -> tu
     A flight's own nuisances come from its first quarter, and what is predicted lies behind that: nothing of a
     prediction knows what is measured later. Raises TooLittleData where nothing lies behind.
     """
-    whole, _ = segments_of(flights, segment_s=SEGMENT_S)
-    data, _ = segments_of(flights, segment_s=_LEAD_S + SEGMENT_S)
+    whole, _ = segments_of(flights, rate_driven=form.rate_driven)
+    data, _ = segments_of(flights, rate_driven=form.rate_driven, segment_s=_LEAD_S + SEGMENT_S)
     spans = np.array([signals(flight).span_s for flight in flights])
-    known_s = CALIBRATION * (spans[:, 1] - spans[:, 0])
+    known_s = RULES.calibration_share * (spans[:, 1] - spans[:, 0])
     early = whole.take(whole.start_s + SEGMENT_S <= known_s[whole.flight])
     local = _fitted_local(form, early, z, len(flights))
     data = data.take(data.start_s >= known_s[data.flight])

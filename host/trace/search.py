@@ -14,19 +14,12 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.parameters import Space
 
-MAX_EFFECTS = 6
 BEAM = 25
-WITHIN_NATS = float(np.log(20.0))
-"""The smallest set whose evidence is this close to the best one is kept."""
-
-WORTH_FITTING = 12.0
-"""Nats: a set that the screening finds this far behind its best one is not fitted."""
-
-BEARS = 4.0
-"""Tolerances beyond which an effect is there for another to act through it."""
+"""Sets that the screening extends at each depth."""
 
 Names = tuple[str, ...]
 Report = Callable[[str], None]
@@ -104,14 +97,14 @@ def none_of(weights: Mapping[Names, float]) -> float:
 
 
 def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Found[F]:
-    """The missing effects, from the fit of `nothing`: as many as the evidence pays, up to MAX_EFFECTS."""
+    """Return the missing effects, searched from the fit of `nothing`: as many as the evidence supports."""
     space = fitter.space
     fits: dict[Names, F] = {(): nothing}
     current = nothing
-    for _ in range(2 * MAX_EFFECTS):
+    for _ in range(2 * RULES.max_effects):
         trials: list[Names] = []
         for score in fitter.scorers(current):
-            depth = min(MAX_EFFECTS, len(current.effects) + 2)
+            depth = min(RULES.max_effects, len(current.effects) + 2)
             trials += _proposals(screen(space, score, depth), current.effects)
         trials += fitter.beyond(current)
         for names in dict.fromkeys(trials):
@@ -124,9 +117,9 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Fo
         current = best
     kept, scores = _judged(fitter, fits)
     # What the kept fit's linearisation gives far more than that fit is fitted too, until nothing is left.
-    for _ in range(MAX_EFFECTS):
+    for _ in range(RULES.max_effects):
         promised = likeliest(scores)
-        if promised in fits or scores[kept.effects] > scores[promised] - WITHIN_NATS:
+        if promised in fits or scores[kept.effects] > scores[promised] - RULES.tie_nats:
             break
         fits[promised] = fitter.fit(promised, kept)
         report(f"{', '.join(promised)} fitted")
@@ -190,13 +183,13 @@ def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
     swapped = (
         [n for n in order if len(n) == len(have) and len(set(n) & have) == len(have) - 1][:1] if have else []
     )
-    least = scores[order[0]] - WORTH_FITTING
+    least = scores[order[0]] - RULES.worth_fitting_nats
     fewer = [n for n in order if len(n) == len(have) - 1 and set(n) <= have and scores[n] > least]
     return [*order[:1], *more, *swapped, *fewer]
 
 
 def _borne(fitter: Fitter[F], fit: F) -> bool:
-    """Whether every effect of the set is there, and what it acts through beyond BEARS times its tolerance.
+    """Return whether every effect of the set is present, and what it acts through large enough to carry it.
 
     One that is within its tolerance is not there; one that only its bounds hold explains something else. Wind
     on a drag within tolerance is a force of some 0.01 m/s^2, as the slow part of turbulence is.
@@ -205,9 +198,9 @@ def _borne(fitter: Fitter[F], fit: F) -> bool:
     if any(space.bounded(fit.z)[i] for name in fit.effects for i in space.groups[name]):
         return False
     size = sizes(fitter, fit)
-    found = {name for name in fit.effects if size[name] > BEARS}
+    found = {name for name in fit.effects if size[name] > RULES.carrier_tolerances}
     needs = (space.effect(name).requires_any for name in fit.effects)
-    return all(share > 1.0 for share in size.values()) and all(
+    return all(share > RULES.present_tolerances for share in size.values()) and all(
         not any_of or found & set(any_of) for any_of in needs
     )
 
@@ -220,9 +213,9 @@ def sizes(fitter: Fitter[F], fit: F) -> dict[str, float]:
 
 
 def _smallest(fits: Mapping[Names, F]) -> F:
-    """The smallest set within WITHIN_NATS of the greatest evidence; of several, the most probable."""
+    """The smallest set within RULES.tie_nats of the greatest evidence; of several, the most probable."""
     top = max(fit.log_evidence for fit in fits.values())
-    close = [fit for fit in fits.values() if fit.log_evidence > top - WITHIN_NATS]
+    close = [fit for fit in fits.values() if fit.log_evidence > top - RULES.tie_nats]
     return min(close, key=lambda fit: (len(fit.effects), -fit.log_evidence, fit.effects))
 
 
@@ -230,7 +223,7 @@ def _scores(
     fitter: Fitter[F], kept: F, fits: Mapping[Names, F], left_out: frozenset[Names]
 ) -> dict[Names, float]:
     """Log evidence of the fitted sets and, as linearised, of the kept fit's neighbours."""
-    depth = min(MAX_EFFECTS, len(kept.effects) + 1)
+    depth = min(RULES.max_effects, len(kept.effects) + 1)
     score = fitter.scorers(kept)[-1]
     shift = kept.log_evidence - score(kept.effects)
     scores = {names: value + shift for names, value in screen(fitter.space, score, depth).items()}

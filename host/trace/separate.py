@@ -19,6 +19,7 @@ from trimtab.firmware_model.law.rotations import matrix_to_euler
 from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.trace import evidence, segments
 from trimtab.host.trace.data import DT_S, LAGS, SEGMENT_S
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.diagnose import Fit
 from trimtab.host.trace.evidence import Prior, Process
 from trimtab.host.trace.form import Form
@@ -27,15 +28,8 @@ from trimtab.host.trace.parameters import Space
 from trimtab.host.trace.segments import BIN_S, PATH_S, Segments
 from trimtab.host.vehicle import Vehicle
 
-DECISIVE_SIGMA = 4.2
-"""Sigma by which an effect must stand out of another one, whatever size that takes, to be told from it."""
-
 SIGMA_MAX = 100.0
 """More is not told: so far out a linearisation means nothing but that the flight decides."""
-
-UNDECIDED_SIGMA = float(np.sqrt(2.0 * np.log(20.0)))
-"""Flights that leave an alias a twentieth of the probability tell no more: what noise drives the commands
-makes segments believe in more, of timing above all."""
 
 _ROLLED = 12
 """Segments of a manoeuvre that are rolled out, spread evenly; each other one counts as its nearest."""
@@ -69,7 +63,7 @@ class NextFlight:
     @property
     def decides(self) -> bool:
         """Whether it is expected to."""
-        return self.expected_sigma >= DECISIVE_SIGMA
+        return self.expected_sigma >= RULES.detectable_sigma
 
     @property
     def measurement(self) -> str | None:
@@ -87,21 +81,6 @@ class NextFlight:
             "decides": self.decides,
             "measurement": self.measurement,
         }
-
-    def line(self) -> str:
-        """The proposal for people, one line."""
-        a, b = self.separates
-        plan = "" if self.total_time_s is None else f" (plan it with --time-s {self.total_time_s:.1f})"
-        if self.decides:
-            return (
-                f"fly {self.route} next{plan} and trace with it added: {a} and {b} are then "
-                f"{self.expected_sigma:.1f} sigma apart, {self.so_far_sigma:.1f} so far"
-            )
-        other = f"; {self.measurement}" if self.measurement else ""
-        return (
-            f"no known route tells {a} from {b}: with the best, {self.route}{plan}, they are "
-            f"{self.expected_sigma:.1f} sigma apart, {DECISIVE_SIGMA} are needed{other}"
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -187,8 +166,10 @@ def propose(form: Form, fit: Fit, effect: str, alias: str, known: Sequence[Manoe
         return separation(space, gram, present, z, effect, alias)
 
     so_far = _flown(form, fit, z)
-    while (before := sigma(so_far)) > UNDECIDED_SIGMA:
-        so_far *= 0.9 * (UNDECIDED_SIGMA / before) ** 2
+    # Flights that leave an alias open tell no more than that: noise in the commands makes segments believe in
+    # more, of timing above all.
+    while (before := sigma(so_far)) > RULES.undecided_sigma:
+        so_far *= 0.9 * (RULES.undecided_sigma / before) ** 2
 
     best, most = None, -1.0
     for candidate in known:

@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 from trimtab.firmware_model.law.allocation import allocation_matrix, invert4
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.log import Flight
-from trimtab.host.log.errors import TooLittleData
 from trimtab.host.models.states import battery_of
+from trimtab.host.trace import words
+from trimtab.host.trace.decision.findings import Code, TooLittleToTrace
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.vehicle import Vehicle
 
 SIGMA_FLOOR = (1e-3, 3e-3, 5e-3, 0.02)
@@ -56,8 +58,8 @@ def signals(flight: Flight) -> Signals:
     Where nothing recorded drives the model, thrust is taken as hover's and what that gets wrong is left to
     the nuisances; where torque is unknown and no gyro was logged, the body rate is that of the poses.
     """
-    if flight.mocap is None or len(flight.mocap) < 100:
-        raise TooLittleData(f"{flight.path}: fewer than 100 poses; log /mocap/pose in flight")
+    if flight.mocap is None or len(flight.mocap) < RULES.min_poses:
+        raise TooLittleToTrace(Code.TOO_FEW_POSES, words.too_few_poses(flight.path))
     vehicle = flight.vehicle
     pose_s = flight.mocap.t_us * 1e-6
     R = Rotation.from_quat(flight.mocap.q[:, [1, 2, 3, 0]]).as_matrix()
@@ -86,10 +88,10 @@ def signals(flight: Flight) -> Signals:
         imu_s, gyro = _turned(pose_s, R)
     voltage_s, voltage_ratio = battery_of(flight)
     if flight.tracking is None:
-        raise TooLittleData(f"{flight.path}: no tracking phase; the flight ended before its reference began")
+        raise TooLittleToTrace(Code.NO_TRACKING, words.no_tracking(flight.path))
     span_s = (flight.tracking[0] * 1e-6, flight.tracking[1] * 1e-6)
-    if np.count_nonzero((pose_s >= span_s[0]) & (pose_s <= span_s[1])) < 10:
-        raise TooLittleData(f"{flight.path}: fewer than 10 poses in the tracking phase; fly or log longer")
+    if np.count_nonzero((pose_s >= span_s[0]) & (pose_s <= span_s[1])) < RULES.min_tracking_poses:
+        raise TooLittleToTrace(Code.TOO_FEW_POSES, words.too_few_tracking_poses(flight.path))
     return Signals(
         pose_s=pose_s,
         p=flight.mocap.p,

@@ -31,15 +31,6 @@ class Unexplained:
     after: Errors
     model: Model | None
 
-    def line(self) -> str:
-        """For people."""
-        before, after = self.before.position_rmse_m, self.after.position_rmse_m
-        return (
-            f"unexplained: a network trained on what is left predicts the held-out flights "
-            f"{1e3 * before:.1f} mm off without it, {1e3 * after:.1f} mm with it; "
-            f"{'it names no cause' if self.model is not None else 'it is not kept'}"
-        )
-
     def to_json(self, model_path: str | None) -> dict[str, Any]:
         """The value of `unexplained`."""
         return {"before": self.before.to_json(), "after": self.after.to_json(), "model": model_path}

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trimtab.host.trace.decision.rules import RULES
+
 CHANNELS = 12
 """Of a bin: position (heading frame), attitude (FRD), body rate (FRD), the law's rate integral (FRD): what it
 holds is the torque that something else takes.
@@ -23,10 +25,6 @@ WINDOWS = ((1, 1), (2, 2), (3, 3), (4, 6))
 """First and last bin back of each mean that is looked at; an autoregression of some order has the first so
 many.
 """
-
-
-BINS_AN_ORDER = 14 * CHANNELS
-"""Bins that one more order of the autoregression takes to be known: 14 a coefficient."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +50,7 @@ class Whitening:
 
 def affordable(bins: int) -> int:
     """The greatest order whose coefficients so many known bins tell, at least 1."""
-    return max(1, min(len(WINDOWS), bins // BINS_AN_ORDER))
+    return max(1, min(len(WINDOWS), bins // RULES.bins_per_order))
 
 
 def span_of(order: int) -> int:

@@ -23,11 +23,11 @@ OTHER_MASS = 1.1
 class Case:
     """One way in which data are thin.
 
-    says: what the answer to such data has to contain, one of them. programme: what is flown, from the study's
-    own. copy: makes the log that is traced from the one that was flown.
+    codes: findings or refusals, one of which the answer to such data has to hold. programme: what is flown,
+    from the study's own. copy: makes the log that is traced from the one that was flown.
     """
 
-    says: tuple[str, ...]
+    codes: tuple[str, ...]
     programme: Callable[[Programme], Programme] = lambda whole: whole
     copy: Callable[[Path, Path], object] = shutil.copyfile
 
@@ -53,14 +53,14 @@ def _hover(whole: Programme) -> Programme:
 
 
 CASES: dict[str, Case] = {
-    "one flight": Case(says=("no twin",), programme=_one_flight),
-    "no twins": Case(says=("no twin",), programme=_no_twins),
-    "no gyro": Case(says=("no gyro",), copy=cut.without_gyro),
-    "sampled telemetry": Case(says=("sampled commands",), copy=cut.sampled),
-    "no reference": Case(says=("no reference",), copy=cut.without_reference),
-    "two vehicles": Case(says=("trace each vehicle's logs apart",), programme=_two_vehicles),
-    "three seconds": Case(says=("s of tracking in all", "usable segments"), programme=_three_seconds),
-    "constant hover": Case(says=("a hover throughout", "s of tracking in all"), programme=_hover),
+    "one flight": Case(codes=("no-twin",), programme=_one_flight),
+    "no twins": Case(codes=("no-twin",), programme=_no_twins),
+    "no gyro": Case(codes=("no-gyro",), copy=cut.without_gyro),
+    "sampled telemetry": Case(codes=("sampled-commands",), copy=cut.sampled),
+    "no reference": Case(codes=("no-reference",), copy=cut.without_reference),
+    "two vehicles": Case(codes=("mixed-vehicles",), programme=_two_vehicles),
+    "three seconds": Case(codes=("tracking-too-short", "too-few-segments"), programme=_three_seconds),
+    "constant hover": Case(codes=("hover-only", "tracking-too-short"), programme=_hover),
 }
 """By name, as worlds are drawn."""
 

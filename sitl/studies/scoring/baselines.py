@@ -22,6 +22,7 @@ from trimtab.host.trace.data import DT_S, segments_of
 from trimtab.host.trace.form import LOCALS, Form
 from trimtab.host.trace.parameters import Space, space
 from trimtab.host.trace.segments import Segments
+from trimtab.host.trace.signals import unknowns
 from trimtab.host.vehicle import Vehicle, load_vehicle
 from trimtab.sitl.studies.commandline import run_apart
 from trimtab.sitl.studies.files import StudyError, read_json, write_json
@@ -87,7 +88,7 @@ def _series(vehicle: Vehicle, space: Space, flights: Sequence[Flight]) -> list[n
     """For each flight (n, 6, 1 + P) every DT_S: residual accelerations and their slopes in scaled
     parameters, over the usual turbulence; specific force, then angular acceleration, FRD.
     """
-    data, _ = segments_of(flights, segment_s=RUN_S)
+    data, _ = segments_of(flights, rate_driven="torque" in unknowns(flights), segment_s=RUN_S)
     count = len(space.columns)
     lanes = np.zeros((count, 1 + count))
     lanes[np.arange(count), 1 + np.arange(count)] = _STEP

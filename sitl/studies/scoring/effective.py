@@ -18,12 +18,13 @@ import numpy as np
 from trimtab.host.effects import Effect
 from trimtab.host.log import Flight
 from trimtab.host.models.model import Model
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.loop import closed_loop, order_of
 from trimtab.host.trace.parameters import Space
 from trimtab.host.trace.refine import prior_of, weighted
 from trimtab.host.trace.repeats import turbulence
 from trimtab.host.trace.score import predict_flights, rmse, twins_of
-from trimtab.host.trace.separate import DECISIVE_SIGMA, separation
+from trimtab.host.trace.separate import separation
 from trimtab.host.vehicle import Vehicle
 
 Values = dict[str, dict[str, float]]
@@ -136,7 +137,7 @@ def nearest(known: Effective, same: frozenset[str]) -> dict[str, dict[str, float
 
 def is_identifiable(separations: Mapping[str, Mapping[str, float]]) -> bool:
     """Whether every effect stands out of every alias."""
-    return all(min(each.values(), default=np.inf) >= DECISIVE_SIGMA for each in separations.values())
+    return all(min(each.values(), default=np.inf) >= RULES.detectable_sigma for each in separations.values())
 
 
 def floor_m(

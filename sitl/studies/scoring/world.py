@@ -83,9 +83,8 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
 def is_told(case: str, verdict: Mapping[str, Any]) -> bool:
     """Whether the answer on thin data says what they lack."""
     answer = verdict["answer"]
-    said = [verdict["errors"], *answer.get("doubts", ())]
-    said += [remark for audit in answer.get("audit", ()) for remark in audit["remarks"]]
-    return any(words in line for words in CASES[case].says for line in said)
+    codes = {finding["code"] for finding in answer.get("findings", ())} | {answer.get("code")}
+    return not codes.isdisjoint(CASES[case].codes)
 
 
 def judge(

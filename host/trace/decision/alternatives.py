@@ -1,0 +1,117 @@
+"""What the data leaves open: effects in place of the selected ones, beside them, and the pair to separate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from trimtab.host.trace.decision.rules import Rules
+from trimtab.host.trace.parameters import Space
+
+Names = tuple[str, ...]
+Aliases = Mapping[str, Mapping[str, float]]
+"""Probability of each alternative, by the selected effect that it would replace."""
+
+EVEN = 0.5
+"""Probability of an alternative that nothing in the data speaks against."""
+
+
+def aliases_of(
+    selected: Sequence[str], posterior_weights: Mapping[Names, float], space: Space, rules: Rules
+) -> dict[str, dict[str, float]]:
+    """Return, for each selected effect, the effects that the data puts in its place, most probable first."""
+    return {name: _substitutes(name, selected, posterior_weights, space, rules) for name in selected}
+
+
+def _substitutes(
+    name: str,
+    selected: Sequence[str],
+    posterior_weights: Mapping[Names, float],
+    space: Space,
+    rules: Rules,
+) -> dict[str, float]:
+    """Return the probability of each effect in place of `name`: sets without `name` that hold it."""
+    total = sum(posterior_weights.values())
+    probabilities = {}
+    for other in space.candidates:
+        if other in selected:
+            continue
+        share = (
+            sum(w for names, w in posterior_weights.items() if name not in names and other in names) / total
+        )
+        if share > rules.alias_probability:
+            probabilities[other] = share
+    return dict(sorted(probabilities.items(), key=lambda item: -item[1]))
+
+
+def with_undetectable(
+    aliases: Aliases, space: Space, detectability: Mapping[str, float], rules: Rules
+) -> dict[str, dict[str, float]]:
+    """Return the aliases with the known aliases that too little data would not show at typical size.
+
+    Nothing speaks against these, so they are as probable as what was selected.
+    """
+    undetectable = [
+        name
+        for name, sigma in detectability.items()
+        if sigma < rules.detectable_sigma and name not in aliases
+    ]
+    extended: dict[str, dict[str, float]] = {}
+    for name, others in aliases.items():
+        effect = space.effect(name)
+        known = [
+            other
+            for other in undetectable
+            if other in effect.aliases or effect.name in space.effects[other].aliases
+        ]
+        extended[name] = {**{other: EVEN for other in known if not space.effects[other].one_of}, **others}
+    return extended
+
+
+def with_each_other(aliases: Aliases, space: Space) -> dict[str, dict[str, float]]:
+    """Return the aliases with those among the selected effects themselves.
+
+    For thin data: no form is exact, and a known alias takes up what an effect leaves of itself. An effect
+    that acts through another one is found beside it, not in its place.
+    """
+    extended = {name: dict(others) for name, others in aliases.items()}
+    for name in aliases:
+        effect = space.effect(name)
+        for other in aliases:
+            beside = space.effect(other)
+            through = beside.name in effect.requires_any or effect.name in beside.requires_any
+            if not through and (beside.name in effect.aliases or effect.name in beside.aliases):
+                extended[name][other] = EVEN
+    return extended
+
+
+def possible_beside(
+    selected: Sequence[str], aliases: Aliases, inclusion_probability: Mapping[str, float], rules: Rules
+) -> dict[str, float]:
+    """Return the effects beside the selected ones that the data does not exclude, most probable first."""
+    substitutes = {other for others in aliases.values() for other in others}
+    possible = {
+        name: probability
+        for name, probability in inclusion_probability.items()
+        if name not in selected and name not in substitutes and probability > rules.alias_probability
+    }
+    return dict(sorted(possible.items(), key=lambda item: -item[1]))
+
+
+def pair_to_separate(
+    aliases: Aliases, inclusion_probability: Mapping[str, float], rules: Rules
+) -> tuple[str, str] | None:
+    """Return the effect and the alias that the data separates least.
+
+    Where nothing was selected, the two most probable candidates; None where there are no two.
+    """
+    pairs = [
+        (probability, name, other)
+        for name, others in aliases.items()
+        for other, probability in others.items()
+    ]
+    if pairs:
+        return max(pairs)[1:]
+    probable = sorted(
+        ((p, name) for name, p in inclusion_probability.items() if p > rules.alias_probability), reverse=True
+    )
+    return (probable[0][1], probable[1][1]) if not aliases and len(probable) > 1 else None

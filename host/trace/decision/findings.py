@@ -1,0 +1,158 @@
+"""What a trace found, as codes with numbers; `trimtab.host.trace.words` makes sentences of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Any
+
+from trimtab.host.errors import UsageError
+from trimtab.host.log.errors import TooLittleData
+
+
+class Verdict(StrEnum):
+    """The answer of a trace."""
+
+    TRACED = "traced"
+    NOTHING_MISSING = "nothing-missing"
+    UNDECIDED = "undecided"
+    OUTSIDE_LIBRARY = "outside-library"
+
+
+class Code(StrEnum):
+    """What a finding says. The values are part of the JSON of `trimtab trace`."""
+
+    # The unexplained residual cannot be the library's.
+    FLIGHTS_REPEAT = "flights-repeat"
+    FLIGHTS_WORSENED = "flights-worsened"
+    FORCE_REPEATS = "force-repeats"
+    TORQUE_REPEATS = "torque-repeats"
+    FORCE_RINGS = "force-rings"
+    TORQUE_RINGS = "torque-rings"
+    # Doubts about the flights as a whole.
+    TRACKING_TOO_SHORT = "tracking-too-short"
+    HOVER_ONLY = "hover-only"
+    EXCESS_FORCE = "excess-force"
+    EXCESS_TORQUE = "excess-torque"
+    BETTER_BUT_INADMISSIBLE = "better-but-inadmissible"
+    SEGMENTS_DISAGREE = "segments-disagree"
+    # What the data does not exclude or would not show.
+    ALIAS = "alias"
+    EXACT_ALIAS = "exact-alias"
+    POSSIBLE = "possible"
+    SOMETHING_MISSING = "something-missing"
+    HIDDEN = "hidden"
+    # Health of one log.
+    NO_TWIN = "no-twin"
+    NO_INPUTS = "no-inputs"
+    NO_REFERENCE = "no-reference"
+    NO_GYRO = "no-gyro"
+    SAMPLED_COMMANDS = "sampled-commands"
+    SLOW_COMMANDS = "slow-commands"
+    RATE_DROPS = "rate-drops"
+    REPEATED_STAMPS = "repeated-stamps"
+    CLOCK_DRIFT = "clock-drift"
+    ROTORS_SATURATED = "rotors-saturated"
+    SEGMENTS_LEFT_OUT = "segments-left-out"
+    SEGMENTS_WITH_GAPS = "segments-with-gaps"
+    # Parts of a flight that are not used.
+    CLOCK_JUMP = "clock-jump"
+    MOTOR_AT_LIMIT = "motor-at-limit"
+    PITCH_SINGULAR = "pitch-singular"
+    IMPACT = "impact"
+    GAP_IN_COMMANDS = "gap-in-commands"
+    GAP_IN_POSES = "gap-in-poses"
+    GROUND_CONTACT = "ground-contact"
+    TILTED = "tilted"
+    # Logs that are refused.
+    MIXED_VEHICLES = "mixed-vehicles"
+    LOG_GIVEN_TWICE = "log-given-twice"
+    HELD_OUT_REFERENCE_USED = "held-out-reference-used"
+    TOO_FEW_SEGMENTS = "too-few-segments"
+    MIXED_INPUTS = "mixed-inputs"
+    TOO_FEW_POSES = "too-few-poses"
+    NO_TRACKING = "no-tracking"
+
+
+UNEXPLAINED = frozenset(
+    {
+        Code.FLIGHTS_REPEAT,
+        Code.FLIGHTS_WORSENED,
+        Code.FORCE_REPEATS,
+        Code.TORQUE_REPEATS,
+        Code.FORCE_RINGS,
+        Code.TORQUE_RINGS,
+    }
+)
+"""Findings that put the cause outside the library; the JSON's `reasons` are their sentences."""
+
+DOUBTS = frozenset(
+    {
+        Code.TRACKING_TOO_SHORT,
+        Code.HOVER_ONLY,
+        Code.EXCESS_FORCE,
+        Code.EXCESS_TORQUE,
+        Code.BETTER_BUT_INADMISSIBLE,
+        Code.SEGMENTS_DISAGREE,
+    }
+)
+"""Findings about what the flights as a whole lack; the JSON's `doubts` are their sentences."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One finding.
+
+    Parameters
+    ----------
+    code
+        What it says.
+    value, bound
+        The number that was held against a threshold, and the threshold; None where nothing was compared.
+    unit
+        Unit of both.
+    subject
+        What it is about: effects, a topic, a code of a stretch, or nothing.
+    log
+        Name of the log that it is about; None where it is about all of them.
+    details
+        Further numbers of the sentence, by name.
+    """
+
+    code: Code
+    value: float | None = None
+    bound: float | None = None
+    unit: str = "1"
+    subject: tuple[str, ...] = ()
+    log: str | None = None
+    details: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the entry of `findings`."""
+        return {
+            "code": str(self.code),
+            "value": self.value,
+            "bound": self.bound,
+            "unit": self.unit,
+            "subject": list(self.subject),
+            "log": self.log,
+            "details": dict(self.details),
+        }
+
+
+class LogsRefused(UsageError):
+    """Logs that cannot be traced together. The JSON of the error holds `code`."""
+
+    def __init__(self, code: Code, message: str) -> None:
+        super().__init__(message)
+        self.told = {"code": str(code)}
+
+
+class TooLittleToTrace(TooLittleData):
+    """Logs that hold too little to be traced. The JSON of the error holds `code`."""
+
+    def __init__(self, code: Code, message: str) -> None:
+        super().__init__(message)
+        self.told = {"code": str(code)}
