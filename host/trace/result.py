@@ -147,7 +147,7 @@ class Trace:
             "doubts": words.sentences(self.findings, DOUBTS),
             "description": None if self.description is None else self.description.to_json(),
             "unexplained": None if self.unexplained is None else self.unexplained.to_json(network_path),
-            "audit": [_audit(audit) for audit in self.audits],
+            "audit": [audit_json(audit) for audit in self.audits],
         }
 
 
@@ -157,7 +157,7 @@ def _repeat(repeat: FlightRepeat | None) -> dict[str, float] | None:
     return {"share": repeat.share, "z": repeat.z, "position_m": repeat.position_m}
 
 
-def _audit(audit: Audit) -> dict[str, Any]:
+def audit_json(audit: Audit) -> dict[str, Any]:
     """Return the entry of a flight under `audit`."""
     return {
         "log": audit.log,

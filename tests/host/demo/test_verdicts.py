@@ -27,7 +27,7 @@ def test_demo_in_a_world_outside_the_library_says_so_and_adds_nothing(
     assert answer["effects"] == []
     assert answer["reasons"]
     # A tether of up to 2.5 m/s^2: what repeats counts from the nominal vehicle, not from a fit gone wild.
-    assert outcome.result.leftover.force_repeat < 2.5
+    assert outcome.result.residual.force.repeat < 2.5
     assert answer["after"] == answer["before"]
     assert model.effects == {}
     assert model.covariance is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,21 +12,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight
-from trimtab.host.trace.audit import (
-    CONTACT,
-    IMPACT,
-    JUMP,
-    NO_COMMANDS,
-    NO_POSES,
-    SATURATED,
-    SINGULAR,
-    TILTED,
-    Stretch,
-    audit,
-    lines,
-    without_twins,
-)
+from trimtab.host.trace import words
+from trimtab.host.trace.audit import Stretch, audit, with_missing_twins
 from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.decision.findings import Code, Finding
+from trimtab.host.trace.result import audit_json
 
 DATA = Path(__file__).parents[2] / "data"
 BEGIN_S, END_S = 3.0, 3.5
@@ -66,16 +57,20 @@ def changed(values: np.ndarray, where: np.ndarray, to: Any) -> np.ndarray:
     return out
 
 
-def the_stretch(flight: Flight, reason: str) -> Stretch:
+def codes(findings: Sequence[Finding]) -> set[Code]:
+    return {finding.code for finding in findings}
+
+
+def the_stretch(flight: Flight, code: Code) -> Stretch:
     """The one stretch of the flight, which no segment may touch."""
     found = audit(flight)
-    assert [stretch.reason for stretch in found.stretches] == [reason]
+    assert [stretch.code for stretch in found.stretches] == [code]
     (stretch,) = found.stretches
-    data, (cut,) = segments_of([flight])
+    data, (cut,) = segments_of([flight], rate_driven=False)
     assert not ((data.start_s < stretch.end_s) & (data.start_s + 0.6 > stretch.start_s)).any()
-    assert any(reason in remark for remark in cut.remarks)
+    assert [f.subject for f in cut.findings if f.code is Code.SEGMENTS_LEFT_OUT] == [(str(code),)]
     assert 0 < cut.left_out <= 3
-    assert f"not used from {stretch}" in lines([cut])[0]
+    assert f"not used from {words.stretch(stretch)}" in words.audit_lines([cut])[0]
     return stretch
 
 
@@ -83,7 +78,7 @@ def the_stretch(flight: Flight, reason: str) -> Stretch:
 def test_ordinary_flights_are_used_whole_and_without_a_remark(name: str) -> None:
     found = audit(read_flight(DATA / f"{name}.mcap"))
     assert found.stretches == ()
-    assert found.remarks == ()
+    assert found.findings == ()
 
 
 def test_rates_are_those_of_the_topics_with_how_they_were_taken(flight: Flight) -> None:
@@ -98,13 +93,16 @@ def test_poses_that_thin_out_for_a_second_are_told(flight: Flight) -> None:
     assert flight.mocap is not None
     count = np.arange(len(flight.mocap))
     thin = poses(flight, ~between(flight, flight.mocap.t_us, 2.0, 3.5) | (count % 4 == 0))
-    (remark,) = audit(thin).remarks
-    assert remark.startswith("/mocap/pose at 100 Hz falls to 2")
+    (finding,) = audit(thin).findings
+    assert finding.code is Code.RATE_DROPS
+    assert finding.subject == ("/mocap/pose",)
+    assert 20.0 <= (finding.value or 0.0) < 30.0
+    assert finding.details["median_hz"] == pytest.approx(100.0)
 
 
 def test_a_gap_in_the_poses_is_left_out(flight: Flight) -> None:
     assert flight.mocap is not None
-    stretch = the_stretch(poses(flight, ~between(flight, flight.mocap.t_us)), NO_POSES)
+    stretch = the_stretch(poses(flight, ~between(flight, flight.mocap.t_us)), Code.GAP_IN_POSES)
     assert stretch.start_s == pytest.approx(BEGIN_S, abs=0.015)
     assert stretch.end_s == pytest.approx(END_S, abs=0.015)
 
@@ -112,14 +110,14 @@ def test_a_gap_in_the_poses_is_left_out(flight: Flight) -> None:
 def test_a_gap_in_the_commands_is_left_out(flight: Flight) -> None:
     assert flight.control is not None
     gone = between(flight, flight.control.t1_us)
-    assert the_stretch(commands(flight, ~gone), NO_COMMANDS).end_s == pytest.approx(END_S, abs=0.015)
+    assert the_stretch(commands(flight, ~gone), Code.GAP_IN_COMMANDS).end_s == pytest.approx(END_S, abs=0.015)
     last = int(np.flatnonzero(gone)[-1])
     one = commands(flight, ~gone | (np.arange(len(gone)) == last))
     assert one.control is not None
     t0_us = changed(one.control.t0_us, one.control.t1_us == flight.control.t1_us[last], 0)
     t0_us[1:] = np.where(t0_us[1:] == 0, one.control.t1_us[:-1], t0_us[1:])
     wide = commands(one, t0_us=t0_us)  # one mean over the whole gap
-    assert the_stretch(wide, NO_COMMANDS).start_s == pytest.approx(BEGIN_S, abs=0.02)
+    assert the_stretch(wide, Code.GAP_IN_COMMANDS).start_s == pytest.approx(BEGIN_S, abs=0.02)
 
 
 def test_a_camera_clock_that_jumps_is_left_out_where_it_does(flight: Flight) -> None:
@@ -127,7 +125,7 @@ def test_a_camera_clock_that_jumps_is_left_out_where_it_does(flight: Flight) -> 
     assert flight.tracking is not None
     t_us = flight.mocap.t_us.copy()
     t_us[t_us > flight.tracking[0] + 3_000_000] -= 5_000
-    stretch = the_stretch(poses(flight, t_us=t_us), JUMP)
+    stretch = the_stretch(poses(flight, t_us=t_us), Code.CLOCK_JUMP)
     assert stretch.start_s <= BEGIN_S <= stretch.end_s
 
 
@@ -137,32 +135,32 @@ def test_a_vehicle_clock_that_runs_back_is_left_out_where_it_does(flight: Flight
     stepped = commands(
         flight, t0_us=flight.control.t0_us - 4_000 * late, t1_us=flight.control.t1_us - 4_000 * late
     )
-    the_stretch(stepped, JUMP)
+    the_stretch(stepped, Code.CLOCK_JUMP)
 
 
 def test_clocks_that_drift_apart_are_told(flight: Flight) -> None:
     link = flight.link
     assert link is not None
     ramp = np.linspace(0.0, 8_000.0, len(link))
-    (remark,) = audit(
+    (finding,) = audit(
         replace(flight, link=replace(link, clock_offset_us=link.clock_offset_us + ramp))
-    ).remarks
-    assert "clocks drift apart by" in remark
+    ).findings
+    assert finding.code is Code.CLOCK_DRIFT
 
 
 def test_repeated_time_stamps_are_counted(flight: Flight) -> None:
     assert flight.mocap is not None
     twice = np.flatnonzero(between(flight, flight.mocap.t_us))[[3, 9, 20]]
     t_us = changed(flight.mocap.t_us, twice + 1, flight.mocap.t_us[twice])
-    (remark,) = audit(poses(flight, t_us=t_us)).remarks
-    assert remark.startswith("/mocap/pose: 3 time stamps are repeated")
+    (finding,) = audit(poses(flight, t_us=t_us)).findings
+    assert (finding.code, finding.value, finding.subject) == (Code.REPEATED_STAMPS, 3, ("/mocap/pose",))
 
 
 def test_a_vehicle_as_low_as_it_stood_touches_the_ground(flight: Flight) -> None:
     assert flight.mocap is not None
     p = flight.mocap.p.copy()
     p[between(flight, flight.mocap.t_us), 2] = flight.mocap.p[0, 2] - 0.02
-    stretch = the_stretch(poses(flight, p=p), CONTACT)
+    stretch = the_stretch(poses(flight, p=p), Code.GROUND_CONTACT)
     assert stretch.start_s == pytest.approx(BEGIN_S, abs=0.35)
     assert stretch.end_s == pytest.approx(END_S, abs=0.35)
 
@@ -179,7 +177,7 @@ def test_rotors_below_weight_without_a_fall_are_carried_by_the_ground(flight: Fl
     # A log that begins in the air and never shows the floor.
     started = flight.control.t1_us > flight.mocap.t_us[airborne][0]
     low = commands(poses(flight, airborne, p=p), started, motor_mean=motor)
-    the_stretch(replace(low, kind="imported"), CONTACT)
+    the_stretch(replace(low, kind="imported"), Code.GROUND_CONTACT)
     assert audit(commands(poses(flight, airborne), started)).stretches == ()
 
 
@@ -187,7 +185,7 @@ def test_an_impact_is_left_out(flight: Flight) -> None:
     assert flight.control is not None
     hit = np.flatnonzero(between(flight, flight.control.t1_us))[:2]
     the_stretch(
-        commands(flight, force_mean=changed(flight.control.force_mean, hit, [30.0, 0.0, -9.8])), IMPACT
+        commands(flight, force_mean=changed(flight.control.force_mean, hit, [30.0, 0.0, -9.8])), Code.IMPACT
     )
 
 
@@ -196,24 +194,29 @@ def test_a_motor_at_its_limit_is_left_out(flight: Flight, limit: float) -> None:
     assert flight.control is not None
     motor = flight.control.motor_mean.copy()
     motor[between(flight, flight.control.t1_us), 2] = limit
-    assert the_stretch(commands(flight, motor_mean=motor), SATURATED).end_s == pytest.approx(END_S, abs=0.02)
+    assert the_stretch(commands(flight, motor_mean=motor), Code.MOTOR_AT_LIMIT).end_s == pytest.approx(
+        END_S, abs=0.02
+    )
 
 
 def test_rotors_clipped_for_a_share_of_the_ticks_are_told(flight: Flight) -> None:
     assert flight.status is not None
     clipped = replace(flight.status, saturated_ticks=flight.status.flight_ticks // 20)
-    (remark,) = audit(replace(flight, status=clipped)).remarks
-    assert remark.startswith("rotors clipped on 5 % of the ticks")
+    (finding,) = audit(replace(flight, status=clipped)).findings
+    assert finding.code is Code.ROTORS_SATURATED
+    assert finding.value == pytest.approx(0.05, abs=0.001)
 
 
-@pytest.mark.parametrize(("angles_deg", "reason"), [((0.0, 0.0, 78.0), TILTED), ((0.0, 85.0, 0.0), SINGULAR)])
+@pytest.mark.parametrize(
+    ("angles_deg", "code"), [((0.0, 0.0, 78.0), Code.TILTED), ((0.0, 85.0, 0.0), Code.PITCH_SINGULAR)]
+)
 def test_attitudes_that_the_model_cannot_hold_are_left_out(
-    flight: Flight, angles_deg: tuple[float, float, float], reason: str
+    flight: Flight, angles_deg: tuple[float, float, float], code: Code
 ) -> None:
     assert flight.mocap is not None
     q = Rotation.from_euler("ZYX", angles_deg, degrees=True).as_quat(scalar_first=True)
     turned = changed(flight.mocap.q, between(flight, flight.mocap.t_us), q)
-    assert the_stretch(poses(flight, q=turned), reason).start_s == pytest.approx(BEGIN_S, abs=0.03)
+    assert the_stretch(poses(flight, q=turned), code).start_s == pytest.approx(BEGIN_S, abs=0.03)
 
 
 def test_sampled_commands_say_what_they_cost(flight: Flight) -> None:
@@ -222,33 +225,30 @@ def test_sampled_commands_say_what_they_cost(flight: Flight) -> None:
     inputs = RecordedInputs(t_us=c.t1_us, level="motor", motor=c.motor_mean)
     imu = RecordedImu(t_us=c.t1_us, gyro=c.gyro_mean, specific_force=c.force_mean)
     sampled = replace(flight, control=None, recorded_inputs=inputs, recorded_imu=imu)
-    (remark,) = audit(sampled).remarks
-    assert remark.startswith("sampled commands make false lag and inertia")
-    deaf = audit(replace(sampled, recorded_imu=None)).remarks
-    assert any(remark.startswith("no gyro") for remark in deaf)
+    (finding,) = audit(sampled).findings
+    assert finding.code is Code.SAMPLED_COMMANDS
+    deaf = audit(replace(sampled, recorded_imu=None))
+    assert Code.NO_GYRO in codes(deaf.findings)
     slow = RecordedInputs(t_us=c.t1_us[::5], level="motor", motor=c.motor_mean[::5])
-    assert any(
-        "too slow to show" in remark for remark in audit(replace(sampled, recorded_inputs=slow)).remarks
-    )
+    assert Code.SLOW_COMMANDS in codes(audit(replace(sampled, recorded_inputs=slow)).findings)
 
 
 def test_a_flight_without_inputs_says_so(flight: Flight) -> None:
-    remarks = audit(replace(flight, control=None)).remarks
-    assert any(remark.startswith("no inputs recorded") for remark in remarks)
-    assert any(remark.startswith("no gyro") for remark in remarks)
+    findings = audit(replace(flight, control=None)).findings
+    assert {Code.NO_INPUTS, Code.NO_GYRO} <= codes(findings)
 
 
 def test_a_flight_without_a_twin_says_so(flight: Flight) -> None:
-    found = without_twins([audit(flight)] * 3, [(0, 2)])
-    assert [len(one.remarks) for one in found] == [0, 1, 0]
-    assert found[1].remarks[0].startswith("no twin")
+    found = with_missing_twins([audit(flight)] * 3, [(0, 2)])
+    assert [codes(one.findings) for one in found] == [set(), {Code.NO_TWIN}, set()]
 
 
-def test_the_audit_of_a_flight_says_the_same_to_machines(flight: Flight) -> None:
+def test_the_audit_of_a_flight_tells_machines_the_same(flight: Flight) -> None:
     assert flight.mocap is not None
     _, (cut,) = segments_of([poses(flight, ~between(flight, flight.mocap.t_us))])
-    told = cut.to_json()
-    assert told["stretches"][0]["reason"] == NO_POSES
+    told = audit_json(cut)
+    assert told["stretches"][0]["code"] == Code.GAP_IN_POSES
+    assert told["stretches"][0]["reason"] == words.reason(cut.stretches[0])
     assert told["segments"] == cut.segments
     assert told["used_s"] == pytest.approx(0.6 * cut.segments)
     assert set(told["rates"][0]) == {"topic", "median_hz", "worst_hz", "sampling"}

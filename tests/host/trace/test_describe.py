@@ -11,6 +11,7 @@ import pytest
 
 from trimtab.host.log import read_flight
 from trimtab.host.report.figures import dependence
+from trimtab.host.trace import words
 from trimtab.host.trace.data import segments_of
 from trimtab.host.trace.describe import Bins, Description, bins_of, describe
 from trimtab.host.trace.segments import Segments
@@ -25,7 +26,7 @@ Push = Callable[[Bins], np.ndarray]
 @pytest.fixture(scope="module")
 def data() -> Segments:
     names = ("a1", "a2", "b1", "b2", "c1")
-    return segments_of([read_flight(DATA / f"{name}.mcap") for name in names])[0]
+    return segments_of([read_flight(DATA / f"{name}.mcap") for name in names], rate_driven=False)[0]
 
 
 def noise(shape: tuple[int, ...]) -> np.ndarray:
@@ -62,7 +63,7 @@ def test_noise_depends_on_nothing_and_is_said_so(data: Segments) -> None:
     assert found.torque is not None
     assert found.torque.group is None
     assert found.form is None
-    assert "none of" in found.lines()[0]
+    assert "none of" in words.description(found)[0]
     assert {s.group for s in found.force.skills} == {
         "constant", "position", "time", "body velocity", "attitude", "body rate", "thrust",
     }  # fmt: skip
@@ -80,7 +81,7 @@ def test_a_tether_is_a_force_of_position_towards_its_anchor(data: Segments) -> N
     assert form.parameters["per_s2"] == pytest.approx(0.6, rel=0.1)
     assert form.parameters["slack_m"] == pytest.approx(0.8, abs=0.15)
     assert form.skill > 0.9
-    assert "pulls towards" in found.lines()[1]
+    assert "pulls towards" in words.description(found)[1]
     bins = bins_of(noise((len(data.flight), data.bins, 6)), data, REFERENCES, VEHICLE)
     np.testing.assert_allclose(found.pushes, tether(replace(bins, p=found.cells)), atol=0.1)
 
@@ -126,7 +127,7 @@ def test_what_the_law_answers_with_is_not_called_a_cause(data: Segments) -> None
     )
     assert found.torque is not None
     assert found.torque.group == "thrust"
-    assert "need not be the cause" in found.torque.lines()[1]
+    assert "need not be the cause" in words.dependence(found.torque)[1]
 
 
 def test_a_force_in_proportion_to_body_velocity_shows_its_slope(data: Segments) -> None:
@@ -160,7 +161,7 @@ def test_one_reference_is_judged_on_blocks_and_says_so(data: Segments) -> None:
     w = noise((len(first.flight), first.bins, 6))
     found = describe(w, first, ("a", "a"), VEHICLE)
     assert found.held_out == "blocks"
-    assert "one reference" in found.lines()[-1]
+    assert "one reference" in words.description(found)[-1]
     assert found.force.group is None
 
 

@@ -23,7 +23,7 @@ def test_a_fit_is_the_optimum_of_its_linearisation() -> None:
     flight = read_flight(DATA / "c1.mcap")
     effects = load_effects()
     library = space(flight.vehicle, {name: effects[name] for name in LIBRARY})
-    data, _ = segments_of([flight])
+    data, _ = segments_of([flight], rate_driven=False)
     form = Form(flight.vehicle, library, dt_s=data.dt_s, in_newton=False, rate_driven=False)
     nothing = refit(form, data, (), None, iterations=2)
     fit = refit(form, data, ("thrust-gain",), nothing, iterations=1)

@@ -8,9 +8,21 @@ from typing import cast
 import numpy as np
 import pytest
 
+from trimtab.host.trace.decision.decide import (
+    no_model_bounds,
+    residual_bounds,
+    residual_findings,
+)
+from trimtab.host.trace.decision.findings import Code
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.loop import CHANNELS, Loop
 from trimtab.host.trace.repeats import repeat
-from trimtab.host.trace.twins import REPEAT_SHARE, REPEAT_Z, Leftover, Repeat
+from trimtab.host.trace.twins import (
+    NO_LINE,
+    ChannelResidual,
+    FlightRepeat,
+    UnexplainedResidual,
+)
 
 BINS = 290
 TWINS = [(0, 1), (2, 3), (4, 5), (6, 7)]
@@ -38,7 +50,7 @@ def coloured(rng: np.random.Generator, bins: int) -> np.ndarray:
     return out[50:]
 
 
-def found(left: Left) -> Repeat:
+def found(left: Left) -> FlightRepeat:
     result = repeat(cast(Loop, left), np.zeros(1), 2, TWINS)
     assert result is not None
     return result
@@ -48,13 +60,13 @@ def test_gusts_alone_repeat_by_chance_only():
     each = [found(Left(seed)) for seed in range(30)]
     assert abs(np.mean([r.z for r in each])) < 0.6
     assert 0.5 < np.std([r.z for r in each]) < 1.5
-    assert max(r.share for r in each) < REPEAT_SHARE / 3
+    assert max(r.share for r in each) < RULES.flight_repeat_share / 3
 
 
 @pytest.mark.parametrize("physics", [0.6, 2.0])
 def test_what_the_world_adds_to_both_is_found_with_its_power(physics: float):
     result = found(Left(3, physics))
-    assert result.z > 2 * REPEAT_Z
+    assert result.z > 2 * RULES.repeat_z
     assert result.share == pytest.approx(physics**2, rel=0.3)
     assert result.position_m > 0.0
 
@@ -70,34 +82,28 @@ def test_without_twins_or_with_moments_of_them_nothing_is_said():
 
 def test_whole_flights_overrule_what_segments_see_in_both_directions():
     segments = by_segments(force=0.5)
-    assert segments.reasons
+    assert codes(segments) == [Code.FORCE_REPEATS]
     calm, moved = found(Left(4)), found(Left(4, 1.0))
-    assert replace(segments, whole=calm).reasons == ()
-    assert "whole flights" in replace(segments, whole=moved).reasons[0]
-    assert replace(segments, whole=moved).reasons[1:] == segments.reasons
+    assert codes(replace(segments, flights=calm)) == []
+    assert codes(replace(segments, flights=moved)) == [Code.FLIGHTS_REPEAT, Code.FORCE_REPEATS]
 
 
 def test_a_small_part_of_what_was_explained_may_repeat():
-    rest = replace(by_segments(force=0.0), whole=found(Left(4, 0.7)))
-    missing = replace(by_segments(force=1.0), whole=found(Left(4, 7.0)))
-    assert rest.reasons
-    assert rest.beside(missing).reasons == ()
+    rest = replace(by_segments(force=0.0), flights=found(Left(4, 0.7)))
+    missing = replace(by_segments(force=1.0), flights=found(Left(4, 7.0)))
+    assert codes(rest)
+    bounds = residual_bounds(missing, has_memory=False, rules=RULES)
+    assert residual_findings(rest, bounds, RULES) == []
 
 
-def by_segments(force: float) -> Leftover:
+def by_segments(force: float) -> UnexplainedResidual:
     """What segments leave: a force, m/s^2, that repeats."""
-    return Leftover(
-        force_repeat=force,
-        force_z=20.0 * force,
-        force_line=1.0,
-        force_line_hz=1.0,
-        force_line_chance=1.0,
-        force_line_rms=0.0,
-        torque_repeat=0.0,
-        torque_z=0.0,
-        torque_line=1.0,
-        torque_line_hz=1.0,
-        torque_line_chance=1.0,
-        torque_line_rms=0.0,
+    return UnexplainedResidual(
+        force=ChannelResidual(repeat=force, z=20.0 * force, line=NO_LINE),
+        torque=ChannelResidual(repeat=0.0, z=0.0, line=NO_LINE),
         pairs=4,
     )
+
+
+def codes(residual: UnexplainedResidual) -> list[Code]:
+    return [finding.code for finding in residual_findings(residual, no_model_bounds(RULES), RULES)]

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 from trimtab.host.effects import load_effects
-from trimtab.host.errors import UsageError
 from trimtab.host.log import Battery, Mocap, read_flight, write_imported
-from trimtab.host.log.errors import TooLittleData
 from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.decision.alternatives import with_each_other
+from trimtab.host.trace.decision.decide import better_but_inadmissible, segment_disagreement
+from trimtab.host.trace.decision.findings import Code, LogsRefused, TooLittleToTrace
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.diagnose import refit
 from trimtab.host.trace.form import Form
 from trimtab.host.trace.parameters import space
-from trimtab.host.trace.run import check_logs, run
-from trimtab.host.trace.verdict import explained_beyond, spoken_against, with_each_other
+from trimtab.host.trace.run import _segment_disagreement, check_logs, run
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
 DATA = Path(__file__).parents[2] / "data"
@@ -49,23 +50,28 @@ def log(
 def test_a_log_given_twice_is_refused(tmp_path: Path, held_out: bool) -> None:
     one = read_flight(log(tmp_path / "one.mcap"))
     again = read_flight(Path(shutil.copy(tmp_path / "one.mcap", tmp_path / "again.mcap")))
-    with pytest.raises(UsageError, match=r"again\.mcap: the same log as .*one\.mcap; give it once"):
+    with pytest.raises(
+        LogsRefused, match=r"again\.mcap: the same log as .*one\.mcap; give it once"
+    ) as refusal:
         check_logs([one] if held_out else [one, again], [again] if held_out else [], None)
+    assert refusal.value.told == {"code": Code.LOG_GIVEN_TWICE}
 
 
 def test_logs_of_vehicles_that_share_a_name_are_refused_with_what_differs(tmp_path: Path) -> None:
     heavier = VEHICLE.model_copy(update={"mass_kg": 0.8})
     one = read_flight(log(tmp_path / "one.mcap"))
     other = read_flight(log(tmp_path / "other.mcap", vehicle=heavier))
-    with pytest.raises(UsageError, match=r"other\.mcap: a log of vehicle research .* mass_kg differ; trace"):
+    with pytest.raises(LogsRefused, match=r"other\.mcap: .*research .* mass_kg differ") as refusal:
         check_logs([one, other], [], None)
+    assert refusal.value.told == {"code": Code.MIXED_VEHICLES}
 
 
 def test_a_held_out_log_without_poses_in_its_tracking_phase_is_refused_first(tmp_path: Path) -> None:
     one = read_flight(log(tmp_path / "one.mcap"))
     bare = read_flight(log(tmp_path / "bare.mcap", tracking_us=(5_900_000, 5_905_000)))
-    with pytest.raises(TooLittleData, match=r"bare\.mcap: fewer than 10 poses"):
+    with pytest.raises(TooLittleToTrace, match=r"bare\.mcap: fewer than 10 poses") as refusal:
         check_logs([one], [bare], None)
+    assert refusal.value.told == {"code": Code.TOO_FEW_POSES}
 
 
 @pytest.mark.parametrize(("sag", "candidate"), [(0.0, False), (0.004, False), (0.05, True)])
@@ -93,11 +99,13 @@ def test_known_aliases_named_together_are_aliases_of_each_other() -> None:
 
 def test_a_set_that_cannot_be_kept_and_explains_far_more_is_said() -> None:
     sets = {(): 0.0, ("linear-drag",): 5.0, ("linear-drag", "thrust-inflow"): 20.0}
-    said = explained_beyond(sets, {(): 0.01, ("linear-drag",): 1.0})
-    assert said is not None
-    assert said.startswith("linear-drag, thrust-inflow")
-    assert explained_beyond({**sets, ("linear-drag", "thrust-inflow"): 7.0}, {("linear-drag",): 1.0}) is None
-    assert explained_beyond(sets, dict.fromkeys(sets, 1.0)) is None
+    (found,) = better_but_inadmissible(sets, {(): 0.01, ("linear-drag",): 1.0}, RULES)
+    assert found.code is Code.BETTER_BUT_INADMISSIBLE
+    assert found.subject == ("linear-drag", "thrust-inflow")
+    assert found.value == 15.0
+    close = {**sets, ("linear-drag", "thrust-inflow"): 7.0}
+    assert better_but_inadmissible(close, {("linear-drag",): 1.0}, RULES) == []
+    assert better_but_inadmissible(sets, dict.fromkeys(sets, 1.0), RULES) == []
 
 
 def test_segments_speak_against_what_is_not_there() -> None:
@@ -106,11 +114,13 @@ def test_segments_speak_against_what_is_not_there() -> None:
     effects = load_effects()
     names = ("thrust-gain", "frame-tilt", "mass")
     library = space(flight.vehicle, {name: effects[name] for name in names})
-    data, _ = segments_of([flight])
+    data, _ = segments_of([flight], rate_driven=False)
     form = Form(flight.vehicle, library, dt_s=data.dt_s, in_newton=False, rate_driven=False)
     nothing = refit(form, data, (), None, iterations=2)
-    said = spoken_against(form, nothing, ("frame-tilt", "thrust-gain"))
-    assert said is not None
-    assert said.startswith("frame-tilt:")
-    assert spoken_against(form, nothing, ("thrust-gain",)) is None
-    assert spoken_against(form, nothing, ()) is None
+    nats = _segment_disagreement(form, nothing, ("frame-tilt", "thrust-gain"))
+    (found,) = segment_disagreement(nats, RULES)
+    assert found.code is Code.SEGMENTS_DISAGREE
+    assert found.subject == ("frame-tilt",)
+    alone = _segment_disagreement(form, nothing, ("thrust-gain",))
+    assert segment_disagreement(alone, RULES) == []
+    assert segment_disagreement({}, RULES) == []

@@ -12,9 +12,10 @@ from trimtab.host.effects import load_effects
 from trimtab.host.log import Flight, Mocap, read_flight, write_imported
 from trimtab.host.log.errors import TooLittleData
 from trimtab.host.trace.data import DT_S
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.form import Form
 from trimtab.host.trace.parameters import space
-from trimtab.host.trace.score import CALIBRATION, Errors, noise_floor, predict_segments
+from trimtab.host.trace.score import Errors, noise_floor, predict_segments
 from trimtab.host.trace.signals import unknowns
 from trimtab.host.vehicle import load_vehicle
 
@@ -54,7 +55,7 @@ def test_predictions_know_nothing_of_what_is_measured_later(tmp_path: Path) -> N
 
 
 def test_predictions_begin_behind_the_part_that_nuisances_are_fitted_to(tmp_path: Path) -> None:
-    assert errors_of(flight(tmp_path / "a.mcap")).t_s.min() >= CALIBRATION * 15.9
+    assert errors_of(flight(tmp_path / "a.mcap")).t_s.min() >= RULES.calibration_share * 15.9
 
 
 def test_predicted_and_measured_positions_are_of_the_same_time(tmp_path: Path) -> None:

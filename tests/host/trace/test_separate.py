@@ -12,13 +12,14 @@ from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.report.manoeuvres_page import INSTRUMENTS
 from trimtab.host.route import load_route
+from trimtab.host.trace import words
 from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.diagnose import Fit, refit
 from trimtab.host.trace.form import Form
 from trimtab.host.trace.manoeuvres import Manoeuvre, manoeuvres
 from trimtab.host.trace.parameters import Space, space
 from trimtab.host.trace.separate import (
-    DECISIVE_SIGMA,
     UNDECIDED_SIGMA,
     Instruments,
     NextFlight,
@@ -58,7 +59,7 @@ def known(vehicle: Vehicle) -> dict[str, Manoeuvre]:
 def fit(form: Form) -> Fit:
     """A shipped flight with a centre of mass that is taken to be off."""
     flight = read_flight(DATA / "c1.mcap")
-    data, _ = segments_of([flight])
+    data, _ = segments_of([flight], rate_driven=False)
     found = refit(form, data, ("com-offset",), None, iterations=2)
     z = found.z.copy()
     z[list(form.space.groups["com-offset"])] = 0.5
@@ -154,7 +155,7 @@ def test_wind_and_tilt_without_accelerometer_part_by_motion_alone(
         assert told is not None
         sigma[name] = separation(form.space, told, ("linear-drag",), size, "wind", "frame-tilt")
     # What hover shows is that so strong a wind would take a tilt of twice the typical size.
-    assert sigma["hover"] < DECISIVE_SIGMA < sigma["hover-turns"]
+    assert sigma["hover"] < RULES.detectable_sigma < sigma["hover-turns"]
     assert sigma["doublets"] > 4.0 * sigma["hover"]
 
 
@@ -196,14 +197,14 @@ def test_next_flight_says_so_where_no_manoeuvre_decides() -> None:
         route="low", total_time_s=14.0, separates=("frame-tilt", "wind"), so_far_sigma=0.5, expected_sigma=2.1
     )
     assert not best.decides
-    assert best.line() == (
+    assert words.next_flight(best) == (
         "no known route tells frame-tilt from wind: with the best, low (plan it with --time-s 14.0), they "
         "are 2.1 sigma apart, 4.2 are needed; fly once more without wind, or level the camera system"
     )
-    enough = replace(best, expected_sigma=DECISIVE_SIGMA, total_time_s=None)
+    enough = replace(best, expected_sigma=RULES.detectable_sigma, total_time_s=None)
     assert enough.decides
     assert enough.measurement is None
-    assert enough.line() == (
+    assert words.next_flight(enough) == (
         "fly low next and trace with it added: frame-tilt and wind are then 4.2 sigma apart, 0.5 so far"
     )
     assert enough.to_json()["decides"] is True

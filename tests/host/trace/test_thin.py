@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 from trimtab.host.effects import load_effects
-from trimtab.host.errors import UsageError
 from trimtab.host.link.flight import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight
-from trimtab.host.log.errors import TooLittleData
+from trimtab.host.trace import words
+from trimtab.host.trace.decision.findings import Code, LogsRefused, TooLittleToTrace
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.run import run
 from trimtab.host.vehicle import load_vehicle
@@ -62,15 +62,15 @@ def is_honest(found: Trace, present: set[str]) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "code"),
     [
-        (lambda f: f, "no twin"),
-        (without_law, "no twin"),
-        (lambda f: short(f, 3.12), "only 3.1 s of tracking"),
-        (sampled, "sampled commands make false lag and inertia"),
-        (lambda f: sampled(f, every=5), "too slow to show the motors' lag"),
-        (lambda f: sampled(f, gyro=False), "no gyro: delay and latency are hard to tell apart"),
-        (poses_alone, "no inputs recorded: only forces across the thrust show"),
+        (lambda f: f, Code.NO_TWIN),
+        (without_law, Code.NO_TWIN),
+        (lambda f: short(f, 3.12), Code.TRACKING_TOO_SHORT),
+        (sampled, Code.SAMPLED_COMMANDS),
+        (lambda f: sampled(f, every=5), Code.SLOW_COMMANDS),
+        (lambda f: sampled(f, gyro=False), Code.NO_GYRO),
+        (poses_alone, Code.NO_INPUTS),
     ],
     ids=["one", "no-law", "3s", "sampled", "slow", "no-gyro", "poses"],
 )
@@ -78,26 +78,31 @@ def is_honest(found: Trace, present: set[str]) -> bool:
     "name", ["c1", pytest.param("a1", marks=pytest.mark.full), pytest.param("b1", marks=pytest.mark.full)]
 )
 def test_one_thin_flight_says_what_it_lacks_and_names_nothing_absent(
-    name: str, change: Change, said: str
+    name: str, change: Change, code: Code
 ) -> None:
     found = run([change(read_flight(DATA / f"{name}.mcap"))], [], load_effects())
     answer = found.to_json(model_path=None, report_path=None)
-    told = [*answer["doubts"], *(remark for audit in answer["audit"] for remark in audit["remarks"])]
-    assert any(said in line for line in told), told
-    assert any(said in line for line in found.lines())
+    codes = {finding["code"] for finding in answer["findings"]}
+    assert code in codes, codes
+    (finding, *_) = [each for each in found.all_findings if each.code is code]
+    assert any(words.sentence(finding) in line for line in found.lines())
     assert is_honest(found, PRESENT), found.lines()
 
 
 def test_less_than_three_seconds_are_refused_with_what_to_do() -> None:
-    with pytest.raises(TooLittleData, match=r"usable segments of 0\.6 s; fly longer or log more"):
+    with pytest.raises(
+        TooLittleToTrace, match=r"usable segments of 0\.6 s; fly longer or log more"
+    ) as refusal:
         run([short(read_flight(DATA / "a1.mcap"), 2.4)], [], load_effects())
+    assert refusal.value.told == {"code": Code.TOO_FEW_SEGMENTS}
 
 
 def test_flights_of_two_vehicles_are_refused() -> None:
     one, other = (read_flight(DATA / f"{name}.mcap") for name in ("a1", "b1"))
     heavier = replace(other, vehicle=other.vehicle.model_copy(update={"mass_kg": 0.8}))
-    with pytest.raises(UsageError, match="trace each vehicle's logs apart"):
+    with pytest.raises(LogsRefused, match="trace each vehicle's logs apart") as refusal:
         run([one, heavier], [], load_effects())
+    assert refusal.value.told == {"code": Code.MIXED_VEHICLES}
 
 
 def hovered(folder: Path, world: str, seed: int) -> Flight:
@@ -142,5 +147,6 @@ def test_a_hover_traces_nothing_and_says_what_it_hides(
         # In a wind that was found a lift of typical size does show.
         lift = set() if "wind" in unsure - {*found.hidden} else {"translational-lift"}
         assert {"ground-effect", "quadratic-drag", *lift} <= unsure
-        assert any("these flights would not show" in line for line in found.lines())
-        assert any("s of tracking" in doubt or "hover" in doubt for doubt in found.doubts)
+        codes = {finding.code for finding in found.findings}
+        assert Code.HIDDEN in codes
+        assert codes & {Code.TRACKING_TOO_SHORT, Code.HOVER_ONLY}

@@ -11,6 +11,7 @@ import pytest
 
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
+from trimtab.host.trace.decision.findings import Code
 from trimtab.host.trace.parameters import space
 from trimtab.host.trace.signals import signals
 from trimtab.host.vehicle import load_vehicle
@@ -29,6 +30,7 @@ from trimtab.sitl.studies.scoring.metrics import (
 from trimtab.sitl.studies.scoring.names import collapsed
 from trimtab.sitl.studies.scoring.world import is_told, judge, parameter_rows
 from trimtab.sitl.studies.table import failure, lines
+from trimtab.sitl.studies.thin import CASES
 from trimtab.sitl.studies.worlds import SAME_RATIO, PlannedWorld
 
 VEHICLE = load_vehicle("research")
@@ -244,16 +246,22 @@ def test_thin_world_is_right_where_nothing_untrue_is_claimed_and_the_lack_is_sai
     assert "no gyro: 1 right, 1 undecided, 1 wrong; what is missing is said in 2 of 3" in text
 
 
-def test_what_thin_data_lack_is_looked_for_where_an_answer_says_it() -> None:
-    def said(*, doubts: list[str], remarks: list[str], errors: str = "") -> dict[str, Any]:
-        return {"answer": {"doubts": doubts, "audit": [{"remarks": remarks}]}, "errors": errors}
+def test_what_thin_data_lack_is_looked_for_among_the_codes_of_an_answer() -> None:
+    def found(*codes: str) -> dict[str, Any]:
+        return {"answer": {"findings": [{"code": code} for code in codes]}}
 
-    assert is_told("no gyro", said(doubts=[], remarks=["clock", "no gyro: delay and latency"]))
-    assert is_told("constant hover", said(doubts=["a hover throughout: fly manoeuvres"], remarks=[]))
-    assert not is_told("no gyro", said(doubts=["no twin"], remarks=[]))
-    refusal = {"answer": {}, "errors": "a.mcap: mass_kg differ; trace each vehicle's logs apart"}
+    assert is_told("no gyro", found("clock-drift", "no-gyro"))
+    assert is_told("constant hover", found("hover-only"))
+    assert not is_told("no gyro", found("no-twin"))
+    assert not is_told("no gyro", found())
+    refusal = {"answer": {"error": "trace each vehicle's logs apart", "code": "mixed-vehicles"}}
     assert is_told("two vehicles", refusal)
     assert not is_told("no gyro", refusal)
+
+
+def test_codes_that_thin_data_are_scored_by_are_codes_of_tracing() -> None:
+    known = {str(code) for code in Code}
+    assert {code for case in CASES.values() for code in case.codes} <= known
 
 
 def test_other_methods_stand_beside_tracing_on_the_same_worlds() -> None:
