@@ -1,8 +1,8 @@
 """The data of section V-A: short flights of a closed loop with drag, exact, at nodes of 20 ms.
 
-The paper simulates its own closed loop and so does this: phi with a linear drag, integrated in steps of
-1 ms, of which the learner sees every twentieth. What is measured on it is the learning alone; flights through
-firmware, radio and a plant of its own are in `trimtab.host.paper.learning.flown`.
+The learner's own closed loop flies them: phi with a linear drag, integrated in steps of 1 ms, of which the
+learner sees every twentieth. The paper does not say how it simulates its flights. These measure the learning
+alone; flights through firmware, radio and a separate plant are in `trimtab.host.paper.learning.flown`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Reference, YawNode
 
 DRAG = (0.45, 0.35, 0.25)
-"""1/s along the body's axes: with it the paper's nominal error of 0.6 to 0.7 m/s^2 comes out."""
+"""1/s along the body's axes. Our choice, to give the paper's nominal error of 0.6 to 0.7 m/s^2."""
 
 STEP_S, SEGMENT_NODES = 0.02, 50
 """Between nodes; of a segment (paper V-A)."""

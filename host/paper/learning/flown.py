@@ -40,7 +40,7 @@ _PATHS, _OOD_PATHS, _WAYPOINTS = 4, 3, 20
 _DURATION_S = 15.0
 _BOX_M = np.array([4.5, 4.5, 1.4])
 _LEG_M, _TURN_RAD = (1.0, 2.2), np.deg2rad(70.0)
-"""Legs between drawn waypoints and the most they turn: the statistics of the paper's paths come out."""
+"""Legs between drawn waypoints and the most they turn, chosen for means near those of the paper's paths."""
 _MIDDLE_NED = np.array([0.0, 0.0, -1.6])
 _TEST = 3
 _TRIES, _CANDIDATES = 50, 200
@@ -109,7 +109,7 @@ def fly_and_learn(folder: Path, vehicle: Vehicle, seed: int, world: int) -> dict
     sets = _sets(courses, flown, np.random.default_rng([seed, 2, world]))
     effects = load_effects()
     used = sets["train"]
-    # The paper's method is compared as it is; the others keep of what they learn what predicts best.
+    # The paper's algorithm, with our settings, always keeps its network; the others keep what predicts best.
     learned = {
         "paper": _learned(used, effects, Settings(hidden=(32, 32, 32)), (), as_asked=True),
         "hybrid": _learned(used, effects, CondensedSettings(), DEFAULT_FORMS),

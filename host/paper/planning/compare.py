@@ -1,6 +1,6 @@
 """Kinds of plan side by side: as planned under a drag that is known, and flown in a sealed world.
 
-Planned: the paper's drag, diag(0.5, 0.5, 0.1) 1/s in the body's frame, is the model itself. Flown: a model is
+Planned: a drag of diag(0.5, 0.5, 0.1) 1/s in the body's frame is the model itself. Flown: a model is
 learned from flights of the sealed world, on courses of their own; the compared courses are flown by the DFBC
 without feed-forward, through firmware and radio. From the same flights more are learned, to be compared with
 each other: with a closed form of the drag, and with a network in its place, in the world's frame as the
@@ -34,7 +34,7 @@ from trimtab.host.vehicle import Vehicle
 WORLD = "paper-drag"
 DRAG_FORM = "linear-drag"
 DRAG = (0.5, 0.5, 0.1)
-"""1/s along FRD, the paper's simulation."""
+"""1/s along FRD, our choice: the paper gives the form of its simulated drag and no coefficients."""
 KINDS = ("min-snap", "min-control", "min-control*", "min-control-r", "min-residual", "min-residual*")
 NODES = 400
 CLOSED_FORM = "closed-form"

@@ -12,7 +12,7 @@ from trimtab.host.vehicle import Vehicle
 
 BOX_M = ((-3.5, 3.5), (-3.5, 3.5), (-2.6, -1.0))
 WAYPOINTS = 9
-"""As the paper's simulated course has, of some forty metres in ten seconds."""
+"""Our choice: the paper prints no number of waypoints for its simulated course (its real one has seven)."""
 MEAN_SPEED_M_S = 4.0
 _TRIES = 50
 

@@ -12,7 +12,7 @@ from trimtab.host.vehicle import load_vehicle
 
 NAME = "paper-planning"
 WORLDS, COURSES, PLANNED = 5, 4, 20
-"""Sealed worlds, held-out courses flown in each, courses planned under the paper's drag."""
+"""Sealed worlds, held-out courses flown in each, courses planned under the known drag."""
 
 
 def plan_pieces(worlds: int, courses: int, planned: int) -> list[Piece]:

@@ -46,7 +46,7 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -
         "failed": failures([*planned, *courses]),
     }
     tables = {
-        "Planned under the paper's drag, N = 400, its weight of control effort": _planned_table(
+        "Planned under the known drag, N = 400, the paper's weight of control effort": _planned_table(
             figures["planned"]
         ),
         "Flown by the DFBC without feed-forward, held-out courses": _flown_table(figures["flown"]),
