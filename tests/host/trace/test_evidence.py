@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from trimtab.host.trace import evidence
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Linearisation, Prior, Process
 
 BINS, P, K, ROWS = 2, 3, 2, 40
@@ -69,7 +70,7 @@ def test_log_evidence_of_a_set_is_the_gaussian_marginal_likelihood_up_to_a_const
     total = covariance + (J * spread) @ J.T
     error = r + J @ at
     expected = -0.5 * (error @ np.linalg.solve(total, error) + np.linalg.slogdet(total)[1])
-    expected += evidence.LOG_ODDS * len(chosen)
+    expected += RULES.prior_log_odds * len(chosen)
     white = evidence.whitened(dense.lin, PROCESS, PRIOR)
     assert evidence.log_evidence(
         white.gram, white.log_det, dense.lin.z, precision, len(chosen), FREE
@@ -107,13 +108,13 @@ def test_process_covariance_is_positive_definite_and_keeps_axes_apart() -> None:
     assert q[0, 0] == pytest.approx(0.5)
     assert q[2, 2] == pytest.approx(0.2)
     assert q[5, 5] == pytest.approx(2.0)
-    assert q[0, 6] == pytest.approx(0.5 * evidence.CORRELATION)
+    assert q[0, 6] == pytest.approx(0.5 * RULES.disturbance_correlation)
     assert q[0, 1] == 0.0
 
 
 def test_prior_precision_frees_only_the_selected_columns() -> None:
     precision = PRIOR.precision(("b",))
-    np.testing.assert_allclose(precision, [100.0, 25.0, 1.0 / evidence.SLAB**2])
+    np.testing.assert_allclose(precision, [100.0, 25.0, 1.0 / RULES.slab_sigma**2])
 
 
 def test_slope_of_the_evidence_is_that_of_differences(dense: Dense) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from trimtab.host.effects import load_effects
 from trimtab.host.trace import search as module
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.parameters import Space, space
 from trimtab.host.trace.search import Names, search
@@ -90,7 +91,7 @@ def test_what_the_linearisation_promises_in_vain_is_not_kept(library: Space) -> 
 
 def test_sets_that_only_their_bounds_hold_leave_none_however_much_they_promise(monkeypatch) -> None:
     """Thousands of nats for what cannot be kept: what is left of the weights is not nothing over nothing."""
-    monkeypatch.setattr(module, "MAX_EFFECTS", 1)
+    monkeypatch.setattr(module, "RULES", replace(RULES, max_effects=1))
     effects = load_effects()
     third, every = ("motor-lag",), ("motor-lag", *DRAG, *GAIN)
     library = space(load_vehicle("research"), {name: effects[name] for name in every})

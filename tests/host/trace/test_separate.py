@@ -20,7 +20,6 @@ from trimtab.host.trace.form import Form
 from trimtab.host.trace.manoeuvres import Manoeuvre, manoeuvres
 from trimtab.host.trace.parameters import Space, space
 from trimtab.host.trace.separate import (
-    UNDECIDED_SIGMA,
     Instruments,
     NextFlight,
     information,
@@ -168,7 +167,7 @@ def test_proposal_is_the_manoeuvre_of_most_sigma_and_counts_what_was_flown(
     assert best is not None
     assert (best.route, best.separates) == ("doublets", ("com-offset", "torque-bias"))
     assert best.so_far_sigma == alone.so_far_sigma
-    assert 0.0 < best.so_far_sigma <= UNDECIDED_SIGMA
+    assert 0.0 < best.so_far_sigma <= RULES.undecided_sigma
     assert alone.so_far_sigma < alone.expected_sigma < best.expected_sigma
     assert best.decides
     assert best.total_time_s is None
