@@ -61,5 +61,6 @@ generate: $(READY_ALL)
 docs: $(READY)
 	$(PYTHON) -m trimtab.host.report.effects_page docs/effects.md
 	$(PYTHON) -m trimtab.host.report.manoeuvres_page docs/manoeuvres.md
+	$(PYTHON) -m trimtab.host.report.rules_page docs/tracing-rules.md
 	$(PYTHON) -m trimtab.firmware_model.failsafe_page docs/failsafes.md
 	$(PYTHON) -m trimtab.sitl.studies.upload_picture docs/upload.svg

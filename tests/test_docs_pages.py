@@ -24,9 +24,11 @@ from trimtab.host.link.client import TIMESYNC_FIRST_US, TIMESYNC_US
 from trimtab.host.link.flight import SILENCE_US
 from trimtab.host.link.tasks import PATIENCE_US
 from trimtab.host.log import FLIGHT_TOPICS, IMPORTED_TOPICS
+from trimtab.host.report import rules_page
 from trimtab.host.report.effects_page import page
+from trimtab.host.trace.decision import rules
+from trimtab.host.trace.decision.findings import Verdict
 from trimtab.host.trace.parameters import REPLACES
-from trimtab.host.trace.result import Verdict
 from trimtab.host.vehicle.strict_toml import Strict
 from trimtab.protocol.generated import flight_pb2
 from trimtab.protocol.generated.frames import MESSAGES
@@ -52,6 +54,10 @@ def table(text: str, heading: str) -> list[list[str]]:
 
 def test_effects_page_is_the_one_the_code_makes() -> None:
     assert text_of("effects.md") == page(load_effects()), "run `make docs`"
+
+
+def test_rules_page_is_the_one_the_code_makes() -> None:
+    assert text_of("tracing-rules.md") == rules_page.page(rules.table()), "run `make docs`"
 
 
 def test_failsafes_page_is_the_one_the_code_makes() -> None:
@@ -190,7 +196,7 @@ def test_tracing_pages_notebook_example_runs(
     monkeypatch.chdir(tmp_path)
     exec(compile(example, "tracing.md", "exec"), {})
     told = capsys.readouterr().out
-    assert any(told.find(verdict) >= 0 for verdict in get_args(Verdict))
+    assert any(told.find(verdict) >= 0 for verdict in Verdict)
 
 
 def test_link_page_tells_the_rates_of_stock_telemetry_as_they_are() -> None:

@@ -10,12 +10,13 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
-CALIBRATE = "trimtab study calibrate"
-DESIGN = "chosen"
+MEASURED = "measured"
+"""Measured in simulated worlds by versions before this table. No command repeats the measurement yet."""
+CHOSEN = "chosen"
 """A definition or a judgement. No measurement stands behind it."""
 
 
-def _rule(value: Any, unit: str, meaning: str, source: str = DESIGN) -> Any:
+def _rule(value: Any, unit: str, meaning: str, source: str = CHOSEN) -> Any:
     return field(default=value, metadata={"unit": unit, "meaning": meaning, "source": source})
 
 
@@ -89,7 +90,7 @@ class Rules:
         "1",
         "Repeatable power of whole flights, over turbulence and noise and two standard errors down, above "
         "which it needs a cause.",
-        CALIBRATE,
+        MEASURED,
     )
     flight_form_amplitude: float = _rule(
         0.2, "1", "Share of the repeatable amplitude without any effect that may remain: no form is exact."
@@ -113,13 +114,13 @@ class Rules:
         "1",
         "Whitened residuals count for 1/this where sizes are estimated: the innovations keep what is slower "
         "than the windows.",
-        CALIBRATE,
+        MEASURED,
     )
     min_widening: float = _rule(
         math.sqrt(2.0),
         "1",
         "Least factor on the standard deviations of an estimate over whole flights.",
-        CALIBRATE,
+        MEASURED,
     )
     jackknife_prior_flights: float = _rule(
         7.0,
@@ -242,7 +243,7 @@ RULES = Rules()
 
 
 class RuleRow(NamedTuple):
-    """One row of the table: name, value, unit, meaning, and the command that calibrates it or `DESIGN`."""
+    """One row of the table: name, value, unit, meaning, and where the value comes from."""
 
     name: str
     value: float
