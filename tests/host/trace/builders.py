@@ -1,0 +1,330 @@
+"""Build small inputs for the tests of tracing's decisions.
+
+Each builder returns a valid value with neutral defaults, so that a test states only what it is about. Nothing
+here flies, reads a log or fits a model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trimtab.host.effects import Closing, Effect
+from trimtab.host.effects.effect import Parameter
+from trimtab.host.log import Battery, Flight, Mocap
+from trimtab.host.models.model import Model
+from trimtab.host.trace.diagnose import Diagnosis, Fit
+from trimtab.host.trace.evidence import Linearisation, Process
+from trimtab.host.trace.form import LOCALS, STATES
+from trimtab.host.trace.parameters import MASS, Column, Space
+from trimtab.host.trace.refine import ClosedFit
+from trimtab.host.trace.result import Named, Trace
+from trimtab.host.trace.search import Found, Names, none_of
+from trimtab.host.trace.segments import Basis, Segments
+from trimtab.host.trace.twins import Leftover, Repeat
+from trimtab.host.trace.whitening import CHANNELS, Whitening
+from trimtab.host.vehicle import Vehicle, load_vehicle
+
+VEHICLE = load_vehicle("research")
+
+
+def build_parameter(
+    key: str = "size",
+    *,
+    neutral: float = 0.0,
+    typical: float = 1.0,
+    tolerance: float = 0.1,
+    strength: bool = True,
+) -> Parameter:
+    """Return a parameter that may move by a hundred typical sizes."""
+    return Parameter(
+        key=key,
+        unit="1",
+        neutral=neutral,
+        typical=typical,
+        tolerance=tolerance,
+        lower=neutral - 100.0 * typical,
+        upper=neutral + 100.0 * typical,
+        description="a number",
+        strength=strength,
+    )
+
+
+def build_effect(
+    name: str,
+    *parameters: Parameter,
+    aliases: Sequence[str] = (),
+    requires_any: Sequence[str] = (),
+    one_of: bool = False,
+    memory: int = 0,
+) -> Effect:
+    """Return an effect that acts as a factor on the mass; with `memory` it has states of its own."""
+    own: dict[str, Any] = {}
+    if memory:
+        own = {
+            "memory": memory,
+            "memory_start": lambda ops, theta, context: (0.0,) * memory,
+            "memory_rates": lambda ops, theta, context: (0.0,) * memory,
+        }
+    return Effect(
+        name=name,
+        equation="m = m_nominal",
+        source="a test",
+        parameters=parameters or (build_parameter(),),
+        closing=Closing(model="a factor", planner="nothing", law=None),
+        aliases=tuple(aliases),
+        requires_any=tuple(requires_any),
+        one_of=one_of,
+        mass_factor=lambda ops, theta: 1.0,
+        **own,
+    )
+
+
+def build_space(*effects: Effect | str) -> Space:
+    """Return the space of these effects (a name stands for a plain effect); all but the mass are candidates.
+
+    A column's scale and tolerance are its parameter's typical size and tolerance.
+    """
+    known = [build_effect(each) if isinstance(each, str) else each for each in effects]
+    columns = tuple(
+        Column(
+            owner=effect.name,
+            key=p.key,
+            unit=p.unit,
+            neutral=p.neutral,
+            scale=p.typical,
+            tolerance=p.tolerance,
+            lower=p.lower,
+            upper=p.upper,
+            strength=p.strength,
+        )
+        for effect in known
+        for p in effect.parameters
+    )
+    owned = {"columns": columns, "effects": {effect.name: effect for effect in known}}
+    groups = Space(**owned, candidates=(), unknown=(), local_sigma=(1.0,) * LOCALS).groups
+    candidates = tuple(name for name in groups if name != MASS)
+    return Space(**owned, candidates=candidates, unknown=(), local_sigma=(1.0,) * LOCALS)
+
+
+def build_segments(*, rate_driven: bool = False) -> Segments:
+    """Return one segment of one bin, at rest."""
+    one = (1, 2)
+    return Segments(
+        dt_s=0.05,
+        flight=np.zeros(1, dtype=int),
+        start_s=np.zeros(1),
+        x0=np.zeros((1, STATES)),
+        position=np.zeros((*one, 3)),
+        attitude=np.tile(np.eye(3).ravel(), (*one, 1)),
+        shift_s=np.zeros(one),
+        pose_weight=np.ones(one),
+        rate=np.zeros((*one, 3)),
+        rate_weight=np.ones(one),
+        force=np.zeros((*one, 3)),
+        force_weight=np.ones(one),
+        command=np.zeros((1, 3, 4)),
+        voltage_ratio=np.ones(one),
+        sigma=np.ones((1, 4)),
+        w=np.zeros((1, 1, 6)),
+        path_start_s=np.zeros(1),
+        paths=np.zeros((1, 2, STATES)),
+        in_newton=False,
+        rate_driven=rate_driven,
+    )
+
+
+def build_fit(
+    effects: Names = (),
+    *,
+    log_evidence: float = 0.0,
+    z: Sequence[float] = (),
+    covariance: np.ndarray | None = None,
+    lateral: float = 0.01,
+    axial: float = 0.01,
+    angular: float = 0.01,
+    rate_driven: bool = False,
+) -> Fit:
+    """Return a fit to one segment that leaves the given disturbance.
+
+    z (P,) and covariance (P, P) are scaled; `lateral` and `axial` in m/s^2, `angular` in rad/s^2.
+    """
+    count, nuisances = len(z), LOCALS + 6
+    logs = {"lateral": lateral, "axial": axial, "torque": angular}
+    return Fit(
+        effects=effects,
+        log_evidence=log_evidence,
+        z=np.array(z, dtype=float),
+        local=np.zeros((1, LOCALS)),
+        covariance=np.eye(count) if covariance is None else covariance,
+        process=Process(**{f"log_{name}": float(2.0 * np.log(sigma)) for name, sigma in logs.items()}),
+        lin=Linearisation(
+            gram=np.zeros((1, 1 + count + nuisances, 1 + count + nuisances)),
+            flight=np.zeros(1, dtype=int),
+            z=np.array(z, dtype=float),
+            local=np.zeros((1, LOCALS)),
+        ),
+        data=build_segments(rate_driven=rate_driven),
+        basis=Basis(columns=np.zeros((1, STATES + nuisances, 24)), gram=np.zeros((1, 27, 27))),
+    )
+
+
+def build_closed_fit(
+    effects: Names = (),
+    *,
+    log_evidence: float = 0.0,
+    z: Sequence[float] = (),
+    covariance: np.ndarray | None = None,
+    grams: np.ndarray | None = None,
+) -> ClosedFit:
+    """Return a fit to one whole flight; z (P,), covariance (P, P), grams (flights, 1 + P, 1 + P)."""
+    count = len(z)
+    return ClosedFit(
+        effects=effects,
+        z=np.array(z, dtype=float),
+        at=np.zeros(count),
+        covariance=np.eye(count) if covariance is None else covariance,
+        log_evidence=log_evidence,
+        whitening=Whitening(coefficients=np.zeros((CHANNELS, CHANNELS)), innovation=np.eye(CHANNELS)),
+        grams=np.ones((1, 1 + count, 1 + count)) if grams is None else grams,
+        error_m=0.01,
+    )
+
+
+def build_search_result(
+    best: Any, *, sets: Mapping[Names, float] | None = None, weights: Mapping[Names, float] | None = None
+) -> Found[Any]:
+    """Return what a search ends with; without `weights`, every one of the fitted `sets` may be kept."""
+    fitted = {best.effects: best.log_evidence} if sets is None else sets
+    weights = dict.fromkeys(fitted, 1.0) if weights is None else weights
+    return Found(best=best, inclusion={}, weights=weights, sets=fitted)
+
+
+def build_diagnosis(
+    kept: Names = (),
+    *,
+    weights: Mapping[Names, float] | None = None,
+    inclusion: Mapping[str, float] | None = None,
+    stands_out: Mapping[str, float] | None = None,
+    best: Fit | None = None,
+) -> Diagnosis:
+    """Return the diagnosis that keeps the effects `kept`, by default for sure."""
+    return Diagnosis(
+        best=best or build_fit(kept),
+        nothing=build_fit(),
+        method="segments",
+        inclusion=inclusion or {},
+        weights={kept: 1.0} if weights is None else weights,
+        sets={},
+        stands_out=stands_out or {},
+    )
+
+
+def weights_of_nothing(probability: float, other: Names = ("other",)) -> dict[Names, float]:
+    """Return weights under which no effect is missing with this probability, to the bit."""
+    weights = {(): probability, other: 1.0 - probability}
+    assert none_of(weights) == probability
+    return weights
+
+
+def build_repeat(*, share: float = 0.0, z: float = 0.0, position_m: float = 0.0, size: int = 1000) -> Repeat:
+    """Return what whole flights repeat; by default nothing."""
+    return Repeat(share=share, z=z, position_m=position_m, size=size)
+
+
+def build_leftover(**changes: Any) -> Leftover:
+    """Return what a complete model leaves, nothing, but for `changes`."""
+    quiet: dict[str, Any] = {"pairs": 1}
+    for name in ("force", "torque"):
+        quiet |= {f"{name}_repeat": 0.0, f"{name}_z": 0.0, f"{name}_line": 1.0, f"{name}_line_hz": 1.0}
+        quiet |= {f"{name}_line_chance": 1.0, f"{name}_line_rms": 0.0}
+    return Leftover(**{**quiet, **changes})
+
+
+def build_flight(
+    name: str = "one",
+    *,
+    vehicle: Vehicle = VEHICLE,
+    reference_id: str | None = None,
+    tracked_s: float = 10.0,
+    extent_m: float = 1.0,
+    elsewhere_m: float = 0.0,
+    voltage_ratio: Sequence[float] | None = None,
+    poses: int | None = None,
+) -> Flight:
+    """Return an imported flight of poses alone at 50 Hz, tracked from 1 s on.
+
+    It moves north by `extent_m` while tracked and is `elsewhere_m` to the east before and after.
+    `voltage_ratio`: battery voltage over full voltage, over the whole flight. `poses`: keep only so many.
+    """
+    start_s, end_s = 1.0, 1.0 + tracked_s
+    t_us = np.arange(0, round(1e6 * (end_s + 1.0)) + 1, 20_000)
+    t_s = t_us * 1e-6
+    p = np.zeros((len(t_us), 3))
+    p[:, 0] = np.interp(t_s, [start_s + 0.1, end_s - 0.1], [0.0, extent_m])
+    p[(t_s < start_s) | (t_s > end_s), 1] = elsewhere_m
+    q = np.tile([1.0, 0.0, 0.0, 0.0], (len(t_us), 1))
+    at = slice(None, poses)
+    battery = None
+    if voltage_ratio is not None:
+        volts = VEHICLE.battery.full_v * np.array(voltage_ratio)
+        battery = Battery(t_us=np.arange(len(volts)) * 1_000_000, battery_v=volts)
+    return Flight(
+        id=name,
+        path=Path(f"{name}.mcap"),
+        kind="import",
+        vehicle=vehicle,
+        reference=None,
+        reference_id=reference_id,
+        feedforward=None,
+        firmware_parameters=None,
+        metadata={},
+        mocap=Mocap(t_us=t_us[at], t_arrival_us=t_us[at], p=p[at], q=q[at]),
+        estimate=None,
+        control=None,
+        observer=None,
+        status=None,
+        link=None,
+        recorded_inputs=None,
+        recorded_imu=None,
+        battery=battery,
+        tracking=(round(1e6 * start_s), round(1e6 * end_s)),
+        tracking_whole=True,
+        failsafe=None,
+        duration_s=float(t_s[-1]),
+    )
+
+
+def build_named(name: str) -> Named:
+    """Return an effect that a trace names for sure."""
+    return Named(name=name, title=name, parameters={}, probability=1.0, aliases={}, exact_alias=None)
+
+
+def build_trace(space: Space, diagnosis: Diagnosis, *, named: Sequence[str] = ()) -> Trace:
+    """Return a trace that names these effects, without held-out flights."""
+    return Trace(
+        verdict="traced" if named else "nothing-missing",
+        reasons=(),
+        effects=tuple(build_named(name) for name in named),
+        possible={},
+        drive="inputs",
+        horizon_s=None,
+        before=(),
+        after=(),
+        adjustments_only=(),
+        before_score=None,
+        after_score=None,
+        noise_floor={},
+        next_flight=None,
+        model=Model(vehicle_id=VEHICLE.id, vehicle_name=VEHICLE.name),
+        space=space,
+        diagnosis=diagnosis,
+        leftover=build_leftover(),
+        audits=(),
+        description=None,
+        doubts=(),
+        unexplained=None,
+    )

@@ -1,0 +1,121 @@
+"""Which noise the sizes of effects are weighed by: twins' differences, or all that is left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import numpy as np
+import pytest
+
+from tests.host.trace.builders import build_closed_fit
+from trimtab.host.trace import repeats as module
+from trimtab.host.trace.loop import BIN_S, Loop
+from trimtab.host.trace.refine import TEMPER, ClosedFit
+from trimtab.host.trace.repeats import LEAST_S, in_turbulence, turbulence
+from trimtab.host.trace.whitening import CHANNELS, Whitening
+
+LONG = 200
+TWINS = [(0, 1)]
+FIT = build_closed_fit(
+    ("drag",), log_evidence=12.0, z=(1.0, 2.0), covariance=np.diag([4.0, 9.0]), grams=np.full((2, 3, 3), 6.0)
+)
+AGAIN = np.array([1.5, 2.5]), np.diag([0.25, 0.5]), np.full((2, 3, 3), 7.0)
+"""What the weighted fit returns: z, covariance and Grams."""
+
+
+class ResidualsOnly:
+    """Stand in for a loop with known residuals: noise of each flight, and physics that all share."""
+
+    def __init__(self, bins: Sequence[int] = (LONG, LONG), physics: float = 0.0) -> None:
+        rng = np.random.default_rng(5)
+        noise = [rng.standard_normal((LONG, CHANNELS)) for _ in bins]
+        shared = physics * rng.standard_normal((LONG, CHANNELS))
+        self.left = [(each + shared)[:count] for each, count in zip(noise, bins, strict=True)]
+        self.known = [np.ones(count, dtype=bool) for count in bins]
+
+    def residuals(self, z: np.ndarray) -> list[np.ndarray]:
+        return [each[None] for each in self.left]
+
+
+def loop_of(bins: Sequence[int] = (LONG, LONG), physics: float = 0.0) -> Loop:
+    return cast(Loop, ResidualsOnly(bins, physics))
+
+
+@pytest.fixture
+def whitenings(monkeypatch: pytest.MonkeyPatch) -> list[Whitening]:
+    """Replace the weighted fit by AGAIN; return the whitenings that it is called with."""
+    used: list[Whitening] = []
+
+    def weighted(
+        loop: Loop, white: Whitening, effects: Sequence[str], z: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        assert tuple(effects) == FIT.effects
+        np.testing.assert_array_equal(z, FIT.z)
+        used.append(white)
+        return AGAIN
+
+    monkeypatch.setattr(module, "weighted", weighted)
+    return used
+
+
+def is_tempered(fit: ClosedFit) -> bool:
+    """Return whether the fit is FIT with residuals that count for 1/TEMPER."""
+    np.testing.assert_array_equal(fit.z, FIT.z)
+    assert (fit.effects, fit.log_evidence) == (FIT.effects, FIT.log_evidence)
+    return bool(
+        np.allclose(fit.covariance, TEMPER * FIT.covariance) and np.allclose(fit.grams, FIT.grams / TEMPER)
+    )
+
+
+@pytest.mark.parametrize(
+    ("bins", "twins", "compared"),
+    [
+        pytest.param((LONG, LONG), [], False, id="no-twins"),
+        pytest.param((LONG, LONG), TWINS, True, id="twins"),
+        pytest.param((round(LEAST_S / BIN_S) - 1, LONG), TWINS, False, id="one-just-too-short"),
+        pytest.param((round(LEAST_S / BIN_S), LONG), TWINS, True, id="one-just-long-enough"),
+        pytest.param((LONG, LONG, 10), [(0, 1), (0, 2)], True, id="one-pair-of-two-long-enough"),
+    ],
+)
+def test_in_turbulence_fits_once_more_where_twins_are_long_enough(
+    bins: tuple[int, ...], twins: list[tuple[int, int]], compared: bool, whitenings: list[Whitening]
+) -> None:
+    found = in_turbulence(loop_of(bins), FIT, 1, twins)
+    assert len(whitenings) == compared
+    if not compared:
+        assert is_tempered(found)
+        assert found.whitening is FIT.whitening
+        return
+    z, covariance, grams = AGAIN
+    np.testing.assert_array_equal(found.z, z)
+    np.testing.assert_array_equal(found.at, z)
+    np.testing.assert_array_equal(found.covariance, covariance)
+    np.testing.assert_array_equal(found.grams, grams)
+    assert found.whitening is whitenings[0]
+    assert (found.effects, found.log_evidence) == (FIT.effects, FIT.log_evidence)
+
+
+def test_in_turbulence_counts_only_bins_known_in_both_twins(whitenings: list[Whitening]) -> None:
+    loop = ResidualsOnly()
+    loop.known[0][: LONG // 2] = False
+    loop.known[1][LONG // 2 :] = False
+    assert is_tempered(in_turbulence(cast(Loop, loop), FIT, 1, TWINS))
+    assert whitenings == []
+
+
+def test_in_turbulence_whitens_by_what_twins_differ_in(whitenings: list[Whitening]) -> None:
+    for physics in (0.0, 5.0):
+        in_turbulence(loop_of(physics=physics), FIT, 1, TWINS)
+    calm, moved = whitenings
+    np.testing.assert_allclose(moved.coefficients, calm.coefficients, atol=1e-9)
+    np.testing.assert_allclose(moved.innovation, calm.innovation, atol=1e-9)
+    # Noise of unit variance each differs by sqrt(2), which is divided out.
+    assert np.diag(calm.innovation).mean() == pytest.approx(1.0, abs=0.2)
+
+
+def test_turbulence_takes_an_order_that_the_twins_can_pay_for() -> None:
+    white = turbulence(loop_of(), FIT.z, 4, TWINS)
+    assert white is not None
+    assert white.order == 1
+    assert turbulence(loop_of(), FIT.z, 1, []) is None

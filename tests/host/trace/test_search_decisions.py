@@ -1,0 +1,174 @@
+"""Which of several sets is kept, and how large its effects are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from tests.host.trace.builders import (
+    build_closed_fit,
+    build_effect,
+    build_fit,
+    build_parameter,
+    build_search_result,
+    build_space,
+    weights_of_nothing,
+)
+from trimtab.host.trace.evidence import Prior
+from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.search import (
+    BEARS,
+    WITHIN_NATS,
+    Fitter,
+    Names,
+    _borne,
+    likeliest,
+    none_of,
+    sizes,
+    smallest,
+)
+
+BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
+BEST = build_closed_fit()
+
+
+@dataclass(frozen=True)
+class PriorOnly:
+    """Stand in for a fitter that is asked only for its space and the spike sigmas (P,)."""
+
+    space: Space
+    spike: Sequence[float]
+
+    @property
+    def prior(self) -> Prior:
+        return Prior(groups=self.space.groups, spike=np.array(self.spike), local=np.ones(1))
+
+
+def prior_only(space: Space, spike: Sequence[float] | None = None) -> Fitter[Any]:
+    return cast("Fitter[Any]", PriorOnly(space, spike or [0.1] * len(space.columns)))
+
+
+@pytest.mark.parametrize(
+    ("gap", "within", "expected"),
+    [
+        pytest.param(WITHIN_NATS * BELOW, WITHIN_NATS, ("a",), id="just-within"),
+        pytest.param(WITHIN_NATS * ABOVE, WITHIN_NATS, ("a", "b"), id="just-beyond"),
+        pytest.param(8.0, 8.0, ("a",), id="at"),
+        pytest.param(7.9, 8.0, ("a",), id="as-wide-as-asked"),
+        pytest.param(0.1, 0.0, ("a", "b"), id="none-but-the-best"),
+    ],
+)
+def test_smallest_of_the_sets_close_to_the_best_is_kept(gap: float, within: float, expected: Names) -> None:
+    found = build_search_result(BEST, sets={("a", "b"): 32.0, ("a",): 32.0 - gap, (): -100.0})
+    assert smallest(found, within) == expected
+
+
+@pytest.mark.parametrize(
+    ("sets", "expected"),
+    [
+        pytest.param({(): 0.0}, (), id="only-nothing"),
+        pytest.param({("a",): 1.0, ("b",): 2.0, ("a", "b"): 3.0}, ("b",), id="same-size-the-likelier"),
+        pytest.param({("b",): 1.0, ("a",): 2.0, ("a", "b"): 3.0}, ("a",), id="in-any-order"),
+        pytest.param({("b",): 2.0, ("a",): 2.0}, ("a",), id="equal-by-name"),
+        pytest.param({("a",): 1.0, ("b", "c"): 3.0, (): -0.5}, ("a",), id="nothing-too-far"),
+        pytest.param({("a",): 1.0, ("b", "c"): 3.0, (): 0.5}, (), id="nothing-close"),
+    ],
+)
+def test_smallest_of_several_is_the_most_probable(sets: dict[Names, float], expected: Names) -> None:
+    assert smallest(build_search_result(BEST, sets=sets), WITHIN_NATS) == expected
+
+
+def test_smallest_asks_only_for_sets_that_may_be_kept() -> None:
+    sets = {(): 0.0, ("a",): 8.0, ("a", "b"): 10.0, ("a", "c"): 50.0}
+    weights = {("a", "b"): 1e-9, ("a",): 1e-9, ("b", "c"): 1.0}
+    assert smallest(build_search_result(BEST, sets=sets, weights=weights), WITHIN_NATS) == ("a",)
+    without = {("a", "b"): 1.0}
+    assert smallest(build_search_result(BEST, sets=sets, weights=without), 100.0) == ("a", "b")
+
+
+@pytest.mark.parametrize(
+    ("weights", "expected"),
+    [
+        pytest.param({(): 1.0}, (), id="one"),
+        pytest.param({(): 0.2, ("a",): 0.5, ("a", "b"): 0.3}, ("a",), id="the-greatest"),
+        pytest.param({(): -5.0, ("a",): -9.0}, (), id="log-evidence"),
+        pytest.param({("a",): 0.5, ("b",): 0.5}, ("b",), id="equal-by-name"),
+        pytest.param({("b",): 0.5, ("a",): 0.5}, ("b",), id="equal-in-any-order"),
+    ],
+)
+def test_likeliest_is_the_set_of_greatest_weight(weights: dict[Names, float], expected: Names) -> None:
+    assert likeliest(weights) == expected
+
+
+@pytest.mark.parametrize(
+    ("weights", "probability"),
+    [
+        pytest.param({("a",): 2.0}, 0.0, id="not-considered"),
+        pytest.param({(): 3.0}, 1.0, id="alone"),
+        pytest.param({(): 1.0, ("a",): 2.0, ("b",): 1.0}, 0.25, id="a-share"),
+        pytest.param(weights_of_nothing(0.3), 0.3, id="normalised"),
+    ],
+)
+def test_none_of_weights_is_the_share_of_the_empty_set(
+    weights: dict[Names, float], probability: float
+) -> None:
+    assert none_of(weights) == pytest.approx(probability)
+
+
+LINE = build_effect("line", build_parameter("ratio"), build_parameter("length", strength=False))
+PAIR = build_effect("pair", build_parameter("x"), build_parameter("y"))
+ROTOR = build_effect("rotor", build_parameter("one"), build_parameter("two"), one_of=True)
+SIZED = build_space(LINE, PAIR, ROTOR, "lag")
+"""Columns: line.ratio, line.length, pair.x, pair.y, rotor.one, rotor.two, lag.size."""
+SPIKE = (0.5, 0.01, 0.1, 0.2, 0.1, 0.4, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("effects", "z", "expected"),
+    [
+        pytest.param((), (9,) * 7, {}, id="no-effect"),
+        pytest.param(("pair",), (0, 0, 0.3, 0.2, 0, 0, 0), {"pair": 3.0}, id="the-first-strength"),
+        pytest.param(("pair",), (0, 0, 0.1, 0.8, 0, 0, 0), {"pair": 4.0}, id="the-second-strength"),
+        pytest.param(("pair",), (0, 0, 0.1, -0.8, 0, 0, 0), {"pair": 4.0}, id="either-sign"),
+        pytest.param(("line",), (1.0, 50.0, 0, 0, 0, 0, 0), {"line": 2.0}, id="a-length-is-no-strength"),
+        pytest.param(("rotor.two",), (0, 0, 0, 0, 9.0, 0.4, 0), {"rotor.two": 1.0}, id="one-of-several"),
+        pytest.param(
+            ("lag", "line"), (1.0, 0, 9.0, 9.0, 9.0, 9.0, 0.7), {"lag": 7.0, "line": 2.0}, id="each-its-own"
+        ),
+    ],
+)
+def test_sizes_count_tolerances_by_the_greatest_strength(
+    effects: Names, z: Sequence[float], expected: dict[str, float]
+) -> None:
+    assert sizes(prior_only(SIZED, SPIKE), build_fit(effects, z=z)) == pytest.approx(expected)
+
+
+BORNE = build_space("drag", build_effect("wind", requires_any=("drag", "lift")), "lift")
+"""Columns: drag, wind, lift; each with a tolerance of 0.1 and bounds of 100 typical sizes."""
+
+
+@pytest.mark.parametrize(
+    ("effects", "z", "expected"),
+    [
+        pytest.param((), (0, 0, 0), True, id="no-effect"),
+        pytest.param(("drag",), (0.1 * BELOW, 0, 0), False, id="within-tolerance"),
+        pytest.param(("drag",), (0.1 * ABOVE, 0, 0), True, id="beyond-tolerance"),
+        pytest.param(("drag",), (-0.1 * ABOVE, 0, 0), True, id="of-either-sign"),
+        pytest.param(("drag",), (100.0, 0, 0), False, id="at-its-upper-bound"),
+        pytest.param(("drag",), (-100.0, 0, 0), False, id="at-its-lower-bound"),
+        pytest.param(("drag",), (1.0, 0, 100.0), True, id="another-at-its-bound"),
+        pytest.param(("drag", "lift"), (1.0, 0, 0.05), False, id="one-of-two-within"),
+        pytest.param(("drag", "wind"), (0.1 * BEARS * BELOW, 1.0, 0), False, id="acts-through-too-little"),
+        pytest.param(("drag", "wind"), (0.1 * BEARS * ABOVE, 1.0, 0), True, id="acts-through-enough"),
+        pytest.param(("drag", "lift", "wind"), (0.2, 1.0, 1.0), True, id="acts-through-any"),
+        pytest.param(("wind",), (1.0, 1.0, 1.0), False, id="acts-through-what-is-not-there"),
+    ],
+)
+def test_a_set_is_borne_where_every_effect_is_there(
+    effects: Names, z: Sequence[float], expected: bool
+) -> None:
+    assert _borne(prior_only(BORNE), build_fit(effects, z=z)) == expected
