@@ -42,8 +42,13 @@ class Named:
     parameters: Mapping[str, Value]
     probability: float
     aliases: Mapping[str, float]
-    exact_alias: str | None
-    """A sentence on the ratio that is observable, where another effect fits exactly as well."""
+    exact_aliases: Mapping[str, str]
+    """By the name of an effect that fits exactly as well, a sentence on what is observable of the two."""
+
+    @property
+    def inexact_aliases(self) -> dict[str, float]:
+        """Probability of the aliases that flights can tell apart from it."""
+        return {name: p for name, p in self.aliases.items() if name not in self.exact_aliases}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,11 +115,9 @@ class Trace:
                 f"{key} {v.value:.4g} +- {2 * v.sd:.2g}{'' if v.unit == '1' else ' ' + v.unit}"
                 for key, v in effect.parameters.items()
             )
-            exact = "mass" if effect.exact_alias else None
-            others = "".join(f"; or {name} ({p:.2f})" for name, p in effect.aliases.items() if name != exact)
+            others = "".join(f"; or {name} ({p:.2f})" for name, p in effect.inexact_aliases.items())
             out.append(f"  {effect.name}: {values} (probability {effect.probability:.3f}{others})")
-            if effect.exact_alias:
-                out.append(f"    {effect.exact_alias}")
+            out += [f"    {sentence}" for sentence in effect.exact_aliases.values()]
         if self.effects:
             out.append("  (+- is two standard deviations)")
         if self.possible:
