@@ -28,7 +28,6 @@ from trimtab.host.report import rules_page
 from trimtab.host.report.effects_page import page
 from trimtab.host.trace.decision import rules
 from trimtab.host.trace.decision.findings import Verdict
-from trimtab.host.trace.parameters import REPLACES
 from trimtab.host.vehicle.strict_toml import Strict
 from trimtab.protocol.generated import flight_pb2
 from trimtab.protocol.generated.frames import MESSAGES
@@ -74,9 +73,10 @@ def test_imports_page_names_every_profile_and_every_unknown() -> None:
         word = name.strip("`")
         assert (word in nanobench.UNKNOWN) == (not of_nanobench.startswith("known")), word
         assert (word in crazyflie_usd.UNKNOWN) == (not of_usd.startswith("known")), word
-        # Mass is never named by itself.
         assert [effect for effect in leaves.split(", ") if effect] == [
-            effect for effect in REPLACES[word] if effect != "mass"
+            effect.name
+            for effect in load_effects().values()
+            if word in (*effect.replaced_by, *effect.freed_by)
         ]
     for figure in (f"{CLEAR_M:g} m", f"known to {100 * DECLARED_MASS_SIGMA:g} %"):
         assert figure in text

@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.demo.plans import Planned
 from trimtab.host.log import Flight
 from trimtab.host.log.tracking import reference_at
+from trimtab.host.models.dynamics import mocap_latency_s
 from trimtab.host.trace.result import Trace
 
 Array = np.ndarray
@@ -178,11 +180,8 @@ def _finite(value: float | None) -> float | None:
 
 
 def latency_of(result: Trace) -> float:
-    """Seconds by which poses are older than stamped, where the trace names that."""
-    for effect in result.effects:
-        if effect.name == "mocap-latency":
-            return effect.parameters["latency_s"].value
-    return 0.0
+    """Seconds by which poses are older than stamped, by the effects that the trace names."""
+    return float(mocap_latency_s(FLOAT, result.model.parts(result.space.effects, "effects")))
 
 
 def what_got_worse(comparison: Comparison, result: Trace) -> list[str]:

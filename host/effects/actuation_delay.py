@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.unknowns import MOTOR_LAG, THRUST, TORQUE
 
 
 def _delay(ops, theta):
@@ -12,6 +13,7 @@ def _delay(ops, theta):
 EFFECT = Effect(
     name="actuation-delay",
     title="Actuation delay",
+    family="timing",
     equation="T_i,command(t) = T_i,commanded(t - delay_s)",
     source="motor controllers and their protocols: 2-10 ms",
     parameters=(
@@ -24,10 +26,14 @@ EFFECT = Effect(
             lower=0.0,
             upper=0.03,
             description="time from a motor command to its arrival at the rotor",
+            # Rotors are no first-order lag; the loop's answer to noise within a step looks like a delay.
+            discrepancy=0.4,
         ),
     ),
     aliases=("motor-lag", "mocap-latency", "inertia", "thrust-inflow"),
+    separated_by={"mocap-latency": "log the gyro, or measure the cameras' delay"},
     observable="quick turns of roll and pitch with the gyro in the log; without it, it is a mocap latency",
+    replaced_by=(THRUST, MOTOR_LAG, TORQUE),
     closing=Closing(
         model="the rotors follow the commands of a moment ago",
         planner="nothing: the rotor thrusts of a plan have no delay",

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.unknowns import THRUST
+
+_VOLTMETER_NOISE = 0.01  # share of the full voltage; a battery that stayed closer shows no sag
 
 
 def _factor(ops, theta, ctx):
@@ -31,7 +34,10 @@ EFFECT = Effect(
         ),
     ),
     aliases=("thrust-gain", "mass", "ground-effect"),
+    separated_by={"thrust-gain": "fly once more with a full battery and log its voltage"},
     observable="flights from a full and from an emptier battery, or one long flight, with the voltage logged",
+    needs_signals={"voltage_ratio": _VOLTMETER_NOISE},
+    replaced_by=(THRUST,),
     closing=Closing(
         model="every rotor's thrust times a power of the measured voltage ratio",
         planner="nothing: plans are made for a full battery",

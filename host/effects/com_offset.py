@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.unknowns import TORQUE
 
 
 def _torque(ops, theta, ctx):
@@ -26,11 +27,14 @@ def _axis(key: str, direction: str) -> Parameter:
 EFFECT = Effect(
     name="com-offset",
     title="Offset of the centre of mass",
+    family="torque",
     equation="tau_frd = -(x, y, 0) x (0, 0, -T) = (y T, -x T, 0)",
     source="2-10 mm after a change of battery or payload; rigid-body statics",
     parameters=(_axis("x", "ahead"), _axis("y", "to the right")),
     aliases=("wind", "torque-bias", "rotor-loss", "frame-tilt"),
+    separated_by={"torque-bias": "balance the vehicle on an edge"},
     observable="changes of thrust, as in climbs and fast turns; in hover it is a torque bias",
+    replaced_by=(TORQUE,),
     closing=Closing(
         model="a torque in proportion to the collective thrust",
         planner="without a drag beside it, plans a path of less change of thrust, with which the "

@@ -10,15 +10,28 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, get_args
 
 from trimtab.firmware_model.law.ops import Ops
+from trimtab.host.effects.unknowns import UNKNOWN
 
 Scalar = Any
 Theta = Sequence[Scalar]
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _KEY = re.compile(r"[a-z][a-z0-9_]*")
+
+Family = Literal["force", "torque", "timing", "aerodynamic"]
+"""What an effect acts as, by which studies group their figures."""
+
+Signal = Literal["voltage_ratio", "gyro"]
+"""A signal that an effect may need: battery voltage over full voltage, or the body rate by a gyro, rad/s."""
+
+DISCREPANCY = 0.05
+"""Usual `Parameter.discrepancy`."""
+
+LOOP_DISCREPANCY = 0.01
+"""Usual `Parameter.loop_discrepancy`."""
 
 
 class Context(NamedTuple):
@@ -51,10 +64,35 @@ class Context(NamedTuple):
 class Parameter:
     """One number of an effect.
 
-    `neutral` changes nothing. `typical` is the usual distance from neutral where the effect is present,
-    `tolerance` one sigma of what is not worth naming (a vehicle file may override it), `lower` and `upper`
-    bound the value. One that only says how, and changes nothing by itself, as a line's length does without a
-    payload, is no `strength`.
+    Attributes
+    ----------
+    key, unit, description
+        Its name in `lower_snake_case`, its unit ("1" for none) and its meaning.
+    neutral
+        The value that changes nothing.
+    typical
+        Usual distance from neutral where the effect is present; the scale of every fit.
+    tolerance
+        One sigma of what is not worth naming. A vehicle file may override it.
+    lower, upper
+        Bounds of the value.
+    strength
+        False for a parameter that changes nothing by itself, such as a line's length without a payload.
+    discrepancy
+        One sigma, in typical sizes, of what segments of flights read into the parameter where the effect is
+        absent, since the model's form is not exact.
+    loop_discrepancy
+        The same for whole flights over the closed loop.
+    free_sigma
+        One sigma of the value where a log leaves the effect free (`Effect.freed_by`); `typical` if absent.
+    free_lower, free_upper
+        Bounds of the value there; `lower` and `upper` if absent. An effect that takes either sign only there
+        has a negative `free_lower`.
+    measured_below
+        A tolerance below this one means that the value was measured: the effect is then no exact alias of
+        another. Absent where no measurement is known.
+
+    All but the texts, `strength` and the two discrepancies are in the parameter's unit.
     """
 
     key: str
@@ -66,6 +104,12 @@ class Parameter:
     upper: float
     description: str
     strength: bool = True
+    discrepancy: float = DISCREPANCY
+    loop_discrepancy: float = LOOP_DISCREPANCY
+    free_sigma: float | None = None
+    free_lower: float | None = None
+    free_upper: float | None = None
+    measured_below: float | None = None
 
     def __post_init__(self) -> None:
         if not _KEY.fullmatch(self.key):
@@ -81,6 +125,33 @@ class Parameter:
             raise ValueError(
                 f"parameter {self.key}: need 0 < tolerance < typical, got {self.tolerance}, {self.typical}"
             )
+        for name in ("discrepancy", "loop_discrepancy"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(
+                    f"parameter {self.key}: {name} must be finite and >= 0, got {getattr(self, name)}"
+                )
+        for name in ("free_sigma", "measured_below"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < math.inf:
+                raise ValueError(f"parameter {self.key}: {name} must be finite and > 0, got {value}")
+        lower, upper = self.free_bounds
+        if not -math.inf < lower <= self.neutral <= upper < math.inf:
+            raise ValueError(
+                f"parameter {self.key}: neutral {self.neutral} outside free_lower {lower}, free_upper {upper}"
+            )
+
+    @property
+    def free_bounds(self) -> tuple[float, float]:
+        """Bounds of the value where a log leaves the effect free."""
+        return (
+            self.lower if self.free_lower is None else self.free_lower,
+            self.upper if self.free_upper is None else self.free_upper,
+        )
+
+    @property
+    def has_free_facts(self) -> bool:
+        """Whether anything is stated about the parameter where a log leaves the effect free."""
+        return any(fact is not None for fact in (self.free_sigma, self.free_lower, self.free_upper))
 
 
 def number(
@@ -92,8 +163,16 @@ def number(
     lower: float,
     upper: float,
     description: str,
+    *,
+    strength: bool = True,
+    discrepancy: float = DISCREPANCY,
+    loop_discrepancy: float = LOOP_DISCREPANCY,
+    free_sigma: float | None = None,
+    free_lower: float | None = None,
+    free_upper: float | None = None,
+    measured_below: float | None = None,
 ) -> Parameter:
-    """A Parameter in one line, for a workspace's own effects."""
+    """Return a Parameter in one line, for a workspace's own effects; arguments as of `Parameter`."""
     return Parameter(
         key=key,
         unit=unit,
@@ -103,7 +182,34 @@ def number(
         lower=lower,
         upper=upper,
         description=description,
+        strength=strength,
+        discrepancy=discrepancy,
+        loop_discrepancy=loop_discrepancy,
+        free_sigma=free_sigma,
+        free_lower=free_lower,
+        free_upper=free_upper,
+        measured_below=measured_below,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExactAlias:
+    """Another effect that fits every flight exactly as well as the one that states it.
+
+    Attributes
+    ----------
+    effect
+        Name of the other effect.
+    remedy
+        What tells the two apart, as a sentence for the verdict: "weigh the vehicle to ...".
+    ratio
+        What flights do show of the two, in words ("thrust over mass"): this effect's first parameter over the
+        other's, both over their neutral values. Absent where they show no ratio.
+    """
+
+    effect: str
+    remedy: str
+    ratio: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,17 +230,53 @@ class Closing:
 class Effect:
     """A candidate: one named piece of physics the nominal model does not have.
 
-    `title` is made of the name where none is given. `aliases` names the effects it is mistaken for;
-    `requires_any` those of which one must be present for this one to change anything. `observable` says in a
-    sentence what a flight must do to show it. `one_of`: exactly one of the parameters leaves neutral (one
-    rotor of four), each is a candidate of its own. `memory` counts the effect's own states: `memory_start`
-    gives them at rest, `memory_rates` their derivatives. `starts` are values of all parameters from which a
-    fit may begin, where from neutral the effect does not show by what it is. `source_id` is the first 12 hex
-    of the SHA-256 of the file it came from, filled by the registry.
+    Attributes
+    ----------
+    name, title, equation, source
+        Its name in lower-case words joined by hyphens, its name for people (made of `name` if absent), what
+        it adds to the model, and where that comes from.
+    parameters
+        Its numbers, in the order of theta.
+    closing
+        What closing the loop on it means.
+    family
+        What it acts as; studies group their figures by it.
+    aliases
+        Names of the effects it is mistaken for.
+    exact_aliases
+        Those that fit every flight exactly as well. Each is stated by one effect of the two.
+    separated_by
+        By the name of an alias, what to measure where no flight tells the two apart. One effect of the two
+        states it.
+    observed_relative_to
+        Name of an effect: flights show the parameters of this one only over the first parameter of that one.
+    observable
+        What a flight must do to show it, as a sentence.
+    needs_signals
+        By signal, the least departure from rest (1 for `voltage_ratio`, 0 rad/s for `gyro`) in the flight
+        that departs most; less is noise. Without them the effect is left out of the model.
+    adjustment
+        True for an effect that is in every model within its tolerance and never is a candidate.
+    replaced_by
+        What a log may declare unknown that takes the effect out of the model: a nuisance explains the same.
+    freed_by
+        What a log may declare unknown that is this effect: it is then in every model with `free_sigma`, not
+        a candidate, also where something else would replace it.
+    requires_any
+        Names of the effects of which one must be present for this one to change anything.
+    one_of
+        Whether exactly one of the parameters leaves neutral (one rotor of four); each is then a candidate.
+    memory
+        Number of the effect's own states: `memory_start` gives them at rest, `memory_rates` their
+        derivatives.
+    starts
+        Values of all parameters from which a fit may begin, where the effect does not show from neutral.
+    source_id
+        First 12 hex digits of the SHA-256 of the file it came from, filled by the registry.
 
-    Slots: factors on mass, on all rotors' thrust, on each rotor's and on the principal moments of inertia;
-    the air's velocity; gravity added in the frame of the measurements; specific force and torque; the
-    rotors' lag; what a command and a pose are late by.
+    The other attributes are the slots: factors on mass, on all rotors' thrust, on each rotor's and on the
+    principal moments of inertia; the air's velocity; gravity added in the frame of the measurements; specific
+    force and torque; the rotors' lag; what a command and a pose are late by.
     """
 
     name: str
@@ -143,8 +285,16 @@ class Effect:
     parameters: tuple[Parameter, ...]
     closing: Closing
     title: str = ""
+    family: Family = "force"
     aliases: tuple[str, ...] = ()
+    exact_aliases: tuple[ExactAlias, ...] = ()
+    separated_by: Mapping[str, str] = field(default_factory=dict, hash=False)
+    observed_relative_to: str | None = None
     observable: str = ""
+    needs_signals: Mapping[Signal, float] = field(default_factory=dict, hash=False)
+    adjustment: bool = False
+    replaced_by: tuple[str, ...] = ()
+    freed_by: tuple[str, ...] = ()
     requires_any: tuple[str, ...] = ()
     one_of: bool = False
     memory: int = 0
@@ -184,6 +334,51 @@ class Effect:
             raise ValueError(f"effect {self.name}: memory, memory_start and memory_rates go together")
         if (self.closing.law is None) != (self.to_feedforward is None):
             raise ValueError(f"effect {self.name}: closing.law and to_feedforward must be given together")
+        self._check_aliases()
+        self._check_unknowns()
+        if self.family not in get_args(Family):
+            raise ValueError(f"effect {self.name}: family {self.family!r} is none of {get_args(Family)}")
+        for signal, least in self.needs_signals.items():
+            if signal not in get_args(Signal):
+                raise ValueError(
+                    f"effect {self.name}: needs_signals {signal!r} is none of {get_args(Signal)}"
+                )
+            if not 0.0 <= least < math.inf:
+                raise ValueError(
+                    f"effect {self.name}: needs_signals {signal} must be finite and >= 0, got {least}"
+                )
+
+    def _check_aliases(self) -> None:
+        """Raise ValueError where facts about other effects do not agree with the aliases or parameters."""
+        for alias in self.exact_aliases:
+            if alias.effect not in self.aliases:
+                raise ValueError(f"effect {self.name}: exact_aliases {alias.effect} is none of its aliases")
+            if alias.ratio is not None and self.neutral[0] == 0.0:
+                raise ValueError(
+                    f"effect {self.name}: exact_aliases {alias.effect} has a ratio, but {self.keys[0]} is 0 "
+                    "at neutral"
+                )
+        for other in self.separated_by:
+            if other not in self.aliases:
+                raise ValueError(f"effect {self.name}: separated_by {other} is none of its aliases")
+        if self.observed_relative_to == self.name:
+            raise ValueError(f"effect {self.name}: observed_relative_to is the effect itself")
+
+    def _check_unknowns(self) -> None:
+        """Raise ValueError where a word is none that a log may declare unknown."""
+        for name in ("replaced_by", "freed_by"):
+            words = getattr(self, name)
+            if isinstance(words, str):
+                raise ValueError(f"effect {self.name}: {name} must be a tuple of words, got {words!r}")
+            strange = sorted(set(words) - set(UNKNOWN))
+            if strange:
+                raise ValueError(f"effect {self.name}: {name} {strange} is none of {UNKNOWN}")
+        both = sorted(set(self.replaced_by) & set(self.freed_by))
+        if both:
+            raise ValueError(f"effect {self.name}: {both} in replaced_by and in freed_by")
+        stated = [parameter.key for parameter in self.parameters if parameter.has_free_facts]
+        if stated and not self.freed_by:
+            raise ValueError(f"effect {self.name}: {stated} say what is free, but freed_by names no unknown")
 
     @property
     def keys(self) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.unknowns import FRAME_TILT
 
 
 def _gravity(ops, theta):
@@ -26,6 +27,7 @@ def _axis(key: str, direction: str) -> Parameter:
         lower=-0.1,
         upper=0.1,
         description=f"turn of the camera frame about its {direction} axis, against the true vertical",
+        free_sigma=0.02,
     )
 
 
@@ -37,6 +39,7 @@ EFFECT = Effect(
     parameters=(_axis("tilt_x", "north"), _axis("tilt_y", "east")),
     aliases=("wind", "com-offset"),
     observable="a force that stays with the room when the heading turns and does not grow with speed",
+    freed_by=(FRAME_TILT,),
     closing=Closing(
         model="gravity turned in the frame of the poses",
         planner="nothing, except with a star: then the dynamics hold it",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.unknowns import THRUST
 
 _LEAST_HEIGHT_M = 0.25
 _GREATEST = 1.5
@@ -17,6 +18,7 @@ def _factor(ops, theta, ctx):
 EFFECT = Effect(
     name="ground-effect",
     title="Ground effect",
+    family="aerodynamic",
     equation="T_i = T_i,nominal min(1.5, 1 / (1 - k / h^2)), h the height over the floor, at least 0.25 m",
     source="Cheeseman and Bennett 1955 with k = (R/4)^2; for whole quadrotors several times a rotor's k",
     parameters=(
@@ -33,6 +35,7 @@ EFFECT = Effect(
     ),
     aliases=("thrust-gain", "mass", "battery-sag"),
     observable="a flight that goes low, below some 0.8 m, and high; at one height it is a thrust gain",
+    replaced_by=(THRUST,),
     closing=Closing(
         model="every rotor's thrust rises towards the floor",
         planner="without a drag beside it, plans a path that keeps off the floor where its waypoints let it",

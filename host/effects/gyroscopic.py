@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.unknowns import INERTIA, TORQUE
 
 _FLOOR_N = 1e-9  # keeps the derivative of the root finite where a rotor stands
 
@@ -21,6 +22,7 @@ def _torque(ops, theta, ctx):
 EFFECT = Effect(
     name="gyroscopic",
     title="Gyroscopic torque of the rotors",
+    family="torque",
     equation="tau_frd = h J_x sum_i s_i sqrt(T_i / T_hover) (omega x e3), s_i = +1 for ccw from above",
     source="a rotor's angular momentum J_r Omega; J_r 3e-8 (nano quad) to 1e-5 kg m^2 (5-inch propellers)",
     parameters=(
@@ -37,6 +39,7 @@ EFFECT = Effect(
     ),
     aliases=("inertia",),
     observable="turns about roll and pitch while the heading is being turned hard; hardly at all otherwise",
+    replaced_by=(INERTIA, TORQUE),
     closing=Closing(
         model="a torque across the body rate in proportion to the surplus of rotor speed of one spin",
         planner="without a drag beside it, plans a path of less body rate where the rotors' speeds differ",

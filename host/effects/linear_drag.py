@@ -29,6 +29,7 @@ def _axis(key: str, typical: float) -> Parameter:
 EFFECT = Effect(
     name="linear-drag",
     title="Linear rotor drag",
+    family="aerodynamic",
     equation="a_frd = -diag(dx, dy, dz) v_air_frd",
     source="Faessler, Franchi, Scaramuzza 2018 (dx 0.43-0.54, dy 0.24-0.39 1/s)",
     parameters=(_axis("dx", 0.4), _axis("dy", 0.35), _axis("dz", 0.2)),

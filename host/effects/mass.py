@@ -28,10 +28,13 @@ EFFECT = Effect(
             lower=0.4,
             upper=2.5,
             description="mass over the vehicle file's mass",
+            # The vehicle was weighed.
+            measured_below=0.005,
         ),
     ),
     aliases=("thrust-gain", "battery-sag", "ground-effect", "slung-payload"),
     observable="never apart from thrust in flight; weigh the vehicle",
+    adjustment=True,
     closing=Closing(
         model="the mass times a constant",
         planner="without a drag beside it, plans a path of less acceleration, of which a share "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.unknowns import POSE_LATENCY
 
 
 def _latency(ops, theta):
@@ -16,6 +17,7 @@ def _feedforward(theta):
 EFFECT = Effect(
     name="mocap-latency",
     title="Undeclared mocap latency",
+    family="timing",
     equation="pose(t) = true pose(t - latency_s)",
     source="5-15 ms of exposure, computation and network in camera systems",
     parameters=(
@@ -28,10 +30,15 @@ EFFECT = Effect(
             lower=0.0,
             upper=0.08,
             description="age of a pose at the time it is stamped with",
+            discrepancy=0.1,
+            # Two clocks that were brought together after the flight are off either way.
+            free_sigma=0.02,
+            free_lower=-0.08,
         ),
     ),
     aliases=("motor-lag", "actuation-delay", "linear-drag"),
     observable="fast flight: an error along the velocity; without a gyro it is an actuation delay",
+    freed_by=(POSE_LATENCY,),
     closing=Closing(
         model="the pose the estimator corrects with, and the logged pose, are delayed",
         planner="nothing: only a slower plan would lessen the error",

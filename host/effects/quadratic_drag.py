@@ -22,6 +22,7 @@ def _feedforward(theta):
 EFFECT = Effect(
     name="quadratic-drag",
     title="Quadratic body drag",
+    family="aerodynamic",
     equation="a_frd = -c |v_air| v_air_frd",
     source="1/2 rho CdA / m with CdA 5e-3..3.3e-2 m^2 measured on quadrotors (0.004-0.03 1/m at 0.75 kg)",
     parameters=(

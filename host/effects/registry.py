@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib.util
+from collections.abc import Mapping
 from pathlib import Path
 
 from trimtab.host.effects import flat_imports
 from trimtab.host.effects.effect import Effect
 
-_NOT_EFFECTS = {"__init__", "effect", "registry", "feedforward", "flat_imports"}
+_NOT_EFFECTS = {"__init__", "effect", "registry", "feedforward", "flat_imports", "unknowns"}
 
 
 class EffectError(ValueError):
@@ -38,7 +39,24 @@ def load_effects(workspace: Path | str | None = None) -> dict[str, Effect]:
         for other in effect.requires_any:
             if other not in effects:
                 raise EffectError(f"effect {effect.name} requires {other}, which nobody defines")
+        _check_references(effect, effects)
     return effects
+
+
+def _check_references(effect: Effect, effects: Mapping[str, Effect]) -> None:
+    """Raise EffectError where an effect is exactly like, or shows relative to, what is not there for it."""
+    for alias in effect.exact_aliases:
+        other = effects.get(alias.effect)
+        if other is None:
+            raise EffectError(f"effect {effect.name}: exact_aliases {alias.effect}, which nobody defines")
+        if alias.ratio is not None and other.neutral[0] == 0.0:
+            raise EffectError(
+                f"effect {effect.name}: exact_aliases {alias.effect} has a ratio, but {other.keys[0]} of "
+                f"{other.name} is 0 at neutral"
+            )
+    over = effect.observed_relative_to
+    if over is not None and over not in effects:
+        raise EffectError(f"effect {effect.name}: observed_relative_to {over}, which nobody defines")
 
 
 def _stem(name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.unknowns import THRUST, TORQUE
 
 
 def _factors(ops, theta, ctx):
@@ -29,11 +30,13 @@ def _rotor(number: int) -> Parameter:
 EFFECT = Effect(
     name="rotor-loss",
     title="Loss of one rotor",
+    family="torque",
     equation="T_i = (1 - loss_i) T_i,nominal, for one of the rotors",
     source="damaged propellers and worn motors: 0.8-0.95 of one rotor's thrust left",
     parameters=tuple(_rotor(number) for number in (1, 2, 3, 4)),
     aliases=("com-offset", "torque-bias", "thrust-gain"),
     observable="roll, pitch and yaw torque in one fixed ratio; a centre of mass that is off does not yaw",
+    replaced_by=(THRUST, TORQUE),
     closing=Closing(
         model="the thrust of one rotor times a constant",
         planner="without a drag beside it, plans a path of less change of thrust, with which the "

@@ -88,6 +88,8 @@ EFFECT = Effect(
             lower=0.0,
             upper=0.5,
             description="mass of the payload over the vehicle file's mass",
+            # A payload pulls against slow changes of speed as a hundredth of the attitude or thrust does.
+            discrepancy=0.15,
         ),
         Parameter(
             key="length_m",
@@ -99,6 +101,8 @@ EFFECT = Effect(
             upper=2.0,
             description="length of the line",
             strength=False,
+            # The line of a payload too light to name may have any length.
+            discrepancy=1.0,
         ),
         Parameter(
             key="damping",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.effect import Closing, Effect, ExactAlias, Parameter
+from trimtab.host.effects.unknowns import THRUST, THRUST_CURVE
 
 
 def _factor(ops, theta, ctx):
@@ -39,7 +40,15 @@ EFFECT = Effect(
         "slung-payload",
         "translational-lift",
     ),
+    exact_aliases=(
+        ExactAlias(
+            effect="mass",
+            ratio="thrust over mass",
+            remedy="weigh the vehicle to tell mass from thrust",
+        ),
+    ),
     observable="any flight; from mass only by weighing",
+    replaced_by=(THRUST, THRUST_CURVE),
     closing=Closing(
         model="every rotor's thrust times a constant",
         planner="without a drag beside it, plans a path of less acceleration, of which a share "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.unknowns import THRUST
 
 
 def _losses(ops, theta, ctx):
@@ -33,6 +34,7 @@ _FLOOR_N = 1e-9  # keeps the derivative of the root finite where a rotor stands
 EFFECT = Effect(
     name="thrust-inflow",
     title="Thrust against axial speed",
+    family="aerodynamic",
     equation="F_i = -(k m / 4) sqrt(T_i / T_hover) (v_air + omega x r_i)_z along z_frd",
     source="blade element theory: thrust falls by k_z Omega v_z, about 0.44 N/(m/s) in all at 0.75 kg",
     parameters=(
@@ -49,6 +51,7 @@ EFFECT = Effect(
     ),
     aliases=("linear-drag", "motor-lag", "actuation-delay"),
     observable="climbs and descents beyond 1 m/s; from drag along z only where thrust changes meanwhile",
+    replaced_by=(THRUST,),
     closing=Closing(
         model="a force of each rotor against its axial air speed that grows with rotor speed",
         planner="plans a path of less of it: slower climbs and descents",

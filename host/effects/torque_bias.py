@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.unknowns import TORQUE
 
 
 def _torque(ops, theta, ctx):
@@ -25,11 +26,13 @@ def _axis(key: str) -> Parameter:
 EFFECT = Effect(
     name="torque-bias",
     title="Torque bias",
+    family="torque",
     equation="tau_frd = J_nominal (x, y, z)",
     source="bent arms and tilted motor mounts; some 5-10 mN m on a 0.75 kg quadrotor",
     parameters=(_axis("x"), _axis("y"), _axis("z")),
     aliases=("com-offset", "rotor-loss"),
     observable="constant while the thrust varies; in hover it is an offset of the centre of mass",
+    replaced_by=(TORQUE,),
     closing=Closing(
         model="a constant torque",
         planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.unknowns import THRUST
 
 
 def _force(ops, theta, ctx):
@@ -14,6 +15,7 @@ def _force(ops, theta, ctx):
 EFFECT = Effect(
     name="translational-lift",
     title="Translational lift",
+    family="aerodynamic",
     equation="a_frd = (0, 0, -k (v_air,x^2 + v_air,y^2))",
     source="Faessler, Franchi, Scaramuzza 2018 (0.009 1/m); 3.4e-3 N/(m/s)^2 a rotor on a 0.75 kg quadrotor",
     parameters=(
@@ -26,10 +28,13 @@ EFFECT = Effect(
             lower=-0.05,
             upper=0.2,
             description="lift over mass a square of the air speed across the rotors, positive upwards",
+            # What phi reads into flights of a simulated vehicle without noise, turbulence or effect.
+            loop_discrepancy=0.05,
         ),
     ),
     aliases=("thrust-gain", "quadratic-drag", "linear-drag"),
     observable="level flight at several speeds above 2 m/s; at one speed it is a thrust gain",
+    replaced_by=(THRUST,),
     closing=Closing(
         model="a force against the body's down axis that grows with the square of the air speed across it",
         planner="plans a path of less lift: slower where it is fastest",

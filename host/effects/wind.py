@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.unknowns import FRAME_TILT
 
 
 def _wind(ops, theta):
@@ -31,11 +32,14 @@ def _axis(key: str, direction: str) -> Parameter:
 EFFECT = Effect(
     name="wind",
     title="Constant wind",
+    family="aerodynamic",
     equation="v_air_ned = v_ned - (wx, wy, 0)",
     source="0.5-3 m/s outdoors and near air conditioning; acts only through drag",
     parameters=(_axis("wx", "north"), _axis("wy", "east")),
     aliases=("linear-drag", "quadratic-drag", "com-offset", "frame-tilt"),
+    separated_by={"frame-tilt": "fly once more without wind, or level the camera system"},
     observable="flights both ways along each direction; in hover it is a tilt of the frame",
+    replaced_by=(FRAME_TILT,),
     requires_any=("linear-drag", "quadratic-drag"),
     closing=Closing(
         model="the drag terms see the velocity through the air",

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from trimtab.host.effects import Effect, load_effects
@@ -21,10 +21,14 @@ What `trimtab trace` may name. Each candidate is one file in `host/effects`; a w
 - **Neutral** values change nothing. **Typical** is the usual distance from neutral where the effect is there.
 - **Tolerance** is one sigma of what is not worth naming: an effect that is not named still moves within it. A
   vehicle file gives its own under `"effect.parameter"`; simulated worlds draw their small errors from those.
+- **Discrepancy** is one sigma, in typical sizes, of what flights without the effect seem to show of it, as no
+  model is exact: first in segments of flights, then in whole flights.
 - An effect is **mistaken for** others where both explain a flight nearly alike; where the data cannot decide,
-  `trace` lists them with their probabilities. `mass` is never named by itself, as only thrust over mass shows
-  in flight: it stands beside `thrust-gain` unless the vehicle file declares a weighing (`"mass.factor"` below
-  0.005).
+  `trace` lists them with their probabilities. Where no flight can, a measurement may.
+- Of two effects that fit every flight **exactly alike**, `trace` names what flights do show of them, and what
+  tells them apart. An **adjustment** is in every model within its tolerance and never named by itself.
+- What a log declares [unknown](imports.md#what-is-declared-unknown) **replaces** an effect, which leaves the
+  model, or leaves it **free**: it is then fitted to every flight and not named.
 - What **closing the loop** means ends each section: what the model gains, what a new plan does about it, and
   what the law on board does where it can.
 """
@@ -35,8 +39,8 @@ _TABLE_HEAD = """
 The keys are those of the answer of `trace` and of `[effects]` and `[adjustments]` in model files; world files
 use the same for the effects they have.
 
-| effect | key | unit | neutral | typical | tolerance | range | meaning |
-|---|---|---|---|---|---|---|---|
+| effect | key | unit | neutral | typical | tolerance | discrepancy | range | meaning |
+|---|---|---|---|---|---|---|---|---|
 """
 
 _LAW_NONE = "not compensable on board"
@@ -46,14 +50,20 @@ def page(effects: Mapping[str, Effect]) -> str:
     """The page as Markdown: what the words mean, a table of parameters, a section for each effect."""
     rows = [
         f"| `{effect.name}` | `{p.key}` | {p.unit} | {p.neutral:g} | {p.typical:g} | {p.tolerance:g} "
-        f"| {p.lower:g} to {p.upper:g} | {p.description} |"
+        f"| {p.discrepancy:g}, {p.loop_discrepancy:g} | {p.lower:g} to {p.upper:g} | {p.description} |"
         for effect in effects.values()
         for p in effect.parameters
     ]
-    return _HEAD + _TABLE_HEAD + "\n".join(rows) + "\n" + "".join(map(_section, effects.values()))
+    return (
+        _HEAD
+        + _TABLE_HEAD
+        + "\n".join(rows)
+        + "\n"
+        + "".join(_section(effect, effects) for effect in effects.values())
+    )
 
 
-def _section(effect: Effect) -> str:
+def _section(effect: Effect, effects: Mapping[str, Effect]) -> str:
     lines = [
         f"\n## {effect.name}",
         "",
@@ -61,9 +71,8 @@ def _section(effect: Effect) -> str:
         "",
         f"- Source: {effect.source}.",
         f"- Mistaken for: {', '.join(effect.aliases) or 'nothing'}.",
+        *_facts(effect, effects),
     ]
-    if effect.requires_any:
-        lines.append(f"- Shows only beside {' or '.join(effect.requires_any)}.")
     law = effect.closing.law or _LAW_NONE
     lines += [
         f"- In the model: {effect.closing.model}.",
@@ -71,6 +80,50 @@ def _section(effect: Effect) -> str:
         f"- In the law: {law}.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _facts(effect: Effect, effects: Mapping[str, Effect]) -> list[str]:
+    """Lines on what else is stated about the effect, none for what is as usual."""
+    lines = []
+    for alias in effect.exact_aliases:
+        measured = effects[alias.effect].parameters[0]
+        line = f"- Exactly like {alias.effect}"
+        if measured.measured_below is not None:
+            key = f"{alias.effect}.{measured.key}"
+            line += f' unless the vehicle file gives `"{key}"` below {measured.measured_below:g}'
+        if alias.ratio is not None:
+            line += f": only {alias.ratio} shows"
+        lines.append(f"{line}; {alias.remedy}.")
+    for other in effect.aliases:
+        stated = effects[other].separated_by if other in effects else {}
+        if how := effect.separated_by.get(other) or stated.get(effect.name):
+            lines.append(f"- Where no flight tells it from {other}: {how}.")
+    if effect.observed_relative_to:
+        lines.append(f"- Shows only relative to {effect.observed_relative_to}.")
+    if effect.requires_any:
+        lines.append(f"- Shows only beside {' or '.join(effect.requires_any)}.")
+    if effect.observable:
+        lines.append(f"- Observable: {effect.observable}.")
+    lines += [
+        f"- Left out where `{signal}` departs from rest by {least:g} or less in every flight."
+        for signal, least in effect.needs_signals.items()
+    ]
+    if effect.replaced_by:
+        lines.append(f"- Replaced by an unknown {_words(effect.replaced_by)}.")
+    if effect.freed_by:
+        free = ", ".join(
+            f"`{p.key}` with sigma {p.typical if p.free_sigma is None else p.free_sigma:g}, "
+            "{:g} to {:g}".format(*p.free_bounds)
+            for p in effect.parameters
+        )
+        lines.append(f"- Free with an unknown {_words(effect.freed_by)}: {free}.")
+    if effect.adjustment:
+        lines.append("- An adjustment: never named by itself.")
+    return lines
+
+
+def _words(words: Sequence[str]) -> str:
+    return " or ".join(f"`{word}`" for word in words)
 
 
 if __name__ == "__main__":

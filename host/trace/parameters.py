@@ -14,68 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from trimtab.host.effects import Effect
+from trimtab.host.effects import Effect, Parameter
+from trimtab.host.effects.effect import LOOP_DISCREPANCY
+from trimtab.host.effects.unknowns import MOUNTING_TILT, THRUST_CURVE, TORQUE, UNKNOWN
 from trimtab.host.errors import UsageError
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.vehicle import Vehicle
-
-MASS = "mass"
-"""Never a candidate: exactly thrust's alias. It moves within its tolerance, so that a gain's interval holds
-it.
-"""
-
-_THRUST = ("thrust-gain", "battery-sag", "ground-effect", "rotor-loss")
-_TURNING = ("com-offset", "torque-bias", "rotor-loss", "gyroscopic", "inertia")
-_COMMANDS = ("motor-lag", "actuation-delay")
-
-REPLACES: Mapping[str, tuple[str, ...]] = {
-    "thrust": (*_THRUST, *_COMMANDS, "thrust-inflow", "translational-lift"),
-    "thrust-curve": ("thrust-gain",),
-    "motor-lag": _COMMANDS,
-    "mounting-tilt": (),
-    "frame-tilt": ("wind", "frame-tilt"),
-    "inertia": ("inertia", "gyroscopic"),
-    "torque": (*_TURNING, "actuation-delay"),
-    "pose-latency": ("mocap-latency",),
-}
-"""Effects that a declared unknown takes out of the candidates: a nuisance explains the same thing."""
-
-UNKNOWN = tuple(REPLACES)
-"""What an import profile may declare unknown; it is then estimated as nuisance and not counted as an
-effect.
-"""
-
-DISCREPANCY: Mapping[str, float] = {
-    "motor-lag": 0.25,
-    "actuation-delay": 0.4,
-    "mocap-latency": 0.1,
-    "inertia": 0.2,
-    "slung-payload.ratio": 0.15,
-    "slung-payload.length_m": 1.0,
-}
-"""One sigma, in typical sizes, of what segments read into an effect that is not there, 0.05 for the others:
-rotors are no first-order lag, and what the loop does about noise within a step looks like a wrong one. A
-payload pulls against slow changes of speed as a scale error of a hundredth of the attitude or the thrust
-does, and the line of one too light to name may have any length."""
-
-_FREE = {
-    "motor-lag": ("motor-lag", (0.05,)),
-    "frame-tilt": ("frame-tilt", (0.02, 0.02)),
-    "inertia": ("inertia", (0.5, 0.5, 0.5)),
-    "pose-latency": ("mocap-latency", (0.02,)),
-}
-"""Unknowns that are an effect of the library left free: its name, and one sigma of each parameter."""
-
-_EITHER_SIGN = frozenset({"mocap-latency"})
-"""Effects that, left free, take either sign: two clocks that were brought together afterwards."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
     """One scaled parameter: whose it is, how it scales, and one sigma of what is not worth naming.
 
-    `discrepancy`: one sigma, in scales, of what the library's form of things may be off by here. `strength`:
-    whether the effect is there where this one alone is off neutral.
+    `discrepancy`: one sigma, in scales, of what the library's form of things may be off by here in segments;
+    `loop_discrepancy`: the same over the closed loop. `strength`: whether the effect is there where this one
+    alone is off neutral.
     """
 
     owner: str
@@ -87,6 +40,7 @@ class Column:
     lower: float
     upper: float
     discrepancy: float = 0.0
+    loop_discrepancy: float = LOOP_DISCREPANCY
     strength: bool = True
 
     def __post_init__(self) -> None:
@@ -209,50 +163,53 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
     strange = unknown - set(UNKNOWN)
     if strange:
         raise ValueError(f"unknown to tracing: {sorted(strange)}; a log may declare {UNKNOWN}")
-    replaced = {name for item in unknown for name in REPLACES[item]}
-    free = dict(_FREE[item] for item in unknown if item in _FREE)
-    acting = [name for name in effects if name not in replaced or name in free]
+    free = [name for name, effect in effects.items() if unknown & set(effect.freed_by)]
+    acting = [name for name in effects if name in free or not unknown & set(effects[name].replaced_by)]
     columns = [
-        Column(
-            owner=name,
-            key=p.key,
-            unit=p.unit,
-            neutral=p.neutral,
-            scale=p.typical,
-            tolerance=free[name][i] if name in free else tolerance_of(vehicle, name, p.key, p.tolerance),
-            lower=-p.upper if name in free and name in _EITHER_SIGN else p.lower,
-            upper=p.upper,
-            discrepancy=DISCREPANCY.get(f"{name}.{p.key}", DISCREPANCY.get(name, 0.05)),
-            strength=p.strength,
-        )
-        for name in acting
-        for i, p in enumerate(effects[name].parameters)
+        _column(vehicle, name, p, free=name in free) for name in acting for p in effects[name].parameters
     ]
-    if "thrust-curve" in unknown:
+    if THRUST_CURVE in unknown:
         columns += [
             Column(
-                owner="thrust-curve", key=key, unit="1", neutral=0.0, scale=scale, tolerance=0.5,
+                owner=THRUST_CURVE, key=key, unit="1", neutral=0.0, scale=scale, tolerance=0.5,
                 lower=-bound, upper=bound,
             )
             for key, scale, bound in _THRUST_CURVE
         ]  # fmt: skip
-    mounting = 0.1 if "mounting-tilt" in unknown else 0.001
-    torque = 0.02 if "torque" in unknown else 0.3
-    accelerometer = 0.5 if "mounting-tilt" in unknown else 0.05
+    mounting = 0.1 if MOUNTING_TILT in unknown else 0.001
+    torque = 0.02 if TORQUE in unknown else 0.3
+    accelerometer = 0.5 if MOUNTING_TILT in unknown else 0.05
     whole = Space(
         columns=tuple(columns),
         effects=dict(effects),
         candidates=(),
-        unknown=(*free, *(("thrust-curve",) if "thrust-curve" in unknown else ())),
+        unknown=(*free, *({THRUST_CURVE} & unknown)),
         local_sigma=(mounting,) * 3 + (torque,) * 3 + (accelerometer,) * 3,
     )
-    fixed = {MASS, *whole.unknown}
+    fixed = {*whole.unknown, *(name for name, effect in effects.items() if effect.adjustment)}
     candidates = tuple(name for name in whole.groups if name.partition(".")[0] not in fixed)
     return replace(whole, candidates=candidates)
 
 
-def tolerance_of(vehicle: Vehicle, owner: str, key: str, default: float) -> float:
-    """One sigma of "effect.parameter": the vehicle file's where it gives one, else the candidate's
-    default.
+def _column(vehicle: Vehicle, owner: str, parameter: Parameter, *, free: bool) -> Column:
+    """The column of an effect's parameter, with the vehicle file's tolerance where it gives one; `free` where
+    a log leaves the effect free.
     """
-    return float(vehicle.tolerance(owner, key, default))
+    tolerance = float(vehicle.tolerance(owner, parameter.key, parameter.tolerance))
+    lower, upper = parameter.lower, parameter.upper
+    if free:
+        tolerance = parameter.typical if parameter.free_sigma is None else parameter.free_sigma
+        lower, upper = parameter.free_bounds
+    return Column(
+        owner=owner,
+        key=parameter.key,
+        unit=parameter.unit,
+        neutral=parameter.neutral,
+        scale=parameter.typical,
+        tolerance=tolerance,
+        lower=lower,
+        upper=upper,
+        discrepancy=parameter.discrepancy,
+        loop_discrepancy=parameter.loop_discrepancy,
+        strength=parameter.strength,
+    )

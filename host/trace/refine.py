@@ -29,11 +29,6 @@ from trimtab.host.trace.whitening import (
     whitened,
 )
 
-LOOP_DISCREPANCY = {"motor-lag": 0.05, "translational-lift": 0.05}
-"""One sigma, in typical sizes, of what phi itself may be off by, 0.01 for the others: what it reads into
-flights of a simulated vehicle without noise, turbulence or effect.
-"""
-
 LOOP_SETTLED = 0.3
 """Greatest step, in standard deviations, that is taken without looking at the roll-outs again."""
 
@@ -116,14 +111,14 @@ def _position_rms(loop: Loop, residuals: Sequence[np.ndarray]) -> float:
 
 
 def prior_of(space: Space) -> Prior:
-    """The prior over the closed loop: a parameter left out moves within tolerance and LOOP_DISCREPANCY."""
+    """The prior over the closed loop: what is left out moves within tolerance and loop discrepancy."""
     tolerance = np.array([column.tolerance / column.scale for column in space.columns])
     return replace(space.prior, spike=np.hypot(tolerance, loop_discrepancy(space)))
 
 
 def loop_discrepancy(space: Space) -> np.ndarray:
-    """LOOP_DISCREPANCY (P,) of every column."""
-    return np.array([LOOP_DISCREPANCY.get(column.owner, 0.01) for column in space.columns])
+    """One sigma (P,), in scales, of what phi itself may be off by in every column."""
+    return np.array([column.loop_discrepancy for column in space.columns])
 
 
 def _line_search(

@@ -14,6 +14,7 @@ from trimtab.host.trace.audit import Audit
 from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Finding, Verdict
 from trimtab.host.trace.describe import Description
 from trimtab.host.trace.diagnose import Diagnosis
+from trimtab.host.trace.exact import ObservedAlias
 from trimtab.host.trace.parameters import Space
 from trimtab.host.trace.score import Errors
 from trimtab.host.trace.separate import NextFlight
@@ -39,14 +40,13 @@ class Named:
     parameters: Mapping[str, Value]
     probability: float
     aliases: Mapping[str, float]
-    exact_alias: Finding | None
-    """The observable ratio, where another effect fits exactly as well; its subject is both effects."""
+    exact_aliases: Mapping[str, ObservedAlias]
+    """By the name of an effect that fits exactly as well, what flights show of the two."""
 
     @property
-    def told_aliases(self) -> dict[str, float]:
-        """Return the aliases without the exact one, which has a sentence of its own."""
-        exact = () if self.exact_alias is None else self.exact_alias.subject[1:]
-        return {name: p for name, p in self.aliases.items() if name not in exact}
+    def inexact_aliases(self) -> dict[str, float]:
+        """Return the probability of the aliases that flights can tell apart from it."""
+        return {name: p for name, p in self.aliases.items() if name not in self.exact_aliases}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +104,7 @@ class Trace:
     @property
     def all_findings(self) -> tuple[Finding, ...]:
         """Return the findings about the flights as a whole, the exact aliases, then those about each log."""
-        exact = [effect.exact_alias for effect in self.effects if effect.exact_alias is not None]
+        exact = [each.finding for effect in self.effects for each in effect.exact_aliases.values()]
         return (*self.findings, *exact, *(finding for audit in self.audits for finding in audit.findings))
 
     def lines(self) -> list[str]:

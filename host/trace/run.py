@@ -14,20 +14,20 @@ from trimtab.host.effects import Effect
 from trimtab.host.log import Flight
 from trimtab.host.models.model import Covariance, Model
 from trimtab.host.models.region import Region
-from trimtab.host.models.states import battery_of
 from trimtab.host.trace import evidence
 from trimtab.host.trace.audit import with_missing_twins
 from trimtab.host.trace.data import SEGMENT_S, segments_of
 from trimtab.host.trace.decision.decide import Evidence, decide, is_null_probable, tracking_shortfall
-from trimtab.host.trace.decision.findings import Code, Finding, LogsRefused
+from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.describe import describe
 from trimtab.host.trace.diagnose import Diagnosis, Fit, SegmentFitter, at_parameters, refit, stands_out
+from trimtab.host.trace.exact import exact_aliases
 from trimtab.host.trace.form import Form
 from trimtab.host.trace.intervals import by_segments, honest_covariance
 from trimtab.host.trace.loop import closed_loop, order_of, tracking_extent
 from trimtab.host.trace.manoeuvres import Manoeuvre
-from trimtab.host.trace.parameters import MASS, Space, space, tolerance_of
+from trimtab.host.trace.parameters import Space, space
 from trimtab.host.trace.refine import ClosedFit, LoopFitter, fit_loop, prior_of
 from trimtab.host.trace.repeats import in_turbulence, repeat
 from trimtab.host.trace.result import Named, Trace, Value
@@ -44,19 +44,10 @@ from trimtab.host.trace.score import (
 from trimtab.host.trace.search import Found, Names, likeliest, search, sizes, smallest
 from trimtab.host.trace.segments import Segments, nominal_thrust
 from trimtab.host.trace.separate import NextFlight, propose
-from trimtab.host.trace.signals import signals, unknowns
+from trimtab.host.trace.signals import has_signals, signals, unknowns
 from trimtab.host.trace.twins import unexplained_residual
 from trimtab.host.trace.unexplained import unexplained
 from trimtab.host.vehicle import Vehicle
-
-WEIGHED = 0.005
-"""A declared mass tolerance below this share means the vehicle was weighed: mass is then no alias of
-thrust.
-"""
-
-SAG_SEEN = 0.01
-"""Share of the full voltage by which a battery must have left it: less is the voltmeter's noise."""
-
 
 Report = Callable[[str], None]
 Manoeuvres = Callable[[], Sequence[Manoeuvre]]
@@ -132,7 +123,7 @@ def run(
     twins = twins_of(flights)
     decision = decide(_evidence(form, diagnosis, twins, unknown, tracking_s, extent_m))
     added, nothing = decision.effects_added, diagnosis.nothing
-    named = _named(airframe, chosen, diagnosis, decision.aliases) if added else ()
+    named = _named(chosen, diagnosis, decision.aliases) if added else ()
     z = diagnosis.best.z if added else _reading(chosen, nothing)
     model = _model(chosen, diagnosis, z, flights, named, added, provenance)
 
@@ -291,9 +282,8 @@ def _without_faults(
 
 
 def _observable(effects: Mapping[str, Effect], flights: Sequence[Flight]) -> dict[str, Effect]:
-    """The effects that these flights could show: no sag where every battery stayed full."""
-    sagged = any(np.abs(battery_of(flight)[1] - 1.0).max() > SAG_SEEN for flight in flights)
-    return {name: effect for name, effect in effects.items() if sagged or name != "battery-sag"}
+    """The effects that these flights could show by their signals: no sag where every battery stayed full."""
+    return {name: effect for name, effect in effects.items() if has_signals(effect, flights)}
 
 
 def _remainder(form: Form, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
@@ -329,7 +319,7 @@ def _reading(chosen: Space, nothing: Fit) -> np.ndarray:
 
 
 def _named(
-    vehicle: Vehicle, chosen: Space, diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]
+    chosen: Space, diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]
 ) -> tuple[Named, ...]:
     values, sd = chosen.values(diagnosis.best.z), np.sqrt(np.diag(diagnosis.best.covariance)) * chosen.scale
     out = []
@@ -343,13 +333,9 @@ def _named(
         for other, probability in aliases[name].items():
             title = chosen.effect(other).name
             others[title] = others.get(title, 0.0) + probability
-        exact = None
-        if name == "thrust-gain" and tolerance_of(vehicle, MASS, "factor", 0.01) >= WEIGHED:
-            others[MASS] = diagnosis.inclusion[name]
-            ratio, ratio_sd = _thrust_over_mass(chosen, diagnosis)
-            exact = Finding(
-                code=Code.EXACT_ALIAS, value=ratio, subject=(effect.name, MASS), details={"sd": ratio_sd}
-            )
+        exact = exact_aliases(chosen, diagnosis.best.z, diagnosis.best.covariance, effect.name)
+        for other in exact:
+            others.setdefault(other, diagnosis.inclusion[name])
         out.append(
             Named(
                 name=effect.name,
@@ -357,19 +343,10 @@ def _named(
                 parameters=parameters,
                 probability=diagnosis.inclusion[name],
                 aliases=others,
-                exact_alias=exact,
+                exact_aliases=exact,
             )
         )
     return tuple(out)
-
-
-def _thrust_over_mass(chosen: Space, diagnosis: Diagnosis) -> tuple[float, float]:
-    """The ratio of thrust gain to mass factor and its standard deviation, to first order."""
-    pair = [chosen.groups["thrust-gain"][0], chosen.groups[MASS][0]]
-    gain, mass = chosen.values(diagnosis.best.z)[pair]
-    covariance = (diagnosis.best.covariance * np.outer(chosen.scale, chosen.scale))[np.ix_(pair, pair)]
-    slope = np.array([1.0 / mass, -gain / mass**2])
-    return float(gain / mass), float(np.sqrt(slope @ covariance @ slope))
 
 
 def _model(

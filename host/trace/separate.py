@@ -37,21 +37,14 @@ _ROLLED = 12
 _TURNS = 2
 """Roll-outs after which a disturbance keeps a manoeuvre on its path."""
 
-_MEASUREMENTS = {
-    frozenset({"wind", "frame-tilt"}): "fly once more without wind, or level the camera system",
-    frozenset({"actuation-delay", "mocap-latency"}): "log the gyro, or measure the cameras' delay",
-    frozenset({"com-offset", "torque-bias"}): "balance the vehicle on an edge",
-    frozenset({"battery-sag", "thrust-gain"}): "fly once more with a full battery and log its voltage",
-}
-"""What decides between two effects where no flight does."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class NextFlight:
     """The flight that tells two effects apart best.
 
     total_time_s: of the reference, where the route's own time is too short for the vehicle. so_far_sigma: by
-    what was flown; expected_sigma: by that and this flight, at most SIGMA_MAX.
+    what was flown; expected_sigma: by that and this flight, at most SIGMA_MAX. known_measurement: what would
+    decide between the two without a flight.
     """
 
     route: str
@@ -59,6 +52,7 @@ class NextFlight:
     separates: tuple[str, str]
     so_far_sigma: float
     expected_sigma: float
+    known_measurement: str | None = None
 
     @property
     def decides(self) -> bool:
@@ -68,7 +62,7 @@ class NextFlight:
     @property
     def measurement(self) -> str | None:
         """What decides instead, where the flight does not and something is known."""
-        return None if self.decides else _MEASUREMENTS.get(frozenset(self.separates))
+        return None if self.decides else self.known_measurement
 
     def to_json(self) -> dict[str, Any]:
         """The object `next_flight` of `trimtab trace`."""
@@ -187,7 +181,14 @@ def propose(form: Form, fit: Fit, effect: str, alias: str, known: Sequence[Manoe
         separates=(effect, alias),
         so_far_sigma=before,
         expected_sigma=min(most, SIGMA_MAX),
+        known_measurement=_measurement(space, effect, alias),
     )
+
+
+def _measurement(space: Space, effect: str, alias: str) -> str | None:
+    """What to measure where no flight tells the two apart, as either of them states it."""
+    one, other = space.effect(effect), space.effect(alias)
+    return one.separated_by.get(other.name) or other.separated_by.get(one.name)
 
 
 def information(form: Form, flat: np.ndarray, z: np.ndarray, instruments: Instruments) -> np.ndarray | None:

@@ -10,6 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from trimtab.firmware_model.law.allocation import allocation_matrix, invert4
 from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.effects import Effect
+from trimtab.host.effects.effect import Signal
+from trimtab.host.effects.unknowns import INERTIA, MOTOR_LAG, THRUST, TORQUE
 from trimtab.host.log import Flight
 from trimtab.host.models.states import battery_of
 from trimtab.host.trace import words
@@ -22,10 +25,10 @@ SIGMA_FLOOR = (1e-3, 3e-3, 5e-3, 0.02)
 quieter than they are.
 """
 
-WITHOUT_INPUTS = frozenset({"thrust", "motor-lag", "inertia", "torque"})
+WITHOUT_INPUTS = frozenset({THRUST, MOTOR_LAG, INERTIA, TORQUE})
 """What a log of poses alone leaves unknown."""
 
-TOO_SLOW = frozenset({"motor-lag", "inertia", "torque"})
+TOO_SLOW = frozenset({MOTOR_LAG, INERTIA, TORQUE})
 """What commands leave unknown that are sampled more seldom than the motors follow them."""
 
 
@@ -84,7 +87,7 @@ def signals(flight: Flight) -> Signals:
         hover_n = vehicle.mass_kg * GRAVITY / 4.0
         input_s, command, in_newton = pose_s[[0, -1]][None, :], np.full((1, 4), hover_n), True
         imu_s, gyro, force = _recorded_imu(flight)
-    if "torque" in unknowns([flight]) and not len(gyro):
+    if TORQUE in unknowns([flight]) and not len(gyro):
         imu_s, gyro = _turned(pose_s, R)
     voltage_s, voltage_ratio = battery_of(flight)
     if flight.tracking is None:
@@ -210,3 +213,21 @@ def without_inputs(flight: Flight) -> bool:
     """Whether nothing that was recorded says what the rotors did."""
     recorded = flight.recorded_inputs
     return flight.control is None and (recorded is None or recorded.level == "reference")
+
+
+def departure(flight: Flight, signal: Signal) -> float:
+    """By how much a signal of the flight departs from rest at most: 1 for the battery's voltage over the full
+    one, 0 rad/s for the gyro, also where there is none.
+    """
+    if signal == "voltage_ratio":
+        return float(np.abs(battery_of(flight)[1] - 1.0).max())
+    gyro = _recorded_imu(flight)[1] if flight.control is None else flight.control.gyro_mean
+    return float(np.abs(gyro).max(initial=0.0))
+
+
+def has_signals(effect: Effect, flights: Sequence[Flight]) -> bool:
+    """Whether every signal that the effect needs departs far enough from rest in one of the flights."""
+    return all(
+        any(departure(flight, signal) > least for flight in flights)
+        for signal, least in effect.needs_signals.items()
+    )

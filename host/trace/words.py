@@ -17,6 +17,7 @@ from trimtab.host.trace.decision.rules import RULES
 if TYPE_CHECKING:
     from trimtab.host.trace.audit import Audit, Stretch
     from trimtab.host.trace.describe import Dependence, Description
+    from trimtab.host.trace.exact import ObservedAlias
     from trimtab.host.trace.fields import ClosedForm
     from trimtab.host.trace.result import Named, Trace
     from trimtab.host.trace.separate import NextFlight
@@ -97,10 +98,7 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     ),
     Code.SEGMENTS_DISAGREE: lambda f: f"{', '.join(f.subject)}: whole flights say yes, segments no; fly more",
     Code.ALIAS: lambda f: f"{f.subject[0]} may be {f.subject[1]} ({f.value:.2f})",
-    Code.EXACT_ALIAS: lambda f: (
-        f"only thrust over mass shows: {f.value:.4f} +- {2 * f.details['sd']:.4f} times the nominal ratio; "
-        "weigh the vehicle to tell mass from thrust"
-    ),
+    Code.EXACT_ALIAS: lambda f: f"no flight tells {f.subject[0]} from {f.subject[1]}",
     Code.POSSIBLE: lambda f: f"{f.subject[0]} is not excluded ({f.value:.2f})",
     Code.SOMETHING_MISSING: lambda f: (
         f"something is missing with probability {f.value:.2f}, and these flights do not say what"
@@ -138,6 +136,16 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     Code.SEGMENTS_LEFT_OUT: lambda f: f"{f.value:.0f} segments with {_STRETCHES[Code(f.subject[0])]}",
     Code.SEGMENTS_WITH_GAPS: lambda f: f"{f.value:.0f} segments with gaps in poses or commands",
 }
+
+
+def exact_alias(observed: ObservedAlias) -> str:
+    """Return what flights show of two effects that fit exactly alike, and what tells them apart."""
+    finding, alias = observed.finding, observed.alias
+    shows = sentence(finding)
+    if alias.ratio is not None:
+        sd = finding.details["sd"]
+        shows = f"only {alias.ratio} shows: {finding.value:.4f} +- {2 * sd:.4f} times the nominal ratio"
+    return f"{shows}; {alias.remedy}"
 
 
 def reason(stretch: Stretch) -> str:
@@ -336,11 +344,9 @@ def _effect_lines(effect: Named) -> list[str]:
         f"{key} {v.value:.4g} +- {2 * v.sd:.2g}{'' if v.unit == '1' else ' ' + v.unit}"
         for key, v in effect.parameters.items()
     )
-    others = "".join(f"; or {name} ({p:.2f})" for name, p in effect.told_aliases.items())
+    others = "".join(f"; or {name} ({p:.2f})" for name, p in effect.inexact_aliases.items())
     lines = [f"  {effect.name}: {values} (probability {effect.probability:.3f}{others})"]
-    if effect.exact_alias is not None:
-        lines.append(f"    {sentence(effect.exact_alias)}")
-    return lines
+    return lines + [f"    {exact_alias(each)}" for each in effect.exact_aliases.values()]
 
 
 def _errors_line(result: Trace) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.demo.flights import Airfield
 from trimtab.host.effects import Effect, load_effects
+from trimtab.host.effects.linear_drag import EFFECT as LINEAR_DRAG
 from trimtab.host.errors import Refused, SolverError
 from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, learn
 from trimtab.host.log import Flight, read_flight
@@ -32,7 +33,6 @@ from trimtab.host.plan.table import from_reference
 from trimtab.host.vehicle import Vehicle
 
 WORLD = "paper-drag"
-DRAG_FORM = "linear-drag"
 DRAG = (0.5, 0.5, 0.1)
 """1/s along FRD, our choice: the paper gives the form of its simulated drag and no coefficients."""
 KINDS = ("min-snap", "min-control", "min-control*", "min-control-r", "min-residual", "min-residual*")
@@ -48,7 +48,7 @@ _PACES = (1.0, 0.75)
 def planned(vehicle: Vehicle, seed: int, index: int) -> dict[str, Any]:
     """One course planned in every kind with the paper's nodes and its weight of control effort."""
     course = draw_course(vehicle, seed, index, "planned")
-    known = ResidualModel(parts=((load_effects()[DRAG_FORM], DRAG),))
+    known = ResidualModel(parts=((load_effects()[LINEAR_DRAG.name], DRAG),))
     hover_n = vehicle.mass_kg * GRAVITY / 4.0
     paper = Settings(weights=Weights(control=0.1 * hover_n**2), relative_weights=False)
     return {
@@ -123,7 +123,7 @@ def flown(
 
 def residual_models(flights: Sequence[Flight], effects: Mapping[str, Effect]) -> dict[str, ResidualModel]:
     """The residual acceleration as a closed form, and as networks; the torque is a closed form in all."""
-    torque = tuple(name for name in DEFAULT_FORMS if name != DRAG_FORM)
+    torque = tuple(name for name in DEFAULT_FORMS if name != LINEAR_DRAG.name)
     asked: dict[str, tuple[Layout | None, tuple[str, ...]]] = {CLOSED_FORM: (None, DEFAULT_FORMS)}
     for what, frame in NETWORKS.items():
         asked[what] = (Layout(hidden=(32, 32), frame=frame), torque)

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trimtab.host.effects import load_effects
+from trimtab.host.effects import Effect, load_effects
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.trace import segments
 from trimtab.host.trace.data import DT_S, segments_of
@@ -61,25 +61,26 @@ def judge_others(folder: Path, programme: Programme) -> dict[str, Any]:
         raise StudyError(f"world {folder.name}: other methods are judged once there is a score")
     truth = read_json(folder / TRUTH)
     kinds, vehicle = truth["kinds"], load_vehicle(truth["vehicle"])
-    chosen = space(vehicle, load_effects())
+    effects = load_effects()
+    chosen = space(vehicle, effects)
     used = programme.logs(programme.learning)
     series = _series(vehicle, chosen, [read_flight(folder / "flights" / log) for log in used])
     found = {"weak SINDy": weak_sindy(chosen, series), "stepwise BIC": stepwise_bic(chosen, series)}
-    judged = {method: _judged(names, kinds) for method, names in found.items()}
+    judged = {method: _judged(names, kinds, effects) for method, names in found.items()}
     error = _network(folder / "flights", used, programme.logs(programme.held_out))
     judged["network alone"] = {"names": None, "first_right": None, "exact": None, "after_m": error}
     write_json(folder / BASELINES, judged)
     return judged
 
 
-def _judged(names: list[str], kinds: Sequence[str]) -> dict[str, Any]:
+def _judged(names: list[str], kinds: Sequence[str], effects: Mapping[str, Effect]) -> dict[str, Any]:
     """Names, the strongest first, against the truth."""
     names = list(dict.fromkeys(name.partition(".")[0] for name in names))
-    truth = collapsed(kinds, kinds)
+    truth = collapsed(kinds, kinds, effects)
     return {
         "names": names,
-        "first_right": bool(names) and collapsed(names[:1], kinds) <= truth,
-        "exact": bool(names) and collapsed(names, kinds) == truth,
+        "first_right": bool(names) and collapsed(names[:1], kinds, effects) <= truth,
+        "exact": bool(names) and collapsed(names, kinds, effects) == truth,
         "after_m": None,
     }
 

@@ -26,6 +26,7 @@ from trimtab.host.trace.repeats import turbulence
 from trimtab.host.trace.score import predict_flights, rmse, twins_of
 from trimtab.host.trace.separate import separation
 from trimtab.host.vehicle import Vehicle
+from trimtab.sitl.studies.scoring.names import ratios
 
 Values = dict[str, dict[str, float]]
 
@@ -119,16 +120,17 @@ def _values(space: Space, z: np.ndarray) -> Values:
     }
 
 
-def nearest(known: Effective, same: frozenset[str]) -> dict[str, dict[str, float]]:
+def nearest(known: Effective) -> dict[str, dict[str, float]]:
     """Sigma of each effect, by name, against each other candidate: which one is as large as it likes.
 
-    An effect of the set `same`, of which only ratios show, is no alias of another one.
+    Of effects of which only ratios show, none is an alias of another one.
     """
     space, prior = known.space, prior_of(known.space)
+    same = [ratio.effects for ratio in ratios(space.effects)]
     names = tuple(sorted(known.candidates.values()))
     out = {}
     for name, candidate in known.candidates.items():
-        others = [o for o in space.candidates if o not in names and not {name, o} <= same]
+        others = [o for o in space.candidates if o not in names and not any({name, o} <= s for s in same)]
         out[name] = {
             o: separation(space, known.gram, names, known.z, candidate, o, prior=prior) for o in others
         }

@@ -1,55 +1,76 @@
-"""How names are compared: what counts as the same effect, which family it is of, which was named first."""
+"""How names are compared: what counts as the same effect, and which was named first."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from trimtab.sitl.studies.worlds import SAME_RATIO
-
-RATIO = "thrust-over-mass"
-"""What a flight shows of mass and thrust gain."""
-
-_WEIGHT = frozenset({"mass", "thrust-gain"})
-
-FAMILIES = {
-    "linear-drag": "aerodynamic",
-    "quadratic-drag": "aerodynamic",
-    "wind": "aerodynamic",
-    "translational-lift": "aerodynamic",
-    "thrust-inflow": "aerodynamic",
-    "ground-effect": "aerodynamic",
-    "motor-lag": "timing",
-    "actuation-delay": "timing",
-    "mocap-latency": "timing",
-    "com-offset": "torque",
-    "rotor-loss": "torque",
-    "inertia": "torque",
-    "gyroscopic": "torque",
-    "torque-bias": "torque",
-}
-"""Family of each effect for coverage; one that is not listed acts as a force."""
+from trimtab.host.effects import Effect
 
 
-def family(name: str) -> str:
-    """The family of an effect: aerodynamic, timing, torque or force."""
-    return FAMILIES.get(name, "force")
+@dataclass(frozen=True, kw_only=True)
+class Ratio:
+    """Effects of which flights show ratios only.
+
+    Attributes
+    ----------
+    name
+        What flights do show of the two that fit exactly alike.
+    over, under
+        Those two: the ratio is of the first one's first parameter to the second one's.
+    relative
+        Effects that flights show relative to one of the two.
+    """
+
+    name: str
+    over: Effect
+    under: Effect
+    relative: frozenset[str]
+
+    @property
+    def alike(self) -> frozenset[str]:
+        """Names of the two that fit exactly alike."""
+        return frozenset({self.over.name, self.under.name})
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """Names of all of them: no flight tells any two apart."""
+        return self.alike | self.relative
 
 
-def collapsed(names: Iterable[str], truth: Iterable[str]) -> frozenset[str]:
+def ratios(effects: Mapping[str, Effect]) -> list[Ratio]:
+    """The ratios that flights show in place of what the effects themselves are."""
+    return [
+        Ratio(
+            name=alias.ratio.replace(" ", "-"),
+            over=effect,
+            under=effects[alias.effect],
+            relative=frozenset(
+                other.name
+                for other in effects.values()
+                if other.observed_relative_to in (effect.name, alias.effect)
+            ),
+        )
+        for effect in effects.values()
+        for alias in effect.exact_aliases
+        if alias.ratio is not None
+    ]
+
+
+def collapsed(names: Iterable[str], truth: Iterable[str], effects: Mapping[str, Effect]) -> frozenset[str]:
     """`names` with everything that fits exactly alike under one name.
 
     Mass and thrust gain are told apart by no flight. Thrust, mass and inertia together show two ratios only:
     where mass or thrust gain is true, an inertia beside its alias says the same thing again.
     """
-    found = set(names)
-    if not found & _WEIGHT:
-        return frozenset(found)
-    found -= _WEIGHT
-    if set(truth) & _WEIGHT:
-        found -= SAME_RATIO
-    return frozenset({RATIO, *found})
+    found, true = set(names), set(truth)
+    for ratio in ratios(effects):
+        if found & ratio.alike:
+            found -= ratio.effects if true & ratio.alike else ratio.alike
+            found.add(ratio.name)
+    return frozenset(found)
 
 
 def ordered(effects: Iterable[Mapping[str, Any]]) -> list[str]:

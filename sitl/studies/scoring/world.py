@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,8 @@ from trimtab.sitl.studies.scoring.effective import (
     nearest,
     off_by,
 )
-from trimtab.sitl.studies.scoring.names import RATIO, collapsed, family, ordered
+from trimtab.sitl.studies.scoring.names import Ratio, collapsed, ordered, ratios
 from trimtab.sitl.studies.thin import CASES
-from trimtab.sitl.studies.worlds import SAME_RATIO
 
 INSIDE = ("single", "pair", "none")
 """Classes of worlds in which the host has a form of everything, and enough data to hold numbers against."""
@@ -71,7 +70,7 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
         "case": truth["case"],
         "drawn": truth["effects"],
         "true": {} if known is None else known.true(),
-        **judge(truth["kinds"], verdict, None if known is None else nearest(known, SAME_RATIO), effects),
+        **judge(truth["kinds"], verdict, None if known is None else nearest(known), effects),
         "parameters": parameter_rows(truth, verdict["answer"], known),
         "floor_m": floor,
         "told": None if truth["case"] is None else is_told(truth["case"], verdict),
@@ -99,6 +98,10 @@ def judge(
     nothing of the library. An undecided verdict on an identifiable world misses. What a verdict that names
     nothing holds possible is its alias set.
     """
+
+    def alike(names: Iterable[str]) -> frozenset[str]:
+        return collapsed(names, kinds, effects)
+
     answer = verdict["answer"]
     said = answer.get("verdict", "failed")
     named = [
@@ -106,26 +109,23 @@ def judge(
         for e in answer.get("effects", ())
     ]
     first = ordered(named)
-    names = collapsed(first, kinds)
-    truth = collapsed(kinds, kinds)
+    names = alike(first)
+    truth = alike(kinds)
     possible = set[str]() if named else {p["name"] for p in answer.get("possible", ())}
     aliases = {a["name"] for e in named for a in e["aliases"]} | possible
     identifiable = None if separations is None else is_identifiable(separations)
-    right = set(first[:1]) <= set(kinds) or collapsed(first[:1], kinds) <= truth
+    right = set(first[:1]) <= set(kinds) or alike(first[:1]) <= truth
     decided = said == "traced" or (said == "undecided" and not identifiable)
-    sizes = [
-        1 + len(collapsed((a["name"] for a in e["aliases"]), kinds) - collapsed([e["name"]], kinds))
-        for e in named
-    ]
+    sizes = [1 + len(alike(a["name"] for a in e["aliases"]) - alike([e["name"]])) for e in named]
     if possible:
-        sizes = [len(collapsed(possible, kinds))]
+        sizes = [len(alike(possible))]
     before, after = answer.get("before") or {}, answer.get("after") or {}
     return {
         "exit_code": verdict["exit_code"],
         "errors": verdict["errors"][-500:] if verdict["exit_code"] else "",
         "verdict": said,
         "named": first,
-        "first": (sorted(collapsed(first[:1], kinds)) or [None])[0],
+        "first": (sorted(alike(first[:1])) or [None])[0],
         "aliases": sorted(aliases),
         "reasons": answer.get("reasons", []),
         "identifiable": identifiable,
@@ -133,7 +133,7 @@ def judge(
         "wrong": said == "traced" and not names <= truth,
         "top1": bool(first) and right and decided,
         "exact": bool(first) and names == truth and decided,
-        "in_alias": bool(kinds) and truth <= collapsed({*first, *aliases}, kinds),
+        "in_alias": bool(kinds) and truth <= alike({*first, *aliases}),
         "alias_sizes": sizes,
         "before_m": before.get("position_rmse_m"),
         "after_m": after.get("position_rmse_m"),
@@ -146,20 +146,23 @@ def parameter_rows(
 ) -> list[dict[str, Any]]:
     """A row for each parameter of each true effect that was named: truth, estimate, sd, bound, typical size.
 
-    Of mass and thrust gain the row is their observable ratio. A parameter that was drawn off neutral and is
-    not among the named one's keys (another rotor) has no estimate.
+    Of two effects that fit exactly alike (mass and thrust gain) the row is their observable ratio. A
+    parameter that was drawn off neutral and is not among the named one's keys (another rotor) has no
+    estimate.
     """
     found = {e["name"]: e["parameters"] for e in answer.get("effects", ())}
     if known is None:
         return []
-    rows = []
+    rows, effects = [], known.space.effects
+    of_ratio = {name: ratio for ratio in ratios(effects) for name in ratio.alike}
     for name, values in known.true().items():
-        if name in ("mass", "thrust-gain"):
-            rows += _ratio_row(name, found, known)
+        if name in of_ratio:
+            rows += _ratio_row(name, of_ratio[name], found, known)
             continue
         if name not in found:
             continue
-        gain = known.values["thrust-gain"]["gain"] if name == "inertia" else 1.0
+        over = effects[name].observed_relative_to
+        relative_to = 1.0 if over is None else known.values[over][effects[over].keys[0]]
         for i in known.space.owners[name]:
             column = known.space.columns[i]
             if truth["effects"][name].get(column.key, column.neutral) == column.neutral:
@@ -169,9 +172,9 @@ def parameter_rows(
                 {
                     "effect": name,
                     "key": column.key,
-                    "family": family(name),
+                    "family": effects[name].family,
                     "turned": KINDS[name].spread == "turned",
-                    "true": values[column.key] / gain,
+                    "true": values[column.key] / relative_to,
                     "estimate": None if estimate is None else estimate["value"],
                     "sd": None if estimate is None else estimate["sd"],
                     "bound_sd": known.bound_sd(name, column.key),
@@ -182,26 +185,29 @@ def parameter_rows(
     return rows
 
 
-def _ratio_row(name: str, found: Mapping[str, Any], known: Effective) -> list[dict[str, Any]]:
-    """The row of thrust over mass where either was named, to first order in the standard deviations."""
-    if not {"mass", "thrust-gain"} & set(found):
+def _ratio_row(name: str, ratio: Ratio, found: Mapping[str, Any], known: Effective) -> list[dict[str, Any]]:
+    """The row of a ratio where either effect was named, to first order in the standard deviations."""
+    if not ratio.alike & set(found):
         return []
-    gain = found.get("thrust-gain", {}).get("gain", {"value": 1.0, "sd": 0.0})
-    factor = found.get("mass", {}).get("factor", {"value": 1.0, "sd": 0.0})
-    ratio = gain["value"] / factor["value"]
-    share = ((gain["sd"] / gain["value"]) ** 2 + (factor["sd"] / factor["value"]) ** 2) ** 0.5
+    over, under = (
+        found.get(e.name, {}).get(e.keys[0], {"value": e.neutral[0], "sd": 0.0})
+        for e in (ratio.over, ratio.under)
+    )
+    true_over, true_under = (known.values[e.name][e.keys[0]] for e in (ratio.over, ratio.under))
+    estimate = over["value"] / under["value"]
+    share = ((over["sd"] / over["value"]) ** 2 + (under["sd"] / under["value"]) ** 2) ** 0.5
     (key,) = known.true()[name]
     return [
         {
             "effect": name,
-            "key": RATIO,
-            "family": family(name),
+            "key": ratio.name,
+            "family": known.space.effects[name].family,
             "turned": False,
-            "true": known.values["thrust-gain"]["gain"] / known.values["mass"]["factor"],
-            "estimate": ratio,
-            "sd": ratio * share,
+            "true": true_over / true_under,
+            "estimate": estimate,
+            "sd": estimate * share,
             "bound_sd": known.bound_sd(name, key),
-            "neutral": 1.0,
+            "neutral": ratio.over.neutral[0] / ratio.under.neutral[0],
             "typical": known.space.columns[known.space.owners[name][0]].scale,
         }
     ]

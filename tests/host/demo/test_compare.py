@@ -13,8 +13,10 @@ from trimtab.host.demo import report
 from trimtab.host.demo.compare import Comparison, Tracked, latency_of, tracked, what_got_worse
 from trimtab.host.demo.flights import Airfield
 from trimtab.host.demo.plans import Planned, plan_first
+from trimtab.host.effects import load_effects
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.log.tracking import reference_at, tracking_error
+from trimtab.host.models.model import Model
 from trimtab.host.route import Route
 from trimtab.host.vehicle import Vehicle
 
@@ -86,11 +88,13 @@ def test_tracked_with_the_latency_of_the_poses_sees_where_the_vehicle_was(
 
 
 def test_latency_of_a_trace_is_that_of_the_effect_it_names() -> None:
-    named = SimpleNamespace(name="mocap-latency", parameters={"latency_s": SimpleNamespace(value=0.012)})
-    other = SimpleNamespace(name="wind", parameters={})
-    trace: Any = SimpleNamespace(effects=(other, named))
-    assert latency_of(trace) == 0.012
-    assert latency_of(SimpleNamespace(effects=(other,))) == 0.0  # type: ignore[arg-type]
+    def trace(**tables: dict[str, dict[str, float]]) -> Any:
+        model = Model(vehicle_id="v", vehicle_name="n", **tables)
+        return SimpleNamespace(model=model, space=SimpleNamespace(effects=load_effects()))
+
+    late, other = {"mocap-latency": {"latency_s": 0.012}}, {"wind": {"wx": 1.0, "wy": 0.0}}
+    assert latency_of(trace(effects={**other, **late})) == 0.012
+    assert latency_of(trace(effects=other, adjustments=late)) == 0.0
 
 
 def test_comparison_pools_the_first_flights_and_tells_their_spread(planned: Planned) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from trimtab.host.effects import load_effects
 from trimtab.host.errors import UsageError
-from trimtab.host.trace.parameters import REPLACES, UNKNOWN, space
+from trimtab.host.trace.parameters import UNKNOWN, space
 from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
@@ -32,7 +32,16 @@ def test_space_takes_the_vehicle_files_tolerances() -> None:
 @pytest.mark.parametrize("unknown", UNKNOWN)
 def test_space_with_something_unknown_replaces_the_effects_it_explains(unknown: str) -> None:
     found = space(VEHICLE, EFFECTS, [unknown])
-    assert not set(REPLACES[unknown]) & set(found.candidates)
+    replaced = {e.name for e in EFFECTS.values() if unknown in (*e.replaced_by, *e.freed_by)}
+    assert not replaced & {found.effect(candidate).name for candidate in found.candidates}
+
+
+def test_space_of_logs_without_inputs_has_only_what_thrust_does_not_explain() -> None:
+    found = space(VEHICLE, EFFECTS, ["thrust"])
+    assert set(EFFECTS) - set(found.owners) == {
+        "thrust-gain", "battery-sag", "ground-effect", "rotor-loss", "motor-lag", "actuation-delay",
+        "thrust-inflow", "translational-lift",
+    }  # fmt: skip
 
 
 def test_space_with_an_unheard_of_unknown_is_refused() -> None:

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from trimtab.host.trace.verdict import SOMETHING
 
 from tests.host.trace.builders import (
     VEHICLE,
@@ -39,7 +40,6 @@ from trimtab.host.trace.run import (
 )
 from trimtab.host.trace.search import WITHIN_NATS, Found, Names
 from trimtab.host.trace.twins import Repeat
-from trimtab.host.trace.verdict import SOMETHING
 from trimtab.host.vehicle import Vehicle
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6

@@ -189,11 +189,18 @@ def test_alias_that_acts_through_an_effect_not_found_gets_it(
     assert still is not None
     assert windy is not None
     assert windy.expected_sigma < 0.7 * still.expected_sigma
+    assert windy.known_measurement == "fly once more without wind, or level the camera system"
+    assert still.known_measurement is None
 
 
 def test_next_flight_says_so_where_no_manoeuvre_decides() -> None:
     best = NextFlight(
-        route="low", total_time_s=14.0, separates=("frame-tilt", "wind"), so_far_sigma=0.5, expected_sigma=2.1
+        route="low",
+        total_time_s=14.0,
+        separates=("frame-tilt", "wind"),
+        so_far_sigma=0.5,
+        expected_sigma=2.1,
+        known_measurement="fly once more without wind, or level the camera system",
     )
     assert not best.decides
     assert words.next_flight(best) == (

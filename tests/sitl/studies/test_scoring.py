@@ -27,7 +27,7 @@ from trimtab.sitl.studies.scoring.metrics import (
     relative_errors,
     summary,
 )
-from trimtab.sitl.studies.scoring.names import collapsed
+from trimtab.sitl.studies.scoring.names import collapsed, ratios
 from trimtab.sitl.studies.scoring.world import is_told, judge, parameter_rows
 from trimtab.sitl.studies.table import failure, lines
 from trimtab.sitl.studies.thin import CASES
@@ -104,10 +104,34 @@ def test_what_is_possible_is_the_alias_set_of_a_verdict_that_names_nothing() -> 
     assert not judge(["inertia"], said, HAZY, EFFECTS)["in_alias"]
 
 
-def test_mass_named_as_thrust_gain_is_right_and_scored_on_the_ratio() -> None:
-    assert collapsed(["thrust-gain"], ["mass"]) == collapsed(["mass"], ["mass"])
-    assert collapsed(["thrust-gain", "inertia"], ["mass"]) == collapsed(["mass"], ["mass"])
-    assert collapsed(["inertia"], ["mass"]) != collapsed(["mass"], ["mass"])
+def test_mass_named_as_thrust_gain_is_right() -> None:
+    mass = collapsed(["mass"], ["mass"], EFFECTS)
+    assert mass == {"thrust-over-mass"}
+    assert collapsed(["thrust-gain"], ["mass"], EFFECTS) == mass
+    assert collapsed(["thrust-gain", "inertia"], ["mass"], EFFECTS) == mass
+    assert collapsed(["inertia"], ["mass"], EFFECTS) != mass
+    assert collapsed(["mass", "inertia"], ["motor-lag"], EFFECTS) == {"thrust-over-mass", "inertia"}
+
+
+def test_effects_that_show_as_ratios_are_the_kinds_that_make_no_pair() -> None:
+    (ratio,) = ratios(EFFECTS)
+    assert ratio.effects == SAME_RATIO
+    assert ratio.alike == {"mass", "thrust-gain"}
+
+
+def test_a_parameter_that_shows_relative_to_another_is_scored_on_the_quotient() -> None:
+    truth = {"effects": {"inertia": {"x": 1.32, "y": 1.0, "z": 1.0}}}
+    z, eye = np.zeros(len(SPACE.columns)), np.eye(len(SPACE.columns))
+    for owner, value in (("inertia", 1.32), ("thrust-gain", 1.1)):
+        index = SPACE.owners[owner][0]
+        z[index] = (value - 1.0) / SPACE.columns[index].scale
+    known = Effective(space=SPACE, candidates={"inertia": "inertia"}, z=z, covariance=eye, gram=eye)
+    (found,) = parameter_rows(truth, verdict("traced", "inertia")["answer"], known)
+    assert (found["key"], found["family"]) == ("x", "torque")
+    assert found["true"] == pytest.approx(1.2)
+
+
+def test_mass_named_as_thrust_gain_is_scored_on_the_ratio() -> None:
     assert judge(["mass"], verdict("traced", "thrust-gain"), CLEAR, EFFECTS)["exact"]
     truth = {"effects": {"mass": {"factor": 1.25}}}
     answer = verdict("traced", "thrust-gain")["answer"]
@@ -367,7 +391,7 @@ def test_still_air_has_every_flights_own_battery() -> None:
 
 
 def test_separation_is_counted_from_every_other_candidate(flown: Flown) -> None:
-    separations = nearest(fitted(flown, flown[1]["effects"]), SAME_RATIO)
+    separations = nearest(fitted(flown, flown[1]["effects"]))
     assert set(separations) == {"linear-drag", "motor-lag"}
     assert set(separations["motor-lag"]) == set(SPACE.candidates) - {"linear-drag", "motor-lag"}
     assert separations["linear-drag"]["wind"] > separations["linear-drag"]["quadratic-drag"] > 4.2
