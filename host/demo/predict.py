@@ -13,7 +13,7 @@ from trimtab.host.log import Flight
 from trimtab.host.log.tracking import reference_at
 from trimtab.host.models.dynamics import mocap_latency_s
 from trimtab.host.models.model import Model
-from trimtab.host.trace.score import predict_flights
+from trimtab.host.trace.prediction import predict_flights
 from trimtab.protocol.blobs import FeedForward, Reference
 
 

@@ -18,8 +18,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 
 from trimtab.host.trace import words
-from trimtab.host.trace.describe import Dependence, Description
-from trimtab.host.trace.score import Errors
+from trimtab.host.trace.prediction import Errors
+from trimtab.host.trace.residual.description import Dependence, Description
 
 BEFORE, AFTER, FLOOR, NEUTRAL = "#b5482f", "#1f6f8b", "#8a8a8a", "#444444"
 STYLE: Any = {

@@ -14,13 +14,13 @@ import numpy as np
 
 from trimtab.host.effects import load_effects
 from trimtab.host.route import list_routes, load_route, route_description
-from trimtab.host.trace.data import DT_S
+from trimtab.host.trace.data.cutting import DT_S
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Process
-from trimtab.host.trace.form import Form
-from trimtab.host.trace.manoeuvres import Manoeuvre, manoeuvres
+from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre, manoeuvres
+from trimtab.host.trace.next_flight.separation import Instruments, information, separation
 from trimtab.host.trace.parameters import space
-from trimtab.host.trace.separate import Instruments, information, separation
+from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
 INSTRUMENTS = Instruments(
@@ -93,7 +93,7 @@ library's form: take them as upper bounds.
 def sigmas(vehicle: Vehicle, known: Mapping[str, Manoeuvre]) -> dict[str, tuple[float, ...]]:
     """By route the separation of each of PAIRS, for FLIGHT_S along it."""
     chosen = space(vehicle, load_effects())
-    form = Form(vehicle, chosen, dt_s=DT_S, in_newton=False, rate_driven=False)
+    form = SegmentModel(vehicle, chosen, dt_s=DT_S, in_newton=False, rate_driven=False)
     with_drag = np.zeros(len(chosen.columns))
     with_drag[list(chosen.groups["linear-drag"])] = 1.0
     found = {}

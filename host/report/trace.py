@@ -12,8 +12,8 @@ from trimtab.host.log import Flight
 from trimtab.host.report import figures
 from trimtab.host.report.html import render, script_data
 from trimtab.host.trace import words
+from trimtab.host.trace.prediction import Errors
 from trimtab.host.trace.result import Trace
-from trimtab.host.trace.score import Errors
 
 VERDICTS = {
     "traced": "Traced",

@@ -49,7 +49,7 @@ class Column:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Space:
+class ParameterSpace:
     """The columns of a trace and who owns them.
 
     `candidates` may be selected, the other owners are adjustments; of these the logs declare `unknown` ones.
@@ -157,7 +157,7 @@ _THRUST_CURVE = (("log_gain", 0.1, 1.5), ("linear", 0.2, 1.0))
 """The adjustment for an unknown thrust curve: key, scale, bound."""
 
 
-def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str] = ()) -> Space:
+def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str] = ()) -> ParameterSpace:
     """The space for a vehicle, the candidate effects and what the logs declare unknown."""
     unknown = frozenset(unknown)
     strange = unknown - set(UNKNOWN)
@@ -179,7 +179,7 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
     mounting = 0.1 if MOUNTING_TILT in unknown else 0.001
     torque = 0.02 if TORQUE in unknown else 0.3
     accelerometer = 0.5 if MOUNTING_TILT in unknown else 0.05
-    whole = Space(
+    whole = ParameterSpace(
         columns=tuple(columns),
         effects=dict(effects),
         candidates=(),

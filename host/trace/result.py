@@ -10,16 +10,16 @@ import numpy as np
 
 from trimtab.host.models.model import Model
 from trimtab.host.trace import words
-from trimtab.host.trace.audit import Audit
+from trimtab.host.trace.data.audit import Audit
+from trimtab.host.trace.decision.exact_aliases import ObservedAlias
 from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Finding, Verdict
-from trimtab.host.trace.describe import Description
-from trimtab.host.trace.diagnose import Diagnosis
-from trimtab.host.trace.exact import ObservedAlias
-from trimtab.host.trace.parameters import Space
-from trimtab.host.trace.score import Errors
-from trimtab.host.trace.separate import NextFlight
-from trimtab.host.trace.twins import FlightRepeat, UnexplainedResidual
-from trimtab.host.trace.unexplained import Unexplained
+from trimtab.host.trace.next_flight.separation import NextFlight
+from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.prediction import Errors
+from trimtab.host.trace.residual.description import Description
+from trimtab.host.trace.residual.network import Unexplained
+from trimtab.host.trace.residual.unexplained import FlightRepeat, UnexplainedResidual
+from trimtab.host.trace.selection import Diagnosis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ class Trace:
     noise_floor: Mapping[str, float | None]
     next_flight: NextFlight | None
     model: Model
-    space: Space
+    space: ParameterSpace
     diagnosis: Diagnosis
     residual: UnexplainedResidual
     audits: tuple[Audit, ...]

@@ -1,8 +1,8 @@
 """The search for the set of missing effects: forward steps, swaps and drops, each screened in a
 linearisation, then fitted; the smallest set that explains the flights is kept.
 
-What fits a set is a `Fitter`: command-driven segments (`trimtab.host.trace.diagnose`) or whole flights over
-the closed loop (`trimtab.host.trace.refine`).
+What fits a set is a `Fitter`: command-driven segments (`host.trace.segment_fit.fit`) or whole flights over
+the closed loop (`host.trace.flight_fit.fit`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
-from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.parameters import ParameterSpace
 
 BEAM = 25
 """Sets that the screening extends at each depth."""
@@ -43,7 +43,7 @@ class Fitter(Protocol[F]):
     """Fits sets of effects, and judges others in the linearisation of a fit."""
 
     @property
-    def space(self) -> Space: ...
+    def space(self) -> ParameterSpace: ...
     @property
     def prior(self) -> Prior: ...
     def fit(self, effects: Sequence[str], start: F) -> F:
@@ -60,7 +60,7 @@ class Fitter(Protocol[F]):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found(Generic[F]):
+class SearchResult(Generic[F]):
     """What the search ends with.
 
     `best` is the kept set, `inclusion` each candidate's posterior probability, `weights` the relative
@@ -78,7 +78,7 @@ class Found(Generic[F]):
         return none_of(self.weights)
 
 
-def smallest(found: Found[F], within: float) -> Names:
+def smallest(found: SearchResult[F], within: float) -> Names:
     """The smallest of the sets that may be kept whose evidence is `within` so many nats of the greatest."""
     may = {names: value for names, value in found.sets.items() if names in found.weights}
     top = max(may.values())
@@ -96,7 +96,7 @@ def none_of(weights: Mapping[Names, float]) -> float:
     return weights.get((), 0.0) / sum(weights.values())
 
 
-def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Found[F]:
+def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> SearchResult[F]:
     """Return the missing effects, searched from the fit of `nothing`: as many as the evidence supports."""
     space = fitter.space
     fits: dict[Names, F] = {(): nothing}
@@ -131,7 +131,7 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Fo
     top = max(scores.values())
     weights = {names: float(np.exp(score - top)) for names, score in scores.items()}
     total = sum(weights.values())
-    return Found(
+    return SearchResult(
         best=kept,
         inclusion={
             name: sum(w for names, w in weights.items() if name in names) / total for name in space.candidates
@@ -148,7 +148,7 @@ def _judged(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, 
     return kept, _scores(fitter, kept, borne, frozenset(fits) - frozenset(borne))
 
 
-def screen(space: Space, score: Callable[[Names], float], depth: int) -> dict[Names, float]:
+def screen(space: ParameterSpace, score: Callable[[Names], float], depth: int) -> dict[Names, float]:
     """The score of every admissible set up to `depth` effects that a beam search visits."""
     scores: dict[Names, float] = {(): score(())}
     frontier: list[Names] = [()]
@@ -164,7 +164,7 @@ def screen(space: Space, score: Callable[[Names], float], depth: int) -> dict[Na
     return scores
 
 
-def _extensions(space: Space, names: Names) -> list[Names]:
+def _extensions(space: ParameterSpace, names: Names) -> list[Names]:
     """What may be added in one step: an effect, or an effect together with one that it requires."""
     free = [name for name in space.candidates if name not in names]
     alone = {name for name in free if space.admissible((*names, name))}

@@ -15,13 +15,13 @@ from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Find
 from trimtab.host.trace.decision.rules import RULES
 
 if TYPE_CHECKING:
-    from trimtab.host.trace.audit import Audit, Stretch
-    from trimtab.host.trace.describe import Dependence, Description
-    from trimtab.host.trace.exact import ObservedAlias
-    from trimtab.host.trace.fields import ClosedForm
+    from trimtab.host.trace.data.audit import Audit, Stretch
+    from trimtab.host.trace.decision.exact_aliases import ObservedAlias
+    from trimtab.host.trace.next_flight.separation import NextFlight
+    from trimtab.host.trace.residual.closed_forms import ClosedForm
+    from trimtab.host.trace.residual.description import Dependence, Description
+    from trimtab.host.trace.residual.network import Unexplained
     from trimtab.host.trace.result import Named, Trace
-    from trimtab.host.trace.separate import NextFlight
-    from trimtab.host.trace.unexplained import Unexplained
 
 UNITS = {"force": "m/s^2", "torque": "rad/s^2"}
 MIXED_INPUTS = "the logs record inputs of different kinds; trace those with motor commands apart"

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
 
 if TYPE_CHECKING:
-    from trimtab.host.trace.manoeuvres import Manoeuvre
+    from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre
     from trimtab.host.vehicle import Vehicle
     from trimtab.host.workspace import Workspace
 
@@ -102,7 +102,7 @@ def command(
 def manoeuvres(space: Workspace, vehicle: Vehicle) -> tuple[Manoeuvre, ...]:
     """The shipped routes and the workspace's own that this vehicle can fly."""
     from trimtab.host.route import list_routes
-    from trimtab.host.trace.manoeuvres import manoeuvres as flyable
+    from trimtab.host.trace.next_flight.manoeuvres import manoeuvres as flyable
     from trimtab.host.vehicle import ConfigurationError
 
     routes = {}

@@ -13,8 +13,8 @@ from trimtab.host.effects import load_effects
 from trimtab.host.link.flight import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.log import Flight, read_flight
+from trimtab.host.trace.prediction import predict_flights, rmse
 from trimtab.host.trace.run import run
-from trimtab.host.trace.score import predict_flights, rmse
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Reference
 

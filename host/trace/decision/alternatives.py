@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from trimtab.host.trace.decision.rules import Rules
-from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.parameters import ParameterSpace
 
 Names = tuple[str, ...]
 Aliases = Mapping[str, Mapping[str, float]]
@@ -16,7 +16,7 @@ EVEN = 0.5
 
 
 def aliases_of(
-    selected: Sequence[str], posterior_weights: Mapping[Names, float], space: Space, rules: Rules
+    selected: Sequence[str], posterior_weights: Mapping[Names, float], space: ParameterSpace, rules: Rules
 ) -> dict[str, dict[str, float]]:
     """Return, for each selected effect, the effects that the data puts in its place, most probable first."""
     return {name: _substitutes(name, selected, posterior_weights, space, rules) for name in selected}
@@ -26,7 +26,7 @@ def _substitutes(
     name: str,
     selected: Sequence[str],
     posterior_weights: Mapping[Names, float],
-    space: Space,
+    space: ParameterSpace,
     rules: Rules,
 ) -> dict[str, float]:
     """Return the probability of each effect in place of `name`: sets without `name` that hold it."""
@@ -44,7 +44,7 @@ def _substitutes(
 
 
 def with_undetectable(
-    aliases: Aliases, space: Space, detectability: Mapping[str, float], rules: Rules
+    aliases: Aliases, space: ParameterSpace, detectability: Mapping[str, float], rules: Rules
 ) -> dict[str, dict[str, float]]:
     """Return the aliases with the known aliases that too little data would not show at typical size.
 
@@ -67,7 +67,7 @@ def with_undetectable(
     return extended
 
 
-def with_each_other(aliases: Aliases, space: Space) -> dict[str, dict[str, float]]:
+def with_each_other(aliases: Aliases, space: ParameterSpace) -> dict[str, dict[str, float]]:
     """Return the aliases with those among the selected effects themselves.
 
     For thin data: no form is exact, and a known alias takes up what an effect leaves of itself. An effect

@@ -17,8 +17,8 @@ from trimtab.host.trace.decision.alternatives import (
 )
 from trimtab.host.trace.decision.findings import Code, Finding, Verdict
 from trimtab.host.trace.decision.rules import RULES, Rules
-from trimtab.host.trace.parameters import Space
-from trimtab.host.trace.twins import ChannelResidual, UnexplainedResidual
+from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.residual.unexplained import ChannelResidual, UnexplainedResidual
 
 _UNITS = {"force": "m/s^2", "torque": "rad/s^2"}
 
@@ -60,7 +60,7 @@ class Evidence:
         Tracking time of all flights, and the greatest extent of one.
     """
 
-    space: Space
+    space: ParameterSpace
     selected: Names
     null_probability: float
     log_evidence: Mapping[Names, float]
@@ -376,7 +376,7 @@ def _open_alternatives(
 
 
 def hidden(
-    detectability: Mapping[str, float], selected: Sequence[str], space: Space, rules: Rules = RULES
+    detectability: Mapping[str, float], selected: Sequence[str], space: ParameterSpace, rules: Rules = RULES
 ) -> list[Finding]:
     """Return the effects that these flights would not show at typical size, or only within an alias."""
     named = {space.effect(name).name for name in selected}

@@ -17,12 +17,12 @@ import numpy as np
 
 from trimtab.host.effects import Effect, load_effects
 from trimtab.host.log import Flight, read_flight
-from trimtab.host.trace import segments
-from trimtab.host.trace.data import DT_S, segments_of
-from trimtab.host.trace.form import LOCALS, Form
-from trimtab.host.trace.parameters import Space, space
-from trimtab.host.trace.segments import Segments
-from trimtab.host.trace.signals import unknowns
+from trimtab.host.trace.data.cutting import DT_S, segments_of
+from trimtab.host.trace.data.segments import Segments
+from trimtab.host.trace.data.signals import unknowns
+from trimtab.host.trace.parameters import ParameterSpace, space
+from trimtab.host.trace.segment_fit import rollout
+from trimtab.host.trace.segment_fit.model import LOCALS, SegmentModel
 from trimtab.host.vehicle import Vehicle, load_vehicle
 from trimtab.sitl.studies.commandline import run_apart
 from trimtab.sitl.studies.files import StudyError, read_json, write_json
@@ -85,7 +85,7 @@ def _judged(names: list[str], kinds: Sequence[str], effects: Mapping[str, Effect
     }
 
 
-def _series(vehicle: Vehicle, space: Space, flights: Sequence[Flight]) -> list[np.ndarray]:
+def _series(vehicle: Vehicle, space: ParameterSpace, flights: Sequence[Flight]) -> list[np.ndarray]:
     """For each flight (n, 6, 1 + P) every DT_S: residual accelerations and their slopes in scaled
     parameters, over the usual turbulence; specific force, then angular acceleration, FRD.
     """
@@ -109,7 +109,7 @@ def _series(vehicle: Vehicle, space: Space, flights: Sequence[Flight]) -> list[n
     return found
 
 
-def _shown(space: Space, series: Sequence[np.ndarray]) -> list[str]:
+def _shown(space: ParameterSpace, series: Sequence[np.ndarray]) -> list[str]:
     """Candidates that the flights can show: at their typical size above LEAST, as tracing leaves out the sag
     of a battery that stayed full.
     """
@@ -117,7 +117,7 @@ def _shown(space: Space, series: Sequence[np.ndarray]) -> list[str]:
     return [name for name in space.candidates if max(rms[i] for i in space.groups[name]) > LEAST]
 
 
-def weak_sindy(space: Space, series: Sequence[np.ndarray]) -> list[str]:
+def weak_sindy(space: ParameterSpace, series: Sequence[np.ndarray]) -> list[str]:
     """Effects with a term in PySINDy's weak-form sparse regression, the greatest term first.
 
     Every channel of every flight is a trajectory of one integrated residual; the library's columns are its
@@ -167,7 +167,7 @@ def weak_sindy(space: Space, series: Sequence[np.ndarray]) -> list[str]:
     return sorted((name for name in sizes if sizes[name] > 0.0), key=lambda name: -sizes[name])
 
 
-def stepwise_bic(space: Space, series: Sequence[np.ndarray]) -> list[str]:
+def stepwise_bic(space: ParameterSpace, series: Sequence[np.ndarray]) -> list[str]:
     """Effects that forward selection takes by the Bayesian information criterion, in that order.
 
     Weak form too: means over windows with a bump that overlap by half.
@@ -210,7 +210,7 @@ def _network(folder: Path, used: Sequence[str], held_out: Sequence[str]) -> floa
     return (done.data.get("test") or {}).get("position_rmse_m") if done.code == 0 else None
 
 
-def _responses(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray) -> np.ndarray:
+def _responses(vehicle: Vehicle, space: ParameterSpace, data: Segments, z: np.ndarray) -> np.ndarray:
     """Specific force and body rate (lanes, S, H, 6), FRD, of the library's forms at scaled z (P, lanes).
 
     Means over the data's steps, from its states under its motor commands.
@@ -218,6 +218,8 @@ def _responses(vehicle: Vehicle, space: Space, data: Segments, z: np.ndarray) ->
     lanes = z.shape[1]
     x0 = np.repeat(data.x0.T[:, None, :], lanes, axis=1)
     local = np.zeros((LOCALS, lanes, len(data.flight)))
-    form = Form(vehicle, space, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
-    found = segments.roll_out(form, data, x0, z, local)
+    form = SegmentModel(
+        vehicle, space, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven
+    )
+    found = rollout.roll_out(form, data, x0, z, local)
     return np.transpose(found[:, [9, 10, 11, 6, 7, 8]], (2, 3, 0, 1))

@@ -19,12 +19,12 @@ from trimtab.host.effects import Effect
 from trimtab.host.log import Flight
 from trimtab.host.models.model import Model
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.loop import closed_loop, order_of
-from trimtab.host.trace.parameters import Space
-from trimtab.host.trace.refine import prior_of, weighted
-from trimtab.host.trace.repeats import turbulence
-from trimtab.host.trace.score import predict_flights, rmse, twins_of
-from trimtab.host.trace.separate import separation
+from trimtab.host.trace.flight_fit.fit import prior_of, weighted
+from trimtab.host.trace.flight_fit.loop import closed_loop, order_of
+from trimtab.host.trace.flight_fit.repeatability import turbulence
+from trimtab.host.trace.next_flight.separation import separation
+from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.prediction import predict_flights, rmse, twins_of
 from trimtab.host.vehicle import Vehicle
 from trimtab.sitl.studies.scoring.names import ratios
 
@@ -39,7 +39,7 @@ class Effective:
     of the whitened slopes.
     """
 
-    space: Space
+    space: ParameterSpace
     candidates: Mapping[str, str]
     z: np.ndarray
     covariance: np.ndarray
@@ -62,7 +62,7 @@ class Effective:
 
 def effective(
     vehicle: Vehicle,
-    space: Space,
+    space: ParameterSpace,
     drawn: Mapping[str, Mapping[str, float]],
     deviations: Mapping[str, float],
     still: Sequence[Flight],
@@ -89,7 +89,7 @@ def effective(
     return Effective(space=space, candidates=candidates, z=z, covariance=covariance, gram=gram)
 
 
-def _candidate(space: Space, name: str, values: Mapping[str, float]) -> str:
+def _candidate(space: ParameterSpace, name: str, values: Mapping[str, float]) -> str:
     """What tracing calls an effect with these values: its name, or that of the one parameter off neutral."""
     if name in space.groups:
         return name
@@ -97,23 +97,23 @@ def _candidate(space: Space, name: str, values: Mapping[str, float]) -> str:
     return f"{name}.{key}"
 
 
-def _away(space: Space, name: str, values: Mapping[str, float]) -> dict[str, float]:
+def _away(space: ParameterSpace, name: str, values: Mapping[str, float]) -> dict[str, float]:
     """By how much each parameter of an effect is off neutral."""
     columns = [space.columns[i] for i in space.owners[name]]
     return {column.key: values.get(column.key, column.neutral) - column.neutral for column in columns}
 
 
-def _off_by(space: Space, away: Mapping[str, float]) -> np.ndarray:
+def _off_by(space: ParameterSpace, away: Mapping[str, float]) -> np.ndarray:
     """Scaled parameters (P,) of what is off neutral, by "effect.parameter"."""
     return np.array([away.get(f"{c.owner}.{c.key}", 0.0) / c.scale for c in space.columns])
 
 
-def off_by(space: Space, deviations: Mapping[str, float]) -> Values:
+def off_by(space: ParameterSpace, deviations: Mapping[str, float]) -> Values:
     """Values by owner and key of a world without effects, with what the build is off by."""
     return _values(space, _off_by(space, deviations))
 
 
-def _values(space: Space, z: np.ndarray) -> Values:
+def _values(space: ParameterSpace, z: np.ndarray) -> Values:
     theta = space.values(z)
     return {
         owner: {space.columns[i].key: float(theta[i]) for i in rows} for owner, rows in space.owners.items()

@@ -23,14 +23,14 @@ from trimtab.host.log import Battery, Mocap, RecordedImu, read_flight, write_imp
 from trimtab.host.log.tracks import Flight
 from trimtab.host.models.model import Model
 from trimtab.host.report.effects_page import page
-from trimtab.host.trace.exact import exact_aliases
-from trimtab.host.trace.form import Form
-from trimtab.host.trace.manoeuvres import Manoeuvre
-from trimtab.host.trace.parameters import Column, Space, space
-from trimtab.host.trace.refine import loop_discrepancy
+from trimtab.host.trace.data.signals import departure, has_signals
+from trimtab.host.trace.decision.exact_aliases import exact_aliases
+from trimtab.host.trace.flight_fit.fit import loop_discrepancy
+from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre
+from trimtab.host.trace.next_flight.separation import propose
+from trimtab.host.trace.parameters import Column, ParameterSpace, space
 from trimtab.host.trace.run import run
-from trimtab.host.trace.separate import propose
-from trimtab.host.trace.signals import departure, has_signals
+from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.scoring.metrics import FAMILIES
 from trimtab.sitl.studies.scoring.names import collapsed
@@ -159,7 +159,7 @@ def test_effect_names_in_a_source_are_found(source: str, found: list[str]) -> No
     assert [text for _, text in named_in(source)] == found
 
 
-def column(found: Space, owner: str) -> Column:
+def column(found: ParameterSpace, owner: str) -> Column:
     return found.columns[found.owners[owner][0]]
 
 
@@ -257,7 +257,7 @@ def test_every_signal_of_a_flight_in_the_air_departs_from_rest() -> None:
     }
 
 
-def fitted(found: Space, over: str, under: str) -> tuple[np.ndarray, np.ndarray]:
+def fitted(found: ParameterSpace, over: str, under: str) -> tuple[np.ndarray, np.ndarray]:
     """Scaled parameters and covariance with the first at 0.9 +- 0.02 and the second at 1.2 +- 0.03."""
     i, k = found.owners[over][0], found.owners[under][0]
     z, covariance = np.zeros(len(found.columns)), np.eye(len(found.columns))
@@ -327,7 +327,7 @@ def test_measurement_that_separates_two_effects_is_the_one_that_either_states(
     data = read_flight(DATA / "a1.mcap")
     known = {name: effects[name] for name in ("motor-lag", "pose-age", "wind", "frame-tilt", "linear-drag")}
     result = run([data], [], known)
-    form = Form(data.vehicle, result.space, dt_s=0.02, in_newton=False, rate_driven=False)
+    form = SegmentModel(data.vehicle, result.space, dt_s=0.02, in_newton=False, rate_driven=False)
     t_s = np.arange(0.0, 6.0, 0.02)
     flat = np.zeros((14, len(t_s)))
     flat[2] = -1.5

@@ -16,16 +16,18 @@ from trimtab.host.effects import Closing, Effect
 from trimtab.host.effects.effect import Parameter
 from trimtab.host.log import Battery, Flight, Mocap
 from trimtab.host.models.model import Model
-from trimtab.host.trace.diagnose import Diagnosis, Fit
+from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.evidence import Linearisation, Process
-from trimtab.host.trace.form import LOCALS, STATES
-from trimtab.host.trace.parameters import MASS, Column, Space
-from trimtab.host.trace.refine import ClosedFit
+from trimtab.host.trace.flight_fit.fit import FlightFit
+from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
+from trimtab.host.trace.parameters import MASS, Column, ParameterSpace
+from trimtab.host.trace.residual.unexplained import Leftover, Repeat
 from trimtab.host.trace.result import Named, Trace
-from trimtab.host.trace.search import Found, Names, none_of
-from trimtab.host.trace.segments import Basis, Segments
-from trimtab.host.trace.twins import Leftover, Repeat
-from trimtab.host.trace.whitening import CHANNELS, Whitening
+from trimtab.host.trace.search import Names, SearchResult, none_of
+from trimtab.host.trace.segment_fit.fit import SegmentFit
+from trimtab.host.trace.segment_fit.linearise import Basis
+from trimtab.host.trace.segment_fit.model import LOCALS, STATES
+from trimtab.host.trace.selection import Diagnosis
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
 VEHICLE = load_vehicle("research")
@@ -83,7 +85,7 @@ def build_effect(
     )
 
 
-def build_space(*effects: Effect | str) -> Space:
+def build_space(*effects: Effect | str) -> ParameterSpace:
     """Return the space of these effects (a name stands for a plain effect); all but the mass are candidates.
 
     A column's scale and tolerance are its parameter's typical size and tolerance.
@@ -105,9 +107,9 @@ def build_space(*effects: Effect | str) -> Space:
         for p in effect.parameters
     )
     owned = {"columns": columns, "effects": {effect.name: effect for effect in known}}
-    groups = Space(**owned, candidates=(), unknown=(), local_sigma=(1.0,) * LOCALS).groups
+    groups = ParameterSpace(**owned, candidates=(), unknown=(), local_sigma=(1.0,) * LOCALS).groups
     candidates = tuple(name for name in groups if name != MASS)
-    return Space(**owned, candidates=candidates, unknown=(), local_sigma=(1.0,) * LOCALS)
+    return ParameterSpace(**owned, candidates=candidates, unknown=(), local_sigma=(1.0,) * LOCALS)
 
 
 def build_segments(*, rate_driven: bool = False) -> Segments:
@@ -147,14 +149,14 @@ def build_fit(
     axial: float = 0.01,
     angular: float = 0.01,
     rate_driven: bool = False,
-) -> Fit:
+) -> SegmentFit:
     """Return a fit to one segment that leaves the given disturbance.
 
     z (P,) and covariance (P, P) are scaled; `lateral` and `axial` in m/s^2, `angular` in rad/s^2.
     """
     count, nuisances = len(z), LOCALS + 6
     logs = {"lateral": lateral, "axial": axial, "torque": angular}
-    return Fit(
+    return SegmentFit(
         effects=effects,
         log_evidence=log_evidence,
         z=np.array(z, dtype=float),
@@ -179,10 +181,10 @@ def build_closed_fit(
     z: Sequence[float] = (),
     covariance: np.ndarray | None = None,
     grams: np.ndarray | None = None,
-) -> ClosedFit:
+) -> FlightFit:
     """Return a fit to one whole flight; z (P,), covariance (P, P), grams (flights, 1 + P, 1 + P)."""
     count = len(z)
-    return ClosedFit(
+    return FlightFit(
         effects=effects,
         z=np.array(z, dtype=float),
         at=np.zeros(count),
@@ -196,11 +198,11 @@ def build_closed_fit(
 
 def build_search_result(
     best: Any, *, sets: Mapping[Names, float] | None = None, weights: Mapping[Names, float] | None = None
-) -> Found[Any]:
+) -> SearchResult[Any]:
     """Return what a search ends with; without `weights`, every one of the fitted `sets` may be kept."""
     fitted = {best.effects: best.log_evidence} if sets is None else sets
     weights = dict.fromkeys(fitted, 1.0) if weights is None else weights
-    return Found(best=best, inclusion={}, weights=weights, sets=fitted)
+    return SearchResult(best=best, inclusion={}, weights=weights, sets=fitted)
 
 
 def build_diagnosis(
@@ -209,7 +211,7 @@ def build_diagnosis(
     weights: Mapping[Names, float] | None = None,
     inclusion: Mapping[str, float] | None = None,
     stands_out: Mapping[str, float] | None = None,
-    best: Fit | None = None,
+    best: SegmentFit | None = None,
 ) -> Diagnosis:
     """Return the diagnosis that keeps the effects `kept`, by default for sure."""
     return Diagnosis(
@@ -303,7 +305,7 @@ def build_named(name: str) -> Named:
     return Named(name=name, title=name, parameters={}, probability=1.0, aliases={}, exact_alias=None)
 
 
-def build_trace(space: Space, diagnosis: Diagnosis, *, named: Sequence[str] = ()) -> Trace:
+def build_trace(space: ParameterSpace, diagnosis: Diagnosis, *, named: Sequence[str] = ()) -> Trace:
     """Return a trace that names these effects, without held-out flights."""
     return Trace(
         verdict="traced" if named else "nothing-missing",

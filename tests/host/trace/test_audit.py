@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight
 from trimtab.host.trace import words
-from trimtab.host.trace.audit import Stretch, audit, with_missing_twins
-from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.data.audit import Stretch, audit, with_missing_twins
+from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.result import audit_json
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from trimtab.host.log import Battery, Mocap, RecordedInputs, read_flight, write_imported
-from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.data.cutting import segments_of
+from trimtab.host.trace.data.signals import averaged, signals, unknowns
 from trimtab.host.trace.decision.findings import Code, TooLittleToTrace
-from trimtab.host.trace.signals import averaged, signals, unknowns
 from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")

@@ -12,9 +12,10 @@ import pytest
 from trimtab.host.log import read_flight
 from trimtab.host.report.figures import dependence
 from trimtab.host.trace import words
-from trimtab.host.trace.data import segments_of
-from trimtab.host.trace.describe import Bins, Description, bins_of, describe
-from trimtab.host.trace.segments import Segments
+from trimtab.host.trace.data.cutting import segments_of
+from trimtab.host.trace.data.segments import Segments
+from trimtab.host.trace.residual.description import Description, describe
+from trimtab.host.trace.residual.features import Bins, bins_of
 from trimtab.host.vehicle import load_vehicle
 
 DATA = Path(__file__).parents[2] / "data"

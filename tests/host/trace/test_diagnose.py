@@ -9,10 +9,10 @@ import numpy as np
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.trace import evidence
-from trimtab.host.trace.data import segments_of
-from trimtab.host.trace.diagnose import at_parameters, refit
-from trimtab.host.trace.form import Form
+from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.parameters import space
+from trimtab.host.trace.segment_fit.fit import at_parameters, refit
+from trimtab.host.trace.segment_fit.model import SegmentModel
 
 DATA = Path(__file__).parents[2] / "data"
 LIBRARY = ("thrust-gain", "mass", "com-offset", "ground-effect")
@@ -24,7 +24,7 @@ def test_a_fit_is_the_optimum_of_its_linearisation() -> None:
     effects = load_effects()
     library = space(flight.vehicle, {name: effects[name] for name in LIBRARY})
     data, _ = segments_of([flight], rate_driven=False)
-    form = Form(flight.vehicle, library, dt_s=data.dt_s, in_newton=False, rate_driven=False)
+    form = SegmentModel(flight.vehicle, library, dt_s=data.dt_s, in_newton=False, rate_driven=False)
     nothing = refit(form, data, (), None, iterations=2)
     fit = refit(form, data, ("thrust-gain",), nothing, iterations=1)
     white = evidence.whitened(fit.lin, fit.process, library.prior)

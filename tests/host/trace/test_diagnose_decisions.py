@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.host.trace.builders import build_diagnosis, build_effect, build_parameter, build_space
-from trimtab.host.trace.diagnose import stands_out
-from trimtab.host.trace.parameters import MASS, Space
+from trimtab.host.trace.parameters import MASS, ParameterSpace
+from trimtab.host.trace.selection import stands_out
 
 ROTOR = build_effect("rotor", *(build_parameter(f"loss_{k}") for k in (1, 2, 3)), one_of=True)
 PAIR = build_effect("pair", build_parameter("x"), build_parameter("y"))
@@ -19,7 +19,7 @@ def gram_of(*columns: list[float]) -> np.ndarray:
     return stacked @ stacked.T
 
 
-def sigma(space: Space, gram: np.ndarray, tolerance: float) -> dict[str, float]:
+def sigma(space: ParameterSpace, gram: np.ndarray, tolerance: float) -> dict[str, float]:
     return stands_out(space, gram, np.full(len(space.columns), tolerance**-2.0))
 
 

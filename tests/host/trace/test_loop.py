@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.host.trace.builders import build_flight
-from trimtab.host.trace.loop import LEAST_S, MOVED_M, too_little
+from trimtab.host.trace.flight_fit.loop import LEAST_S, MOVED_M, too_little
 
 MS = 1e-3
 MM = 1e-3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trimtab.host.route import list_routes, load_route, route_description
-from trimtab.host.trace.manoeuvres import Manoeuvre, manoeuvre, manoeuvres
+from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre, manoeuvre, manoeuvres
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
 ROUTES = tuple(list_routes())

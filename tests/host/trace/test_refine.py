@@ -14,9 +14,9 @@ from trimtab.host.log import read_flight
 from trimtab.host.models.phi import INTEGRAL
 from trimtab.host.trace import intervals, refine, whitening
 from trimtab.host.trace import loop as closed
-from trimtab.host.trace.loop import Loop
-from trimtab.host.trace.parameters import Space, space
-from trimtab.host.trace.whitening import CHANNELS
+from trimtab.host.trace.flight_fit.loop import Loop
+from trimtab.host.trace.flight_fit.whitening import CHANNELS
+from trimtab.host.trace.parameters import ParameterSpace, space
 
 DATA = Path(__file__).parents[2] / "data"
 PRESENT = ("thrust-gain", "motor-lag", "mocap-latency")
@@ -25,19 +25,19 @@ NOISE = np.repeat([4e-4, 3e-3, 8e-3, 2e-2], 3)
 
 
 @pytest.fixture(scope="module")
-def library() -> Space:
+def library() -> ParameterSpace:
     effects = load_effects()
     vehicle = read_flight(DATA / "a1.mcap").vehicle
     return space(vehicle, {name: effects[name] for name in LIBRARY})
 
 
 @pytest.fixture(scope="module")
-def loop(library: Space) -> Loop:
+def loop(library: ParameterSpace) -> Loop:
     flights = [read_flight(DATA / f"{name}.mcap") for name in ("a1", "b1")]
     return closed.closed_loop(flights, flights[0].vehicle, library, np.zeros(len(library.columns)))
 
 
-def scaled(library: Space, **values: float) -> np.ndarray:
+def scaled(library: ParameterSpace, **values: float) -> np.ndarray:
     z = np.zeros(len(library.columns))
     for i, column in enumerate(library.columns):
         key = f"{column.owner}.{column.key}".replace("-", "_").replace(".", "__")
@@ -65,7 +65,7 @@ def simulated(loop: Loop, z: np.ndarray, seed: int) -> Loop:
     return Loop(recordings, loop.recordings[0].states.vehicle, loop.space)
 
 
-def test_shipped_flights_show_what_their_world_holds(library: Space) -> None:
+def test_shipped_flights_show_what_their_world_holds(library: ParameterSpace) -> None:
     flights = [read_flight(DATA / f"{name}.mcap") for name in ("a1", "a2", "b1", "b2")]
     truth = json.loads((DATA / "truth.json").read_text())["effects"]
     start = scaled(library, mocap_latency__latency_s=0.018, motor_lag__extra_s=0.012, thrust_gain__gain=0.95)
@@ -86,7 +86,9 @@ def test_shipped_flights_show_what_their_world_holds(library: Space) -> None:
     assert fit.log_evidence - without.log_evidence > 3.0
 
 
-def test_parameters_of_simulated_flights_lie_within_their_intervals(library: Space, loop: Loop) -> None:
+def test_parameters_of_simulated_flights_lie_within_their_intervals(
+    library: ParameterSpace, loop: Loop
+) -> None:
     true = scaled(library, motor_lag__extra_s=0.01, linear_drag__dx=0.3, thrust_gain__gain=1.0)
     squares = []
     for seed in range(4):
@@ -114,7 +116,7 @@ def test_a_payloads_line_gets_its_slope_where_a_payload_is(loop: Loop) -> None:
     np.testing.assert_allclose(whole.slopes(there, (), base[1])[0][line], wanted)
 
 
-def test_evidence_prefers_the_drag_that_flew(library: Space, loop: Loop) -> None:
+def test_evidence_prefers_the_drag_that_flew(library: ParameterSpace, loop: Loop) -> None:
     made = simulated(loop, scaled(library, quadratic_drag__c=0.06), 5)
     zero = np.zeros(len(library.columns))
     fits = [refine.fit_loop(made, names, zero, 2) for names in (("quadratic-drag",), ("linear-drag",), ())]
@@ -171,7 +173,7 @@ def test_autoregression_is_recovered_and_leaves_white_innovations() -> None:
     assert np.abs((left[1:] * left[:-1]).mean(0)).max() < 0.06
 
 
-def test_honest_covariance_is_never_less_than_the_fits(library: Space, loop: Loop) -> None:
+def test_honest_covariance_is_never_less_than_the_fits(library: ParameterSpace, loop: Loop) -> None:
     fit = refine.fit_loop(loop, ("linear-drag",), np.zeros(len(library.columns)), 2)
     covariance = intervals.honest_covariance(library, fit)
     assert (np.diag(covariance) >= np.diag(fit.covariance)).all()

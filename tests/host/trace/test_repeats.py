@@ -15,9 +15,9 @@ from trimtab.host.trace.decision.decide import (
 )
 from trimtab.host.trace.decision.findings import Code
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.loop import CHANNELS, Loop
-from trimtab.host.trace.repeats import repeat
-from trimtab.host.trace.twins import (
+from trimtab.host.trace.flight_fit.loop import CHANNELS, Loop
+from trimtab.host.trace.flight_fit.repeatability import repeat
+from trimtab.host.trace.residual.unexplained import (
     NO_LINE,
     ChannelResidual,
     FlightRepeat,

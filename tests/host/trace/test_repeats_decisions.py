@@ -10,10 +10,11 @@ import pytest
 
 from tests.host.trace.builders import build_closed_fit
 from trimtab.host.trace import repeats as module
-from trimtab.host.trace.loop import BIN_S, Loop
-from trimtab.host.trace.refine import TEMPER, ClosedFit
-from trimtab.host.trace.repeats import LEAST_S, in_turbulence, turbulence
-from trimtab.host.trace.whitening import CHANNELS, Whitening
+from trimtab.host.trace.flight_fit.fit import TEMPER, FlightFit
+from trimtab.host.trace.flight_fit.loop import Loop
+from trimtab.host.trace.flight_fit.recording import BIN_S
+from trimtab.host.trace.flight_fit.repeatability import LEAST_S, in_turbulence, turbulence
+from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
 
 LONG = 200
 TWINS = [(0, 1)]
@@ -59,7 +60,7 @@ def whitenings(monkeypatch: pytest.MonkeyPatch) -> list[Whitening]:
     return used
 
 
-def is_tempered(fit: ClosedFit) -> bool:
+def is_tempered(fit: FlightFit) -> bool:
     """Return whether the fit is FIT with residuals that count for 1/TEMPER."""
     np.testing.assert_array_equal(fit.z, FIT.z)
     assert (fit.effects, fit.log_evidence) == (FIT.effects, FIT.log_evidence)

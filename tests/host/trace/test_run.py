@@ -10,15 +10,17 @@ import pytest
 
 from trimtab.host.effects import load_effects
 from trimtab.host.log import Battery, Mocap, read_flight, write_imported
-from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.data.cutting import segments_of
+from trimtab.host.trace.data.logs import check_logs
 from trimtab.host.trace.decision.alternatives import with_each_other
 from trimtab.host.trace.decision.decide import better_but_inadmissible, segment_disagreement
 from trimtab.host.trace.decision.findings import Code, LogsRefused, TooLittleToTrace
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.diagnose import refit
-from trimtab.host.trace.form import Form
+from trimtab.host.trace.gathering import _segment_disagreement
 from trimtab.host.trace.parameters import space
-from trimtab.host.trace.run import _segment_disagreement, check_logs, run
+from trimtab.host.trace.run import run
+from trimtab.host.trace.segment_fit.fit import refit
+from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
 DATA = Path(__file__).parents[2] / "data"
@@ -115,7 +117,7 @@ def test_segments_speak_against_what_is_not_there() -> None:
     names = ("thrust-gain", "frame-tilt", "mass")
     library = space(flight.vehicle, {name: effects[name] for name in names})
     data, _ = segments_of([flight], rate_driven=False)
-    form = Form(flight.vehicle, library, dt_s=data.dt_s, in_newton=False, rate_driven=False)
+    form = SegmentModel(flight.vehicle, library, dt_s=data.dt_s, in_newton=False, rate_driven=False)
     nothing = refit(form, data, (), None, iterations=2)
     nats = _segment_disagreement(form, nothing, ("frame-tilt", "thrust-gain"))
     (found,) = segment_disagreement(nats, RULES)

@@ -26,20 +26,14 @@ from tests.host.trace.builders import (
 from trimtab.host.errors import UsageError
 from trimtab.host.log.errors import TooLittleData
 from trimtab.host.trace import run as module
-from trimtab.host.trace.parameters import MASS, Space
-from trimtab.host.trace.refine import ClosedFit, LoopFitter
-from trimtab.host.trace.run import (
-    FAULT,
-    SAG_SEEN,
-    WEIGHED,
-    _is_judged,
-    _named,
-    _observable,
-    _without_faults,
-    check_logs,
-)
-from trimtab.host.trace.search import WITHIN_NATS, Found, Names
-from trimtab.host.trace.twins import Repeat
+from trimtab.host.trace.assembly import _named
+from trimtab.host.trace.data.logs import _observable, check_logs
+from trimtab.host.trace.flight_fit.fit import FlightFit, FlightFitter
+from trimtab.host.trace.parameters import MASS, ParameterSpace
+from trimtab.host.trace.residual.unexplained import Repeat
+from trimtab.host.trace.run import FAULT, SAG_SEEN, WEIGHED
+from trimtab.host.trace.search import WITHIN_NATS, Names, SearchResult
+from trimtab.host.trace.selection import _is_judged, _without_faults
 from trimtab.host.vehicle import Vehicle
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
@@ -196,11 +190,11 @@ class KnownLoopFitter:
     loop = None
     order = 3
 
-    def __init__(self, space: Space) -> None:
+    def __init__(self, space: ParameterSpace) -> None:
         self.space = space
-        self.calls: list[tuple[Names, ClosedFit]] = []
+        self.calls: list[tuple[Names, FlightFit]] = []
 
-    def fit(self, effects: Names, start: ClosedFit) -> ClosedFit:
+    def fit(self, effects: Names, start: FlightFit) -> FlightFit:
         self.calls.append((tuple(effects), start))
         return build_closed_fit(tuple(effects))
 
@@ -211,13 +205,13 @@ BOTH = build_closed_fit(("drag", "payload"), log_evidence=100.0)
 
 def without_faults(
     monkeypatch: pytest.MonkeyPatch,
-    found: Found[ClosedFit],
+    found: SearchResult[FlightFit],
     left: Repeat | None,
-) -> tuple[Found[ClosedFit], KnownLoopFitter]:
+) -> tuple[SearchResult[FlightFit], KnownLoopFitter]:
     """Return the search result where whole flights repeat by `left`, and the fitter that was used."""
     monkeypatch.setattr(module, "repeat", lambda loop, z, order, twins: left)
     fitter = KnownLoopFitter(SWINGING)
-    return _without_faults(found, cast(LoopFitter, fitter), [(0, 1)]), fitter
+    return _without_faults(found, cast(FlightFitter, fitter), [(0, 1)]), fitter
 
 
 def nats(value: float) -> Repeat:

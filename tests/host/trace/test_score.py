@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 from trimtab.host.effects import load_effects
 from trimtab.host.log import Flight, Mocap, read_flight, write_imported
 from trimtab.host.log.errors import TooLittleData
-from trimtab.host.trace.data import DT_S
+from trimtab.host.trace.data.cutting import DT_S
+from trimtab.host.trace.data.signals import unknowns
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.form import Form
 from trimtab.host.trace.parameters import space
-from trimtab.host.trace.score import Errors, noise_floor, predict_segments
-from trimtab.host.trace.signals import unknowns
+from trimtab.host.trace.prediction import Errors, noise_floor, predict_segments
+from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
@@ -40,9 +40,9 @@ def errors_of(held_out: Flight) -> Errors:
     return predict_segments([held_out], form, np.zeros(len(form.space.columns)))[0]
 
 
-def form_for(flight: Flight) -> Form:
+def form_for(flight: Flight) -> SegmentModel:
     chosen = space(VEHICLE, load_effects(), unknowns([flight]))
-    return Form(VEHICLE, chosen, dt_s=DT_S, in_newton=True, rate_driven=True)
+    return SegmentModel(VEHICLE, chosen, dt_s=DT_S, in_newton=True, rate_driven=True)
 
 
 def test_predictions_know_nothing_of_what_is_measured_later(tmp_path: Path) -> None:

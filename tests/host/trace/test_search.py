@@ -12,7 +12,7 @@ from trimtab.host.effects import load_effects
 from trimtab.host.trace import search as module
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
-from trimtab.host.trace.parameters import Space, space
+from trimtab.host.trace.parameters import ParameterSpace, space
 from trimtab.host.trace.search import Names, search
 from trimtab.host.vehicle import load_vehicle
 
@@ -33,7 +33,7 @@ class Known:
 class KnownFitter:
     """Fits of known evidence, and what a linearisation takes it to be."""
 
-    space: Space
+    space: ParameterSpace
     evidence: dict[Names, float]
     believed: dict[Names, float]
     hidden: tuple[Names, ...] = ()
@@ -57,16 +57,16 @@ class KnownFitter:
 
 
 @pytest.fixture(scope="module")
-def library() -> Space:
+def library() -> ParameterSpace:
     effects = load_effects()
     return space(load_vehicle("research"), {name: effects[name] for name in BOTH})
 
 
-def nothing(library: Space) -> Known:
+def nothing(library: ParameterSpace) -> Known:
     return Known((), 0.0, np.zeros(len(library.columns)))
 
 
-def test_what_is_far_more_probable_than_the_kept_set_is_fitted_too(library: Space) -> None:
+def test_what_is_far_more_probable_than_the_kept_set_is_fitted_too(library: ParameterSpace) -> None:
     """A linearisation that promises too much of two effects must not hide the one that is there."""
     fitter = KnownFitter(
         library,
@@ -78,7 +78,7 @@ def test_what_is_far_more_probable_than_the_kept_set_is_fitted_too(library: Spac
     assert BOTH in found.sets
 
 
-def test_what_the_linearisation_promises_in_vain_is_not_kept(library: Space) -> None:
+def test_what_the_linearisation_promises_in_vain_is_not_kept(library: ParameterSpace) -> None:
     fitter = KnownFitter(
         library,
         evidence={(): 0.0, DRAG: -1.0, GAIN: -4.0, BOTH: -9.0},
@@ -109,7 +109,7 @@ def test_sets_that_only_their_bounds_hold_leave_none_however_much_they_promise(m
     assert set(found.inclusion.values()) == {0.0}
 
 
-def test_a_kept_set_that_no_beam_visits_has_a_weight(library: Space, monkeypatch) -> None:
+def test_a_kept_set_that_no_beam_visits_has_a_weight(library: ParameterSpace, monkeypatch) -> None:
     monkeypatch.setattr(module, "BEAM", 0)
     fitter = KnownFitter(
         library,

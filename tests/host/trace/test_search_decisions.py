@@ -19,7 +19,7 @@ from tests.host.trace.builders import (
     weights_of_nothing,
 )
 from trimtab.host.trace.evidence import Prior
-from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import (
     BEARS,
     WITHIN_NATS,
@@ -40,7 +40,7 @@ BEST = build_closed_fit()
 class PriorOnly:
     """Stand in for a fitter that is asked only for its space and the spike sigmas (P,)."""
 
-    space: Space
+    space: ParameterSpace
     spike: Sequence[float]
 
     @property
@@ -48,7 +48,7 @@ class PriorOnly:
         return Prior(groups=self.space.groups, spike=np.array(self.spike), local=np.ones(1))
 
 
-def prior_only(space: Space, spike: Sequence[float] | None = None) -> Fitter[Any]:
+def prior_only(space: ParameterSpace, spike: Sequence[float] | None = None) -> Fitter[Any]:
     return cast("Fitter[Any]", PriorOnly(space, spike or [0.1] * len(space.columns)))
 
 

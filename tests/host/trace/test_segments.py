@@ -10,16 +10,16 @@ from scipy.spatial.transform import Rotation
 
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.effects import load_effects
-from trimtab.host.trace import segments
-from trimtab.host.trace.form import Form
+from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.parameters import space
-from trimtab.host.trace.segments import Segments
+from trimtab.host.trace.segment_fit import linearise, model, rollout
+from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 SPACE = space(VEHICLE, load_effects())
 STEPS, PRE, DT = 60, 17, 0.01
-FORM = Form(VEHICLE, SPACE, dt_s=DT, in_newton=False, rate_driven=False)
+FORM = SegmentModel(VEHICLE, SPACE, dt_s=DT, in_newton=False, rate_driven=False)
 HOVER = np.sqrt(VEHICLE.mass_kg * GRAVITY / 4.0 / VEHICLE.thrust_max_n)
 
 
@@ -51,14 +51,14 @@ def make(command: np.ndarray, x0: np.ndarray) -> Segments:
 
 
 def lanes(data: Segments, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return data.x0.T[:, None, :], z[:, None], np.zeros((segments.LOCALS, 1, len(data.flight)))
+    return data.x0.T[:, None, :], z[:, None], np.zeros((model.LOCALS, 1, len(data.flight)))
 
 
 def test_roll_out_of_hover_at_a_velocity_moves_straight_on() -> None:
     x0 = np.zeros((1, 12))
     x0[0, 0:6] = [1.0, 2.0, -3.0, 0.5, -0.25, 0.1]
     data = make(np.full((1, PRE + STEPS, 4), HOVER), x0)
-    predicted = segments.roll_out(FORM, data, *lanes(data, np.zeros(len(SPACE.columns))))[:, :, 0, 0]
+    predicted = rollout.roll_out(FORM, data, *lanes(data, np.zeros(len(SPACE.columns))))[:, :, 0, 0]
     t = DT * np.arange(STEPS)
     expected = x0[0, :3, None] + x0[0, 3:6, None] * t
     np.testing.assert_allclose(predicted[:, :3].T, expected, atol=1e-9)
@@ -73,7 +73,7 @@ def test_roll_out_with_linear_drag_decays_exponentially() -> None:
     z = np.zeros(len(SPACE.columns))
     z[SPACE.groups["linear-drag"][0]] = 1.0
     d = SPACE.values(z)[SPACE.groups["linear-drag"][0]]
-    position = segments.roll_out(FORM, data, *lanes(data, z))
+    position = rollout.roll_out(FORM, data, *lanes(data, z))
     t = DT * np.arange(STEPS)
     np.testing.assert_allclose(position[:, 0, 0, 0], 2.0 / d * (1.0 - np.exp(-d * t)), atol=5e-6)
 
@@ -82,7 +82,7 @@ def test_roll_out_answers_a_thrust_step_with_the_rotors_lag() -> None:
     command = np.full((1, PRE + STEPS, 4), HOVER)
     command[:, PRE:] = np.sqrt(1.2) * HOVER
     data = make(command, np.zeros((1, 12)))
-    force = segments.roll_out(FORM, data, *lanes(data, np.zeros(len(SPACE.columns))))[:, 9:]
+    force = rollout.roll_out(FORM, data, *lanes(data, np.zeros(len(SPACE.columns))))[:, 9:]
     t = DT * (np.arange(STEPS) + 0.5)
     expected = -GRAVITY * (1.0 + 0.2 * (1.0 - np.exp(-t / VEHICLE.motor_lag_s)))
     np.testing.assert_allclose(force[:, 2, 0, 0], expected, atol=1e-9)
@@ -94,13 +94,13 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
     command = HOVER * (1.0 + 0.02 * rng.normal(size=(2, PRE + STEPS, 4)))
     data = make(command, x0)
     z = 0.1 * rng.normal(size=len(SPACE.columns))
-    local = np.zeros((1, segments.LOCALS))
-    kept = segments.basis(FORM, data, z, local)
+    local = np.zeros((1, model.LOCALS))
+    kept = linearise.basis(FORM, data, z, local)
 
     def residual(x0: np.ndarray, w: np.ndarray) -> np.ndarray:
         at = replace(data, x0=x0, w=w)
-        lane = (at.x0.T[:, None, :], z[:, None], np.zeros((segments.LOCALS, 1, 2)))
-        return segments.residuals(at, segments.roll_out(FORM, at, *lane))[0]
+        lane = (at.x0.T[:, None, :], z[:, None], np.zeros((model.LOCALS, 1, 2)))
+        return rollout.residuals(at, rollout.roll_out(FORM, at, *lane))[0]
 
     h = 1e-4
     for column in (0, 4, 7, 10):
@@ -119,10 +119,10 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
     rng = np.random.default_rng(8)
     truth = 0.2 * rng.normal(size=(3, 12))
     data = make(np.full((3, PRE + STEPS, 4), HOVER), truth)
-    z, local = np.zeros(len(SPACE.columns)), np.zeros((1, segments.LOCALS))
+    z, local = np.zeros(len(SPACE.columns)), np.zeros((1, model.LOCALS))
     attitude = data.attitude
     for _ in range(4):  # the predicted attitude is told as what the measured one must turn by
-        rolled = segments.roll_out(FORM, replace(data, attitude=attitude), *lanes(data, z))
+        rolled = rollout.roll_out(FORM, replace(data, attitude=attitude), *lanes(data, z))
         seen = np.transpose(rolled[:, :, 0], (2, 0, 1))
         turn = Rotation.from_rotvec(seen[..., 3:6].reshape(-1, 3)).as_matrix()
         attitude = (attitude.reshape(-1, 3, 3) @ turn).reshape(attitude.shape)
@@ -134,8 +134,8 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
         rate=seen[..., 6:9],
         force=seen[..., 9:],
     )
-    kept = segments.basis(FORM, measured, z, local)
-    found = segments.fitted_x0(FORM, measured, z, local, kept, iterations=5)
+    kept = linearise.basis(FORM, measured, z, local)
+    found = linearise.fitted_x0(FORM, measured, z, local, kept, iterations=5)
     np.testing.assert_allclose(found, truth, atol=1e-6)
 
 
@@ -145,7 +145,7 @@ def lane_of(data: Segments, **values: float) -> np.ndarray:
     for i, column in enumerate(SPACE.columns):
         name = f"{column.owner}__{column.key}".replace("-", "_")
         z[i] = (values[name] - column.neutral) / column.scale if name in values else 0.0
-    return segments.roll_out(FORM, data, *lanes(data, z))[:, :, 0, 0]
+    return rollout.roll_out(FORM, data, *lanes(data, z))[:, :, 0, 0]
 
 
 def test_delayed_commands_shift_the_answer_to_a_step() -> None:
@@ -188,7 +188,7 @@ def test_measured_turn_reads_a_constant_torque_off_the_gyro() -> None:
     ramp = 3.0 * DT * (np.arange(STEPS) + 0.5)
     rate = np.zeros((1, STEPS, 3))
     rate[0, :, 1] = ramp
-    w = segments.measured_turn(FORM, replace(data, rate=rate))
+    w = linearise.measured_turn(FORM, replace(data, rate=rate))
     np.testing.assert_allclose(w[0, :, 4], 3.0, atol=1e-9)
     np.testing.assert_allclose(w[0, :, [0, 1, 2]], 0.0)
 
@@ -201,7 +201,7 @@ def test_measured_turn_without_a_gyro_reads_the_torque_off_the_poses() -> None:
     seen[0, 23:26] = 0.0
     turned[0, 23:26] = 0.0
     deaf = replace(data, attitude=turned, pose_weight=seen, rate_weight=np.zeros((1, STEPS)))
-    w = segments.measured_turn(FORM, deaf)
+    w = linearise.measured_turn(FORM, deaf)
     np.testing.assert_allclose(w[0, 1:5, 4], 3.0, atol=1e-6)
     np.testing.assert_allclose(w[0, [0, 5], 4], 3.0, atol=1.2)  # no pose lies beyond a segment's ends
     np.testing.assert_allclose(w[0, :, [0, 1, 2, 3, 5]], 0.0, atol=1e-9)

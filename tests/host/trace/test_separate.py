@@ -13,19 +13,19 @@ from trimtab.host.log import read_flight
 from trimtab.host.report.manoeuvres_page import INSTRUMENTS
 from trimtab.host.route import load_route
 from trimtab.host.trace import words
-from trimtab.host.trace.data import segments_of
+from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.diagnose import Fit, refit
-from trimtab.host.trace.form import Form
-from trimtab.host.trace.manoeuvres import Manoeuvre, manoeuvres
-from trimtab.host.trace.parameters import Space, space
-from trimtab.host.trace.separate import (
+from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre, manoeuvres
+from trimtab.host.trace.next_flight.separation import (
     Instruments,
     NextFlight,
     information,
     propose,
     separation,
 )
+from trimtab.host.trace.parameters import ParameterSpace, space
+from trimtab.host.trace.segment_fit.fit import SegmentFit, refit
+from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
 DATA = Path(__file__).parent.parent.parent / "data"
@@ -39,14 +39,14 @@ def vehicle() -> Vehicle:
 
 
 @pytest.fixture(scope="module")
-def library(vehicle: Vehicle) -> Space:
+def library(vehicle: Vehicle) -> ParameterSpace:
     effects = load_effects()
     return space(vehicle, {name: effects[name] for name in LIBRARY})
 
 
 @pytest.fixture(scope="module")
-def form(vehicle: Vehicle, library: Space) -> Form:
-    return Form(vehicle, library, dt_s=0.01, in_newton=False, rate_driven=False)
+def form(vehicle: Vehicle, library: ParameterSpace) -> SegmentModel:
+    return SegmentModel(vehicle, library, dt_s=0.01, in_newton=False, rate_driven=False)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def known(vehicle: Vehicle) -> dict[str, Manoeuvre]:
 
 
 @pytest.fixture(scope="module")
-def fit(form: Form) -> Fit:
+def fit(form: SegmentModel) -> SegmentFit:
     """A shipped flight with a centre of mass that is taken to be off."""
     flight = read_flight(DATA / "c1.mcap")
     data, _ = segments_of([flight], rate_driven=False)
@@ -65,11 +65,11 @@ def fit(form: Form) -> Fit:
     return replace(found, z=z)
 
 
-def columns_of(library: Space, *effects: str) -> list[int]:
+def columns_of(library: ParameterSpace, *effects: str) -> list[int]:
     return [library.groups[name][0] for name in effects]
 
 
-def test_separation_of_an_effect_alone_is_its_length(library: Space) -> None:
+def test_separation_of_an_effect_alone_is_its_length(library: ParameterSpace) -> None:
     (gain, tilt) = columns_of(library, "thrust-gain", "frame-tilt")
     gram = np.zeros((len(library.columns),) * 2)
     gram[gain, gain], gram[tilt, tilt] = 25.0, 100.0
@@ -78,7 +78,9 @@ def test_separation_of_an_effect_alone_is_its_length(library: Space) -> None:
     assert separation(library, gram, ("thrust-gain",), z, "thrust-gain", "frame-tilt") == pytest.approx(10.0)
 
 
-def test_separation_from_an_alias_of_the_same_shape_is_what_the_aliass_range_leaves(library: Space) -> None:
+def test_separation_from_an_alias_of_the_same_shape_is_what_the_aliass_range_leaves(
+    library: ParameterSpace,
+) -> None:
     gain, tilt = columns_of(library, "thrust-gain", "frame-tilt")
     shape = np.zeros(len(library.columns))
     shape[[gain, tilt]] = 50.0
@@ -89,7 +91,7 @@ def test_separation_from_an_alias_of_the_same_shape_is_what_the_aliass_range_lea
     assert apart == pytest.approx(50.0 / np.sqrt(1.0 + 100.0**2))
 
 
-def test_separation_leaves_the_other_effects_of_the_set_free(library: Space) -> None:
+def test_separation_leaves_the_other_effects_of_the_set_free(library: ParameterSpace) -> None:
     gain, drag = columns_of(library, "thrust-gain", "linear-drag")
     shape = np.zeros(len(library.columns))
     shape[[gain, drag]] = 50.0
@@ -101,7 +103,7 @@ def test_separation_leaves_the_other_effects_of_the_set_free(library: Space) -> 
     assert beside < 1.0
 
 
-def test_instruments_of_a_logged_flight_are_the_simulators(fit: Fit) -> None:
+def test_instruments_of_a_logged_flight_are_the_simulators(fit: SegmentFit) -> None:
     found = Instruments.of(fit)
     np.testing.assert_allclose(found.sigma[1:], INSTRUMENTS.sigma[1:], rtol=0.1)
     # Poses whose latency varies look noisier at speed.
@@ -118,7 +120,7 @@ def test_instruments_of_wrong_shape_are_refused() -> None:
 
 
 def test_nominal_commands_do_not_leave_the_path_of_a_vehicle_that_is_off(
-    form: Form, known: dict[str, Manoeuvre]
+    form: SegmentModel, known: dict[str, Manoeuvre]
 ) -> None:
     """What a flight tells does not hang on the point it is linearised at: a torque that turns the vehicle
     over within a segment would look like information.
@@ -134,13 +136,13 @@ def test_nominal_commands_do_not_leave_the_path_of_a_vehicle_that_is_off(
     assert at[1] == pytest.approx(at[0], rel=0.1)
 
 
-def test_flight_shorter_than_a_segment_tells_nothing(form: Form, known: dict[str, Manoeuvre]) -> None:
+def test_flight_shorter_than_a_segment_tells_nothing(form: SegmentModel, known: dict[str, Manoeuvre]) -> None:
     z = np.zeros(len(form.space.columns))
     assert information(form, known["hover"].flat[:, :50], z, INSTRUMENTS) is None
 
 
 def test_wind_and_tilt_without_accelerometer_part_by_motion_alone(
-    form: Form, known: dict[str, Manoeuvre]
+    form: SegmentModel, known: dict[str, Manoeuvre]
 ) -> None:
     blind = replace(INSTRUMENTS, shares=np.array([1.0, 1.0, 0.0]))
     drag = list(form.space.groups["linear-drag"])
@@ -159,7 +161,7 @@ def test_wind_and_tilt_without_accelerometer_part_by_motion_alone(
 
 
 def test_proposal_is_the_manoeuvre_of_most_sigma_and_counts_what_was_flown(
-    form: Form, fit: Fit, known: dict[str, Manoeuvre]
+    form: SegmentModel, fit: SegmentFit, known: dict[str, Manoeuvre]
 ) -> None:
     alone = propose(form, fit, "com-offset", "torque-bias", [known["hover"]])
     best = propose(form, fit, "com-offset", "torque-bias", list(known.values()))
@@ -175,7 +177,7 @@ def test_proposal_is_the_manoeuvre_of_most_sigma_and_counts_what_was_flown(
 
 
 def test_alias_that_acts_through_an_effect_not_found_gets_it(
-    form: Form, fit: Fit, known: dict[str, Manoeuvre]
+    form: SegmentModel, fit: SegmentFit, known: dict[str, Manoeuvre]
 ) -> None:
     """Without drag a wind does nothing, and a tilted frame would look as if nothing could be mistaken for
     it.
@@ -217,11 +219,11 @@ def test_next_flight_says_so_where_no_manoeuvre_decides() -> None:
 
 
 def test_log_without_inputs_tells_of_forces_and_nothing_of_torques(
-    vehicle: Vehicle, library: Space, known: dict[str, Manoeuvre]
+    vehicle: Vehicle, library: ParameterSpace, known: dict[str, Manoeuvre]
 ) -> None:
     """Thrust in N and the measured body rate drive such a log."""
     poses = replace(INSTRUMENTS, shares=np.array([0.5, 0.0, 0.0]), in_newton=True, rate_driven=True)
-    form = Form(vehicle, library, dt_s=0.01, in_newton=True, rate_driven=True)
+    form = SegmentModel(vehicle, library, dt_s=0.01, in_newton=True, rate_driven=True)
     told = information(form, known["doublets"].flat, np.zeros(len(library.columns)), poses)
     assert told is not None
     (drag, turn) = columns_of(library, "linear-drag", "torque-bias")

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from trimtab.host.trace.data.segments import BIN_S, Segments
 from trimtab.host.trace.decision.decide import (
     no_model_bounds,
     residual_bounds,
@@ -14,8 +15,7 @@ from trimtab.host.trace.decision.decide import (
 )
 from trimtab.host.trace.decision.findings import Code
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.segments import BIN_S, Segments
-from trimtab.host.trace.twins import FlightRepeat, UnexplainedResidual, unexplained_residual
+from trimtab.host.trace.residual.unexplained import FlightRepeat, UnexplainedResidual, unexplained_residual
 
 BINS, STEPS, SEGMENTS, FLIGHTS = 6, 60, 20, 4
 PAIRS = [(0, 1), (2, 3)]

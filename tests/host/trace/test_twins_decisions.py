@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.host.trace.builders import build_leftover, build_repeat
-from trimtab.host.trace.twins import (
+from trimtab.host.trace.residual.unexplained import (
     FORCE_FLOOR,
     FORM_SHARE,
     LINE_CHANCE,

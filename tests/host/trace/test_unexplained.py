@@ -13,9 +13,9 @@ from trimtab.host.log import read_flight
 from trimtab.host.models.model import Model
 from trimtab.host.trace import unexplained as module
 from trimtab.host.trace import words
-from trimtab.host.trace.data import segments_of
-from trimtab.host.trace.describe import describe
-from trimtab.host.trace.unexplained import unexplained
+from trimtab.host.trace.data.cutting import segments_of
+from trimtab.host.trace.residual.description import describe
+from trimtab.host.trace.residual.network import unexplained
 
 DATA = Path(__file__).parents[2] / "data"
 

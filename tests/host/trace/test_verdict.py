@@ -31,10 +31,10 @@ from tests.host.trace.builders import (
     weights_of_nothing,
 )
 from trimtab.host.trace import verdict as module
-from trimtab.host.trace.diagnose import Fit
-from trimtab.host.trace.form import Form
 from trimtab.host.trace.result import SHOWN
 from trimtab.host.trace.search import WITHIN_NATS, Names
+from trimtab.host.trace.segment_fit.fit import SegmentFit
+from trimtab.host.trace.segment_fit.model import SegmentModel
 
 QUIET = build_leftover()
 REPEATING = build_leftover(force_repeat=1.0, force_z=10.0)
@@ -336,14 +336,14 @@ class KnownRefits:
         self.evidence = evidence
         self.calls: list[tuple[Names, Names]] = []
 
-    def __call__(self, form: Form, data: Any, effects: Names, start: Fit) -> Fit:
+    def __call__(self, form: SegmentModel, data: Any, effects: Names, start: SegmentFit) -> SegmentFit:
         self.calls.append((tuple(effects), start.effects))
         return build_fit(tuple(effects), log_evidence=self.evidence[tuple(effects)])
 
 
 def absent(monkeypatch: pytest.MonkeyPatch, evidence: Mapping[Names, float], kept: Names) -> str | None:
     monkeypatch.setattr(module, "refit", KnownRefits(evidence))
-    return spoken_against(cast(Form, None), build_fit(), kept)
+    return spoken_against(cast(SegmentModel, None), build_fit(), kept)
 
 
 @pytest.mark.parametrize(
@@ -387,7 +387,7 @@ def test_spoken_against_nothing_is_none(monkeypatch: pytest.MonkeyPatch) -> None
 def test_spoken_against_compares_each_set_without_one_with_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     refits = KnownRefits({("drag", "gain"): 0.0, ("gain",): 0.0, ("drag",): 0.0})
     monkeypatch.setattr(module, "refit", refits)
-    assert spoken_against(cast(Form, None), build_fit(), ("drag", "gain")) is None
+    assert spoken_against(cast(SegmentModel, None), build_fit(), ("drag", "gain")) is None
     assert refits.calls == [
         (("drag", "gain"), ()),
         (("gain",), ("drag", "gain")),

@@ -11,9 +11,9 @@ import pytest
 
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
+from trimtab.host.trace.data.signals import signals
 from trimtab.host.trace.decision.findings import Code
 from trimtab.host.trace.parameters import space
-from trimtab.host.trace.signals import signals
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import read_json
 from trimtab.sitl.studies.flights import BLIND, STILL, TRUTH, fly_and_seal, plan_references

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from trimtab.host.log import Control, Flight, read_flight
-from trimtab.host.trace.audit import audit
+from trimtab.host.trace.data.audit import audit
 from trimtab.host.trace.decision.findings import Code
 from trimtab.sitl.studies import cut
 from trimtab.sitl.studies.commandline import run_apart

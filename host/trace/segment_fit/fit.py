@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from trimtab.host.trace import evidence, segments
+from trimtab.host.trace import evidence
+from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.evidence import Linearisation, Prior, Process
-from trimtab.host.trace.form import Form
-from trimtab.host.trace.parameters import Space
-from trimtab.host.trace.search import Names, none_of
-from trimtab.host.trace.segments import Basis, Segments
-from trimtab.host.trace.twins import FlightRepeat
+from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.search import Names
+from trimtab.host.trace.segment_fit import linearise, model
+from trimtab.host.trace.segment_fit.linearise import Basis
+from trimtab.host.trace.segment_fit.model import SegmentModel
 
 _CALM = float(np.log(0.05**2))
 START = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6**2)))
@@ -24,11 +24,9 @@ SEGMENTS_SETTLED = 0.2
 """Greatest step, in standard deviations, after which a fit ends: what is left of a greater one makes the
 evidence depend on where the fit began, by nats."""
 
-Method = Literal["segments", "closed-loop"]
-
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class SegmentFit:
     """One set of effects refitted: its evidence, the point (z, local), covariance (P, P) scaled, and the
     linearisation it was found in, whose own point is up to a standard deviation away.
     """
@@ -44,51 +42,6 @@ class Fit:
     basis: Basis
 
 
-@dataclass(frozen=True, kw_only=True)
-class Diagnosis:
-    """The missing effects and how sure they are.
-
-    best: the segments under the kept set, nothing: without any effect. method: what the set and its
-    parameters were found by. inclusion: each candidate's posterior probability. weights: the relative
-    posterior weight of every set considered. sets: the evidence of every fitted one. stands_out: by how many
-    sigma each effect of typical size would show in these flights. repeats: of whole flights, where twins were
-    flown, beside what was found and of a model without any effect.
-    """
-
-    best: Fit
-    nothing: Fit
-    method: Method
-    inclusion: Mapping[str, float]
-    weights: Mapping[Names, float]
-    sets: Mapping[Names, float]
-    stands_out: Mapping[str, float]
-    repeats: tuple[FlightRepeat | None, FlightRepeat | None] = (None, None)
-
-    @property
-    def none(self) -> float:
-        """Posterior probability that no effect is missing."""
-        return none_of(self.weights)
-
-
-def stands_out(space: Space, gram: np.ndarray, precision: np.ndarray) -> dict[str, float]:
-    """By how many sigma each effect of typical size would show in flights of this whitened `gram`
-    (1 + P, 1 + P) of [residual | slopes], everything else moving under the prior `precision` (P,).
-
-    sqrt(theta' S' (I - P) S theta), of all parameters a typical step away, the strongest where one of several
-    is. An effect that acts through another one stands out as far as that one was found.
-    """
-    whole = gram[1:, 1:] + np.diag(precision)
-    found: dict[str, float] = {}
-    for candidate in space.candidates:
-        mine = np.array(space.groups[candidate])
-        rest = np.setdiff1d(np.arange(len(precision)), mine)
-        cross = whole[np.ix_(rest, mine)]
-        own = gram[np.ix_(1 + mine, 1 + mine)] - cross.T @ np.linalg.solve(whole[np.ix_(rest, rest)], cross)
-        name = space.effect(candidate).name
-        found[name] = max(found.get(name, 0.0), float(np.sqrt(max(own.sum(), 0.0))))
-    return found
-
-
 def starting_process(data: Segments) -> Process:
     """Where the search for the process noise of these segments begins."""
     return START_RATE_DRIVEN if data.rate_driven else START
@@ -98,10 +51,10 @@ def starting_process(data: Segments) -> Process:
 class SegmentFitter:
     """Fits sets of effects to command-driven segments."""
 
-    form: Form
+    form: SegmentModel
 
     @property
-    def space(self) -> Space:
+    def space(self) -> ParameterSpace:
         """The parameters."""
         return self.form.space
 
@@ -110,11 +63,11 @@ class SegmentFitter:
         """Their prior."""
         return self.form.space.prior
 
-    def fit(self, effects: Sequence[str], start: Fit) -> Fit:
+    def fit(self, effects: Sequence[str], start: SegmentFit) -> SegmentFit:
         """The set `effects` refitted from `start`."""
         return refit(self.form, start.data, effects, start)
 
-    def scorers(self, fit: Fit) -> list[Callable[[Names], float]]:
+    def scorers(self, fit: SegmentFit) -> list[Callable[[Names], float]]:
         """Log evidence of any set in the fit's linearisation: with the process noise that every candidate
         together leaves, and with the fit's own.
         """
@@ -128,19 +81,19 @@ class SegmentFitter:
             for white in each
         ]
 
-    def beyond(self, fit: Fit) -> list[Names]:
+    def beyond(self, fit: SegmentFit) -> list[Names]:
         """None: segments are begun from the measured path, which holds a swing already."""
         return []
 
 
 def refit(
-    form: Form,
+    form: SegmentModel,
     data: Segments,
     effects: Sequence[str],
-    start: Fit | None,
+    start: SegmentFit | None,
     *,
     iterations: int = 6,
-) -> Fit:
+) -> SegmentFit:
     """Gauss-Newton on all parameters under the prior of `effects`, the process noise fitted again at every
     step.
 
@@ -153,7 +106,7 @@ def refit(
     if start is None:
         z, local, process = (
             np.zeros(len(space.columns)),
-            np.zeros((flights, segments.LOCALS)),
+            np.zeros((flights, model.LOCALS)),
             starting_process(data),
         )
     else:
@@ -162,17 +115,17 @@ def refit(
             z[list(groups[name])] = 0.0
     precision = prior.precision(effects)
     if start is None:
-        data = data.with_w(segments.measured_turn(form, data))
-        kept = segments.basis(form, data, z, local)
+        data = data.with_w(linearise.measured_turn(form, data))
+        kept = linearise.basis(form, data, z, local)
     else:
         kept = start.basis
     for iteration in range(iterations):
         if iteration == 0 and start is not None and np.array_equal(z, start.lin.z):
             lin = start.lin
         else:
-            grams = segments.linearise(form, data, z, local, kept)
+            grams = linearise.linearise(form, data, z, local, kept)
             data = data.with_x0(grams.x0)
-            lin = segments.project(grams, data, z, local)
+            lin = linearise.project(grams, data, z, local)
         process = evidence.fit_process(lin, prior, effects, process)
         white = evidence.whitened(lin, process, prior)
         step, covariance = evidence.bounded(white.gram, z, precision, space.bounds)
@@ -186,10 +139,10 @@ def refit(
             data = data.with_w(evidence.disturbances(lin, process, step, moved))
             z = z + step
             if start is None and iteration < 2:
-                data = data.with_x0(segments.fitted_x0(form, data, z, local, kept, 2))
-                kept = segments.basis(form, data, z, local)
+                data = data.with_x0(linearise.fitted_x0(form, data, z, local, kept, 2))
+                kept = linearise.basis(form, data, z, local)
     step = space.clipped(z + np.clip(step, -4.0, 4.0)) - z
-    return Fit(
+    return SegmentFit(
         effects=tuple(sorted(effects)),
         log_evidence=evidence.log_evidence(
             white.gram, white.log_det, z, precision, len(effects), space.bounds
@@ -205,23 +158,28 @@ def refit(
 
 
 def at_parameters(
-    form: Form, start: Fit, effects: Names, z: np.ndarray, covariance: np.ndarray, log_evidence: float
-) -> Fit:
+    form: SegmentModel,
+    start: SegmentFit,
+    effects: Names,
+    z: np.ndarray,
+    covariance: np.ndarray,
+    log_evidence: float,
+) -> SegmentFit:
     """The segments of `start` under `effects` with scaled parameters z (P,) that were found otherwise.
 
     Only the flights' nuisances, the disturbance and its strength are fitted.
     """
     prior, data, local, process = form.space.prior, start.data, start.local, start.process
     for last in (False, True):
-        grams = segments.linearise(form, data, z, local, start.basis)
+        grams = linearise.linearise(form, data, z, local, start.basis)
         data = data.with_x0(grams.x0)
-        lin = segments.project(grams, data, z, local)
+        lin = linearise.project(grams, data, z, local)
         process = evidence.fit_process(lin, prior, effects, process)
         moved = evidence.local_step(lin, evidence.whitened(lin, process, prior), prior, np.zeros(len(z)))
         local = local + moved
         if not last:
             data = data.with_w(evidence.disturbances(lin, process, np.zeros(len(z)), moved))
-    return Fit(
+    return SegmentFit(
         effects=effects,
         log_evidence=log_evidence,
         z=z,
@@ -232,3 +190,18 @@ def at_parameters(
         data=data,
         basis=start.basis,
     )
+
+
+def disturbance_left(fit: SegmentFit, z: np.ndarray) -> np.ndarray:
+    """Disturbance (segments, bins, 6) that the model with scaled parameters z (P,) leaves, in the fit's
+    linearisation.
+    """
+    return evidence.disturbances(fit.lin, fit.process, z - fit.lin.z, fit.local - fit.lin.local)
+
+
+def unknowns_only(chosen: ParameterSpace, nothing: SegmentFit) -> np.ndarray:
+    """Scaled values (P,) of a model that adds nothing: only what the logs declare unknown is fitted."""
+    unknown = [i for i, column in enumerate(chosen.columns) if column.owner in chosen.unknown]
+    z = np.zeros(len(chosen.columns))
+    z[unknown] = nothing.z[unknown]
+    return z

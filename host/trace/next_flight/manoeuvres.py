@@ -10,7 +10,7 @@ import numpy as np
 
 from trimtab.host.errors import TrimtabError
 from trimtab.host.models.reference import flat_outputs
-from trimtab.host.trace.data import DT_S
+from trimtab.host.trace.data.cutting import DT_S
 from trimtab.host.vehicle import ConfigurationError, Vehicle
 
 if TYPE_CHECKING:

@@ -17,15 +17,16 @@ from trimtab.firmware_model.law.allocation import allocation_matrix, invert4
 from trimtab.firmware_model.law.flatness import Body, flat_full
 from trimtab.firmware_model.law.rotations import matrix_to_euler
 from trimtab.host.codegen.ops import NUMPY
-from trimtab.host.trace import evidence, segments
-from trimtab.host.trace.data import DT_S, LAGS, SEGMENT_S
+from trimtab.host.trace import evidence
+from trimtab.host.trace.data.cutting import DT_S, LAGS, SEGMENT_S
+from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.diagnose import Fit
 from trimtab.host.trace.evidence import Prior, Process
-from trimtab.host.trace.form import Form
-from trimtab.host.trace.manoeuvres import Manoeuvre
-from trimtab.host.trace.parameters import Space
-from trimtab.host.trace.segments import BIN_S, PATH_S, Segments
+from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre
+from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.segment_fit import linearise, model, rollout
+from trimtab.host.trace.segment_fit.fit import SegmentFit
+from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.vehicle import Vehicle
 
 SIGMA_MAX = 100.0
@@ -100,7 +101,7 @@ class Instruments:
             raise ValueError(f"{self.shares} must be three shares, {self.voltage} a ratio and its slope")
 
     @classmethod
-    def of(cls, fit: Fit) -> Instruments:
+    def of(cls, fit: SegmentFit) -> Instruments:
         """Those of the fitted flights, with the process noise of the fit."""
         data = fit.data
         t_s = np.repeat(data.start_s[:, None], data.steps, axis=1) + DT_S * np.arange(data.steps)
@@ -116,7 +117,7 @@ class Instruments:
 
 
 def separation(
-    space: Space,
+    space: ParameterSpace,
     gram: np.ndarray,
     present: Iterable[str],
     z: np.ndarray,
@@ -141,7 +142,9 @@ def separation(
     return float(np.sqrt(max(z[mine] @ information @ z[mine], 0.0)))
 
 
-def propose(form: Form, fit: Fit, effect: str, alias: str, known: Sequence[Manoeuvre]) -> NextFlight | None:
+def propose(
+    form: SegmentModel, fit: SegmentFit, effect: str, alias: str, known: Sequence[Manoeuvre]
+) -> NextFlight | None:
     """The manoeuvre after which `effect` and `alias` are furthest apart; None where none is known.
 
     Counted with what the fitted flights tell already, at most what leaves them undecided. Where one of the
@@ -185,13 +188,15 @@ def propose(form: Form, fit: Fit, effect: str, alias: str, known: Sequence[Manoe
     )
 
 
-def _measurement(space: Space, effect: str, alias: str) -> str | None:
+def _measurement(space: ParameterSpace, effect: str, alias: str) -> str | None:
     """What to measure where no flight tells the two apart, as either of them states it."""
     one, other = space.effect(effect), space.effect(alias)
     return one.separated_by.get(other.name) or other.separated_by.get(one.name)
 
 
-def information(form: Form, flat: np.ndarray, z: np.ndarray, instruments: Instruments) -> np.ndarray | None:
+def information(
+    form: SegmentModel, flat: np.ndarray, z: np.ndarray, instruments: Instruments
+) -> np.ndarray | None:
     """(P, P) of the scaled parameters at z (P,), from one flight along flat outputs (14, n) each DT_S.
 
     The whitened S' S, the flight's own nuisances integrated out. None where it is shorter than a segment.
@@ -202,25 +207,25 @@ def information(form: Form, flat: np.ndarray, z: np.ndarray, instruments: Instru
     count = len(data.flight)
     rolled = np.unique(np.round(np.linspace(0, count - 1, min(count, _ROLLED))).astype(int))
     nearest = np.abs(np.arange(count)[:, None] - rolled).argmin(axis=1)
-    part, local = data.take(rolled), np.zeros((1, segments.LOCALS))
+    part, local = data.take(rolled), np.zeros((1, model.LOCALS))
     part = _kept_on_path(form, part, z)
-    kept = segments.basis(form, part, z, local)
-    lin = segments.project(segments.linearise(form, part, z, local, kept), part, z, local)
+    kept = linearise.basis(form, part, z, local)
+    lin = linearise.project(linearise.linearise(form, part, z, local, kept), part, z, local)
     lin = replace(lin, gram=lin.gram[nearest], flight=data.flight)
     return evidence.whitened(lin, instruments.process, form.space.prior).gram[1:, 1:]
 
 
-def _kept_on_path(form: Form, data: Segments, z: np.ndarray) -> Segments:
+def _kept_on_path(form: SegmentModel, data: Segments, z: np.ndarray) -> Segments:
     """The segments with the angular acceleration that keeps roll-outs at scaled parameters z (P,) on their
     path: the commands are the nominal vehicle's, with z it would need others.
 
     Read off the body rate. Forces are left alone, they turn nothing.
     """
     start = data.x0.T[:, None, :]
-    local = np.zeros((segments.LOCALS, *start.shape[1:]))
+    local = np.zeros((model.LOCALS, *start.shape[1:]))
     per_bin = round(BIN_S / data.dt_s)
     for _ in range(_TURNS):
-        predicted = segments.roll_out(form, data, start, z[:, None], local)[:, 6:9, 0]
+        predicted = rollout.roll_out(form, data, start, z[:, None], local)[:, 6:9, 0]
         short = data.rate - np.transpose(predicted, (2, 0, 1))
         inner = 0.5 * (short[:, per_bin - 1 : -1 : per_bin] + short[:, per_bin::per_bin])
         edges = np.concatenate([np.zeros_like(short[:, :1]), inner, short[:, -1:]], axis=1)
@@ -230,16 +235,16 @@ def _kept_on_path(form: Form, data: Segments, z: np.ndarray) -> Segments:
     return data
 
 
-def _flown(form: Form, fit: Fit, z: np.ndarray) -> np.ndarray:
+def _flown(form: SegmentModel, fit: SegmentFit, z: np.ndarray) -> np.ndarray:
     """(P, P) as `information`, of the fitted flights, linearised at z (P,)."""
     lin = fit.lin
     if not np.array_equal(z, fit.z):
-        grams = segments.linearise(form, fit.data, z, fit.local, fit.basis)
-        lin = segments.project(grams, fit.data, z, fit.local)
+        grams = linearise.linearise(form, fit.data, z, fit.local, fit.basis)
+        lin = linearise.project(grams, fit.data, z, fit.local)
     return evidence.whitened(lin, fit.process, form.space.prior).gram[1:, 1:]
 
 
-def _carriers(space: Space, found: Sequence[str], pair: Sequence[str]) -> list[str]:
+def _carriers(space: ParameterSpace, found: Sequence[str], pair: Sequence[str]) -> list[str]:
     """What the pair's effects act through, the first that there is of each, where none of it was found."""
     out = []
     for name in pair:

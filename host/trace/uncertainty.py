@@ -9,14 +9,14 @@ import numpy as np
 
 from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.diagnose import Fit
 from trimtab.host.trace.evidence import Linearisation
-from trimtab.host.trace.parameters import Space
-from trimtab.host.trace.refine import ClosedFit, prior_of
+from trimtab.host.trace.flight_fit.fit import FlightFit, prior_of
+from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.segment_fit.fit import SegmentFit
 
 
 def honest_covariance(
-    space: Space, closed: ClosedFit, strata: Sequence[Sequence[int]] | None = None
+    space: ParameterSpace, closed: FlightFit, strata: Sequence[Sequence[int]] | None = None
 ) -> np.ndarray:
     """Covariance (P, P), scaled: the fit's, widened by its jackknife over flights or within `strata`, and by
     RULES.min_widening at least.
@@ -26,7 +26,7 @@ def honest_covariance(
     return closed.covariance * np.outer(widened, widened)
 
 
-def by_segments(space: Space, fit: Fit) -> np.ndarray:
+def by_segments(space: ParameterSpace, fit: SegmentFit) -> np.ndarray:
     """Covariance (P, P), scaled, of an estimate from segments alone.
 
     Widened by the jackknife over flights, or over quarters of them where there are few, and by what is read

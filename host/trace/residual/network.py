@@ -12,7 +12,7 @@ from trimtab.host.learn.evaluate import Errors
 from trimtab.host.log import Flight
 from trimtab.host.log.errors import TooLittleData
 from trimtab.host.models.model import Model
-from trimtab.host.trace.describe import Description
+from trimtab.host.trace.residual.description import Description
 
 SETTINGS = {"hidden": (16,), "epochs": 40, "patience": 20}
 """Smaller and shorter than `trimtab learn` takes by default: some ten seconds for four flights."""

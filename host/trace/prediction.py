@@ -23,13 +23,14 @@ from trimtab.host.models.model import Model
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.states import flight_states
-from trimtab.host.trace import evidence, segments
-from trimtab.host.trace.data import DT_S, SEGMENT_S, segments_of
+from trimtab.host.trace import evidence
+from trimtab.host.trace.data.cutting import DT_S, SEGMENT_S, segments_of
+from trimtab.host.trace.data.segments import Segments
+from trimtab.host.trace.data.signals import pose_interval_s, signals
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.diagnose import starting_process
-from trimtab.host.trace.form import Form
-from trimtab.host.trace.segments import Segments
-from trimtab.host.trace.signals import pose_interval_s, signals
+from trimtab.host.trace.segment_fit import linearise, model, rollout
+from trimtab.host.trace.segment_fit.fit import starting_process
+from trimtab.host.trace.segment_fit.model import SegmentModel
 
 _LEAD_S = 0.3
 _ROLL_OUT_STEP_S = 0.005
@@ -162,7 +163,7 @@ def _predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[st
     return out
 
 
-def predict_segments(flights: Sequence[Flight], form: Form, z: np.ndarray) -> tuple[Errors, ...]:
+def predict_segments(flights: Sequence[Flight], form: SegmentModel, z: np.ndarray) -> tuple[Errors, ...]:
     """Errors over 0.6 s ahead from recorded inputs, each start fitted to the 0.3 s before it.
 
     A flight's own nuisances come from its first quarter, and what is predicted lies behind that: nothing of a
@@ -186,9 +187,9 @@ def predict_segments(flights: Sequence[Flight], form: Form, z: np.ndarray) -> tu
         rate_weight=data.rate_weight * before,
         force_weight=data.force_weight * before,
     )
-    kept = segments.basis(form, fit, z, local)
-    x0 = segments.fitted_x0(form, fit, z, local, kept, iterations=4)
-    rolled = segments.roll_out(form, data, x0.T[:, None, :], z[:, None], local[data.flight].T[:, None, :])
+    kept = linearise.basis(form, fit, z, local)
+    x0 = linearise.fitted_x0(form, fit, z, local, kept, iterations=4)
+    rolled = rollout.roll_out(form, data, x0.T[:, None, :], z[:, None], local[data.flight].T[:, None, :])
     predicted = np.transpose(rolled[:, :3, 0, :], (2, 0, 1))
     speed = np.gradient(predicted, DT_S, axis=1)
     seen = data.pose_weight > 0
@@ -216,17 +217,17 @@ def predict_segments(flights: Sequence[Flight], form: Form, z: np.ndarray) -> tu
     return tuple(out)
 
 
-def _fitted_local(form: Form, data: Segments, z: np.ndarray, flights: int) -> np.ndarray:
+def _fitted_local(form: SegmentModel, data: Segments, z: np.ndarray, flights: int) -> np.ndarray:
     """Nuisances (flights, 9) of flights that were not used, under given parameters; 0 where no segment is."""
-    local = np.zeros((flights, segments.LOCALS))
+    local = np.zeros((flights, model.LOCALS))
     if not len(data.flight):
         return local
     process = starting_process(data)
-    kept = segments.basis(form, data, z, local)
+    kept = linearise.basis(form, data, z, local)
     for _ in range(3):
-        grams = segments.linearise(form, data, z, local, kept)
+        grams = linearise.linearise(form, data, z, local, kept)
         data = data.with_x0(grams.x0)
-        lin = segments.project(grams, data, z, local)
+        lin = linearise.project(grams, data, z, local)
         process = evidence.fit_process(lin, form.space.prior, (), process)
         white = evidence.whitened(lin, process, form.space.prior)
         local = local + evidence.local_step(lin, white, form.space.prior, np.zeros(len(z)))

@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from trimtab.host.log import Flight
 from trimtab.host.trace import words
-from trimtab.host.trace.audit import Audit, audit
+from trimtab.host.trace.data.audit import Audit, audit
+from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
+from trimtab.host.trace.data.signals import Signals, averaged, noise, pose_interval_s, signals
 from trimtab.host.trace.decision.findings import Code, Finding, TooLittleToTrace
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.segments import BIN_S, PATH_S, Segments
-from trimtab.host.trace.signals import Signals, averaged, noise, pose_interval_s, signals
 
 DT_S = 0.01
 SEGMENT_S = 0.6

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincc, gammainccinv
 
+from trimtab.host.trace.data.segments import BIN_S, Segments
 from trimtab.host.trace.decision.rules import RULES, Rules
-from trimtab.host.trace.segments import BIN_S, Segments
 
 _FFT = 256
 

@@ -16,7 +16,7 @@ from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.codegen.ops import CASADI
 from trimtab.host.models import dynamics
 from trimtab.host.models.lanes import LaneProgram, Lanes, lane_program
-from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.vehicle import Vehicle
 
 Scalar = Any
@@ -40,7 +40,7 @@ _THRUST_ROUNDS = 2
 """Of the fixed point for the thrust along a measured path; what is left falls by a payload's share each."""
 
 
-class Form:
+class SegmentModel:
     """The model of `vehicle` with the parameters of `space`, at a grid of dt_s.
 
     `in_newton`: commands are rotor thrusts in N. `rate_driven`: the measured body rate is an input instead of
@@ -48,7 +48,7 @@ class Form:
     """
 
     def __init__(
-        self, vehicle: Vehicle, space: Space, *, dt_s: float, in_newton: bool, rate_driven: bool
+        self, vehicle: Vehicle, space: ParameterSpace, *, dt_s: float, in_newton: bool, rate_driven: bool
     ) -> None:
         self.vehicle = vehicle
         self.space = space

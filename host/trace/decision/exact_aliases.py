@@ -8,7 +8,7 @@ import numpy as np
 
 from trimtab.host.effects import Effect, ExactAlias
 from trimtab.host.trace.decision.findings import Code, Finding
-from trimtab.host.trace.parameters import Space
+from trimtab.host.trace.parameters import ParameterSpace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,7 +19,9 @@ class ObservedAlias:
     finding: Finding
 
 
-def exact_aliases(space: Space, z: np.ndarray, covariance: np.ndarray, name: str) -> dict[str, ObservedAlias]:
+def exact_aliases(
+    space: ParameterSpace, z: np.ndarray, covariance: np.ndarray, name: str
+) -> dict[str, ObservedAlias]:
     """Return what no flight tells from the effect `name`, by the other effect's name.
 
     An effect that the space does not hold, or whose value was measured, is left out.
@@ -48,14 +50,14 @@ def exact_aliases(space: Space, z: np.ndarray, covariance: np.ndarray, name: str
     return observed
 
 
-def _is_measured(space: Space, name: str) -> bool:
+def _is_measured(space: ParameterSpace, name: str) -> bool:
     """Whether the first parameter of an effect was measured, by its tolerance."""
     least = space.effects[name].parameters[0].measured_below
     return least is not None and space.columns[space.owners[name][0]].tolerance < least
 
 
 def _ratio(
-    space: Space, z: np.ndarray, covariance: np.ndarray, over: Effect, under: Effect
+    space: ParameterSpace, z: np.ndarray, covariance: np.ndarray, over: Effect, under: Effect
 ) -> tuple[float, float]:
     """Return the ratio of two effects' first parameters, each over neutral, and its sd to first order."""
     pair = [space.owners[over.name][0], space.owners[under.name][0]]

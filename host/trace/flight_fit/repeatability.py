@@ -14,10 +14,18 @@ from dataclasses import replace
 import numpy as np
 
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.loop import BIN_S, Loop
-from trimtab.host.trace.refine import ClosedFit, weighted
-from trimtab.host.trace.twins import FlightRepeat
-from trimtab.host.trace.whitening import CHANNELS, Whitening, affordable, autoregression, stretches, whitened
+from trimtab.host.trace.flight_fit.fit import FlightFit, weighted
+from trimtab.host.trace.flight_fit.loop import Loop
+from trimtab.host.trace.flight_fit.recording import FLIGHT_BIN_S
+from trimtab.host.trace.flight_fit.whitening import (
+    CHANNELS,
+    Whitening,
+    affordable,
+    autoregression,
+    stretches,
+    whitened,
+)
+from trimtab.host.trace.residual.unexplained import FlightRepeat
 
 _EVERY = 5
 
@@ -35,7 +43,11 @@ def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int
     for one, other, known in pairs:
         at = stretches(known, white.span)
         x, y = whitened(white, np.stack([one, other]), known).reshape(2, len(at), -1)
-        apart = range(round(RULES.twin_shift_s / BIN_S), len(at) - round(RULES.twin_shift_s / BIN_S), _EVERY)
+        apart = range(
+            round(RULES.twin_shift_s / FLIGHT_BIN_S),
+            len(at) - round(RULES.twin_shift_s / FLIGHT_BIN_S),
+            _EVERY,
+        )
         by_chance = [float((x * np.roll(y, shift, axis=0)).sum()) for shift in apart]
         common += float((x * y).sum())
         variance += max(float(x.size), float(np.var(by_chance)))
@@ -60,7 +72,7 @@ def turbulence(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int,
     return _turbulence(_pairs(loop, z, twins), order)
 
 
-def in_turbulence(loop: Loop, fit: ClosedFit, order: int, twins: Sequence[tuple[int, int]]) -> ClosedFit:
+def in_turbulence(loop: Loop, fit: FlightFit, order: int, twins: Sequence[tuple[int, int]]) -> FlightFit:
     """The fit's effects fitted once more, whitened by what twins differ by; without twins only
     its covariance is another.
 
@@ -85,7 +97,7 @@ def _pairs(loop: Loop, z: np.ndarray, twins: Sequence[tuple[int, int]]) -> list[
     for a, b in twins:
         bins = min(len(left[a]), len(left[b]))
         known = loop.known[a][:bins] & loop.known[b][:bins]
-        if known.sum() * BIN_S >= RULES.twin_min_s:
+        if known.sum() * FLIGHT_BIN_S >= RULES.twin_min_s:
             out.append((left[a][:bins], left[b][:bins], known))
     return out
 

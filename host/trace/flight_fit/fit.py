@@ -18,16 +18,16 @@ import numpy as np
 from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
-from trimtab.host.trace.loop import Loop
-from trimtab.host.trace.parameters import Space
-from trimtab.host.trace.search import Names
-from trimtab.host.trace.whitening import (
+from trimtab.host.trace.flight_fit.loop import Loop
+from trimtab.host.trace.flight_fit.whitening import (
     Whitening,
     autoregression,
     span_of,
     stretches,
     whitened,
 )
+from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.search import Names
 
 LOOP_SETTLED = 0.3
 """Greatest step, in standard deviations, that is taken without looking at the roll-outs again."""
@@ -38,7 +38,7 @@ _LINE = (1.0, 0.5, 0.25, 0.1)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClosedFit:
+class FlightFit:
     """A set of effects fitted over the closed loop, comparable with others of the same recordings and order.
 
     z (P,) and covariance (P, P) scaled; grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] by
@@ -66,7 +66,7 @@ def _grams(
     return np.stack(grams)
 
 
-def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> ClosedFit:
+def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> FlightFit:
     """The set of `effects` fitted over the closed loop from z (P,): Gauss-Newton with line search.
 
     The whitening is fitted again to what every linear step leaves.
@@ -92,7 +92,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> C
         z, base = moved, there
     count = sum(len(stretches(k, span_of(order))) for k in loop.known)
     log_det = count * float(np.linalg.slogdet(white.innovation)[1])
-    return ClosedFit(
+    return FlightFit(
         effects=tuple(sorted(effects)),
         z=space.clipped(z + step),
         at=z,
@@ -110,13 +110,13 @@ def _position_rms(loop: Loop, residuals: Sequence[np.ndarray]) -> float:
     return float(np.sqrt(np.concatenate(known).mean()))
 
 
-def prior_of(space: Space) -> Prior:
+def prior_of(space: ParameterSpace) -> Prior:
     """The prior over the closed loop: what is left out moves within tolerance and loop discrepancy."""
     tolerance = np.array([column.tolerance / column.scale for column in space.columns])
     return replace(space.prior, spike=np.hypot(tolerance, loop_discrepancy(space)))
 
 
-def loop_discrepancy(space: Space) -> np.ndarray:
+def loop_discrepancy(space: ParameterSpace) -> np.ndarray:
     """One sigma (P,), in scales, of what phi itself may be off by in every column."""
     return np.array([column.loop_discrepancy for column in space.columns])
 
@@ -144,7 +144,7 @@ def _line_search(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LoopFitter:
+class FlightFitter:
     """Fits sets of effects to whole flights over the closed loop, whitened to one order."""
 
     loop: Loop
@@ -152,7 +152,7 @@ class LoopFitter:
     _found: dict[tuple[str, Names, bytes], tuple[float, np.ndarray]] = field(default_factory=dict, init=False)
 
     @property
-    def space(self) -> Space:
+    def space(self) -> ParameterSpace:
         """The parameters."""
         return self.loop.space
 
@@ -161,7 +161,7 @@ class LoopFitter:
         """Their prior."""
         return prior_of(self.loop.space)
 
-    def fit(self, effects: Sequence[str], start: ClosedFit) -> ClosedFit:
+    def fit(self, effects: Sequence[str], start: FlightFit) -> FlightFit:
         """The set `effects` fitted from `start`."""
         z = start.z.copy()
         for name in set(start.effects) - set(effects):
@@ -176,7 +176,7 @@ class LoopFitter:
         worse = not fit.error_m < RULES.worse_fit_ratio * start.error_m or not np.isfinite(fit.log_evidence)
         return replace(fit, log_evidence=-np.inf) if worse else fit
 
-    def scorers(self, fit: ClosedFit) -> list[Callable[[Names], float]]:
+    def scorers(self, fit: FlightFit) -> list[Callable[[Names], float]]:
         """Log evidence of any set in the fit's linearisation and whitening.
 
         A hint for sets with more effects, since the whitening has taken up a part of what they explain.
@@ -186,14 +186,14 @@ class LoopFitter:
             lambda names: evidence.log_evidence(gram, 0.0, fit.at, prior.precision(names), len(names), limits)
         ]
 
-    def beyond(self, fit: ClosedFit) -> list[Names]:
+    def beyond(self, fit: FlightFit) -> list[Names]:
         """Sets with one effect more that explains much from one of its `starts`, if little as a slope."""
         absent = set(self.space.candidates) - set(fit.effects)
         found = [name for name in sorted(absent) if self.space.effect(name).starts]
         grown = [name for name in found if self._begun(name, fit)[0] > RULES.worth_fitting_nats]
         return [tuple(sorted((*fit.effects, name))) for name in grown]
 
-    def _begun(self, name: str, fit: ClosedFit) -> tuple[float, np.ndarray]:
+    def _begun(self, name: str, fit: FlightFit) -> tuple[float, np.ndarray]:
         """Nats that the effect gains at the best of its starts, in whatever strength and with all else that
         may move moving along, and the scaled parameters (P,) there. Asked of a fit twice, found once.
         """
@@ -202,7 +202,7 @@ class LoopFitter:
             self._found[asked] = self._best_start(name, fit)
         return self._found[asked]
 
-    def _best_start(self, name: str, fit: ClosedFit) -> tuple[float, np.ndarray]:
+    def _best_start(self, name: str, fit: FlightFit) -> tuple[float, np.ndarray]:
         space, own = self.space, list(self.space.groups[name])
         points = np.repeat(fit.z[:, None], len(space.effect(name).starts), axis=1)
         for lane, values in enumerate(space.effect(name).starts):

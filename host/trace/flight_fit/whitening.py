@@ -4,7 +4,7 @@ A gust shows in position, attitude and rate, so a bin is regressed on the bins b
 singly, earlier ones by their mean (Corsi 2009, "A simple approximate long-memory model of realized
 volatility"). The loop lets go of a gust only after about a second. Windows that reach so far learn the few
 gusts of these flights by heart and whiten no better; where sizes are told, that the innovations keep a slow
-part is reckoned with instead (`trimtab.host.trace.refine`).
+part is reckoned with instead (`trimtab.host.trace.flight_fit.fit`).
 """
 
 from __future__ import annotations

@@ -1,0 +1,1 @@
+"""From logs to segments: checks of what belongs together, health of the data, signals on one clock."""

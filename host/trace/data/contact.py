@@ -1,0 +1,114 @@
+"""Where the floor carries a vehicle, or something hits it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.log import Flight
+from trimtab.host.trace.data.signals import Signals, averaged, without_inputs
+from trimtab.host.trace.data.stretches import Stretch, clipped_stretch, merged_spans, runs_of, within
+from trimtab.host.trace.decision.findings import Code
+from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.vehicle import Vehicle
+
+_WINDOW_S = 0.3
+"""Length of the windows that support by the floor is looked for in."""
+
+
+_WINDOW_STEP_S = 0.1
+
+
+def ground_contact(flight: Flight, s: Signals) -> list[Stretch]:
+    """Where the floor carries the vehicle, or something hits it.
+
+    Either low over where it stood, or low in the log, not falling, with rotors that give less than the
+    specific force by more than what they give less in free flight.
+    """
+    t = np.arange(s.pose_s[0], s.pose_s[-1] - _WINDOW_S, _WINDOW_STEP_S)
+    low, high = np.searchsorted(s.pose_s, t), np.searchsorted(s.pose_s, t + _WINDOW_S)
+    known = high - low >= 4
+    t, low, high = t[known], low[known], high[known]
+    flying = (t + _WINDOW_S > s.span_s[0]) & (t < s.span_s[1])
+    if without_inputs(flight) or not flying.any():
+        return _impacts(flight, s)
+    spans = list(zip(low, high, strict=True))
+    down = np.array([np.median(s.p[a:b, 2]) for a, b in spans])
+    thrust, force, speed = _carried(flight.vehicle, s, t, low, high)
+    touching = np.zeros(len(t), dtype=bool)
+    still = np.array([np.ptp(s.p[a:b], axis=0).max() < RULES.still_m for a, b in spans])
+    if flight.kind == "flight":  # the log begins as it is armed, on the floor
+        touching = np.median(s.p[s.pose_s < s.pose_s[0] + 0.1, 2]) - down < RULES.clear_m
+    elif (rest := still & (thrust < RULES.resting_thrust_g * GRAVITY)).any():
+        touching = np.median(down[rest]) - down < RULES.clear_m
+    height = down.max() - down
+    ratio = force / np.maximum(thrust, 0.1)
+    powered = thrust > 0.5 * np.nanmedian(thrust[flying])
+    free = ratio[powered & (height > RULES.free_height_m)]
+    if len(free) <= 5:
+        free = np.sort(ratio[powered])[: powered.sum() // 2 + 1]
+    carried = (
+        (ratio > RULES.support_ratio * np.median(free))
+        & (np.abs(speed) < RULES.level_speed_m_s)
+        & (height < RULES.low_m)
+    )
+    bad = (touching | carried) & flying
+    return [clipped_stretch(s, a, b + _WINDOW_S, Code.GROUND_CONTACT) for a, b in runs_of(t, bad)] + _impacts(
+        flight, s
+    )
+
+
+def _carried(
+    vehicle: Vehicle, s: Signals, t: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nominal specific thrust, specific force along it (m/s^2), and vertical speed, in windows from t (n,).
+
+    The accelerometer says the force, without one the poses' curvature does. NaN without commands.
+    """
+    knots = np.ravel(np.column_stack([t, t + _WINDOW_S]))
+    order = np.argsort(knots, kind="stable")
+    each = s.command if s.in_newton else _thrust(vehicle, s.command)
+    edges = np.unique(knots[order])
+    first, last = np.searchsorted(edges, t), np.searchsorted(edges, t + _WINDOW_S)
+
+    def means(interval_s: np.ndarray, value: np.ndarray) -> np.ndarray:
+        mean, share = averaged(edges, interval_s, value[:, None])
+        weight = np.r_[0.0, np.cumsum(share * np.diff(edges))]
+        area = np.r_[0.0, np.cumsum(mean[:, 0] * share * np.diff(edges))]
+        length = weight[last] - weight[first]
+        return np.where(
+            length > 0.5 * _WINDOW_S, (area[last] - area[first]) / np.maximum(length, 1e-9), np.nan
+        )
+
+    thrust = means(s.input_s, each.sum(axis=1) / vehicle.mass_kg)
+    curve = [
+        np.polynomial.polynomial.polyfit(s.pose_s[a:b] - s.pose_s[a], s.p[a:b], 2)
+        for a, b in zip(low, high, strict=True)
+    ]
+    speed = np.array([c[1, 2] + c[2, 2] * _WINDOW_S for c in curve])
+    if len(s.force):
+        force = -means(s.imu_s, s.force[:, 2])
+    else:
+        acceleration = np.array([2.0 * c[2] for c in curve])
+        axis = s.R[(low + high) // 2, :, 2]
+        force = -np.einsum("ni,ni->n", axis, acceleration - np.array([0.0, 0.0, GRAVITY]))
+    return thrust, force, speed
+
+
+def _thrust(vehicle: Vehicle, command: np.ndarray) -> np.ndarray:
+    c1, c2 = vehicle.thrust_curve
+    return vehicle.thrust_max_n * command * (c1 + c2 * command)
+
+
+def _impacts(flight: Flight, s: Signals) -> list[Stretch]:
+    """Times at which the accelerometer shows what no rotor can give and no air makes."""
+    if not len(s.force):
+        return []
+    strongest = 4.0 * flight.vehicle.thrust_max_n / flight.vehicle.mass_kg
+    beyond = RULES.impact_g * GRAVITY
+    x, y, z = s.force.T
+    hit = (np.hypot(x, y) > beyond) | (z > beyond) | (z < -strongest - beyond)
+    middle = s.imu_s.mean(axis=1)
+    keep = within(middle, s.span_s)
+    spans = merged_spans([(a - 0.1, b + 0.1) for a, b in runs_of(middle[keep], hit[keep])])
+    return [clipped_stretch(s, a, b, Code.IMPACT) for a, b in spans]

@@ -1,0 +1,79 @@
+"""The evidence that a verdict is decided by, gathered from the fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from trimtab.host.trace.data.segments import Segments
+from trimtab.host.trace.decision.decide import Evidence
+from trimtab.host.trace.residual.unexplained import unexplained_residual
+from trimtab.host.trace.search import Names, likeliest
+from trimtab.host.trace.segment_fit.fit import SegmentFit, disturbance_left, refit, unknowns_only
+from trimtab.host.trace.segment_fit.model import SegmentModel
+from trimtab.host.trace.selection import Diagnosis, is_judged
+
+
+def gather_evidence(
+    form: SegmentModel,
+    diagnosis: Diagnosis,
+    twins: Sequence[tuple[int, int]],
+    unknown: frozenset[str],
+    tracking_s: float,
+    extent_m: float,
+) -> Evidence:
+    """Return everything that the verdict is decided by."""
+    best, nothing = diagnosis.best, diagnosis.nothing
+    axial = "thrust" not in unknown
+    after, before = diagnosis.repeats
+    residual = unexplained_residual(*_remainder(form, diagnosis), twins, axial=axial)
+    without = unexplained_residual(
+        disturbance_left(nothing, unknowns_only(form.space, nothing)), nothing.data, twins, axial=axial
+    )
+    by_segments = diagnosis.method == "segments"
+    return Evidence(
+        space=form.space,
+        selected=best.effects,
+        null_probability=diagnosis.none,
+        log_evidence=diagnosis.sets,
+        posterior_weights=diagnosis.weights,
+        inclusion_probability=diagnosis.inclusion,
+        detectability=diagnosis.stands_out,
+        by_segments=by_segments,
+        residual=replace(residual, flights=after),
+        residual_without=replace(without, flights=before),
+        disturbance_sigma=tuple(best.process.sigma().tolist()),
+        thrust_known=axial,
+        rate_driven=best.data.rate_driven,
+        segment_disagreement_nats=(
+            {}
+            if by_segments or twins or not best.effects
+            else segment_disagreement_nats(form, nothing, best.effects)
+        ),
+        tracking_s=tracking_s,
+        extent_m=extent_m,
+    )
+
+
+def segment_disagreement_nats(form: SegmentModel, nothing: SegmentFit, selected: Names) -> dict[str, float]:
+    """Return by how many nats segments prefer the selected set without each of its effects."""
+    whole = refit(form, nothing.data, selected, nothing)
+    return {
+        name: refit(form, nothing.data, tuple(n for n in selected if n != name), whole).log_evidence
+        - whole.log_evidence
+        for name in selected
+    }
+
+
+def _remainder(form: SegmentModel, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
+    """Disturbance (segments, bins, 6) that the library leaves, by which abstention is judged.
+
+    Of the kept set; where none is kept though one is more probable than nothing, of the most probable.
+    """
+    best = diagnosis.best
+    if is_judged(diagnosis):
+        return disturbance_left(best, best.z), best.data
+    fit = refit(form, diagnosis.nothing.data, likeliest(diagnosis.weights), diagnosis.nothing)
+    return disturbance_left(fit, fit.z), fit.data

@@ -1,0 +1,1 @@
+"""The flight that separates two effects best."""

@@ -1,0 +1,166 @@
+"""The disturbance by bins of 0.1 s, and the quantities that it may depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trimtab.host.trace.data.segments import BIN_S, Segments
+from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.vehicle import Vehicle
+
+_CENTRES = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bins:
+    """The disturbance and what it may depend on, a row for each bin of 0.1 s.
+
+    segment, flight, reference (n,) numbers; t_s (n,) since tracking began; w (n, 6) specific force m/s^2 and
+    angular acceleration rad/s^2, FRD; R (n, 3, 3) R_ned_frd; p, v (n, 3) NED; rate (n, 3) FRD; rotors (n, 4)
+    commanded thrust over mass, m/s^2.
+    """
+
+    segment: np.ndarray
+    flight: np.ndarray
+    reference: np.ndarray
+    t_s: np.ndarray
+    w: np.ndarray
+    R: np.ndarray
+    p: np.ndarray
+    v: np.ndarray
+    rate: np.ndarray
+    rotors: np.ndarray
+
+    @property
+    def force_ned(self) -> np.ndarray:
+        """Specific force (n, 3) in NED."""
+        return np.einsum("nij,nj->ni", self.R, self.w[:, :3])
+
+    @property
+    def v_frd(self) -> np.ndarray:
+        """Velocity (n, 3) in body axes."""
+        return np.einsum("nij,ni->nj", self.R, self.v)
+
+
+def bins_of(w: np.ndarray, data: Segments, references: Sequence[str | None], vehicle: Vehicle) -> Bins:
+    """The rows of disturbances w (segments, bins, 6); `references` names that of each flight, if known."""
+    count, bins, _ = w.shape
+    per_bin = data.steps // bins
+    middle = per_bin // 2
+
+    def means(values: np.ndarray) -> np.ndarray:
+        return values.reshape(count, bins, per_bin, -1).mean(2).reshape(count * bins, -1)
+
+    names = [name or f"flight {index}" for index, name in enumerate(references)]
+    number = {name: k for k, name in enumerate(dict.fromkeys(names))}
+    seen = data.pose_weight > 0
+    p, R = _filled(data.position, seen), _filled(data.attitude, seen)
+    c1, c2 = vehicle.thrust_curve
+    command = data.command[:, -data.steps :]
+    rotors = command if data.in_newton else vehicle.thrust_max_n * command * (c1 + c2 * command)
+    start = np.repeat(data.start_s, bins)
+    flight = np.repeat(data.flight, bins)
+    return Bins(
+        segment=np.repeat(np.arange(count), bins),
+        flight=flight,
+        reference=np.array([number[name] for name in names])[flight],
+        t_s=start + np.tile(BIN_S * (np.arange(bins) + 0.5), count),
+        w=w.reshape(-1, 6),
+        R=R.reshape(count, bins, per_bin, 9)[:, :, middle].reshape(-1, 3, 3),
+        p=means(p),
+        v=means(np.gradient(p, data.dt_s, axis=1)),
+        rate=means(data.rate),
+        rotors=means(rotors) / vehicle.mass_kg,
+    )
+
+
+def _filled(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Values (S, H, k) with the steps that were not seen taken from their neighbours."""
+    steps = np.arange(seen.shape[1])
+    out = np.empty(values.shape)
+    for k, here in enumerate(seen):
+        for i in range(values.shape[2]):
+            out[k, :, i] = np.interp(steps, steps[here], values[k, here, i])
+    return out
+
+
+def features_of(bins: Bins) -> dict[str, tuple[np.ndarray, tuple[str, ...], str, bool]]:
+    """By group: basis (n, m), names of its first columns, which are linear, their units, and whether the
+    axes natural to it are the world's."""
+    up = bins.R[:, 2, :]
+    collective = bins.rotors.sum(1)
+    yaw = np.arctan2(bins.R[:, 1, 0], bins.R[:, 0, 0])
+    # Differences of front and rear, left and right, and of the two diagonals, whatever the order of rotors.
+    turn = bins.rotors @ np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0]]).T
+    order = bins.flight.astype(float)
+    t = bins.t_s
+    v, attitude, angles = bins.v_frd, up[:, :2], ("tilt x", "tilt y")
+    if np.abs(np.exp(1j * yaw).mean()) < RULES.one_heading:
+        attitude = np.column_stack([attitude, np.cos(yaw), np.sin(yaw)])
+        angles = (*angles, "cos heading", "sin heading")
+    speed = np.linalg.norm(v, axis=1, keepdims=True)
+    body = ("x", "y", "z")
+    return {
+        "position": (
+            np.column_stack([bins.p, _squares(bins.p), _bumps(bins.p)]),
+            ("north", "east", "down"), "m", True,
+        ),
+        "time": (
+            np.column_stack([t, order, _squares(np.column_stack([t, order]))]),
+            ("time", "the flights' order"), "s", True,
+        ),
+        "body velocity": (
+            np.column_stack([v, _squares(v), speed * v]),
+            tuple(f"velocity {axis}" for axis in body), "(m/s)", False,
+        ),
+        "attitude": (
+            np.column_stack([attitude, _squares(attitude)]), angles, "rad", False,
+        ),
+        "body rate": (
+            np.column_stack([bins.rate, _squares(bins.rate)]),
+            tuple(f"rate {axis}" for axis in body), "(rad/s)", False,
+        ),
+        "thrust": (
+            np.column_stack([collective, turn, _squares(np.column_stack([collective, turn]))]),
+            ("collective thrust", "thrust 1+2-3-4", "thrust 1-2+3-4", "thrust 1-2-3+4"), "(m/s^2)", False,
+        ),
+    }  # fmt: skip
+
+
+def _squares(x: np.ndarray) -> np.ndarray:
+    """All products (n, m (m + 1) / 2) of two of the columns."""
+    first, second = np.triu_indices(x.shape[1])
+    return x[:, first] * x[:, second]
+
+
+def _bumps(p: np.ndarray) -> np.ndarray:
+    """Gaussian bumps (n, k) about places the farthest apart, as wide as they are apart."""
+    chosen = [int(np.linalg.norm(p - p.mean(0), axis=1).argmin())]
+    distance = np.full(len(p), np.inf)
+    while len(chosen) < min(_CENTRES, len(p)):
+        distance = np.minimum(distance, np.linalg.norm(p - p[chosen[-1]], axis=1))
+        chosen.append(int(distance.argmax()))
+    width = max(float(distance.max()), 0.1)
+    apart = np.linalg.norm(p[:, None] - p[chosen], axis=2)
+    return np.exp(-0.5 * (apart / width) ** 2)
+
+
+def constant_columns(bins: Bins, world: bool) -> np.ndarray:
+    """Columns (n, 3, k) of pushes constant in body axes and, for a force, in the world's."""
+    ones = np.ones((len(bins.w), 1))
+    body = columns_of(ones, None)
+    return np.concatenate([body, columns_of(ones, bins.R)], axis=2) if world else body
+
+
+def columns_of(basis: np.ndarray, R: np.ndarray | None) -> np.ndarray:
+    """Columns (n, 3, 3 m) in body axes of a basis (n, m) for each axis; R turns those of the world."""
+    axes = np.eye(3)[None] if R is None else np.swapaxes(R, 1, 2)
+    product = basis[:, None, :, None] * axes[:, :, None, :]
+    return product.reshape(len(basis), 3, -1)
+
+
+def standardised(basis: np.ndarray) -> np.ndarray:
+    return (basis - basis.mean(0)) / np.maximum(basis.std(0), 1e-9)

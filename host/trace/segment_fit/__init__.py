@@ -1,0 +1,1 @@
+"""Sets of effects fitted to command-driven segments from free initial states."""

@@ -1,0 +1,151 @@
+"""Roll-outs of segments from many initial states, with many parameters and disturbances, as lanes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
+from trimtab.host.trace.segment_fit.model import CHANNELS, LOCALS, STATES, SegmentModel
+from trimtab.host.vehicle import Vehicle
+
+
+def roll_out(
+    form: SegmentModel,
+    data: Segments,
+    x0: np.ndarray,
+    z: np.ndarray,
+    local: np.ndarray,
+    bins: np.ndarray | None = None,
+    memory: np.ndarray | None = None,
+) -> np.ndarray:
+    """Predicted measurements (H, 12, C, S) of lanes: `form.CHANNELS` of every step.
+
+    x0 (12, C, S); z (P, C); local (9, C, S); bins (bins, 6, C) disturbance, specific force m/s^2 then angular
+    acceleration rad/s^2, both FRD. Motors start at the lagged command of the run-up, the effects' own states
+    at `memory` (M, C, S); by default with what the measured flight made of them.
+    """
+    lanes, count = x0.shape[1:]
+    total = lanes * count
+    step, pre = form.bind("step", total), data.command.shape[1] - data.steps
+    inputs, outputs = step.inputs, step.outputs
+
+    def load(name: str, value: np.ndarray) -> None:
+        """An input of every segment (S,) or (S, n), the same in all lanes."""
+        rows = value.T[:, None] if value.ndim == 2 else value
+        inputs[name].reshape(-1, lanes, count)[:] = rows
+
+    each = np.repeat(z, count, axis=1)
+    inputs["z"][:] = each
+    inputs["body"][:] = x0.reshape(STATES, total)
+    inputs["local"][:] = local.reshape(LOCALS, total)
+    commands = _delayed(form, data.command, z)
+    inputs["thrust"][:] = _spun_up(form, commands[:pre], each)
+    if form.memory:
+        memory = remembered(form, data, z) if memory is None else memory
+        inputs["memory"][:] = memory.reshape(form.memory, total)
+    predicted = np.empty((data.steps, CHANNELS, lanes, count))
+    per_bin = round(BIN_S / data.dt_s)
+    w = inputs["w"].reshape(6, lanes, count)
+    for k in range(data.steps):
+        index = k // per_bin
+        w[:] = data.w[:, index].T[:, None]
+        if bins is not None:
+            w += bins[index][:, :, None]
+        inputs["command"][:] = commands[pre + k]
+        load("attitude", data.attitude[:, k])
+        load("rate", data.rate[:, k])
+        load("voltage", data.voltage_ratio[:, k])
+        load("t_s", data.start_s + k * data.dt_s)
+        load("shift_s", data.shift_s[:, k])
+        step()
+        predicted[k] = outputs["predicted_out"].reshape(CHANNELS, lanes, count)
+        inputs["body"][:] = outputs["body_out"]
+        inputs["thrust"][:] = outputs["thrust_out"]
+        inputs["memory"][:] = outputs["memory_out"]
+    return predicted
+
+
+def _delayed(form: SegmentModel, command: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Commands (pre + H, 4, C S) of the lanes z (P, C) as they arrive, from those given (S, pre + H, 4).
+
+    Means over steps, so that a delay of a fraction of a step mixes two of them; before the first, the first.
+    """
+    each = []
+    for delay in form.delay_s(z):
+        whole, share = divmod(float(delay) / form.dt_s, 1.0)
+        at = np.clip(np.arange(command.shape[1]) - int(whole), 0, command.shape[1] - 1)
+        now, before = command[:, at], command[:, np.maximum(at - 1, 0)]
+        each.append((1.0 - share) * now + share * before if share else now)
+    lanes = np.transpose(np.array(each), (2, 3, 0, 1))
+    return lanes.reshape(*lanes.shape[:2], -1)
+
+
+def _spun_up(form: SegmentModel, commands: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Rotor thrusts (4, lanes) after commands (n, 4, lanes), begun where the first of them settles."""
+    rotors = form.bind("rotors", commands.shape[2])
+    rotors.inputs["z"][:] = z
+    for k, command in enumerate(commands):
+        rotors.inputs["command"][:] = command
+        if k == 0:
+            rotors()
+            rotors.inputs["thrust"][:] = rotors.outputs["settled"]
+        rotors()
+        rotors.inputs["thrust"][:] = rotors.outputs["next"]
+    return rotors.outputs["next"].copy()
+
+
+def remembered(form: SegmentModel, data: Segments, z: np.ndarray) -> np.ndarray:
+    """The effects' own states (M, C, S) at the segments' starts for scaled parameters z (P, C), along the
+    measured paths of their flights.
+    """
+    if not form.memory:
+        return np.empty((0, z.shape[1], len(data.flight)))
+    own = [i for name, rows in form.space.owners.items() if form.memory_of(name) for i in rows]
+    kinds, lane = np.unique(z[own], axis=1, return_inverse=True)
+    values = np.repeat(z[:, :1], kinds.shape[1], axis=1)
+    values[own] = kinds
+    flights, steps = data.paths.shape[:2]
+    program = form.bind("memory", flights * kinds.shape[1])
+    program.inputs["z"][:] = np.repeat(values, flights, axis=1)
+    body = program.inputs["body"].reshape(STATES, -1, flights)
+    memory = program.inputs["memory"]
+    acceleration = program.inputs["acceleration"].reshape(3, -1, flights)
+    body[:] = data.paths[:, 0].T[:, None]
+    program()
+    now = program.outputs["rest"].copy()
+    found = np.empty((steps, form.memory, kinds.shape[1], flights))
+    for k in range(steps):
+        found[k] = now.reshape(found.shape[1:])
+        memory[:] = now
+        after = data.paths[:, min(k + 1, steps - 1)]
+        body[:] = data.paths[:, k].T[:, None]
+        acceleration[:] = (after - data.paths[:, k])[:, 3:6].T[:, None] / PATH_S
+        program()
+        memory[:] = now + 0.5 * PATH_S * program.outputs["rates"]
+        body[:] = 0.5 * (data.paths[:, k] + after).T[:, None]
+        program()
+        now = now + PATH_S * program.outputs["rates"]
+    at = data.path_start_s / PATH_S
+    low = np.clip(at.astype(int), 0, steps - 2)
+    share = np.clip(at - low, 0.0, 1.0)
+    low, share = low[None, :], share[None, :, None]
+    lane, flight = lane.reshape(-1, 1), data.flight[None, :]
+    ends = [np.moveaxis(found, 1, 3)[low + end, lane, flight] for end in (0, 1)]
+    return np.moveaxis((1.0 - share) * ends[0] + share * ends[1], 2, 0)
+
+
+def residuals(data: Segments, predicted: np.ndarray) -> np.ndarray:
+    """Measured minus predicted in units of their sigma, (C, S, 12 H), for `roll_out`'s (H, 12, C, S)."""
+    steps, _, lanes, segments = predicted.shape
+    measured = np.concatenate([data.position, np.zeros_like(data.position), data.rate, data.force], axis=2)
+    weights = (data.pose_weight, data.pose_weight, data.rate_weight, data.force_weight)
+    scale = np.stack([w / data.sigma[:, i : i + 1] for i, w in enumerate(weights)], axis=2)
+    out = measured - np.transpose(predicted, (2, 3, 0, 1))
+    out *= np.repeat(scale, 3, axis=2)
+    return out.reshape(lanes, segments, steps * CHANNELS)
+
+
+def nominal_thrust(vehicle: Vehicle, command: np.ndarray, *, in_newton: bool) -> np.ndarray:
+    """Rotor thrust in N that motor commands ask for, before the lag; what is in newton stays."""
+    c1, c2 = vehicle.thrust_curve
+    return command if in_newton else vehicle.thrust_max_n * command * (c1 + c2 * command)
