@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,8 +12,13 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-COST_KEYS = frozenset({"seconds", "solve_s", "trace_s", "wall_s", "cpu_s", "git", "version", "command"})
-"""What differs between two runs of the same code, or names the commit."""
+IGNORED_KEYS = frozenset(
+    {"seconds", "solve_s", "trace_s", "wall_s", "cpu_s", "git", "version", "command", "sources"}
+)
+"""What differs between two runs of the same code, names the commit, or hashes a source file."""
+
+IGNORED_PATH = re.compile(r"\.model\.toml\.id$")
+"""Ids of traced models: they cover the hashes of the effects' source files."""
 
 RELATIVE = 1e-12
 PARAMETER_SD = 0.01
@@ -70,9 +76,9 @@ def _walk(record: str, path: str, old: Any, new: Any) -> Iterator[Difference]:
     """Yield the differences below `path`. Keys that only `new` has are additions and allowed."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key, value in old.items():
-            if key in COST_KEYS:
-                continue
             where = f"{path}.{key}" if path else key
+            if key in IGNORED_KEYS or IGNORED_PATH.search(where):
+                continue
             if key not in new:
                 yield Difference(record=record, path=where, kind=Kind.MISSING, before=value, after=None)
             else:
