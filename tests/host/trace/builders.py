@@ -351,9 +351,7 @@ def build_named(name: str) -> Named:
     return Named(name=name, title=name, parameters={}, probability=1.0, aliases={}, exact_alias=None)
 
 
-def build_trace(
-    space: Space, diagnosis: Diagnosis, *, named: Sequence[str] = (), **changes: Any
-) -> Trace:
+def build_trace(space: Space, diagnosis: Diagnosis, *, named: Sequence[str] = (), **changes: Any) -> Trace:
     """Return a trace that names these effects, without held-out flights, but for `changes`."""
     plain: dict[str, Any] = {
         "verdict": Verdict.TRACED if named else Verdict.NOTHING_MISSING,

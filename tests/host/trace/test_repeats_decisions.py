@@ -65,7 +65,8 @@ def is_tempered(fit: ClosedFit) -> bool:
     np.testing.assert_array_equal(fit.z, FIT.z)
     assert (fit.effects, fit.log_evidence) == (FIT.effects, FIT.log_evidence)
     return bool(
-        np.allclose(fit.covariance, RULES.temper * FIT.covariance) and np.allclose(fit.grams, FIT.grams / RULES.temper)
+        np.allclose(fit.covariance, RULES.temper * FIT.covariance)
+        and np.allclose(fit.grams, FIT.grams / RULES.temper)
     )
 
 

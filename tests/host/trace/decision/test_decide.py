@@ -6,20 +6,6 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 import pytest
-
-from tests.host.trace.builders import (
-    build_diagnosis,
-    build_effect,
-    build_fit,
-    build_leftover,
-    build_space,
-    weights_of_nothing,
-)
-from trimtab.host.trace import verdict as module
-from trimtab.host.trace.diagnose import Fit
-from trimtab.host.trace.form import Form
-from trimtab.host.trace.result import SHOWN
-from trimtab.host.trace.search import WITHIN_NATS, Names
 from trimtab.host.trace.verdict import (
     ALIAS_PROBABILITY,
     RESTLESS,
@@ -35,6 +21,20 @@ from trimtab.host.trace.verdict import (
     with_each_other,
     with_hidden,
 )
+
+from tests.host.trace.builders import (
+    build_diagnosis,
+    build_effect,
+    build_fit,
+    build_leftover,
+    build_space,
+    weights_of_nothing,
+)
+from trimtab.host.trace import verdict as module
+from trimtab.host.trace.diagnose import Fit
+from trimtab.host.trace.form import Form
+from trimtab.host.trace.result import SHOWN
+from trimtab.host.trace.search import WITHIN_NATS, Names
 
 QUIET = build_leftover()
 REPEATING = build_leftover(force_repeat=1.0, force_z=10.0)
