@@ -1,4 +1,4 @@
-"""Whether flights are enough to be searched as whole flights: what is measured, and the rule applied to it."""
+"""Whether flights are enough to be searched as whole flights: what is measured, and the rule."""
 
 from __future__ import annotations
 
