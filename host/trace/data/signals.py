@@ -20,11 +20,6 @@ from trimtab.host.trace.decision.findings import Code, TooLittleToTrace
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.vehicle import Vehicle
 
-SIGMA_FLOOR = (1e-3, 3e-3, 5e-3, 0.02)
-"""Least sigma of position (m), attitude (rad), rate (rad/s) and specific force (m/s^2): smoothed logs look
-quieter than they are.
-"""
-
 WITHOUT_INPUTS = frozenset({THRUST, MOTOR_LAG, INERTIA, TORQUE})
 """What a log of poses alone leaves unknown."""
 
@@ -165,7 +160,13 @@ def noise(s: Signals) -> np.ndarray:
             for x in (s.gyro, s.force)
         ),
     )
-    return np.maximum(spread, SIGMA_FLOOR)
+    floor = (
+        RULES.position_sigma_floor_m,
+        RULES.attitude_sigma_floor_rad,
+        RULES.rate_sigma_floor_rad_s,
+        RULES.force_sigma_floor_m_s2,
+    )
+    return np.maximum(spread, floor)
 
 
 def _robust(x: np.ndarray) -> float:

@@ -11,9 +11,6 @@ Names = tuple[str, ...]
 Aliases = Mapping[str, Mapping[str, float]]
 """Probability of each alternative, by the selected effect that it would replace."""
 
-EVEN = 0.5
-"""Probability of an alternative that nothing in the data speaks against."""
-
 
 def aliases_of(
     selected: Sequence[str], posterior_weights: Mapping[Names, float], space: ParameterSpace, rules: Rules
@@ -63,11 +60,12 @@ def with_undetectable(
             for other in undetectable
             if other in effect.aliases or effect.name in space.effects[other].aliases
         ]
-        extended[name] = {**{other: EVEN for other in known if not space.effects[other].one_of}, **others}
+        open_ones = {other: rules.open_probability for other in known if not space.effects[other].one_of}
+        extended[name] = {**open_ones, **others}
     return extended
 
 
-def with_each_other(aliases: Aliases, space: ParameterSpace) -> dict[str, dict[str, float]]:
+def with_each_other(aliases: Aliases, space: ParameterSpace, rules: Rules) -> dict[str, dict[str, float]]:
     """Return the aliases with those among the selected effects themselves.
 
     For thin data: no form is exact, and a known alias takes up what an effect leaves of itself. An effect
@@ -80,7 +78,7 @@ def with_each_other(aliases: Aliases, space: ParameterSpace) -> dict[str, dict[s
             beside = space.effect(other)
             through = beside.name in effect.requires_any or effect.name in beside.requires_any
             if not through and (beside.name in effect.aliases or effect.name in beside.aliases):
-                extended[name][other] = EVEN
+                extended[name][other] = rules.open_probability
     return extended
 
 

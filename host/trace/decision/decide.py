@@ -183,7 +183,7 @@ def _aliases(evidence: Evidence, too_little: bool, rules: Rules) -> dict[str, di
     if too_little:
         aliases = with_undetectable(aliases, evidence.space, evidence.detectability, rules)
     if evidence.by_segments or not evidence.has_twins:
-        aliases = with_each_other(aliases, evidence.space)
+        aliases = with_each_other(aliases, evidence.space, rules)
     return aliases
 
 

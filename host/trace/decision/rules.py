@@ -60,6 +60,10 @@ class Rules:
         4.2, "sigma", "Separation at which an effect shows, and at which two effects are told apart."
     )
 
+    open_probability: float = _rule(
+        0.5, "1", "Probability of an alternative that nothing in the data speaks against."
+    )
+
     # Unexplained residual: what the selected effects leave behind.
     repeat_z: float = _rule(3.0, "sigma", "Score above which a residual repeats between twin flights.")
     force_floor_m_s2: float = _rule(
@@ -131,7 +135,13 @@ class Rules:
         4, "pieces", "Fewer flights than this are cut into as many pieces each for the jackknife."
     )
 
-    # Amount of data.
+    # Amount and noise of the data.
+    position_sigma_floor_m: float = _rule(
+        1e-3, "m", "Least standard deviation of a pose's position: smoothed logs look quieter than they are."
+    )
+    attitude_sigma_floor_rad: float = _rule(3e-3, "rad", "The same for the attitude.")
+    rate_sigma_floor_rad_s: float = _rule(5e-3, "rad/s", "The same for the body rate.")
+    force_sigma_floor_m_s2: float = _rule(0.02, "m/s^2", "The same for the specific force.")
     min_segments: int = _rule(5, "segments", "Fewest usable segments that are traced.")
     min_poses: int = _rule(100, "poses", "Fewest poses of a log.")
     min_tracking_poses: int = _rule(10, "poses", "Fewest poses in the tracking phase of a log.")

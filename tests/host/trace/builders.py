@@ -12,25 +12,35 @@ from typing import Any
 
 import numpy as np
 
-from trimtab.host.effects import Closing, Effect
+from trimtab.host.effects import Closing, Effect, ExactAlias
 from trimtab.host.effects.effect import Parameter
 from trimtab.host.log import Battery, Flight, Mocap
 from trimtab.host.models.model import Model
 from trimtab.host.trace.data.segments import Segments
+from trimtab.host.trace.decision.decide import Evidence
+from trimtab.host.trace.decision.findings import Verdict
 from trimtab.host.trace.evidence import Linearisation, Process
 from trimtab.host.trace.flight_fit.fit import FlightFit
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
-from trimtab.host.trace.parameters import MASS, Column, ParameterSpace
-from trimtab.host.trace.residual.unexplained import Leftover, Repeat
+from trimtab.host.trace.parameters import Column, ParameterSpace
+from trimtab.host.trace.residual.unexplained import (
+    NO_LINE,
+    ChannelResidual,
+    FlightRepeat,
+    SpectralLine,
+    UnexplainedResidual,
+)
 from trimtab.host.trace.result import Named, Trace
 from trimtab.host.trace.search import Names, SearchResult, none_of
 from trimtab.host.trace.segment_fit.fit import SegmentFit
 from trimtab.host.trace.segment_fit.linearise import Basis
 from trimtab.host.trace.segment_fit.model import LOCALS, STATES
-from trimtab.host.trace.selection import Diagnosis
+from trimtab.host.trace.selection import Diagnosis, Method
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
 VEHICLE = load_vehicle("research")
+MASS = "mass"
+"""An effect that is an adjustment in every model."""
 
 
 def build_parameter(
@@ -40,6 +50,7 @@ def build_parameter(
     typical: float = 1.0,
     tolerance: float = 0.1,
     strength: bool = True,
+    measured_below: float | None = None,
 ) -> Parameter:
     """Return a parameter that may move by a hundred typical sizes."""
     return Parameter(
@@ -52,6 +63,7 @@ def build_parameter(
         upper=neutral + 100.0 * typical,
         description="a number",
         strength=strength,
+        measured_below=measured_below,
     )
 
 
@@ -62,8 +74,13 @@ def build_effect(
     requires_any: Sequence[str] = (),
     one_of: bool = False,
     memory: int = 0,
+    exact_aliases: Sequence[ExactAlias] = (),
+    needs_signals: Mapping[str, float] | None = None,
 ) -> Effect:
-    """Return an effect that acts as a factor on the mass; with `memory` it has states of its own."""
+    """Return an effect that acts as a factor on the mass; with `memory` it has states of its own.
+
+    The effect named MASS is an adjustment.
+    """
     own: dict[str, Any] = {}
     if memory:
         own = {
@@ -80,6 +97,9 @@ def build_effect(
         aliases=tuple(aliases),
         requires_any=tuple(requires_any),
         one_of=one_of,
+        exact_aliases=tuple(exact_aliases),
+        needs_signals=needs_signals or {},
+        adjustment=name == MASS,
         mass_factor=lambda ops, theta: 1.0,
         **own,
     )
@@ -212,16 +232,19 @@ def build_diagnosis(
     inclusion: Mapping[str, float] | None = None,
     stands_out: Mapping[str, float] | None = None,
     best: SegmentFit | None = None,
+    method: Method = "segments",
+    repeats: tuple[FlightRepeat | None, FlightRepeat | None] = (None, None),
 ) -> Diagnosis:
     """Return the diagnosis that keeps the effects `kept`, by default for sure."""
     return Diagnosis(
         best=best or build_fit(kept),
         nothing=build_fit(),
-        method="segments",
+        method=method,
         inclusion=inclusion or {},
         weights={kept: 1.0} if weights is None else weights,
         sets={},
         stands_out=stands_out or {},
+        repeats=repeats,
     )
 
 
@@ -232,18 +255,55 @@ def weights_of_nothing(probability: float, other: Names = ("other",)) -> dict[Na
     return weights
 
 
-def build_repeat(*, share: float = 0.0, z: float = 0.0, position_m: float = 0.0, size: int = 1000) -> Repeat:
+def build_flight_repeat(
+    *, share: float = 0.0, z: float = 0.0, position_m: float = 0.0, size: int = 1000
+) -> FlightRepeat:
     """Return what whole flights repeat; by default nothing."""
-    return Repeat(share=share, z=z, position_m=position_m, size=size)
+    return FlightRepeat(share=share, z=z, position_m=position_m, size=size)
 
 
-def build_leftover(**changes: Any) -> Leftover:
-    """Return what a complete model leaves, nothing, but for `changes`."""
-    quiet: dict[str, Any] = {"pairs": 1}
-    for name in ("force", "torque"):
-        quiet |= {f"{name}_repeat": 0.0, f"{name}_z": 0.0, f"{name}_line": 1.0, f"{name}_line_hz": 1.0}
-        quiet |= {f"{name}_line_chance": 1.0, f"{name}_line_rms": 0.0}
-    return Leftover(**{**quiet, **changes})
+def build_channel(*, repeat: float = 0.0, z: float = 0.0, line: SpectralLine = NO_LINE) -> ChannelResidual:
+    """Return what a force (m/s^2) or torque (rad/s^2) holds; by default nothing."""
+    return ChannelResidual(repeat=repeat, z=z, line=line)
+
+
+def build_residual(
+    *,
+    force: ChannelResidual | None = None,
+    torque: ChannelResidual | None = None,
+    pairs: int = 1,
+    flights: FlightRepeat | None = None,
+) -> UnexplainedResidual:
+    """Return the residual of one pair of twins; by default nothing is unexplained."""
+    return UnexplainedResidual(
+        force=force or build_channel(), torque=torque or build_channel(), pairs=pairs, flights=flights
+    )
+
+
+LIBRARY = build_space("drag", "gain", "wind", "lag", "sag")
+"""Five effects that have nothing to do with each other."""
+
+
+def build_evidence(selected: Names = (), **changes: Any) -> Evidence:
+    """Return evidence for exactly the effects `selected` from long twin flights, but for `changes`."""
+    clear: dict[str, Any] = {
+        "space": LIBRARY,
+        "null_probability": 0.0 if selected else 1.0,
+        "log_evidence": {selected: 0.0},
+        "posterior_weights": {selected: 1.0},
+        "inclusion_probability": {},
+        "detectability": {},
+        "by_segments": False,
+        "residual": build_residual(),
+        "residual_without": build_residual(),
+        "disturbance_sigma": (0.01,) * 6,
+        "thrust_known": True,
+        "rate_driven": False,
+        "segment_disagreement_nats": {},
+        "tracking_s": 60.0,
+        "extent_m": 2.0,
+    }
+    return Evidence(selected=selected, **{**clear, **changes})
 
 
 def build_flight(
@@ -302,31 +362,33 @@ def build_flight(
 
 def build_named(name: str) -> Named:
     """Return an effect that a trace names for sure."""
-    return Named(name=name, title=name, parameters={}, probability=1.0, aliases={}, exact_alias=None)
+    return Named(name=name, title=name, parameters={}, probability=1.0, aliases={}, exact_aliases={})
 
 
-def build_trace(space: ParameterSpace, diagnosis: Diagnosis, *, named: Sequence[str] = ()) -> Trace:
-    """Return a trace that names these effects, without held-out flights."""
-    return Trace(
-        verdict="traced" if named else "nothing-missing",
-        reasons=(),
-        effects=tuple(build_named(name) for name in named),
-        possible={},
-        drive="inputs",
-        horizon_s=None,
-        before=(),
-        after=(),
-        adjustments_only=(),
-        before_score=None,
-        after_score=None,
-        noise_floor={},
-        next_flight=None,
-        model=Model(vehicle_id=VEHICLE.id, vehicle_name=VEHICLE.name),
-        space=space,
-        diagnosis=diagnosis,
-        leftover=build_leftover(),
-        audits=(),
-        description=None,
-        doubts=(),
-        unexplained=None,
-    )
+def build_trace(
+    space: ParameterSpace, diagnosis: Diagnosis, *, named: Sequence[str] = (), **changes: Any
+) -> Trace:
+    """Return a trace that names these effects, without held-out flights, but for `changes`."""
+    plain: dict[str, Any] = {
+        "verdict": Verdict.TRACED if named else Verdict.NOTHING_MISSING,
+        "findings": (),
+        "effects": tuple(build_named(name) for name in named),
+        "possible": {},
+        "drive": "inputs",
+        "horizon_s": None,
+        "before": (),
+        "after": (),
+        "adjustments_only": (),
+        "before_score": None,
+        "after_score": None,
+        "noise_floor": {},
+        "next_flight": None,
+        "model": Model(vehicle_id=VEHICLE.id, vehicle_name=VEHICLE.name),
+        "space": space,
+        "diagnosis": diagnosis,
+        "residual": build_residual(),
+        "audits": (),
+        "description": None,
+        "unexplained": None,
+    }
+    return Trace(**{**plain, **changes})

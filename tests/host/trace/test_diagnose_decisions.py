@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.host.trace.builders import build_diagnosis, build_effect, build_parameter, build_space
-from trimtab.host.trace.parameters import MASS, ParameterSpace
+from tests.host.trace.builders import MASS, build_diagnosis, build_effect, build_parameter, build_space
+from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.selection import stands_out
 
 ROTOR = build_effect("rotor", *(build_parameter(f"loss_{k}") for k in (1, 2, 3)), one_of=True)

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from tests.host.trace.builders import build_closed_fit
-from trimtab.host.trace import repeats as module
-from trimtab.host.trace.flight_fit.fit import TEMPER, FlightFit
+from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.flight_fit import repeatability as module
+from trimtab.host.trace.flight_fit.fit import FlightFit
 from trimtab.host.trace.flight_fit.loop import Loop
-from trimtab.host.trace.flight_fit.recording import BIN_S
-from trimtab.host.trace.flight_fit.repeatability import LEAST_S, in_turbulence, turbulence
+from trimtab.host.trace.flight_fit.recording import FLIGHT_BIN_S
+from trimtab.host.trace.flight_fit.repeatability import in_turbulence, turbulence
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
 
 LONG = 200
@@ -61,11 +62,12 @@ def whitenings(monkeypatch: pytest.MonkeyPatch) -> list[Whitening]:
 
 
 def is_tempered(fit: FlightFit) -> bool:
-    """Return whether the fit is FIT with residuals that count for 1/TEMPER."""
+    """Return whether the fit is FIT with residuals that count for 1/RULES.temper."""
     np.testing.assert_array_equal(fit.z, FIT.z)
     assert (fit.effects, fit.log_evidence) == (FIT.effects, FIT.log_evidence)
     return bool(
-        np.allclose(fit.covariance, TEMPER * FIT.covariance) and np.allclose(fit.grams, FIT.grams / TEMPER)
+        np.allclose(fit.covariance, RULES.temper * FIT.covariance)
+        and np.allclose(fit.grams, FIT.grams / RULES.temper)
     )
 
 
@@ -74,8 +76,10 @@ def is_tempered(fit: FlightFit) -> bool:
     [
         pytest.param((LONG, LONG), [], False, id="no-twins"),
         pytest.param((LONG, LONG), TWINS, True, id="twins"),
-        pytest.param((round(LEAST_S / BIN_S) - 1, LONG), TWINS, False, id="one-just-too-short"),
-        pytest.param((round(LEAST_S / BIN_S), LONG), TWINS, True, id="one-just-long-enough"),
+        pytest.param(
+            (round(RULES.twin_min_s / FLIGHT_BIN_S) - 1, LONG), TWINS, False, id="one-just-too-short"
+        ),
+        pytest.param((round(RULES.twin_min_s / FLIGHT_BIN_S), LONG), TWINS, True, id="one-just-long-enough"),
         pytest.param((LONG, LONG, 10), [(0, 1), (0, 2)], True, id="one-pair-of-two-long-enough"),
     ],
 )

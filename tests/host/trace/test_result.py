@@ -1,15 +1,26 @@
-"""What a trace says of candidates that it does not name."""
+"""What a trace says of candidates that it does not name, and which findings it lists."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.host.trace.builders import build_diagnosis, build_effect, build_parameter, build_space, build_trace
-from trimtab.host.trace.result import SHOWN
+from tests.host.trace.builders import (
+    build_diagnosis,
+    build_effect,
+    build_named,
+    build_parameter,
+    build_space,
+    build_trace,
+)
+from trimtab.host.effects import ExactAlias
+from trimtab.host.trace.data.audit import Audit
+from trimtab.host.trace.decision.exact_aliases import ObservedAlias
+from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.search import Names
 
-BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
 LIBRARY = build_space(
     "drag",
     "gain",
@@ -20,29 +31,40 @@ LIBRARY = build_space(
 NEVER = -300.0 * np.log(10.0)
 
 
-@pytest.mark.parametrize(
-    ("sigma", "hidden"),
-    [
-        pytest.param(0.0, ("lag",), id="invisible"),
-        pytest.param(SHOWN * BELOW, ("lag",), id="just-below"),
-        pytest.param(SHOWN, (), id="at"),
-        pytest.param(SHOWN * ABOVE, (), id="just-above"),
-    ],
-)
-def test_hidden_are_effects_that_would_not_stand_out(sigma: float, hidden: Names) -> None:
-    assert build_trace(LIBRARY, build_diagnosis(stands_out={"lag": sigma})).hidden == hidden
+def test_hidden_are_the_subjects_of_findings_of_that_code_in_order() -> None:
+    findings = (
+        Finding(code=Code.POSSIBLE, value=0.2, subject=("gain",)),
+        Finding(code=Code.HIDDEN, value=1.0, subject=("lag",)),
+        Finding(code=Code.HIDDEN, value=2.0, subject=("drag",)),
+        Finding(code=Code.ALIAS, value=0.2, subject=("wind", "gain")),
+    )
+    assert build_trace(LIBRARY, build_diagnosis(), findings=findings).hidden == ("lag", "drag")
 
 
-def test_hidden_are_in_alphabetical_order_without_what_was_named() -> None:
-    weak = {"wind": 0.0, "lag": 4.0, "drag": 1.0, "gain": 100.0, "rotor": 2.0}
-    diagnosis = build_diagnosis(("drag", "rotor.one"), stands_out=weak)
-    # A trace names the effect of which one parameter of several was kept.
-    assert build_trace(LIBRARY, diagnosis, named=("drag", "rotor")).hidden == ("lag", "wind")
-    assert build_trace(LIBRARY, diagnosis).hidden == ("drag", "lag", "rotor", "wind")
+def test_hidden_without_findings_is_empty_whatever_stands_out() -> None:
+    assert build_trace(LIBRARY, build_diagnosis(stands_out={"lag": 0.0})).hidden == ()
 
 
-def test_hidden_of_nothing_judged_is_empty() -> None:
-    assert build_trace(LIBRARY, build_diagnosis(stands_out={})).hidden == ()
+def test_all_findings_are_those_of_the_flights_then_exact_aliases_then_those_of_each_log() -> None:
+    whole = Finding(code=Code.HOVER_ONLY, value=0.1)
+    exact = Finding(code=Code.EXACT_ALIAS, value=0.9, subject=("drag", "mass"), details={"sd": 0.01})
+    logged = [Finding(code=code, log=log) for log, code in (("a", Code.NO_TWIN), ("b", Code.NO_GYRO))]
+    audits = tuple(
+        Audit(log=each.log or "", rates=(), largest_gap_s=0.0, stretches=(), findings=(each,))
+        for each in logged
+    )
+    observed = ObservedAlias(alias=ExactAlias(effect="mass", remedy="weigh it"), finding=exact)
+    effects = (replace(build_named("drag"), exact_aliases={"mass": observed}), build_named("lag"))
+    trace = build_trace(LIBRARY, build_diagnosis(), findings=(whole,), effects=effects, audits=audits)
+    assert trace.all_findings == (whole, exact, *logged)
+
+
+def test_inexact_aliases_leave_out_the_exact_one() -> None:
+    exact = Finding(code=Code.EXACT_ALIAS, value=0.9, subject=("thrust-gain", "mass"), details={"sd": 0.01})
+    named = replace(build_named("thrust-gain"), aliases={"drag": 0.2, "mass": 0.9})
+    observed = ObservedAlias(alias=ExactAlias(effect="mass", remedy="weigh it"), finding=exact)
+    assert named.inexact_aliases == {"drag": 0.2, "mass": 0.9}
+    assert replace(named, exact_aliases={"mass": observed}).inexact_aliases == {"drag": 0.2}
 
 
 @pytest.mark.parametrize(

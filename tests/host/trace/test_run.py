@@ -92,7 +92,7 @@ def test_known_aliases_named_together_are_aliases_of_each_other() -> None:
     effects = load_effects()
     library = space(load_vehicle("research"), effects)
     named = {"linear-drag": {}, "quadratic-drag": {"wind": 0.2}, "wind": {}, "motor-lag": {}}
-    found = with_each_other(named, library)
+    found = with_each_other(named, library, RULES)
     assert found["linear-drag"] == {"quadratic-drag": 0.5}
     assert found["quadratic-drag"] == {"wind": 0.2, "linear-drag": 0.5}
     assert found["wind"] == {}  # acts through a drag, not in its place

@@ -2,42 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
-from trimtab.host.trace.verdict import SOMETHING
 
 from tests.host.trace.builders import (
+    LIBRARY,
+    MASS,
     VEHICLE,
+    build_channel,
     build_closed_fit,
     build_diagnosis,
     build_effect,
     build_fit,
     build_flight,
+    build_flight_repeat,
     build_parameter,
-    build_repeat,
+    build_residual,
     build_search_result,
     build_space,
     weights_of_nothing,
 )
-from trimtab.host.errors import UsageError
-from trimtab.host.log.errors import TooLittleData
-from trimtab.host.trace import run as module
-from trimtab.host.trace.assembly import _named
-from trimtab.host.trace.data.logs import _observable, check_logs
+from trimtab.host.effects import ExactAlias
+from trimtab.host.trace import gathering, selection, words
+from trimtab.host.trace.assembly import named_effects
+from trimtab.host.trace.data.logs import check_logs, observable_effects
+from trimtab.host.trace.decision.decide import segment_disagreement
+from trimtab.host.trace.decision.findings import Code, LogsRefused, TooLittleToTrace
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import FlightFit, FlightFitter
-from trimtab.host.trace.parameters import MASS, ParameterSpace
-from trimtab.host.trace.residual.unexplained import Repeat
-from trimtab.host.trace.run import FAULT, SAG_SEEN, WEIGHED
-from trimtab.host.trace.search import WITHIN_NATS, Names, SearchResult
-from trimtab.host.trace.selection import _is_judged, _without_faults
-from trimtab.host.vehicle import Vehicle
+from trimtab.host.trace.gathering import gather_evidence, segment_disagreement_nats
+from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.residual.unexplained import FlightRepeat, UnexplainedResidual
+from trimtab.host.trace.search import Names, SearchResult
+from trimtab.host.trace.segment_fit.fit import SegmentFit
+from trimtab.host.trace.segment_fit.model import SegmentModel
+from trimtab.host.trace.selection import Method, is_judged, without_form_faults
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
+TIE_NATS, FAULT = RULES.tie_nats, RULES.memory_fault_share
 OTHER = VEHICLE.replace(mass_kg=0.8)
+WEIGHED = 0.005
+"""Tolerance of the mass below which the vehicle was weighed."""
+SAG_SEEN = 0.01
+"""Share of the full voltage that a battery must have left for a sag to show."""
 
 
 @pytest.mark.parametrize(
@@ -62,75 +74,119 @@ def test_check_logs_that_belong_together_is_their_vehicle(
 def test_check_logs_against_a_given_vehicle_is_that_vehicle() -> None:
     flight = build_flight("one", vehicle=OTHER)
     assert check_logs([flight], [], OTHER) is OTHER
-    with pytest.raises(UsageError, match=r"one\.mcap.*mass_kg"):
+    with pytest.raises(LogsRefused, match=r"one\.mcap.*mass_kg") as caught:
         check_logs([flight], [], VEHICLE)
+    assert caught.value.told == {"code": Code.MIXED_VEHICLES}
 
 
 BARE = {"poses": 99}
 WRONG = [
-    pytest.param([build_flight("a"), build_flight("b", vehicle=OTHER)], [], "b", "mass_kg", id="vehicle"),
     pytest.param(
-        [build_flight("a")], [build_flight("b", vehicle=OTHER)], "b", "mass_kg", id="held-out-vehicle"
+        [build_flight("a"), build_flight("b", vehicle=OTHER)],
+        [],
+        "b",
+        Code.MIXED_VEHICLES,
+        "mass_kg",
+        id="vehicle",
     ),
-    pytest.param([build_flight("a"), build_flight("a")], [], "a", "a.mcap", id="twice"),
-    pytest.param([build_flight("a")], [build_flight("a")], "a", "a.mcap", id="held-out-and-used"),
     pytest.param(
-        [build_flight("a")], [build_flight("b"), build_flight("b")], "b", "b.mcap", id="held-out-twice"
+        [build_flight("a")],
+        [build_flight("b", vehicle=OTHER)],
+        "b",
+        Code.MIXED_VEHICLES,
+        "mass_kg",
+        id="held-out-vehicle",
+    ),
+    pytest.param([build_flight("a"), build_flight("a")], [], "a", Code.LOG_GIVEN_TWICE, "a.mcap", id="twice"),
+    pytest.param(
+        [build_flight("a")], [build_flight("a")], "a", Code.LOG_GIVEN_TWICE, "a.mcap", id="held-out-and-used"
+    ),
+    pytest.param(
+        [build_flight("a")],
+        [build_flight("b"), build_flight("b")],
+        "b",
+        Code.LOG_GIVEN_TWICE,
+        "b.mcap",
+        id="held-out-twice",
     ),
     pytest.param(
         [build_flight("a", reference_id="ref-17")],
         [build_flight("b", reference_id="s"), build_flight("c", reference_id="ref-17")],
         "c",
+        Code.HELD_OUT_REFERENCE_USED,
         "ref-17",
         id="reference-used",
     ),
     pytest.param(
-        [build_flight("a"), build_flight("a", vehicle=OTHER)], [], "a", "mass_kg", id="vehicle-before-twice"
+        [build_flight("a"), build_flight("a", vehicle=OTHER)],
+        [],
+        "a",
+        Code.MIXED_VEHICLES,
+        "mass_kg",
+        id="vehicle-before-twice",
     ),
-    pytest.param([build_flight("a"), build_flight("a", **BARE)], [], "a", "a.mcap", id="twice-before-poses"),
+    pytest.param(
+        [build_flight("a"), build_flight("a", **BARE)],
+        [],
+        "a",
+        Code.LOG_GIVEN_TWICE,
+        "a.mcap",
+        id="twice-before-poses",
+    ),
     pytest.param(
         [build_flight("a"), build_flight("b", vehicle=OTHER, **BARE)],
         [],
         "b",
+        Code.MIXED_VEHICLES,
         "mass_kg",
         id="vehicle-before-poses",
     ),
 ]
 
 
-@pytest.mark.parametrize(("flights", "held_out", "log", "mentioned"), WRONG)
-def test_check_logs_that_do_not_belong_together_is_a_usage_error(
-    flights: list[Any], held_out: list[Any], log: str, mentioned: str
+@pytest.mark.parametrize(("flights", "held_out", "log", "code", "mentioned"), WRONG)
+def test_check_logs_that_do_not_belong_together_are_refused_with_a_code(
+    flights: list[Any], held_out: list[Any], log: str, code: Code, mentioned: str
 ) -> None:
-    with pytest.raises(UsageError) as caught:
+    with pytest.raises(LogsRefused) as caught:
         check_logs(flights, held_out, None)
+    assert caught.value.told == {"code": code}
     assert str(caught.value).startswith(f"{log}.mcap")
     assert mentioned in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("flights", "held_out", "log"),
+    ("flights", "held_out", "log", "code"),
     [
-        pytest.param([build_flight("a", **BARE)], [], "a", id="used"),
-        pytest.param([build_flight("a")], [build_flight("b", **BARE)], "b", id="held-out"),
+        pytest.param([build_flight("a", **BARE)], [], "a", Code.TOO_FEW_POSES, id="used"),
+        pytest.param(
+            [build_flight("a")], [build_flight("b", **BARE)], "b", Code.TOO_FEW_POSES, id="held-out"
+        ),
         pytest.param(
             [build_flight("a", reference_id="r")],
             [build_flight("b", reference_id="r", **BARE)],
             "b",
+            Code.TOO_FEW_POSES,
             id="poses-before-reference",
         ),
-        pytest.param([replace(build_flight("a"), tracking=None)], [], "a", id="no-tracking"),
+        pytest.param(
+            [replace(build_flight("a"), tracking=None)], [], "a", Code.NO_TRACKING, id="no-tracking"
+        ),
     ],
 )
 def test_check_logs_without_poses_or_tracking_is_too_little_data(
-    flights: list[Any], held_out: list[Any], log: str
+    flights: list[Any], held_out: list[Any], log: str, code: Code
 ) -> None:
-    with pytest.raises(TooLittleData) as caught:
+    with pytest.raises(TooLittleToTrace) as caught:
         check_logs(flights, held_out, None)
+    assert caught.value.told == {"code": code}
     assert str(caught.value).startswith(f"{log}.mcap")
 
 
-SAG = {name: build_effect(name) for name in ("battery-sag", "drag")}
+SAG = {
+    "battery-sag": build_effect("battery-sag", needs_signals={"voltage_ratio": SAG_SEEN}),
+    "drag": build_effect("drag"),
+}
 
 
 @pytest.mark.parametrize(
@@ -151,13 +207,13 @@ def test_observable_is_a_sag_only_where_a_battery_left_full_voltage(
     ratios: list[list[float] | None], observable: bool
 ) -> None:
     flights = [build_flight(str(k), voltage_ratio=each) for k, each in enumerate(ratios)]
-    assert set(_observable(SAG, flights)) == ({"battery-sag", "drag"} if observable else {"drag"})
+    assert set(observable_effects(SAG, flights)) == ({"battery-sag", "drag"} if observable else {"drag"})
 
 
 def test_observable_of_a_library_without_sag_is_that_library() -> None:
     drag = {"drag": SAG["drag"]}
-    assert _observable(drag, [build_flight(voltage_ratio=[1.0, 0.9])]) == drag
-    assert _observable({}, [build_flight()]) == {}
+    assert observable_effects(drag, [build_flight(voltage_ratio=[1.0, 0.9])]) == drag
+    assert observable_effects({}, [build_flight()]) == {}
 
 
 @pytest.mark.parametrize("kind", ["search", "diagnosis"])
@@ -167,9 +223,9 @@ def test_observable_of_a_library_without_sag_is_that_library() -> None:
         pytest.param(("drag",), 0.0, True, id="kept"),
         pytest.param(("drag",), 0.9, True, id="kept-though-nothing-is-probable"),
         pytest.param((), 0.0, False, id="nothing-kept-impossible"),
-        pytest.param((), SOMETHING * BELOW, False, id="nothing-kept-just-below"),
-        pytest.param((), SOMETHING, False, id="nothing-kept-at"),
-        pytest.param((), SOMETHING * ABOVE, True, id="nothing-kept-just-above"),
+        pytest.param((), RULES.alias_probability * BELOW, False, id="nothing-kept-just-below"),
+        pytest.param((), RULES.alias_probability, False, id="nothing-kept-at"),
+        pytest.param((), RULES.alias_probability * ABOVE, True, id="nothing-kept-just-above"),
     ],
 )
 def test_abstention_is_judged_by_what_was_kept_unless_nothing_is_improbable(
@@ -181,7 +237,7 @@ def test_abstention_is_judged_by_what_was_kept_unless_nothing_is_improbable(
         if kind == "search"
         else build_diagnosis(kept, weights=weights)
     )
-    assert _is_judged(found) == judged
+    assert is_judged(found) == judged
 
 
 class KnownLoopFitter:
@@ -206,38 +262,38 @@ BOTH = build_closed_fit(("drag", "payload"), log_evidence=100.0)
 def without_faults(
     monkeypatch: pytest.MonkeyPatch,
     found: SearchResult[FlightFit],
-    left: Repeat | None,
+    left: FlightRepeat | None,
 ) -> tuple[SearchResult[FlightFit], KnownLoopFitter]:
     """Return the search result where whole flights repeat by `left`, and the fitter that was used."""
-    monkeypatch.setattr(module, "repeat", lambda loop, z, order, twins: left)
+    monkeypatch.setattr(selection, "repeat", lambda loop, z, order, twins: left)
     fitter = KnownLoopFitter(SWINGING)
-    return _without_faults(found, cast(FlightFitter, fitter), [(0, 1)]), fitter
+    return without_form_faults(found, cast(FlightFitter, fitter), [(0, 1)]), fitter
 
 
-def nats(value: float) -> Repeat:
+def nats(value: float) -> FlightRepeat:
     """Return what repeats of whole flights, worth so many nats."""
-    made = build_repeat(share=value / 500.0, z=100.0, size=1000)
-    assert made.nats == pytest.approx(value)
+    made = build_flight_repeat(share=value / 500.0, z=100.0, size=1000)
+    assert made.log_evidence(RULES) == pytest.approx(value)
     return made
 
 
-NOT_SURE = build_repeat(share=10.0, z=2.9, size=1000)
+NOT_SURE = build_flight_repeat(share=10.0, z=2.9, size=1000)
 
 
 @pytest.mark.parametrize(
     ("gap", "left", "reduced"),
     [
-        pytest.param(WITHIN_NATS * BELOW, None, True, id="no-twins-just-within"),
-        pytest.param(WITHIN_NATS * ABOVE, None, False, id="no-twins-just-beyond"),
-        pytest.param(WITHIN_NATS * ABOVE, NOT_SURE, False, id="repeats-by-chance"),
-        pytest.param(WITHIN_NATS * BELOW, nats(1.0), True, id="repeats-a-little-just-within"),
-        pytest.param(WITHIN_NATS * ABOVE, nats(1.0), False, id="repeats-a-little-just-beyond"),
+        pytest.param(TIE_NATS * BELOW, None, True, id="no-twins-just-within"),
+        pytest.param(TIE_NATS * ABOVE, None, False, id="no-twins-just-beyond"),
+        pytest.param(TIE_NATS * ABOVE, NOT_SURE, False, id="repeats-by-chance"),
+        pytest.param(TIE_NATS * BELOW, nats(1.0), True, id="repeats-a-little-just-within"),
+        pytest.param(TIE_NATS * ABOVE, nats(1.0), False, id="repeats-a-little-just-beyond"),
         pytest.param(FAULT * 400.0 * BELOW, nats(400.0), True, id="repeats-much-just-within"),
         pytest.param(FAULT * 400.0 * ABOVE, nats(400.0), False, id="repeats-much-just-beyond"),
     ],
 )
 def test_without_faults_a_swinging_effect_leaves_others_out_that_explain_little_of_what_repeats(
-    monkeypatch: pytest.MonkeyPatch, gap: float, left: Repeat | None, reduced: bool
+    monkeypatch: pytest.MonkeyPatch, gap: float, left: FlightRepeat | None, reduced: bool
 ) -> None:
     found = build_search_result(BOTH, sets={BOTH.effects: 100.0, ("payload",): 100.0 - gap, (): -1e6})
     kept, fitter = without_faults(monkeypatch, found, left)
@@ -268,11 +324,26 @@ def test_without_faults_another_set_of_the_same_size_is_not_taken(monkeypatch: p
     assert without_faults(monkeypatch, found, nats(1e6))[0] is found
 
 
-GAIN = build_effect("thrust-gain", build_parameter("gain", neutral=1.0, typical=0.1, tolerance=0.01))
-WEIGHT = build_effect(MASS, build_parameter("factor", neutral=1.0, typical=0.1, tolerance=0.01))
+RATIO = ExactAlias(effect=MASS, ratio="thrust over mass", remedy="weigh the vehicle")
+GAIN = build_effect(
+    "thrust-gain",
+    build_parameter("gain", neutral=1.0, typical=0.1, tolerance=0.01),
+    aliases=(MASS,),
+    exact_aliases=(RATIO,),
+)
 TILT = build_effect("tilt", build_parameter("x", typical=0.5), build_parameter("y", neutral=3.0))
 ROTORS = build_effect("rotor", *(build_parameter(f"loss_{k}", typical=0.2) for k in (1, 2, 3)), one_of=True)
-NAMEABLE = build_space(GAIN, WEIGHT, TILT, ROTORS, "drag")
+
+
+def nameable(mass_tolerance: float = 0.01) -> ParameterSpace:
+    """Return the space of effects to name, for a vehicle whose mass is known to this tolerance."""
+    factor = build_parameter(
+        "factor", neutral=1.0, typical=0.1, tolerance=mass_tolerance, measured_below=WEIGHED
+    )
+    return build_space(GAIN, build_effect(MASS, factor), TILT, ROTORS, "drag")
+
+
+NAMEABLE = nameable()
 """Columns: thrust-gain.gain, mass.factor, tilt.x, tilt.y, rotor.loss_1 to 3, drag.size."""
 Z = (-0.5, 0.2, 2.0, -1.0, 0.5, 0.6, 0.7, 4.0)
 COVARIANCE = np.diag([0.04, 0.01, 0.09, 0.16, 1.0, 4.0, 9.0, 0.25])
@@ -281,17 +352,13 @@ INCLUSION = {"thrust-gain": 0.97, "tilt": 0.8, "rotor.loss_2": 0.6, "drag": 0.55
 
 
 def named(
-    kept: Names, aliases: Mapping[str, Mapping[str, float]] | None = None, vehicle: Vehicle = VEHICLE
+    kept: Names,
+    aliases: Mapping[str, Mapping[str, float]] | None = None,
+    space: ParameterSpace = NAMEABLE,
 ) -> Sequence[Any]:
     best = build_fit(kept, z=Z, covariance=COVARIANCE)
     diagnosis = build_diagnosis(kept, inclusion=INCLUSION, best=best)
-    return _named(vehicle, NAMEABLE, diagnosis, aliases or {name: {} for name in kept})
-
-
-def of_mass_tolerance(tolerance: float | None) -> Vehicle:
-    """Return the vehicle with this tolerance of its mass, or without an entry for it."""
-    others = {key: value for key, value in VEHICLE.tolerances.items() if not key.startswith(MASS)}
-    return VEHICLE.replace(tolerances=others if tolerance is None else {**others, "mass.factor": tolerance})
+    return named_effects(space, diagnosis, aliases or {name: {} for name in kept})
 
 
 @pytest.mark.parametrize(
@@ -331,28 +398,186 @@ def test_named_effect_adds_up_aliases_that_are_one_effect() -> None:
 @pytest.mark.parametrize(
     ("tolerance", "alias"),
     [
-        pytest.param(None, True, id="the-default"),
-        pytest.param(0.1, True, id="not-weighed"),
+        pytest.param(0.09, True, id="not-weighed"),
         pytest.param(WEIGHED, True, id="at"),
         pytest.param(WEIGHED * BELOW, False, id="just-weighed"),
         pytest.param(0.001, False, id="weighed-well"),
     ],
 )
 def test_named_thrust_gain_has_the_mass_for_an_alias_unless_the_vehicle_was_weighed(
-    tolerance: float | None, alias: bool
+    tolerance: float, alias: bool
 ) -> None:
     aliases = {"thrust-gain": {"drag": 0.2}, "tilt": {}}
-    gain, tilt = named(("thrust-gain", "tilt"), aliases, of_mass_tolerance(tolerance))
+    gain, tilt = named(("thrust-gain", "tilt"), aliases, nameable(tolerance))
     assert gain.aliases == ({"drag": 0.2, MASS: INCLUSION["thrust-gain"]} if alias else {"drag": 0.2})
-    assert (gain.exact_alias is not None) == alias
-    assert (tilt.aliases, tilt.exact_alias) == ({}, None)
+    assert set(gain.exact_aliases) == ({MASS} if alias else set())
+    assert (tilt.aliases, tilt.exact_aliases) == ({}, {})
 
 
-def test_named_thrust_gain_mentions_thrust_over_mass_with_two_standard_deviations() -> None:
-    (gain,) = named(("thrust-gain",), vehicle=of_mass_tolerance(0.1))
+def test_named_thrust_gain_holds_thrust_over_mass_with_its_standard_deviation() -> None:
+    (gain,) = named(("thrust-gain",))
     # Relative errors of a ratio: sd 0.02 of 0.95, sd 0.01 of 1.02, covariance 0.012 * 0.1 * 0.1.
     ratio = 0.95 / 1.02
     relative = np.sqrt((0.02 / 0.95) ** 2 + (0.01 / 1.02) ** 2 - 2.0 * 0.00012 / (0.95 * 1.02))
-    assert gain.exact_alias is not None
-    assert f"{ratio:.4f}" in gain.exact_alias
-    assert f"{2.0 * ratio * relative:.4f}" in gain.exact_alias
+    observed = gain.exact_aliases[MASS]
+    assert observed.alias == RATIO
+    assert observed.finding.code is Code.EXACT_ALIAS
+    assert observed.finding.subject == ("thrust-gain", MASS)
+    assert observed.finding.value == pytest.approx(ratio)
+    assert observed.finding.details == pytest.approx({"sd": ratio * relative})
+    told = words.exact_alias(observed)
+    assert "weigh the vehicle" in told
+    assert f"{ratio:.4f}" in told
+    assert f"{2.0 * ratio * relative:.4f}" in told
+
+
+class KnownRefits:
+    """Stand in for `refit` with known evidence; record what was fitted from what."""
+
+    def __init__(self, evidence: Mapping[Names, float]) -> None:
+        self.evidence = evidence
+        self.calls: list[tuple[Names, Names]] = []
+
+    def __call__(self, form: SegmentModel, data: Any, effects: Names, start: SegmentFit) -> SegmentFit:
+        self.calls.append((tuple(effects), start.effects))
+        return build_fit(tuple(effects), log_evidence=self.evidence[tuple(effects)])
+
+
+def disagreement(
+    monkeypatch: pytest.MonkeyPatch, evidence: Mapping[Names, float], selected: Names
+) -> tuple[dict[str, float], KnownRefits]:
+    """Return by how many nats segments prefer to be without each effect, and the fits that were made."""
+    refits = KnownRefits(evidence)
+    monkeypatch.setattr(gathering, "refit", refits)
+    return segment_disagreement_nats(cast(SegmentModel, None), build_fit(), selected), refits
+
+
+@pytest.mark.parametrize(
+    ("without", "speaks"),
+    [
+        pytest.param(-50.0, False, id="needed"),
+        pytest.param(10.0, False, id="as-good"),
+        pytest.param(10.0 + TIE_NATS * BELOW, False, id="just-below"),
+        pytest.param(10.0 + TIE_NATS * ABOVE, True, id="just-above"),
+    ],
+)
+def test_segment_disagreement_is_about_an_effect_that_segments_do_far_better_without(
+    monkeypatch: pytest.MonkeyPatch, without: float, speaks: bool
+) -> None:
+    evidence = {("drag", "gain"): 10.0, ("gain",): without, ("drag",): -50.0}
+    nats, _ = disagreement(monkeypatch, evidence, ("drag", "gain"))
+    assert nats == pytest.approx({"drag": without - 10.0, "gain": -60.0})
+    assert [f.subject for f in segment_disagreement(nats, RULES)] == ([("drag",)] if speaks else [])
+
+
+def test_segment_disagreement_compares_each_set_without_one_with_the_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    nats, refits = disagreement(
+        monkeypatch, {("drag", "gain"): 0.0, ("gain",): 1.0, ("drag",): -2.0}, ("drag", "gain")
+    )
+    assert nats == {"drag": 1.0, "gain": -2.0}
+    assert refits.calls == [
+        (("drag", "gain"), ()),
+        (("gain",), ("drag", "gain")),
+        (("drag",), ("drag", "gain")),
+    ]
+
+
+def test_segment_disagreement_of_nothing_selected_is_empty(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert disagreement(monkeypatch, {(): 0.0}, ())[0] == {}
+
+
+AFTER, BEFORE = build_flight_repeat(share=0.1, z=4.0), build_flight_repeat(share=5.0, z=50.0)
+ASKED = {"drag": 1.5}
+
+
+@pytest.fixture
+def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """Return a function that gathers the evidence of a diagnosis whose residuals are known without a fit."""
+
+    def residual(w: str, data: Any, twins: Sequence[Any], *, axial: bool) -> UnexplainedResidual:
+        lines = {"selected": 1.0, "nothing": 2.0}
+        return build_residual(force=build_channel(repeat=lines[w] + 10.0 * axial), pairs=len(twins))
+
+    monkeypatch.setattr(gathering, "unexplained_residual", residual)
+    monkeypatch.setattr(gathering, "_remainder", lambda form, diagnosis: ("selected", None))
+    monkeypatch.setattr(gathering, "disturbance_left", lambda fit, z: "nothing")
+    monkeypatch.setattr(gathering, "unknowns_only", lambda space, nothing: None)
+    monkeypatch.setattr(gathering, "segment_disagreement_nats", lambda form, nothing, effects: ASKED)
+
+    def gather(
+        selected: Names = ("drag",),
+        *,
+        method: Method = "closed-loop",
+        twins: Sequence[tuple[int, int]] = (),
+        unknown: frozenset[str] = frozenset(),
+        best: SegmentFit | None = None,
+    ) -> Any:
+        diagnosis = build_diagnosis(
+            selected,
+            weights={selected: 3.0, ("gain",): 1.0},
+            inclusion={"drag": 0.7},
+            stands_out={"lag": 2.0},
+            best=best or build_fit(selected),
+            method=method,
+            repeats=(AFTER, BEFORE),
+        )
+        form = cast(SegmentModel, SimpleNamespace(space=LIBRARY))
+        return gather_evidence(form, diagnosis, twins, unknown, 12.0, 1.5)
+
+    return gather
+
+
+@pytest.mark.parametrize(
+    ("selected", "method", "twins", "asked"),
+    [
+        pytest.param(("drag",), "closed-loop", [], True, id="closed-loop-without-twins"),
+        pytest.param(("drag",), "closed-loop", [(0, 1)], False, id="closed-loop-with-twins"),
+        pytest.param(("drag",), "segments", [], False, id="segments-without-twins"),
+        pytest.param(("drag",), "segments", [(0, 1)], False, id="segments-with-twins"),
+        pytest.param((), "closed-loop", [], False, id="nothing-selected"),
+    ],
+)
+def test_evidence_asks_segments_only_beside_the_closed_loop_without_twins(
+    evidence_of: Any, selected: Names, method: Method, twins: Any, asked: bool
+) -> None:
+    found = evidence_of(selected, method=method, twins=twins)
+    assert found.segment_disagreement_nats == (ASKED if asked else {})
+    assert found.by_segments == (method == "segments")
+    assert found.has_twins == bool(twins)
+
+
+def test_evidence_holds_the_diagnosis_and_what_both_models_leave(evidence_of: Any) -> None:
+    best = build_fit(("drag",), lateral=0.2, axial=0.3, angular=0.4)
+    found = evidence_of(("drag",), twins=[(0, 1), (2, 3)], best=best)
+    assert found.selected == ("drag",)
+    assert found.null_probability == 0.0
+    assert found.posterior_weights == {("drag",): 3.0, ("gain",): 1.0}
+    assert found.inclusion_probability == {"drag": 0.7}
+    assert found.detectability == {"lag": 2.0}
+    assert (found.tracking_s, found.extent_m) == (12.0, 1.5)
+    assert found.disturbance_sigma == pytest.approx((0.2, 0.2, 0.3, 0.4, 0.4, 0.4))
+    assert (found.residual.flights, found.residual_without.flights) == (AFTER, BEFORE)
+    assert (found.residual.force.repeat, found.residual_without.force.repeat) == (11.0, 12.0)
+    assert (found.residual.pairs, found.residual_without.pairs) == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("unknown", "known"), [(frozenset(), True), (frozenset({"thrust"}), False), (frozenset({"torque"}), True)]
+)
+def test_evidence_without_a_known_thrust_leaves_out_what_acts_along_it(
+    evidence_of: Any, unknown: frozenset[str], known: bool
+) -> None:
+    found = evidence_of(unknown=unknown)
+    assert found.thrust_known == known
+    assert (found.residual.force.repeat, found.residual_without.force.repeat) == (
+        (11.0, 12.0) if known else (1.0, 2.0)
+    )
+
+
+@pytest.mark.parametrize("rate_driven", [False, True])
+def test_evidence_says_whether_the_measured_rate_drives_the_attitude(
+    evidence_of: Any, rate_driven: bool
+) -> None:
+    assert evidence_of(best=build_fit(("drag",), rate_driven=rate_driven)).rate_driven == rate_driven

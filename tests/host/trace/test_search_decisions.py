@@ -18,11 +18,10 @@ from tests.host.trace.builders import (
     build_space,
     weights_of_nothing,
 )
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import (
-    BEARS,
-    WITHIN_NATS,
     Fitter,
     Names,
     _borne,
@@ -33,6 +32,7 @@ from trimtab.host.trace.search import (
 )
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
+TIE_NATS, CARRIER = RULES.tie_nats, RULES.carrier_tolerances
 BEST = build_closed_fit()
 
 
@@ -55,8 +55,8 @@ def prior_only(space: ParameterSpace, spike: Sequence[float] | None = None) -> F
 @pytest.mark.parametrize(
     ("gap", "within", "expected"),
     [
-        pytest.param(WITHIN_NATS * BELOW, WITHIN_NATS, ("a",), id="just-within"),
-        pytest.param(WITHIN_NATS * ABOVE, WITHIN_NATS, ("a", "b"), id="just-beyond"),
+        pytest.param(TIE_NATS * BELOW, TIE_NATS, ("a",), id="just-within"),
+        pytest.param(TIE_NATS * ABOVE, TIE_NATS, ("a", "b"), id="just-beyond"),
         pytest.param(8.0, 8.0, ("a",), id="at"),
         pytest.param(7.9, 8.0, ("a",), id="as-wide-as-asked"),
         pytest.param(0.1, 0.0, ("a", "b"), id="none-but-the-best"),
@@ -79,13 +79,13 @@ def test_smallest_of_the_sets_close_to_the_best_is_kept(gap: float, within: floa
     ],
 )
 def test_smallest_of_several_is_the_most_probable(sets: dict[Names, float], expected: Names) -> None:
-    assert smallest(build_search_result(BEST, sets=sets), WITHIN_NATS) == expected
+    assert smallest(build_search_result(BEST, sets=sets), TIE_NATS) == expected
 
 
 def test_smallest_asks_only_for_sets_that_may_be_kept() -> None:
     sets = {(): 0.0, ("a",): 8.0, ("a", "b"): 10.0, ("a", "c"): 50.0}
     weights = {("a", "b"): 1e-9, ("a",): 1e-9, ("b", "c"): 1.0}
-    assert smallest(build_search_result(BEST, sets=sets, weights=weights), WITHIN_NATS) == ("a",)
+    assert smallest(build_search_result(BEST, sets=sets, weights=weights), TIE_NATS) == ("a",)
     without = {("a", "b"): 1.0}
     assert smallest(build_search_result(BEST, sets=sets, weights=without), 100.0) == ("a", "b")
 
@@ -162,8 +162,8 @@ BORNE = build_space("drag", build_effect("wind", requires_any=("drag", "lift")),
         pytest.param(("drag",), (-100.0, 0, 0), False, id="at-its-lower-bound"),
         pytest.param(("drag",), (1.0, 0, 100.0), True, id="another-at-its-bound"),
         pytest.param(("drag", "lift"), (1.0, 0, 0.05), False, id="one-of-two-within"),
-        pytest.param(("drag", "wind"), (0.1 * BEARS * BELOW, 1.0, 0), False, id="acts-through-too-little"),
-        pytest.param(("drag", "wind"), (0.1 * BEARS * ABOVE, 1.0, 0), True, id="acts-through-enough"),
+        pytest.param(("drag", "wind"), (0.1 * CARRIER * BELOW, 1.0, 0), False, id="acts-through-too-little"),
+        pytest.param(("drag", "wind"), (0.1 * CARRIER * ABOVE, 1.0, 0), True, id="acts-through-enough"),
         pytest.param(("drag", "lift", "wind"), (0.2, 1.0, 1.0), True, id="acts-through-any"),
         pytest.param(("wind",), (1.0, 1.0, 1.0), False, id="acts-through-what-is-not-there"),
     ],

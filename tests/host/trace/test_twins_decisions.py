@@ -1,268 +1,121 @@
-"""When what is left speaks against the library: thresholds, their order, and what raises them."""
+"""What a residual tells: what of whole flights repeats, and which channels say nothing of force or torque."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.host.trace.builders import build_leftover, build_repeat
-from trimtab.host.trace.residual.unexplained import (
-    FORCE_FLOOR,
-    FORM_SHARE,
-    LINE_CHANCE,
-    LINE_RATIO,
-    REPEAT_FORM,
-    REPEAT_SHARE,
-    REPEAT_Z,
-    SWINGING_LINE_RATIO,
-    TORQUE_FLOOR,
-    WORSENED,
-    WORSENED_M,
-    Repeat,
-)
+from tests.host.trace.builders import build_flight_repeat, build_segments
+from trimtab.host.trace.data.segments import BIN_S, Segments
+from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.residual.unexplained import NO_LINE, FlightRepeat, unexplained_residual
 
-BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
-FLOOR = {"force": FORCE_FLOOR, "torque": TORQUE_FLOOR}
-CHANNELS = ("force", "torque")
-
-
-def repeating(name: str, size: float = 10.0, z: float = 10.0) -> dict[str, Any]:
-    """Return a channel that repeats by `size` floors with the score z."""
-    return {f"{name}_repeat": size * FLOOR[name], f"{name}_z": z}
-
-
-def ringing(
-    name: str, line: float = 20.0, chance: float = 1e-9, rms: float = 10.0, hz: float = 0.77
-) -> dict[str, Any]:
-    """Return a channel with a line: its ratio, chance, rms in floors, and frequency in Hz."""
-    return {
-        f"{name}_line": line,
-        f"{name}_line_hz": hz,
-        f"{name}_line_chance": chance,
-        f"{name}_line_rms": rms * FLOOR[name],
-    }
-
-
-LOUD = build_repeat(share=1.0, z=10.0, position_m=0.0471)
-CALM = build_repeat(share=0.0, z=0.0, position_m=0.0)
+ABOVE = 1 + 1e-6
+REPEAT_Z = RULES.repeat_z
 
 
 @pytest.mark.parametrize(
-    ("repeat", "least", "nats"),
+    ("repeat", "lower_share", "nats"),
     [
-        pytest.param(build_repeat(share=0.5, z=0.0), 0.0, 0.0, id="nothing"),
-        pytest.param(build_repeat(share=0.5, z=REPEAT_Z), 0.0, 0.0, id="z-at"),
-        pytest.param(build_repeat(share=0.6, z=REPEAT_Z * ABOVE), 0.2, 300.0, id="z-just-above"),
-        pytest.param(build_repeat(share=0.5, z=4.0), 0.25, 250.0, id="two-standard-errors-down"),
-        pytest.param(build_repeat(share=0.5, z=40.0), 0.475, 250.0, id="well-known"),
-        pytest.param(build_repeat(share=0.5, z=40.0, size=10), 0.475, 2.5, id="few-numbers"),
-        pytest.param(build_repeat(share=0.5, z=40.0, position_m=9.0), 0.475, 250.0, id="any-position"),
-        pytest.param(build_repeat(share=-0.5, z=-40.0), 0.0, 0.0, id="reversed"),
+        pytest.param(build_flight_repeat(share=0.5, z=0.0), 0.0, 0.0, id="nothing"),
+        pytest.param(build_flight_repeat(share=0.5, z=REPEAT_Z), 0.0, 0.0, id="z-at"),
+        pytest.param(build_flight_repeat(share=0.6, z=REPEAT_Z * ABOVE), 0.2, 300.0, id="z-just-above"),
+        pytest.param(build_flight_repeat(share=0.5, z=4.0), 0.25, 250.0, id="two-standard-errors-down"),
+        pytest.param(build_flight_repeat(share=0.5, z=40.0), 0.475, 250.0, id="well-known"),
+        pytest.param(build_flight_repeat(share=0.5, z=40.0, size=10), 0.475, 2.5, id="few-numbers"),
+        pytest.param(build_flight_repeat(share=0.5, z=40.0, position_m=9.0), 0.475, 250.0, id="any-position"),
+        pytest.param(build_flight_repeat(share=-0.5, z=-40.0), 0.0, 0.0, id="reversed"),
     ],
 )
-def test_repeat_counts_two_standard_errors_down_where_its_score_is_high(
-    repeat: Repeat, least: float, nats: float
+def test_flight_repeat_counts_two_standard_errors_down_where_its_score_is_high(
+    repeat: FlightRepeat, lower_share: float, nats: float
 ) -> None:
-    assert repeat.least == pytest.approx(least, rel=1e-5)
-    assert repeat.nats == pytest.approx(nats, rel=1e-5)
+    assert repeat.lower_share(RULES) == pytest.approx(lower_share, rel=1e-5)
+    assert repeat.log_evidence(RULES) == pytest.approx(nats, rel=1e-5)
+
+
+def test_flight_repeat_follows_the_rules_that_are_given() -> None:
+    repeat, stricter = build_flight_repeat(share=0.5, z=4.0), replace(RULES, repeat_z=4.0)
+    assert (repeat.lower_share(stricter), repeat.log_evidence(stricter)) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(("share", "amplitude"), [(-0.5, 0.0), (0.0, 0.0), (0.25, 0.5), (4.0, 2.0)])
-def test_repeat_amplitude_is_the_root_of_its_share(share: float, amplitude: float) -> None:
-    assert build_repeat(share=share, z=10.0).amplitude == pytest.approx(amplitude)
+def test_flight_repeat_amplitude_is_the_root_of_its_share(share: float, amplitude: float) -> None:
+    assert build_flight_repeat(share=share, z=10.0).amplitude == pytest.approx(amplitude)
 
 
-def test_reasons_of_nothing_left_are_none() -> None:
-    assert build_leftover().reasons == ()
-    assert build_leftover(whole=CALM).reasons == ()
+COUNT, BINS, STEPS = 30, 6, 60
+TWINS = [(0, 1)]
 
 
-@pytest.mark.parametrize("name", CHANNELS)
-@pytest.mark.parametrize(
-    ("size", "z", "count"),
-    [
-        pytest.param(10.0, 10.0, 1, id="clear"),
-        pytest.param(10.0, REPEAT_Z * BELOW, 0, id="z-just-below"),
-        pytest.param(10.0, REPEAT_Z * ABOVE, 1, id="z-just-above"),
-        pytest.param(BELOW, 10.0, 0, id="size-just-below"),
-        pytest.param(ABOVE, 10.0, 1, id="size-just-above"),
-        pytest.param(-10.0, -10.0, 0, id="reversed"),
-    ],
-)
-def test_reasons_of_what_repeats_need_score_and_size(name: str, size: float, z: float, count: int) -> None:
-    assert len(build_leftover(**repeating(name, size, z)).reasons) == count
-
-
-@pytest.mark.parametrize("name", CHANNELS)
-@pytest.mark.parametrize(
-    ("line", "chance", "rms", "count"),
-    [
-        pytest.param(20.0, 0.0, 10.0, 1, id="clear"),
-        pytest.param(LINE_RATIO * BELOW, 0.0, 10.0, 0, id="ratio-just-below"),
-        pytest.param(LINE_RATIO * ABOVE, 0.0, 10.0, 1, id="ratio-just-above"),
-        pytest.param(20.0, LINE_CHANCE * BELOW, 10.0, 1, id="chance-just-below"),
-        pytest.param(20.0, LINE_CHANCE * ABOVE, 10.0, 0, id="chance-just-above"),
-        pytest.param(20.0, 0.0, BELOW, 0, id="rms-just-below"),
-        pytest.param(20.0, 0.0, ABOVE, 1, id="rms-just-above"),
-    ],
-)
-def test_reasons_of_a_line_need_ratio_chance_and_size(
-    name: str, line: float, chance: float, rms: float, count: int
-) -> None:
-    assert len(build_leftover(**ringing(name, line, chance, rms)).reasons) == count
-
-
-@pytest.mark.parametrize(
-    ("left", "mentioned"),
-    [
-        pytest.param({"force_repeat": 1.37, "force_z": 12.3}, ["1.37", "12.3"], id="force"),
-        pytest.param({"torque_repeat": 4.56, "torque_z": 12.3}, ["4.56", "12.3"], id="torque"),
-        pytest.param(ringing("force", line=8.9), ["force", "0.77", "8.9"], id="force-line"),
-        pytest.param(ringing("torque", line=8.9), ["torque", "0.77", "8.9"], id="torque-line"),
-        pytest.param({"whole": build_repeat(share=1.44, z=12.3, position_m=0.0471)},
-                     ["47.1", "1.2", "12.3"], id="whole-flights"),
-    ],
-)  # fmt: skip
-def test_reasons_mention_what_they_rest_on(left: dict[str, Any], mentioned: list[str]) -> None:
-    (reason,) = build_leftover(**left).reasons
-    assert [number for number in mentioned if number not in reason] == []
-
-
-@pytest.mark.parametrize(
-    ("whole", "expected"),
-    [
-        # The 47.1 mm are those of whole flights, the 0.60 m/s^2 those of the segments.
-        pytest.param(None, ["0.60", "0.77"], id="no-whole-flights-segments-speak"),
-        pytest.param(CALM, ["0.77"], id="calm-whole-flights-silence-what-repeats"),
-        pytest.param(LOUD, ["47.1", "0.60", "0.77"], id="whole-flights-first-then-segments"),
-    ],
-)
-def test_reasons_of_segments_follow_whole_flights_in_what_repeats_not_in_lines(
-    whole: Repeat | None, expected: list[str]
-) -> None:
-    reasons = build_leftover(**repeating("force"), **ringing("torque"), whole=whole).reasons
-    assert len(reasons) == len(expected)
-    assert [number for number, reason in zip(expected, reasons, strict=True) if number not in reason] == []
-
-
-def test_reasons_of_both_channels_are_told_force_first_and_what_repeats_before_lines() -> None:
-    left = {**repeating("torque"), **repeating("force"), **ringing("torque", hz=0.55), **ringing("force")}
-    reasons = build_leftover(**left).reasons
-    wanted = ["0.60", "8.00", "0.77", "0.55"]
-    assert [number for number, reason in zip(wanted, reasons, strict=True) if number not in reason] == []
-
-
-# At z = 40 a twentieth is taken off the share.
-@pytest.mark.parametrize(
-    ("share", "z", "count"),
-    [
-        pytest.param(REPEAT_SHARE / 0.95 * BELOW, 40.0, 0, id="share-just-below"),
-        pytest.param(REPEAT_SHARE / 0.95 * ABOVE, 40.0, 1, id="share-just-above"),
-        pytest.param(10.0, REPEAT_Z * BELOW, 0, id="z-just-below"),
-        pytest.param(10.0, REPEAT_Z * ABOVE, 1, id="z-just-above"),
-        pytest.param(1.1 * REPEAT_SHARE, 10.0, 0, id="not-two-standard-errors-above"),
-    ],
-)
-def test_reasons_of_whole_flights_need_a_share_that_is_known_well(share: float, z: float, count: int) -> None:
-    assert len(build_leftover(whole=build_repeat(share=share, z=z)).reasons) == count
-
-
-@pytest.mark.parametrize(
-    ("position_m", "count"),
-    [(0.02 * BELOW, 0), (0.02 * ABOVE, 1)],
-    ids=["just-below", "just-above"],
-)
-def test_reasons_of_a_position_that_repeats_more_than_it_may(position_m: float, count: int) -> None:
-    whole = build_repeat(position_m=position_m)
-    assert len(build_leftover(whole=whole, position_ceiling_m=0.02).reasons) == count
-    assert build_leftover(whole=whole).reasons == ()
-
-
-def test_reasons_of_a_worse_position_let_segments_speak_too() -> None:
-    left = build_leftover(**repeating("force"), whole=build_repeat(position_m=0.03), position_ceiling_m=0.02)
-    first, second = left.reasons
-    assert "30.0" in first
-    assert "20.0" in first
-    assert "0.60" in second
-
-
-@pytest.mark.parametrize(
-    ("missing", "expected"),
-    [
-        pytest.param({}, {}, id="nothing-missing"),
-        pytest.param({"force_repeat": FORCE_FLOOR / FORM_SHARE * BELOW}, {}, id="force-just-below"),
-        pytest.param({"force_repeat": 5.0}, {"force_floor": 0.5}, id="force"),
-        pytest.param({"torque_repeat": TORQUE_FLOOR / FORM_SHARE * BELOW}, {}, id="torque-just-below"),
-        pytest.param({"torque_repeat": 50.0}, {"torque_floor": 5.0}, id="torque"),
-        pytest.param({"force_repeat": -5.0, "torque_repeat": -50.0}, {}, id="reversed"),
-        pytest.param(
-            {"whole": build_repeat(share=REPEAT_SHARE / REPEAT_FORM**2 * BELOW)},
-            {"position_ceiling_m": WORSENED_M},
-            id="share-just-below",
-        ),
-        pytest.param(
-            {"whole": build_repeat(share=25.0)},
-            {"whole_floor": 1.0, "position_ceiling_m": WORSENED_M},
-            id="share",
-        ),
-        pytest.param(
-            {"whole": build_repeat(share=-25.0)}, {"position_ceiling_m": WORSENED_M}, id="share-reversed"
-        ),
-        pytest.param(
-            {"whole": build_repeat(position_m=WORSENED_M / WORSENED * BELOW)},
-            {"position_ceiling_m": WORSENED_M},
-            id="position-just-below",
-        ),
-        pytest.param({"whole": build_repeat(position_m=0.2)}, {"position_ceiling_m": 0.3}, id="position"),
-        pytest.param(ringing("force") | ringing("torque"), {}, id="lines-raise-nothing"),
-    ],
-)
-def test_beside_what_is_missing_the_floors_rise(missing: dict[str, Any], expected: dict[str, float]) -> None:
-    floors = {
-        "force_floor": FORCE_FLOOR,
-        "torque_floor": TORQUE_FLOOR,
-        "line_floor": LINE_RATIO,
-        "whole_floor": REPEAT_SHARE,
-        "position_ceiling_m": np.inf,
-    }
-    found = build_leftover().beside(build_leftover(**missing))
-    assert {key: getattr(found, key) for key in floors} == pytest.approx(floors | expected)
-
-
-def test_beside_keeps_floors_that_are_higher_already_and_all_that_is_left() -> None:
-    left = build_leftover(
-        **repeating("force"),
-        **ringing("torque"),
-        whole=LOUD,
-        force_floor=7.0,
-        torque_floor=8.0,
-        line_floor=9.0,
-        whole_floor=6.0,
+def build_twins(*, rate_driven: bool = False) -> Segments:
+    """Return segments of two flights that stand still; one flight holds COUNT segments of BINS bins."""
+    n = 2 * COUNT
+    return replace(
+        build_segments(rate_driven=rate_driven),
+        dt_s=0.01,
+        flight=np.repeat([0, 1], COUNT),
+        start_s=np.tile(np.arange(COUNT) * BINS * BIN_S, 2),
+        position=np.zeros((n, STEPS, 3)),
+        rate=np.zeros((n, STEPS, 3)),
+        rate_weight=np.ones((n, STEPS)),
+        command=np.zeros((n, STEPS + 5, 4)),
+        w=np.zeros((n, BINS, 6)),
     )
-    found = left.beside(build_leftover(force_repeat=5.0, torque_repeat=50.0, whole=build_repeat(share=25.0)))
-    assert (found.force_floor, found.torque_floor, found.line_floor, found.whole_floor) == (
-        7.0,
-        8.0,
-        9.0,
-        6.0,
-    )
-    assert found.whole == LOUD
-    assert (found.force_repeat, found.torque_line) == (left.force_repeat, left.torque_line)
 
 
-@pytest.mark.parametrize("name", CHANNELS)
+def disturbance_in(axis: int) -> np.ndarray:
+    """Return noise (2 COUNT, BINS, 6) with a force that repeats and a line of 0.8 Hz along one axis."""
+    rng = np.random.default_rng(3)
+    w = 0.05 * rng.normal(size=(2 * COUNT, BINS, 6))
+    t = BIN_S * np.arange(COUNT * BINS).reshape(COUNT, BINS)
+    both = rng.normal(size=(COUNT, BINS)) + 2.0 * np.sin(2 * np.pi * 0.8 * t)
+    w[:, :, axis] += np.tile(both, (2, 1))
+    return w
+
+
 @pytest.mark.parametrize(
-    ("line", "swinging", "count"),
+    ("axis", "axial", "channel"),
     [
-        pytest.param(SWINGING_LINE_RATIO * BELOW, False, 1, id="below-without-a-swing"),
-        pytest.param(SWINGING_LINE_RATIO * BELOW, True, 0, id="below-beside-a-swing"),
-        pytest.param(SWINGING_LINE_RATIO * ABOVE, True, 1, id="above-beside-a-swing"),
+        pytest.param(0, True, "force", id="north"),
+        pytest.param(2, True, "force", id="along-the-thrust"),
+        pytest.param(0, False, "force", id="north-with-the-thrust-unknown"),
+        pytest.param(2, False, None, id="along-an-unknown-thrust"),
+        pytest.param(3, True, "torque", id="roll"),
+        pytest.param(5, False, "torque", id="yaw-with-the-thrust-unknown"),
     ],
 )
-def test_beside_a_swinging_effect_a_line_must_be_stronger(
-    name: str, line: float, swinging: bool, count: int
+def test_residual_shows_in_its_own_channel_and_not_along_an_unknown_thrust(
+    axis: int, axial: bool, channel: str | None
 ) -> None:
-    left = build_leftover(**ringing(name, line=line))
-    assert len(left.beside(build_leftover(), swinging=swinging).reasons) == count
+    found = unexplained_residual(disturbance_in(axis), build_twins(), TWINS, axial=axial)
+    for name in ("force", "torque"):
+        one = getattr(found, name)
+        assert (one.z > RULES.repeat_z) == (name == channel)
+        assert (one.line.ratio > RULES.line_ratio) == (name == channel)
+    assert found.pairs == 1
+    assert found.flights is None
+
+
+def test_residual_of_a_driven_rate_has_no_line_in_torque() -> None:
+    w = disturbance_in(4)
+    assert unexplained_residual(w, build_twins(), TWINS).torque.line.ratio > RULES.line_ratio
+    driven = unexplained_residual(w, build_twins(rate_driven=True), TWINS)
+    assert driven.torque.line == NO_LINE
+    force = disturbance_in(0)
+    assert unexplained_residual(force, build_twins(rate_driven=True), TWINS).force.line.ratio > 3.5
+
+
+def test_residual_that_reverses_between_twins_has_a_negative_size_and_score() -> None:
+    w = disturbance_in(1)
+    w[COUNT:] *= -1.0
+    found = unexplained_residual(w, build_twins(), TWINS)
+    assert found.force.repeat < 0.0
+    assert found.force.z < 0.0
+
+
+def test_residual_of_twins_of_which_one_has_no_segments_repeats_nothing() -> None:
+    found = unexplained_residual(disturbance_in(0), build_twins(), [(0, 2)])
+    assert (found.force.repeat, found.force.z) == (0.0, 0.0)

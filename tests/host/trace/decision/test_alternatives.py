@@ -1,0 +1,251 @@
+"""What the data leaves open: both sides of each threshold, the order, and what must not matter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from tests.host.trace.builders import LIBRARY, build_effect, build_space
+from trimtab.host.trace.decision.alternatives import (
+    aliases_of,
+    pair_to_separate,
+    possible_beside,
+    with_each_other,
+    with_undetectable,
+)
+from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.search import Names
+
+BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
+"""Factors on a threshold for "just below" and "just above"."""
+OPEN, DETECTABLE = RULES.alias_probability, RULES.detectable_sigma
+
+
+def shared(share: float, scale: float = 1.0) -> dict[Names, float]:
+    """Return weights of which this share is of "wind" in place of "drag"."""
+    return {("drag",): scale * (1.0 - share), ("wind",): scale * share}
+
+
+@pytest.mark.parametrize(
+    ("weights", "expected"),
+    [
+        pytest.param(shared(OPEN * BELOW), [], id="just-below"),
+        pytest.param({("drag",): 19.0, ("wind",): 1.0}, [], id="a-twentieth"),
+        pytest.param(shared(OPEN * ABOVE), ["wind"], id="just-above"),
+        pytest.param(shared(0.06, 1e-6), ["wind"], id="relative-weights-above"),
+        pytest.param(shared(0.04, 1e6), [], id="relative-weights-below"),
+        pytest.param({("drag",): 1.0}, [], id="one-set"),
+    ],
+)
+def test_aliases_count_from_the_alias_probability_on(
+    weights: dict[Names, float], expected: list[str]
+) -> None:
+    assert list(aliases_of(("drag",), weights, LIBRARY, RULES)["drag"]) == expected
+
+
+def test_aliases_sum_the_sets_that_have_the_other_and_lack_the_effect() -> None:
+    weights = {
+        ("drag",): 4.0,
+        ("drag", "wind"): 2.0,  # beside it, not in its place
+        ("wind",): 1.0,
+        ("lag", "wind"): 2.0,
+        (): 1.0,
+    }
+    found = aliases_of(("drag",), weights, LIBRARY, RULES)
+    assert found["drag"] == pytest.approx({"wind": 0.3, "lag": 0.2})
+
+
+def test_aliases_are_ordered_from_the_most_probable_on() -> None:
+    weights = {("drag",): 0.4, ("gain",): 0.1, ("wind",): 0.2, ("lag",): 0.3}
+    found = aliases_of(("drag",), weights, LIBRARY, RULES)
+    assert list(found["drag"]) == ["lag", "wind", "gain"]
+
+
+def test_aliases_leave_out_what_was_selected_itself() -> None:
+    weights = {("drag", "gain"): 0.5, ("gain", "wind"): 0.5}
+    found = aliases_of(("drag", "gain"), weights, LIBRARY, RULES)
+    assert list(found) == ["drag", "gain"]
+    assert found["drag"] == pytest.approx({"wind": 0.5})
+    assert found["gain"] == {}
+
+
+def test_aliases_of_nothing_selected_are_none() -> None:
+    assert aliases_of((), {(): 0.5, ("wind",): 0.5}, LIBRARY, RULES) == {}
+
+
+HIDING = build_space(
+    build_effect("drag", aliases=("lift",)),
+    build_effect("lift"),
+    build_effect("tilt", aliases=("drag",)),
+    build_effect("lag"),
+    build_effect("rotor", aliases=("drag",), one_of=True),
+)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "expected"),
+    [
+        pytest.param(0.0, {"lift": 0.5}, id="invisible"),
+        pytest.param(DETECTABLE * BELOW, {"lift": 0.5}, id="just-below"),
+        pytest.param(DETECTABLE, {}, id="at"),
+        pytest.param(DETECTABLE * ABOVE, {}, id="just-above"),
+    ],
+)
+def test_with_undetectable_adds_a_known_alias_that_the_flights_would_not_show(
+    sigma: float, expected: dict[str, float]
+) -> None:
+    assert with_undetectable({"drag": {}}, HIDING, {"lift": sigma}, RULES) == {"drag": expected}
+
+
+@pytest.mark.parametrize(
+    ("hidden", "expected"),
+    [
+        pytest.param("lift", {"lift": 0.5}, id="the-effect-names-it"),
+        pytest.param("tilt", {"tilt": 0.5}, id="it-names-the-effect"),
+        pytest.param("lag", {}, id="neither-names-the-other"),
+        pytest.param("rotor", {}, id="one-of-several"),
+        pytest.param("drag", {}, id="the-effect-itself"),
+    ],
+)
+def test_with_undetectable_takes_known_aliases_only(hidden: str, expected: dict[str, float]) -> None:
+    assert with_undetectable({"drag": {}}, HIDING, {hidden: 0.0}, RULES) == {"drag": expected}
+
+
+def test_with_undetectable_keeps_the_probability_that_the_data_gives() -> None:
+    found = with_undetectable({"drag": {"lift": 0.2, "lag": 0.1}}, HIDING, {"lift": 0.0, "tilt": 0.0}, RULES)
+    assert found == {"drag": {"tilt": 0.5, "lift": 0.2, "lag": 0.1}}
+
+
+def test_with_undetectable_leaves_out_what_was_named_too() -> None:
+    aliases: dict[str, dict[str, float]] = {"drag": {}, "lift": {}}
+    assert with_undetectable(aliases, HIDING, {"lift": 0.0, "drag": 0.0}, RULES) == aliases
+
+
+def test_with_undetectable_of_nothing_is_nothing() -> None:
+    assert with_undetectable({}, HIDING, {"lift": 0.0}, RULES) == {}
+    assert with_undetectable({"drag": {}}, HIDING, {}, RULES) == {"drag": {}}
+
+
+RELATED = build_space(
+    build_effect("drag", aliases=("lift", "wind")),
+    build_effect("lift"),
+    build_effect("wind", aliases=("drag",), requires_any=("drag",)),
+    build_effect("lag", aliases=("delay",), requires_any=("delay",)),
+    build_effect("delay"),
+    build_effect("inflow"),
+    build_effect("rotor", aliases=("lift",), one_of=True),
+)
+
+
+@pytest.mark.parametrize(
+    ("named", "expected"),
+    [
+        pytest.param((), {}, id="none"),
+        pytest.param(("drag",), {"drag": {}}, id="one"),
+        pytest.param(
+            ("drag", "lift"), {"drag": {"lift": 0.5}, "lift": {"drag": 0.5}}, id="one-names-the-other"
+        ),
+        pytest.param(("lift", "drag"), {"drag": {"lift": 0.5}, "lift": {"drag": 0.5}}, id="in-either-order"),
+        pytest.param(("drag", "inflow"), {"drag": {}, "inflow": {}}, id="unrelated"),
+        pytest.param(("drag", "wind"), {"drag": {}, "wind": {}}, id="the-second-acts-through-the-first"),
+        pytest.param(("lag", "delay"), {"lag": {}, "delay": {}}, id="the-first-acts-through-the-second"),
+        pytest.param(
+            ("lift", "rotor.size"),
+            {"lift": {"rotor.size": 0.5}, "rotor.size": {"lift": 0.5}},
+            id="one-parameter-of-several",
+        ),
+    ],
+)
+def test_with_each_other_makes_known_aliases_among_the_named_as_probable(
+    named: Names, expected: dict[str, dict[str, float]]
+) -> None:
+    assert with_each_other({name: {} for name in named}, RELATED, RULES) == expected
+
+
+def test_with_each_other_keeps_other_aliases_and_its_input() -> None:
+    aliases = {"drag": {"inflow": 0.1, "lift": 0.2}, "lift": {}, "inflow": {}}
+    found = with_each_other(aliases, RELATED, RULES)
+    assert found == {"drag": {"inflow": 0.1, "lift": 0.5}, "lift": {"drag": 0.5}, "inflow": {}}
+    assert aliases == {"drag": {"inflow": 0.1, "lift": 0.2}, "lift": {}, "inflow": {}}
+
+
+@pytest.mark.parametrize(
+    ("aliases", "expected"),
+    [
+        pytest.param({"drag": {"wind": 0.1}}, ("drag", "wind"), id="one"),
+        pytest.param({"drag": {"wind": 0.1, "lag": 0.4}}, ("drag", "lag"), id="the-more-probable"),
+        pytest.param({"drag": {"wind": 0.4}, "gain": {"sag": 0.1}}, ("drag", "wind"), id="the-first-effects"),
+        pytest.param({"drag": {"wind": 0.1}, "gain": {"sag": 0.4}}, ("gain", "sag"), id="the-second-effects"),
+        pytest.param({"drag": {}, "gain": {"sag": 0.01}}, ("gain", "sag"), id="however-improbable"),
+    ],
+)
+@pytest.mark.parametrize("inclusion", [{}, {"lag": 0.9, "tilt": 0.8}], ids=["alone", "beside-candidates"])
+def test_pair_to_separate_of_aliases_is_the_most_probable_pair(
+    aliases: Any, inclusion: dict[str, float], expected: tuple[str, str]
+) -> None:
+    assert pair_to_separate(aliases, inclusion, RULES) == expected
+
+
+@pytest.mark.parametrize(
+    ("inclusion", "expected"),
+    [
+        pytest.param({}, None, id="none"),
+        pytest.param({"drag": 0.9}, None, id="one"),
+        pytest.param({"drag": 0.3, "lag": 0.6}, ("lag", "drag"), id="two-the-likelier-first"),
+        pytest.param({"drag": 0.3, "lag": 0.6, "gain": 0.4}, ("lag", "gain"), id="three"),
+        pytest.param({"drag": 0.9, "lag": OPEN}, None, id="second-at-the-threshold"),
+        pytest.param({"drag": 0.9, "lag": OPEN * ABOVE}, ("drag", "lag"), id="second-just-above"),
+    ],
+)
+def test_pair_to_separate_of_nothing_named_is_the_two_most_probable_candidates(
+    inclusion: dict[str, float], expected: tuple[str, str] | None
+) -> None:
+    assert pair_to_separate({}, inclusion, RULES) == expected
+
+
+def test_pair_to_separate_of_named_effects_without_aliases_is_none() -> None:
+    assert pair_to_separate({"drag": {}, "gain": {}}, {"lag": 0.9, "tilt": 0.8}, RULES) is None
+
+
+@pytest.mark.parametrize(
+    ("probability", "possible"),
+    [
+        pytest.param(OPEN * BELOW, False, id="just-below"),
+        pytest.param(OPEN, False, id="at"),
+        pytest.param(OPEN * ABOVE, True, id="just-above"),
+    ],
+)
+def test_possible_beside_counts_from_the_alias_probability_on(probability: float, possible: bool) -> None:
+    found = possible_beside((), {}, {"lag": probability}, RULES)
+    assert found == ({"lag": probability} if possible else {})
+
+
+def test_possible_beside_leaves_out_kept_effects_and_their_aliases() -> None:
+    inclusion = {"drag": 0.9, "wind": 0.3, "lag": 0.2, "gain": 0.8, "sag": 0.1}
+    aliases = {"drag": {"wind": 0.3}, "gain": {"sag": 0.1}}
+    found = possible_beside(("drag", "gain"), aliases, inclusion, RULES)
+    assert found == {"lag": 0.2}
+
+
+def test_possible_beside_is_ordered_from_the_most_probable_on() -> None:
+    found = possible_beside((), {}, {"lag": 0.2, "wind": 0.5, "sag": 0.3}, RULES)
+    assert list(found) == ["wind", "sag", "lag"]
+
+
+def test_possible_beside_of_nothing_considered_is_empty() -> None:
+    assert possible_beside((), {}, {}, RULES) == {}
+
+
+def test_alternatives_follow_the_rules_that_are_given() -> None:
+    surer = replace(RULES, odds=4.0, detectable_sigma=1.0)
+    weights: dict[Names, float] = {("drag",): 0.8, ("wind",): 0.2}
+    assert aliases_of(("drag",), weights, LIBRARY, RULES) == {"drag": pytest.approx({"wind": 0.2})}
+    assert aliases_of(("drag",), weights, LIBRARY, surer) == {"drag": {}}
+    assert with_undetectable({"drag": {}}, HIDING, {"lift": 2.0}, RULES) == {"drag": {"lift": 0.5}}
+    assert with_undetectable({"drag": {}}, HIDING, {"lift": 2.0}, surer) == {"drag": {}}
+    assert possible_beside((), {}, {"lag": 0.2}, RULES) == {"lag": 0.2}
+    assert possible_beside((), {}, {"lag": 0.2}, surer) == {}
+    assert pair_to_separate({}, {"lag": 0.2, "drag": 0.5}, RULES) == ("drag", "lag")
+    assert pair_to_separate({}, {"lag": 0.2, "drag": 0.5}, surer) is None

@@ -1,0 +1,92 @@
+"""Findings as the JSON holds them, and the codes of refusals."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError
+
+import pytest
+
+from trimtab.host.errors import UsageError
+from trimtab.host.log.errors import TooLittleData
+from trimtab.host.trace.decision.findings import (
+    DOUBTS,
+    UNEXPLAINED,
+    Code,
+    Finding,
+    LogsRefused,
+    TooLittleToTrace,
+    Verdict,
+)
+
+
+def test_finding_to_json_holds_every_field() -> None:
+    finding = Finding(
+        code=Code.RATE_DROPS,
+        value=12.0,
+        bound=50.0,
+        unit="Hz",
+        subject=("/mocap/pose",),
+        log="one.mcap",
+        details={"median_hz": 100.0},
+    )
+    assert finding.to_json() == {
+        "code": "rate-drops",
+        "value": 12.0,
+        "bound": 50.0,
+        "unit": "Hz",
+        "subject": ["/mocap/pose"],
+        "log": "one.mcap",
+        "details": {"median_hz": 100.0},
+    }
+
+
+def test_finding_to_json_without_a_comparison_holds_nulls() -> None:
+    assert Finding(code=Code.NO_GYRO).to_json() == {
+        "code": "no-gyro",
+        "value": None,
+        "bound": None,
+        "unit": "1",
+        "subject": [],
+        "log": None,
+        "details": {},
+    }
+
+
+def test_finding_cannot_be_changed() -> None:
+    finding = Finding(code=Code.NO_GYRO)
+    with pytest.raises(FrozenInstanceError):
+        finding.value = 1.0  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize(
+    ("refusal", "kind"), [(LogsRefused, UsageError), (TooLittleToTrace, TooLittleData)], ids=["logs", "data"]
+)
+def test_refusal_tells_its_code_and_its_message(refusal: type, kind: type) -> None:
+    error = refusal(Code.NO_TRACKING, "no tracking phase")
+    assert isinstance(error, kind)
+    assert str(error) == "no tracking phase"
+    assert error.told == {"code": "no-tracking"}
+
+
+def test_codes_are_the_names_that_the_json_documents() -> None:
+    assert [str(each) for each in Verdict] == ["traced", "nothing-missing", "undecided", "outside-library"]
+    assert {code.name.lower().replace("_", "-") for code in Code} == {str(code) for code in Code}
+
+
+def test_reasons_and_doubts_are_the_codes_that_they_are_documented_to_be() -> None:
+    assert {str(code) for code in UNEXPLAINED} == {
+        "flights-repeat",
+        "flights-worsened",
+        "force-repeats",
+        "torque-repeats",
+        "force-rings",
+        "torque-rings",
+    }
+    assert {str(code) for code in DOUBTS} == {
+        "tracking-too-short",
+        "hover-only",
+        "excess-force",
+        "excess-torque",
+        "better-but-inadmissible",
+        "segments-disagree",
+    }

@@ -1,0 +1,357 @@
+"""When a residual puts the cause outside the library: bounds, what raises them, and the order of findings."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+from typing import Any
+
+import pytest
+
+from tests.host.trace.builders import build_channel, build_flight_repeat, build_residual
+from trimtab.host.trace import words
+from trimtab.host.trace.decision.decide import (
+    ResidualBounds,
+    no_model_bounds,
+    residual_bounds,
+    residual_findings,
+)
+from trimtab.host.trace.decision.findings import Code, Finding
+from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.residual.unexplained import FlightRepeat, SpectralLine, UnexplainedResidual
+
+BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
+FLOOR = {"force": RULES.force_floor_m_s2, "torque": RULES.torque_floor_rad_s2}
+UNIT = {"force": "m/s^2", "torque": "rad/s^2"}
+REPEATS = {"force": Code.FORCE_REPEATS, "torque": Code.TORQUE_REPEATS}
+RINGS = {"force": Code.FORCE_RINGS, "torque": Code.TORQUE_RINGS}
+CHANNELS = ("force", "torque")
+REPEAT_Z, REPEAT_SHARE = RULES.repeat_z, RULES.flight_repeat_share
+LINE_RATIO, LINE_CHANCE = RULES.line_ratio, RULES.line_false_alarm
+WORSENED, WORSENED_M = RULES.worsened_ratio, RULES.worsened_m
+
+
+def channel(
+    name: str,
+    *,
+    size: float = 0.0,
+    z: float = 10.0,
+    line: float = 1.0,
+    chance: float = 1e-9,
+    rms: float = 10.0,
+    hz: float = 0.77,
+) -> dict[str, Any]:
+    """Return one channel by name; `size` of what repeats and `rms` of the line are in floors."""
+    found = SpectralLine(ratio=line, hz=hz, chance=chance, rms=rms * FLOOR[name])
+    return {name: build_channel(repeat=size * FLOOR[name], z=z, line=found)}
+
+
+def repeating(name: str, size: float = 10.0, z: float = 10.0) -> dict[str, Any]:
+    """Return a channel that repeats by `size` floors with the score z."""
+    return channel(name, size=size, z=z)
+
+
+def ringing(name: str, line: float = 20.0, **changes: float) -> dict[str, Any]:
+    """Return a channel with a line and nothing that repeats."""
+    return channel(name, line=line, **changes)
+
+
+def found_in(residual: UnexplainedResidual, bounds: ResidualBounds | None = None) -> list[Finding]:
+    """Return the findings by `bounds`, by default those of a model without any effect."""
+    return residual_findings(residual, bounds or no_model_bounds(RULES), RULES)
+
+
+def codes_in(residual: UnexplainedResidual, bounds: ResidualBounds | None = None) -> list[Code]:
+    return [finding.code for finding in found_in(residual, bounds)]
+
+
+LOUD = build_flight_repeat(share=1.0, z=10.0, position_m=0.0471)
+CALM = build_flight_repeat(share=0.0, z=0.0, position_m=0.0)
+
+
+def test_no_model_bounds_are_the_rules_and_no_position() -> None:
+    assert no_model_bounds(RULES) == ResidualBounds(
+        force=RULES.force_floor_m_s2,
+        torque=RULES.torque_floor_rad_s2,
+        line_ratio=RULES.line_ratio,
+        flight_share=RULES.flight_repeat_share,
+        position_m=math.inf,
+    )
+
+
+def test_findings_of_nothing_unexplained_are_none() -> None:
+    assert found_in(build_residual()) == []
+    assert found_in(build_residual(flights=CALM)) == []
+    assert found_in(build_residual(pairs=0)) == []
+
+
+@pytest.mark.parametrize("name", CHANNELS)
+@pytest.mark.parametrize(
+    ("size", "z", "count"),
+    [
+        pytest.param(10.0, 10.0, 1, id="clear"),
+        pytest.param(10.0, REPEAT_Z * BELOW, 0, id="z-just-below"),
+        pytest.param(10.0, REPEAT_Z, 0, id="z-at"),
+        pytest.param(10.0, REPEAT_Z * ABOVE, 1, id="z-just-above"),
+        pytest.param(BELOW, 10.0, 0, id="size-just-below"),
+        pytest.param(1.0, 10.0, 0, id="size-at"),
+        pytest.param(ABOVE, 10.0, 1, id="size-just-above"),
+        pytest.param(-10.0, -10.0, 0, id="reversed"),
+    ],
+)
+def test_what_repeats_in_segments_needs_score_and_size(name: str, size: float, z: float, count: int) -> None:
+    assert codes_in(build_residual(**repeating(name, size, z))) == [REPEATS[name]] * count
+
+
+@pytest.mark.parametrize("name", CHANNELS)
+@pytest.mark.parametrize(
+    ("line", "chance", "rms", "count"),
+    [
+        pytest.param(20.0, 0.0, 10.0, 1, id="clear"),
+        pytest.param(LINE_RATIO * BELOW, 0.0, 10.0, 0, id="ratio-just-below"),
+        pytest.param(LINE_RATIO, 0.0, 10.0, 0, id="ratio-at"),
+        pytest.param(LINE_RATIO * ABOVE, 0.0, 10.0, 1, id="ratio-just-above"),
+        pytest.param(20.0, LINE_CHANCE * BELOW, 10.0, 1, id="chance-just-below"),
+        pytest.param(20.0, LINE_CHANCE, 10.0, 0, id="chance-at"),
+        pytest.param(20.0, LINE_CHANCE * ABOVE, 10.0, 0, id="chance-just-above"),
+        pytest.param(20.0, 0.0, BELOW, 0, id="rms-just-below"),
+        pytest.param(20.0, 0.0, 1.0, 0, id="rms-at"),
+        pytest.param(20.0, 0.0, ABOVE, 1, id="rms-just-above"),
+    ],
+)
+def test_a_line_needs_ratio_chance_and_size(
+    name: str, line: float, chance: float, rms: float, count: int
+) -> None:
+    residual = build_residual(**ringing(name, line, chance=chance, rms=rms))
+    assert codes_in(residual) == [RINGS[name]] * count
+
+
+@pytest.mark.parametrize(
+    ("residual", "expected", "mentioned"),
+    [
+        pytest.param(
+            {"force": build_channel(repeat=1.37, z=12.3)},
+            Finding(code=Code.FORCE_REPEATS, value=1.37, bound=0.06, unit="m/s^2", details={"z": 12.3}),
+            ["force", "1.37", "12.3"],
+            id="force",
+        ),
+        pytest.param(
+            {"torque": build_channel(repeat=4.56, z=12.3)},
+            Finding(code=Code.TORQUE_REPEATS, value=4.56, bound=0.8, unit="rad/s^2", details={"z": 12.3}),
+            ["angular", "4.56", "12.3"],
+            id="torque",
+        ),
+        pytest.param(
+            ringing("force", line=8.9),
+            Finding(code=Code.FORCE_RINGS, value=8.9, bound=3.5, details={"hz": 0.77}),
+            ["force", "0.77", "8.9"],
+            id="force-line",
+        ),
+        pytest.param(
+            ringing("torque", line=8.9),
+            Finding(code=Code.TORQUE_RINGS, value=8.9, bound=3.5, details={"hz": 0.77}),
+            ["torque", "0.77", "8.9"],
+            id="torque-line",
+        ),
+        pytest.param(
+            # At z = 10 a fifth is taken off the share.
+            {"flights": build_flight_repeat(share=1.44, z=10.0, position_m=0.0471)},
+            Finding(
+                code=Code.FLIGHTS_REPEAT,
+                value=1.44 * 0.8,
+                bound=0.08,
+                details={"position_m": 0.0471, "amplitude": 1.2, "z": 10.0},
+            ),
+            ["47.1", "1.2", "10.0"],
+            id="whole-flights",
+        ),
+    ],
+)
+def test_a_finding_holds_what_it_rests_on(
+    residual: dict[str, Any], expected: Finding, mentioned: list[str]
+) -> None:
+    (found,) = found_in(build_residual(**residual))
+    assert found.to_json() == {
+        **expected.to_json(),
+        "value": pytest.approx(expected.value),
+        "details": pytest.approx(dict(expected.details)),
+    }
+    told = words.sentence(found)
+    assert [number for number in mentioned if number not in told] == []
+
+
+@pytest.mark.parametrize(
+    ("flights", "expected"),
+    [
+        pytest.param(None, [Code.FORCE_REPEATS, Code.TORQUE_RINGS], id="no-whole-flights-segments-speak"),
+        pytest.param(CALM, [Code.TORQUE_RINGS], id="calm-whole-flights-silence-what-repeats"),
+        pytest.param(
+            LOUD,
+            [Code.FLIGHTS_REPEAT, Code.FORCE_REPEATS, Code.TORQUE_RINGS],
+            id="whole-flights-first-then-segments",
+        ),
+    ],
+)
+def test_segments_follow_whole_flights_in_what_repeats_not_in_lines(
+    flights: FlightRepeat | None, expected: list[Code]
+) -> None:
+    residual = build_residual(**repeating("force"), **ringing("torque"), flights=flights)
+    assert codes_in(residual) == expected
+
+
+def test_both_channels_are_told_force_first_and_what_repeats_before_lines() -> None:
+    residual = build_residual(
+        **channel("torque", size=10.0, line=20.0, hz=0.55), **channel("force", size=10.0, line=20.0)
+    )
+    found = found_in(residual)
+    assert [finding.code for finding in found] == [
+        Code.FORCE_REPEATS,
+        Code.TORQUE_REPEATS,
+        Code.FORCE_RINGS,
+        Code.TORQUE_RINGS,
+    ]
+    assert [found[0].value, found[1].value] == pytest.approx([0.6, 8.0])
+    assert [found[2].details["hz"], found[3].details["hz"]] == [0.77, 0.55]
+
+
+# At z = 40 a twentieth is taken off the share.
+@pytest.mark.parametrize(
+    ("share", "z", "count"),
+    [
+        pytest.param(REPEAT_SHARE / 0.95 * BELOW, 40.0, 0, id="share-just-below"),
+        pytest.param(REPEAT_SHARE / 0.95 * ABOVE, 40.0, 1, id="share-just-above"),
+        pytest.param(10.0, REPEAT_Z * BELOW, 0, id="z-just-below"),
+        pytest.param(10.0, REPEAT_Z * ABOVE, 1, id="z-just-above"),
+        pytest.param(1.1 * REPEAT_SHARE, 10.0, 0, id="not-two-standard-errors-above"),
+    ],
+)
+def test_whole_flights_need_a_share_that_is_known_well(share: float, z: float, count: int) -> None:
+    residual = build_residual(flights=build_flight_repeat(share=share, z=z))
+    assert codes_in(residual) == [Code.FLIGHTS_REPEAT] * count
+
+
+@pytest.mark.parametrize(
+    ("position_m", "count"),
+    [(0.02 * BELOW, 0), (0.02, 0), (0.02 * ABOVE, 1)],
+    ids=["just-below", "at", "just-above"],
+)
+def test_a_position_that_repeats_more_than_it_may_is_worse(position_m: float, count: int) -> None:
+    residual = build_residual(flights=build_flight_repeat(position_m=position_m))
+    bounds = replace(no_model_bounds(RULES), position_m=0.02)
+    assert codes_in(residual, bounds) == [Code.FLIGHTS_WORSENED] * count
+    assert codes_in(residual) == []
+
+
+def test_a_worse_position_lets_segments_speak_too() -> None:
+    residual = build_residual(**repeating("force"), flights=build_flight_repeat(position_m=0.03))
+    worse, repeats = found_in(residual, replace(no_model_bounds(RULES), position_m=0.02))
+    assert worse == Finding(code=Code.FLIGHTS_WORSENED, value=0.03, bound=0.02, unit="m")
+    assert repeats.code is Code.FORCE_REPEATS
+    assert repeats.value == pytest.approx(0.6)
+    assert "30.0" in words.sentence(worse)
+    assert "20.0" in words.sentence(worse)
+    assert "0.60" in words.sentence(repeats)
+
+
+def test_whole_flights_that_repeat_are_told_before_that_they_are_worse() -> None:
+    bounds = replace(no_model_bounds(RULES), position_m=0.02)
+    assert codes_in(build_residual(flights=LOUD), bounds) == [Code.FLIGHTS_REPEAT, Code.FLIGHTS_WORSENED]
+
+
+@pytest.mark.parametrize(
+    ("missing", "expected"),
+    [
+        pytest.param({}, {}, id="nothing-missing"),
+        pytest.param(repeating("force", BELOW / RULES.form_error_share), {}, id="force-just-below"),
+        pytest.param({"force": build_channel(repeat=5.0)}, {"force": 0.5}, id="force"),
+        pytest.param(repeating("torque", BELOW / RULES.form_error_share), {}, id="torque-just-below"),
+        pytest.param({"torque": build_channel(repeat=50.0)}, {"torque": 5.0}, id="torque"),
+        pytest.param(
+            {"force": build_channel(repeat=-5.0), "torque": build_channel(repeat=-50.0)}, {}, id="reversed"
+        ),
+        pytest.param(
+            {"flights": build_flight_repeat(share=REPEAT_SHARE / RULES.flight_form_amplitude**2 * BELOW)},
+            {"position_m": WORSENED_M},
+            id="share-just-below",
+        ),
+        pytest.param(
+            {"flights": build_flight_repeat(share=25.0)},
+            {"flight_share": 1.0, "position_m": WORSENED_M},
+            id="share",
+        ),
+        pytest.param(
+            {"flights": build_flight_repeat(share=-25.0)}, {"position_m": WORSENED_M}, id="share-reversed"
+        ),
+        pytest.param(
+            {"flights": build_flight_repeat(position_m=WORSENED_M / WORSENED * BELOW)},
+            {"position_m": WORSENED_M},
+            id="position-just-below",
+        ),
+        pytest.param({"flights": build_flight_repeat(position_m=0.2)}, {"position_m": 0.3}, id="position"),
+        pytest.param(ringing("force") | ringing("torque"), {}, id="lines-raise-nothing"),
+    ],
+)
+def test_bounds_rise_with_what_a_model_without_any_effect_leaves(
+    missing: dict[str, Any], expected: dict[str, float]
+) -> None:
+    bounds = residual_bounds(build_residual(**missing), has_memory=False, rules=RULES)
+    assert asdict(bounds) == pytest.approx(asdict(no_model_bounds(RULES)) | expected)
+
+
+def test_bounds_are_never_below_the_rules_that_are_given() -> None:
+    strict = replace(
+        RULES,
+        force_floor_m_s2=7.0,
+        torque_floor_rad_s2=8.0,
+        line_ratio=9.0,
+        flight_repeat_share=6.0,
+        worsened_m=5.0,
+    )
+    without = build_residual(
+        force=build_channel(repeat=5.0),
+        torque=build_channel(repeat=50.0),
+        flights=build_flight_repeat(share=25.0, position_m=0.2),
+    )
+    assert residual_bounds(without, has_memory=False, rules=strict) == ResidualBounds(
+        force=7.0, torque=8.0, line_ratio=9.0, flight_share=6.0, position_m=5.0
+    )
+    assert no_model_bounds(strict) == ResidualBounds(force=7.0, torque=8.0, line_ratio=9.0, flight_share=6.0)
+
+
+@pytest.mark.parametrize("name", CHANNELS)
+@pytest.mark.parametrize(
+    ("line", "has_memory", "count"),
+    [
+        pytest.param(RULES.line_ratio_with_memory * BELOW, False, 1, id="below-without-memory"),
+        pytest.param(RULES.line_ratio_with_memory * BELOW, True, 0, id="below-beside-memory"),
+        pytest.param(RULES.line_ratio_with_memory * ABOVE, True, 1, id="above-beside-memory"),
+    ],
+)
+def test_beside_an_effect_with_states_of_its_own_a_line_must_be_stronger(
+    name: str, line: float, has_memory: bool, count: int
+) -> None:
+    bounds = residual_bounds(build_residual(), has_memory=has_memory, rules=RULES)
+    assert codes_in(build_residual(**ringing(name, line)), bounds) == [RINGS[name]] * count
+
+
+@pytest.mark.parametrize("name", CHANNELS)
+def test_a_line_must_be_as_large_as_what_may_repeat_in_its_channel(name: str) -> None:
+    bounds = replace(no_model_bounds(RULES), **{name: 20.0 * FLOOR[name]})
+    assert codes_in(build_residual(**ringing(name, rms=20.0 * BELOW)), bounds) == []
+    assert codes_in(build_residual(**ringing(name, rms=20.0 * ABOVE)), bounds) == [RINGS[name]]
+
+
+@pytest.mark.parametrize(
+    ("residual", "rule", "value"),
+    [
+        pytest.param(repeating("force"), "repeat_z", 11.0, id="score"),
+        pytest.param({"flights": LOUD}, "repeat_z", 11.0, id="score-of-whole-flights"),
+        pytest.param(ringing("force"), "line_false_alarm", 1e-10, id="chance"),
+        pytest.param(ringing("force"), "line_ratio", 21.0, id="ratio"),
+        pytest.param({"flights": LOUD}, "flight_repeat_share", 0.9, id="share"),
+    ],
+)
+def test_findings_follow_the_rules_that_are_given(residual: dict[str, Any], rule: str, value: float) -> None:
+    stricter = replace(RULES, **{rule: value})
+    assert len(found_in(build_residual(**residual))) == 1
+    assert residual_findings(build_residual(**residual), no_model_bounds(stricter), stricter) == []

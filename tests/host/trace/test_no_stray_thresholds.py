@@ -1,0 +1,192 @@
+"""No module of tracing holds a threshold of its own: numbers that decide stand in the table of rules.
+
+A number at module level must be a setting of a numerical method and be listed here with what it sets.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from trimtab.host.trace.decision import rules
+
+PACKAGE = Path(rules.__file__).parents[1]
+MODULES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
+
+METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
+    "data/contact.py": {
+        "_WINDOW_S": "length of the windows that speed and force are averaged over",
+        "_WINDOW_STEP_S": "grid step of these windows",
+    },
+    "data/cutting.py": {
+        "DT_S": "grid step of segments",
+        "SEGMENT_S": "length of a segment",
+        "LAGS": "length of the rotors' run-up before a segment",
+    },
+    "data/segments.py": {
+        "BIN_S": "length of a bin",
+        "PATH_S": "grid step of measured paths",
+    },
+    "evidence.py": {
+        "FORCE_LIMITS": "range of the search for the process noise, log variance",
+        "TORQUE_LIMITS": "range of the search for the process noise, log variance",
+    },
+    "flight_fit/fit.py": {
+        "LOOP_SETTLED": "step at which the Gauss-Newton iteration ends",
+        "_ITERATIONS": "number of Gauss-Newton iterations",
+        "_PASSES": "number of passes of the weighted fit",
+        "_SETTLED_WELL": "step at which the weighted fit ends",
+        "_LINE": "step lengths of the line search",
+    },
+    "flight_fit/loop.py": {
+        "STABLE": "stability limit of RK4 along the real axis",
+        "_Z_STEP": "step of the difference quotients",
+    },
+    "flight_fit/recording.py": {
+        "SAMPLE_S": "step of the roll-out",
+        "PER_BIN": "steps in a bin",
+        "LEAD_S": "time in which the start's own errors die away",
+    },
+    "flight_fit/repeatability.py": {
+        "_EVERY": "grid step of the shifts that the variance is estimated from",
+    },
+    "flight_fit/whitening.py": {
+        "CHANNELS": "size of a bin's residual",
+        "WINDOWS": "basis of the autoregression",
+    },
+    "next_flight/manoeuvres.py": {
+        "PACES": "grid of paces that are tried",
+    },
+    "next_flight/separation.py": {
+        "SIGMA_MAX": "greatest separation that a linearisation can mean; greater ones are clipped",
+        "_ROLLED": "number of segments of a manoeuvre that are rolled out",
+        "_TURNS": "number of iterations that keep a manoeuvre on its path",
+    },
+    "prediction.py": {
+        "_LEAD_S": "time in which a segment's start settles",
+        "_ROLL_OUT_STEP_S": "step of the roll-out",
+    },
+    "residual/closed_forms.py": {
+        "_EACH": "every so many rows are fitted",
+    },
+    "residual/description.py": {
+        "_FEWEST": "fewest samples in a cell of the drawn grid",
+        "_CELLS": "number of cells along the drawn grid's longest side",
+    },
+    "residual/features.py": {
+        "_CENTRES": "size of the radial basis",
+    },
+    "residual/network.py": {
+        "SETTINGS": "size of the network and length of its training",
+    },
+    "residual/regression.py": {
+        "BLOCKS": "number of folds of the cross-validation",
+        "RUN_S": "length of the pieces of the block bootstrap",
+        "_DRAWS": "number of bootstrap draws",
+        "_RIDGES": "grid of ridge penalties",
+    },
+    "residual/unexplained.py": {
+        "_FFT": "length of the Fourier transform",
+    },
+    "search.py": {
+        "BEAM": "width of the beam search",
+    },
+    "segment_fit/fit.py": {
+        "_CALM": "starting value of the search for the process noise",
+        "START": "starting value of the search for the process noise",
+        "START_RATE_DRIVEN": "the same where the measured rate drives the attitude",
+        "SEGMENTS_SETTLED": "step at which the Gauss-Newton iteration ends",
+    },
+    "segment_fit/linearise.py": {
+        "_LANES": "number of roll-outs in one call",
+        "_X_STEP": "step of the difference quotients",
+        "TURN_STEPS": "steps of the difference quotient for a body rate",
+        "_LOCAL_STEP": "step of the difference quotients",
+        "_BIN_STEP": "step of the difference quotients",
+        "_Z_STEP": "step of the difference quotients",
+    },
+    "segment_fit/model.py": {
+        "STATES": "size of the state",
+        "LOCALS": "number of a flight's nuisances",
+        "CHANNELS": "size of a prediction",
+        "_STEP_INPUTS": "sizes of the inputs of the compiled step",
+        "_THRUST_ROUNDS": "number of fixed-point iterations",
+    },
+    "words.py": {
+        "_SHOWN_STRETCHES": "length of a list in the text for people",
+    },
+}
+
+PRIORS: Mapping[str, Mapping[str, str]] = {
+    "parameters.py": {"_THRUST_CURVE": "prior scale and bound of an unknown thrust curve"},
+}
+"""Priors of nuisances that stand beside the nuisance. None may be added."""
+
+
+def holds_number(node: ast.AST) -> bool:
+    """Return whether an expression holds a literal number, but for those in functions and texts."""
+    if isinstance(node, ast.Lambda | ast.JoinedStr):
+        return False
+    if isinstance(node, ast.Constant):
+        return type(node.value) in (int, float)
+    return any(holds_number(child) for child in ast.iter_child_nodes(node))
+
+
+def constants(source: str) -> list[str]:
+    """Return the names at module level whose value holds a literal number."""
+    names: list[str] = []
+    for statement in ast.parse(source).body:
+        if isinstance(statement, ast.Assign):
+            targets = statement.targets
+        elif isinstance(statement, ast.AnnAssign | ast.AugAssign):
+            targets = [statement.target]
+        else:
+            continue
+        if statement.value is not None and holds_number(statement.value):
+            names += [node.id for each in targets for node in ast.walk(each) if isinstance(node, ast.Name)]
+    return names
+
+
+@pytest.mark.parametrize("module", [module for module in MODULES if module != "decision/rules.py"])
+def test_module_holds_no_number_that_is_not_listed(module: str) -> None:
+    listed = {**METHOD_SETTINGS.get(module, {}), **PRIORS.get(module, {})}
+    found = constants((PACKAGE / module).read_text(encoding="utf-8"))
+    stray = [name for name in found if name not in listed]
+    assert stray == [], "a threshold belongs into `Rules`; a setting of a method is to be listed here"
+    assert sorted(set(listed) - set(found)) == [], "no such constant any more"
+
+
+def test_listed_modules_exist_and_every_number_says_what_it_sets() -> None:
+    for table in (METHOD_SETTINGS, PRIORS):
+        assert sorted(set(table) - set(MODULES)) == []
+        assert [
+            name for names in table.values() for name, reason in names.items() if not reason.strip()
+        ] == []
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        pytest.param("A = 1", ["A"], id="int"),
+        pytest.param("A = -0.5", ["A"], id="negative"),
+        pytest.param("A: float = 0.5", ["A"], id="annotated"),
+        pytest.param("A = B = 0.5", ["A", "B"], id="chained"),
+        pytest.param("A, B = 1, 0.5", ["A", "B"], id="unpacked"),
+        pytest.param("A = (0.1, 0.2)", ["A"], id="tuple"),
+        pytest.param("A = {'force': 0.1}", ["A"], id="table"),
+        pytest.param("A = 2 * B", ["A"], id="arithmetic"),
+        pytest.param("A = float(np.log(20.0))", ["A"], id="call"),
+        pytest.param("A = np.full(B, 1e-6)", ["A"], id="array"),
+        pytest.param("A = B * C", [], id="of-listed-constants"),
+        pytest.param("A = True", [], id="flag"),
+        pytest.param("A = 'b'", [], id="text"),
+        pytest.param("A = RULES.odds", [], id="rule"),
+        pytest.param("A = lambda x: 1e3 * x", [], id="function"),
+        pytest.param("def f():\n    a = 1", [], id="inside-a-function"),
+    ],
+)
+def test_constants_are_names_whose_value_holds_a_number(source: str, expected: list[str]) -> None:
+    assert constants(source) == expected

@@ -1,0 +1,347 @@
+"""Every code has words, and the words hold the numbers of their finding as rounded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from tests.host.trace.builders import (
+    build_diagnosis,
+    build_named,
+    build_space,
+    build_trace,
+)
+from trimtab.host.effects import ExactAlias
+from trimtab.host.trace import words
+from trimtab.host.trace.data.audit import Audit
+from trimtab.host.trace.data.stretches import STRETCH_ORDER, Stretch
+from trimtab.host.trace.decision.exact_aliases import ObservedAlias
+from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Finding, Verdict
+from trimtab.host.trace.result import Trace
+
+EXAMPLES: dict[Code, tuple[Finding, list[str]]] = {
+    finding.code: (finding, mentioned)
+    for finding, mentioned in [
+        (
+            Finding(
+                code=Code.FLIGHTS_REPEAT,
+                value=0.31,
+                bound=0.08,
+                details={"position_m": 0.0471, "amplitude": 0.62, "z": 12.34},
+            ),
+            ["47.1 mm", "0.6 times", "z 12.3"],
+        ),
+        (
+            Finding(code=Code.FLIGHTS_WORSENED, value=0.0312, bound=0.0204, unit="m"),
+            ["31.2 mm", "20.4 mm"],
+        ),
+        (
+            Finding(code=Code.FORCE_REPEATS, value=1.372, bound=0.06, unit="m/s^2", details={"z": 12.34}),
+            ["force of 1.37 m/s^2", "z 12.3"],
+        ),
+        (
+            Finding(code=Code.TORQUE_REPEATS, value=4.561, bound=0.8, unit="rad/s^2", details={"z": 5.67}),
+            ["acceleration of 4.56 rad/s^2", "z 5.7"],
+        ),
+        (
+            Finding(code=Code.FORCE_RINGS, value=8.91, bound=3.5, details={"hz": 0.772}),
+            ["residual force", "0.77 Hz", "8.9 times"],
+        ),
+        (
+            Finding(code=Code.TORQUE_RINGS, value=8.91, bound=3.5, details={"hz": 2.416}),
+            ["residual torque", "2.42 Hz", "8.9 times"],
+        ),
+        (Finding(code=Code.TRACKING_TOO_SHORT, value=3.44, bound=9.6, unit="s"), ["3.4 s"]),
+        (Finding(code=Code.HOVER_ONLY, value=0.1, bound=0.3, unit="m"), ["hover", "manoeuvres"]),
+        (Finding(code=Code.EXCESS_FORCE, value=1.72, bound=0.5, unit="m/s^2"), ["force of 1.7 m/s^2"]),
+        (
+            Finding(code=Code.EXCESS_TORQUE, value=47.3, bound=3.0, unit="rad/s^2"),
+            ["acceleration of 47 rad/s^2"],
+        ),
+        (
+            Finding(
+                code=Code.BETTER_BUT_INADMISSIBLE, value=15.0, bound=3.0, unit="nats", subject=("drag", "lag")
+            ),
+            ["drag, lag"],
+        ),
+        (
+            Finding(code=Code.SEGMENTS_DISAGREE, value=9.0, bound=3.0, unit="nats", subject=("drag", "gain")),
+            ["drag, gain", "segments"],
+        ),
+        (
+            Finding(code=Code.ALIAS, value=0.256, bound=0.05, subject=("drag", "wind")),
+            ["drag may be wind", "0.26"],
+        ),
+        (
+            Finding(
+                code=Code.EXACT_ALIAS, value=0.93141, subject=("thrust-gain", "mass"), details={"sd": 0.00251}
+            ),
+            ["thrust-gain", "mass"],
+        ),
+        (Finding(code=Code.POSSIBLE, value=0.321, bound=0.05, subject=("sag",)), ["sag", "0.32"]),
+        (Finding(code=Code.SOMETHING_MISSING, value=0.987, bound=0.5), ["0.99"]),
+        (Finding(code=Code.HIDDEN, value=1.2, bound=4.2, unit="sigma", subject=("lag",)), ["lag"]),
+        (Finding(code=Code.NO_TWIN, log="a"), ["twin", "reference"]),
+        (Finding(code=Code.NO_INPUTS, log="a"), ["no inputs"]),
+        (Finding(code=Code.NO_REFERENCE, log="a"), ["no reference"]),
+        (Finding(code=Code.NO_GYRO, log="a"), ["no gyro"]),
+        (Finding(code=Code.SAMPLED_COMMANDS, log="a"), ["sampled commands"]),
+        (
+            Finding(
+                code=Code.SLOW_COMMANDS,
+                value=10.2,
+                bound=20.0,
+                unit="Hz",
+                subject=("/inputs",),
+                log="a",
+                details={"motor_lag_s": 0.052},
+            ),
+            ["/inputs at 10 Hz", "52 ms"],
+        ),
+        (
+            Finding(
+                code=Code.RATE_DROPS,
+                value=12.3,
+                bound=50.0,
+                unit="Hz",
+                subject=("/mocap/pose",),
+                log="a",
+                details={"median_hz": 99.7},
+            ),
+            ["/mocap/pose at 100 Hz", "12 Hz"],
+        ),
+        (
+            Finding(
+                code=Code.REPEATED_STAMPS, value=7, bound=0, unit="stamps", subject=("/mocap/pose",), log="a"
+            ),
+            ["/mocap/pose", "7 time stamps"],
+        ),
+        (Finding(code=Code.CLOCK_DRIFT, value=-0.0043, bound=0.002, unit="s", log="a"), ["-4.3 ms"]),
+        (Finding(code=Code.ROTORS_SATURATED, value=0.123, bound=0.01, log="a"), ["12 %"]),
+        (
+            Finding(
+                code=Code.SEGMENTS_LEFT_OUT, value=3, unit="segments", subject=(str(Code.TILTED),), log="a"
+            ),
+            ["3 segments", "75 deg of tilt"],
+        ),
+        (Finding(code=Code.SEGMENTS_WITH_GAPS, value=4, unit="segments", log="a"), ["4 segments", "gaps"]),
+    ]
+}
+
+STRETCHES: dict[Code, str] = {
+    Code.CLOCK_JUMP: "clock",
+    Code.MOTOR_AT_LIMIT: "motor",
+    Code.PITCH_SINGULAR: "pitch",
+    Code.IMPACT: "impact",
+    Code.GAP_IN_COMMANDS: "commands",
+    Code.GAP_IN_POSES: "poses",
+    Code.GROUND_CONTACT: "ground",
+    Code.TILTED: "75 deg of tilt",
+}
+
+REFUSALS = {
+    Code.MIXED_VEHICLES,
+    Code.LOG_GIVEN_TWICE,
+    Code.HELD_OUT_REFERENCE_USED,
+    Code.TOO_FEW_SEGMENTS,
+    Code.MIXED_INPUTS,
+    Code.TOO_FEW_POSES,
+    Code.NO_TRACKING,
+}
+
+
+def test_every_code_is_a_finding_a_stretch_or_a_refusal() -> None:
+    assert sorted(Code) == sorted([*EXAMPLES, *STRETCHES, *REFUSALS])
+    assert set(STRETCH_ORDER) == set(STRETCHES)
+
+
+@pytest.mark.parametrize("code", EXAMPLES)
+def test_sentence_of_a_finding_mentions_its_subject_and_numbers(code: Code) -> None:
+    finding, mentioned = EXAMPLES[code]
+    told = words.sentence(finding)
+    assert [each for each in mentioned if each not in told] == []
+    assert not told.endswith(".")
+    assert told == told.strip()
+    assert "None" not in told
+
+
+def test_sentences_of_all_findings_are_different() -> None:
+    told = [words.sentence(finding) for finding, _ in EXAMPLES.values()]
+    assert len(set(told)) == len(told)
+
+
+@pytest.mark.parametrize("code", STRETCHES)
+def test_reason_of_a_stretch_says_what_is_wrong_with_it(code: Code) -> None:
+    one = Stretch(start_s=1.234, end_s=5.678, code=code)
+    assert STRETCHES[code] in words.reason(one)
+    assert words.stretch(one) == f"1.23 to 5.68 s: {words.reason(one)}"
+    left_out = Finding(code=Code.SEGMENTS_LEFT_OUT, value=2, unit="segments", subject=(str(code),))
+    assert words.reason(one) in words.sentence(left_out)
+
+
+def test_sentences_are_those_of_the_codes_in_the_order_of_the_findings() -> None:
+    findings = [finding for finding, _ in EXAMPLES.values()]
+    for codes in (UNEXPLAINED, DOUBTS, frozenset({Code.SOMETHING_MISSING})):
+        expected = [words.sentence(finding) for finding in findings if finding.code in codes]
+        assert len(expected) == len(codes)
+        assert words.sentences(findings, codes) == expected
+        assert words.sentences(findings[::-1], codes) == expected[::-1]
+    assert words.sentences(findings, frozenset()) == []
+
+
+def audit_of(log: str, *codes: Code, stretches: int = 0, left_out: int = 0) -> Audit:
+    return Audit(
+        log=log,
+        rates=(),
+        largest_gap_s=0.01,
+        stretches=tuple(Stretch(start_s=float(k), end_s=k + 0.5, code=Code.IMPACT) for k in range(stretches)),
+        findings=tuple(EXAMPLES[code][0] for code in codes),
+        left_out=left_out,
+    )
+
+
+def test_audit_lines_tell_stretches_by_log_and_each_remark_once() -> None:
+    audits = [
+        audit_of("a", Code.NO_TWIN, stretches=1),
+        audit_of("b", Code.NO_TWIN, Code.NO_GYRO, stretches=7),
+        audit_of("c", Code.NO_TWIN),
+    ]
+    first, second, twin, gyro = words.audit_lines(audits)
+    assert first.startswith("a: not used from 0.00 to 0.50 s: an impact")
+    assert "more" not in first
+    assert second.startswith("b: ")
+    assert second.count("an impact") == 5
+    assert second.endswith("and 2 more")
+    assert twin == f"a and 2 more: {words.sentence(EXAMPLES[Code.NO_TWIN][0])}"
+    assert gyro == f"b: {words.sentence(EXAMPLES[Code.NO_GYRO][0])}"
+    assert words.audit_lines([audit_of("c")]) == []
+
+
+def test_refusals_name_the_log_and_what_it_lacks() -> None:
+    path = Path("one.mcap")
+    for told, mentioned in [
+        (words.too_few_poses(path), "100 poses"),
+        (words.too_few_tracking_poses(path), "10 poses"),
+        (words.no_tracking(path), "no tracking phase"),
+    ]:
+        assert told.startswith("one.mcap: ")
+        assert mentioned in told
+    audits = [audit_of("a", Code.SEGMENTS_WITH_GAPS, left_out=4), audit_of("b", Code.NO_GYRO)]
+    told = words.too_few_segments(audits, 2, 0.6)
+    assert told.startswith("a, b: only 2 usable segments of 0.6 s")
+    assert "4 segments with gaps" in told
+    assert "no gyro" not in told  # nothing of that log was left out
+
+
+@pytest.mark.parametrize(
+    ("decides", "total_time_s", "mentioned"),
+    [
+        pytest.param(True, None, ["helix", "drag and lag", "6.1 sigma", "2.4 so far"], id="decides"),
+        pytest.param(True, 12.34, ["(plan it with --time-s 12.3)"], id="with-a-time"),
+        pytest.param(
+            False, None, ["no known route", "drag from lag", "6.1 sigma", "4.2 are needed"], id="not"
+        ),
+        pytest.param(False, None, ["; weigh it"], id="another-measurement"),
+    ],
+)
+def test_next_flight_says_what_it_separates_and_by_how_much(
+    decides: bool, total_time_s: float | None, mentioned: list[str]
+) -> None:
+    proposal = SimpleNamespace(
+        separates=("drag", "lag"),
+        total_time_s=total_time_s,
+        decides=decides,
+        route="helix",
+        expected_sigma=6.12,
+        so_far_sigma=2.44,
+        measurement="weigh it",
+    )
+    told = words.next_flight(cast(Any, proposal))
+    assert [each for each in mentioned if each not in told] == []
+
+
+SPACE = build_space("drag", "gain", "lag")
+
+
+def trace(kept: tuple[str, ...] = (), **changes: Any) -> Trace:
+    return build_trace(SPACE, build_diagnosis(kept), **changes)
+
+
+@pytest.mark.parametrize(
+    ("result", "mentioned", "unmentioned"),
+    [
+        pytest.param(trace(("drag",), named=("drag",)), ["is missing drag"], "may", id="traced"),
+        pytest.param(
+            trace(("drag",), named=("drag", "gain", "lag")),
+            ["is missing drag, gain and lag"],
+            "may",
+            id="traced-several",
+        ),
+        pytest.param(
+            trace(("drag",), named=("drag",), verdict=Verdict.UNDECIDED),
+            ["may be missing drag"],
+            "stands out",
+            id="undecided",
+        ),
+        pytest.param(trace(), ["Nothing", "stands out"], "missing", id="nothing-missing"),
+        pytest.param(
+            trace(verdict=Verdict.OUTSIDE_LIBRARY, findings=(EXAMPLES[Code.FORCE_RINGS][0],)),
+            ["library does not hold", words.sentence(EXAMPLES[Code.FORCE_RINGS][0])],
+            "missing",
+            id="outside-library",
+        ),
+    ],
+)
+def test_verdict_in_words_names_effects_or_reasons(
+    result: Trace, mentioned: list[str], unmentioned: str
+) -> None:
+    told = words.verdict(result)
+    assert [each for each in mentioned if each not in told] == []
+    assert unmentioned not in told
+
+
+def test_verdict_with_held_out_flights_ends_with_errors_in_whole_millimetres() -> None:
+    scores = {
+        "before": [cast(Any, None)] * 2,
+        "before_score": {"position_rmse_m": 0.0518},
+        "after_score": {"position_rmse_m": 0.0121},
+    }
+    told = words.verdict(trace(("drag",), named=("drag",), **scores))
+    assert told.endswith("On 2 held-out flights the prediction error went from 52 to 12 mm.")
+    assert "mm" not in words.verdict(trace(**scores))
+
+
+def test_result_lines_hold_the_findings_in_groups() -> None:
+    told = [Code.FORCE_RINGS, Code.SOMETHING_MISSING, Code.HOVER_ONLY, Code.HIDDEN, Code.POSSIBLE]
+    result = trace(
+        verdict=Verdict.UNDECIDED,
+        findings=tuple(EXAMPLES[code][0] for code in told),
+        possible={"gain": 0.321},
+        audits=(audit_of("a", Code.NO_TWIN),),
+    )
+    lines = words.result_lines(result)
+    assert lines[0] == "verdict: undecided"
+    assert lines[1] == "  not excluded: gain (0.32)"
+    assert lines[2] == f"  {words.sentence(EXAMPLES[Code.SOMETHING_MISSING][0])}"
+    assert lines[3] == f"  {words.sentence(EXAMPLES[Code.HOVER_ONLY][0])}"
+    assert lines[4] == "  of typical size, these flights would not show: lag"
+    assert lines[5] == f"  {words.sentence(EXAMPLES[Code.FORCE_RINGS][0])}"
+    assert "no flight held out" in lines[6]
+    assert lines[7:] == [f"data: a: {words.sentence(EXAMPLES[Code.NO_TWIN][0])}"]
+
+
+def test_result_lines_of_an_effect_hold_its_alternatives_and_the_exact_alias_by_itself() -> None:
+    exact = EXAMPLES[Code.EXACT_ALIAS][0]
+    aliases = {"drag": 0.256, "mass": 0.9}
+    alias = ExactAlias(effect="mass", ratio="thrust over mass", remedy="weigh the vehicle")
+    observed = ObservedAlias(alias=alias, finding=exact)
+    effect = replace(build_named("thrust-gain"), aliases=aliases, exact_aliases={"mass": observed})
+    lines = words.result_lines(trace(effects=(effect,)))
+    assert "or drag (0.26)" in lines[1]
+    assert "or mass" not in lines[1]
+    assert lines[2] == f"    {words.exact_alias(observed)}"
+    assert "only thrust over mass shows: 0.9314 +- 0.0050" in lines[2]
