@@ -25,6 +25,8 @@ from trimtab.host.trace.search import (
     Fitter,
     Names,
     _borne,
+    _proposals,
+    _smallest,
     likeliest,
     none_of,
     sizes,
@@ -88,6 +90,68 @@ def test_smallest_asks_only_for_sets_that_may_be_kept() -> None:
     assert smallest(build_search_result(BEST, sets=sets, weights=weights), TIE_NATS) == ("a",)
     without = {("a", "b"): 1.0}
     assert smallest(build_search_result(BEST, sets=sets, weights=without), 100.0) == ("a", "b")
+
+
+@pytest.mark.parametrize(
+    ("nats", "expected"),
+    [
+        pytest.param({(): 0.0}, (), id="only-nothing"),
+        pytest.param({("a",): 10.0 - TIE_NATS * BELOW, ("a", "b"): 10.0}, ("a",), id="just-within"),
+        pytest.param({("a",): 10.0 - TIE_NATS * ABOVE, ("a", "b"): 10.0}, ("a", "b"), id="just-beyond"),
+        pytest.param({("a", "b"): 10.0, ("a",): 9.0, (): 8.0}, (), id="the-smallest-of-three"),
+        pytest.param({("a",): 9.0, ("b",): 9.5, ("a", "b"): 10.0}, ("b",), id="same-size-the-likelier"),
+        pytest.param({("b",): 9.0, ("a",): 9.0, ("a", "b"): 10.0}, ("a",), id="equal-by-name"),
+    ],
+)
+def test_selected_set_is_the_smallest_that_is_not_far_less_probable(
+    nats: dict[Names, float], expected: Names
+) -> None:
+    fits = {names: build_closed_fit(names, log_evidence=value) for names, value in nats.items()}
+    assert _smallest(fits).effects == expected
+
+
+WORTH = RULES.worth_fitting_nats
+
+
+@pytest.mark.parametrize(
+    ("scores", "current", "expected"),
+    [
+        pytest.param({(): 0.0}, (), [()], id="nothing-to-add"),
+        pytest.param({(): 0.0, ("a",): 1.0, ("b",): 2.0}, (), [("b",), ("b",)], id="best-and-best-with-more"),
+        pytest.param(
+            {(): 5.0, ("a",): 1.0, ("a", "b"): 2.0}, (), [(), ("a", "b")], id="more-may-be-two-at-once"
+        ),
+        pytest.param(
+            {("a",): 9.0, ("b",): 5.0, ("c",): 6.0, ("b", "c"): 8.0, ("a", "b"): 7.0},
+            ("a",),
+            [("a",), ("a", "b"), ("c",)],
+            id="best-more-and-swapped",
+        ),
+        pytest.param(
+            {("a", "b"): 20.0, ("a",): 20.0 - WORTH * BELOW, ("b",): 20.0 - WORTH * ABOVE},
+            ("a", "b"),
+            [("a", "b"), ("a",)],
+            id="one-fewer-if-not-too-far-behind",
+        ),
+        pytest.param(
+            {("a", "b"): 20.0, ("a",): 19.0, ("b",): 18.0, (): 19.5, ("c",): 19.9},
+            ("a", "b"),
+            [("a", "b"), ("a",), ("b",)],
+            id="every-one-fewer-not-two-nor-another",
+        ),
+        pytest.param(
+            {("a", "b"): 20.0, ("c", "d"): 30.0, ("a", "c"): 10.0},
+            ("a", "b"),
+            [("c", "d"), ("a", "c")],
+            id="one-swapped-not-both",
+        ),
+        pytest.param({("b",): 1.0, ("a",): 1.0}, (), [("a",), ("a",)], id="equal-by-name"),
+    ],
+)
+def test_proposals_are_the_best_set_and_the_best_neighbours(
+    scores: dict[Names, float], current: Names, expected: list[Names]
+) -> None:
+    assert _proposals(scores, current) == expected
 
 
 @pytest.mark.parametrize(

@@ -108,6 +108,34 @@ def test_residual_of_a_driven_rate_has_no_line_in_torque() -> None:
     assert unexplained_residual(force, build_twins(rate_driven=True), TWINS).force.line.ratio > 3.5
 
 
+@pytest.mark.parametrize("twins", [[], [(0, 1)], [(0, 1), (1, 0)]], ids=len)
+def test_residual_counts_its_pairs_of_twins(twins: list[tuple[int, int]]) -> None:
+    found = unexplained_residual(disturbance_in(0), build_twins(), twins)
+    assert found.pairs == len(twins)
+    assert (found.force.z != 0.0) == bool(twins)
+
+
+def test_residual_score_is_scaled_by_what_chance_makes_of_other_times() -> None:
+    """Noise alone has a score of order 1, whatever its size; what repeats raises it, not the noise."""
+    rng = np.random.default_rng(11)
+    scores = [
+        unexplained_residual(size * rng.normal(size=(2 * COUNT, BINS, 6)), build_twins(), TWINS).force.z
+        for size in np.geomspace(1e-3, 1e3, 60)
+    ]
+    assert abs(np.mean(scores)) < 0.4  # three standard errors
+    assert 0.7 < np.std(scores) < 1.3
+
+
+def test_residual_score_of_noise_that_repeats_whole_grows_with_all_that_was_compared() -> None:
+    """By chance two segments of n values have a squared cosine of 1/n, so that the score is sqrt(n COUNT)."""
+    w = np.zeros((2 * COUNT, BINS, 6))
+    w[:, :, :3] = np.tile(np.random.default_rng(7).normal(size=(COUNT, BINS, 3)), (2, 1, 1))
+    found = unexplained_residual(w, build_twins(), TWINS).force
+    assert found.z == pytest.approx(np.sqrt(3 * BINS * COUNT), rel=0.15)
+    # Per bin: three channels of unit variance.
+    assert found.repeat == pytest.approx(np.sqrt(3.0), rel=0.1)
+
+
 def test_residual_that_reverses_between_twins_has_a_negative_size_and_score() -> None:
     w = disturbance_in(1)
     w[COUNT:] *= -1.0

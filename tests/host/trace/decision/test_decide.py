@@ -281,6 +281,7 @@ def test_better_but_inadmissible_counts_from_the_best_admissible_set(nats: float
         pytest.param({("inflow",): 30.0, ("lag",): 40.0}, ("lag",), id="the-better"),
         pytest.param({("lag",): 40.0, ("inflow",): 30.0}, ("lag",), id="in-any-order"),
         pytest.param({("lag",): 40.0, ("inflow",): 40.0}, ("lag",), id="equal-by-name"),
+        pytest.param({("inflow",): 40.0, ("lag",): 40.0}, ("lag",), id="equal-by-name-in-any-order"),
         pytest.param({("lag",): -9.0, ("inflow",): 40.0}, ("inflow",), id="the-other-far-behind"),
     ],
 )

@@ -97,6 +97,8 @@ def test_findings_of_nothing_unexplained_are_none() -> None:
         pytest.param(1.0, 10.0, 0, id="size-at"),
         pytest.param(ABOVE, 10.0, 1, id="size-just-above"),
         pytest.param(-10.0, -10.0, 0, id="reversed"),
+        pytest.param(-10.0, 10.0, 0, id="size-reversed"),
+        pytest.param(10.0, -10.0, 0, id="score-reversed"),
     ],
 )
 def test_what_repeats_in_segments_needs_score_and_size(name: str, size: float, z: float, count: int) -> None:
