@@ -225,4 +225,4 @@ def test_discrepancies_have_the_values_that_they_were_calibrated_to() -> None:
         "slung-payload.ratio": 0.15,
         "slung-payload.length_m": 1.0,
     }
-    assert loop == {"motor-lag.extra_s": 0.05, "translational-lift.gain": 0.05}
+    assert loop == {"motor-lag.extra_s": 0.05, "translational-lift.k": 0.05}
