@@ -366,8 +366,10 @@ def verdict(result: Trace) -> str:
     names = _listed([e.title.lower() for e in result.effects])
     if result.verdict is Verdict.TRACED:
         text = f"The model is missing {names}."
-    elif result.verdict is Verdict.UNDECIDED:
+    elif result.verdict is Verdict.UNDECIDED and names:
         text = f"The model may be missing {names}; another explanation cannot be excluded."
+    elif result.verdict is Verdict.UNDECIDED:
+        text = "The model may be missing something; these flights do not say what."
     elif result.verdict is Verdict.NOTHING_MISSING:
         text = "Nothing beyond the vehicle's tolerances stands out."
     else:
@@ -384,5 +386,5 @@ def verdict(result: Trace) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Return names as in a sentence: a, b and c."""
+    """Return names as in a sentence: a, b and c; an empty text for none."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -370,8 +370,8 @@ def _open_alternatives(
         Finding(code=Code.POSSIBLE, value=p, bound=bound, subject=(name,)) for name, p in possible.items()
     ]
     missing = 1.0 - evidence.null_probability
-    if verdict is Verdict.UNDECIDED and not evidence.selected and missing > 0.5:
-        findings.append(Finding(code=Code.SOMETHING_MISSING, value=missing, bound=0.5))
+    if verdict is Verdict.UNDECIDED and not evidence.selected and missing > rules.majority:
+        findings.append(Finding(code=Code.SOMETHING_MISSING, value=missing, bound=rules.majority))
     return findings
 
 

@@ -60,6 +60,11 @@ class Rules:
         4.2, "sigma", "Separation at which an effect shows, and at which two effects are told apart."
     )
 
+    majority: float = _rule(
+        0.5,
+        "1",
+        "Probability above which the answer says that something is missing, although nothing is named.",
+    )
     open_probability: float = _rule(
         0.5, "1", "Probability of an alternative that nothing in the data speaks against."
     )

@@ -334,6 +334,12 @@ def test_result_lines_hold_the_findings_in_groups() -> None:
     assert lines[7:] == [f"data: a: {words.sentence(EXAMPLES[Code.NO_TWIN][0])}"]
 
 
+def test_verdict_of_an_undecided_trace_that_names_nothing_says_so() -> None:
+    told = words.verdict(trace(verdict=Verdict.UNDECIDED))
+    assert "something" in told
+    assert " ;" not in told
+
+
 def test_result_lines_of_an_effect_hold_its_alternatives_and_the_exact_alias_by_itself() -> None:
     exact = EXAMPLES[Code.EXACT_ALIAS][0]
     aliases = {"drag": 0.256, "mass": 0.9}

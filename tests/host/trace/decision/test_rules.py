@@ -33,6 +33,7 @@ EXPECTED: Mapping[str, float] = {
     "worse_fit_ratio": 1.5,
     "memory_fault_share": 0.1,
     "detectable_sigma": 4.2,
+    "majority": 0.5,
     "open_probability": 0.5,
     # Unexplained residual.
     "repeat_z": 3.0,
