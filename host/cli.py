@@ -8,7 +8,6 @@ import signal
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trimtab.host import output
@@ -45,27 +44,11 @@ VERBS = (
     Verb(name="fly", module="fly", help="Fly a reference, simulated or at a port, and write its log."),
     Verb(name="learn", module="learn", help="Train a residual model on flight logs."),
     Verb(name="trace", module="trace", help="Name the missing effects behind flight logs."),
-    Verb(name="compare", module="compare", help="Set flights side by side."),
     Verb(name="import", module="import_", help="Turn somebody else's flight log into one of ours."),
     Verb(name="log", module="log", help="Look into a flight log, recover or export it."),
     Verb(name="study", module="study", help="Run a study over many sealed worlds."),
     Verb(name="bench", module="bench", help="Measure speed on this machine."),
-    Verb(name="sweep", module="sweep", help="Repeat a session over a range of settings."),
-    Verb(name="init", module="init", help="Make a workspace."),
-    Verb(name="ls", module="ls", help="List vehicles, routes, effects and artefacts."),
-    Verb(name="show", module="show", help="Show what a file holds."),
-    Verb(name="doctor", module="doctor", help="Check this machine's set-up."),
 )
-
-
-def present_verbs() -> tuple[Verb, ...]:
-    """The verbs whose module is there."""
-    folder = Path(__file__).parent / "verbs"
-    return tuple(
-        verb
-        for verb in VERBS
-        if (folder / f"{verb.module}.py").is_file() or (folder / verb.module / "__init__.py").is_file()
-    )
 
 
 def _version() -> str:
@@ -88,7 +71,7 @@ def build_app() -> App:
         suppress_keyboard_interrupt=False,
         default_parameter=Parameter(negative=""),
     )
-    for verb in present_verbs():
+    for verb in VERBS:
         app.command(f"trimtab.host.verbs.{verb.module}:command", name=verb.name, help=verb.help)
     return app
 
@@ -153,7 +136,7 @@ def _run(words: list[str]) -> int:
 
 def _verb_of(words: Sequence[str]) -> str:
     """The verb in `words` with a blank behind it, or nothing."""
-    known = {verb.name for verb in present_verbs()}
+    known = {verb.name for verb in VERBS}
     return f"{words[0]} " if words and words[0] in known else ""
 
 

@@ -61,9 +61,3 @@ class SolverError(TrimtabError):
     """A solver gave up; the text says in which state."""
 
     exit_code = 4
-
-
-class LogError(TrimtabError):
-    """A log that cannot be read."""
-
-    exit_code = 5

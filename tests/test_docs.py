@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from trimtab.host.cli import build_app, present_verbs
+from trimtab.host.cli import VERBS, build_app
 from trimtab.host.route import (
     Box,
     Cylinder,
@@ -63,7 +63,7 @@ def test_commands_of_page_are_ones_that_the_command_line_takes(page: Path) -> No
 
 
 def test_options_of_every_page_exist(capsys: pytest.CaptureFixture[str]) -> None:
-    verbs = [[verb.name] for verb in present_verbs()]
+    verbs = [[verb.name] for verb in VERBS]
     for words in ([], *verbs, ["log", "info"], ["log", "recover"], ["log", "export"]):
         build_app()([*words, "--help"])
     known = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))

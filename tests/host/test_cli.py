@@ -20,10 +20,10 @@ from trimtab.host.errors import (
     FlightFailed,
     GateMissed,
     LinkError,
-    LogError,
     SolverError,
     UsageError,
 )
+from trimtab.host.log import LogError
 from trimtab.host.vehicle import ConfigurationError
 
 HEAVY = ("numpy", "casadi", "scipy", "matplotlib", "pydantic", "pymavlink", "google", "rich.progress")
@@ -45,7 +45,7 @@ def verb(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., object]], N
         module.command = command  # pyright: ignore[reportAttributeAccessIssue]
         monkeypatch.setitem(sys.modules, "trimtab.host.verbs.probe", module)
         probe = cli.Verb(name="probe", module="probe", help="A verb of this test.")
-        monkeypatch.setattr(cli, "present_verbs", lambda: (probe,))
+        monkeypatch.setattr(cli, "VERBS", (probe,))
 
     return install
 
@@ -87,15 +87,15 @@ def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_listed_verbs_have_modules_with_a_command() -> None:
     code = (
-        "import importlib\nfrom trimtab.host.cli import present_verbs\n"
-        "for v in present_verbs():\n"
+        "import importlib\nfrom trimtab.host.cli import VERBS\n"
+        "for v in VERBS:\n"
         "    assert hasattr(importlib.import_module('trimtab.host.verbs.' + v.module), 'command'), v.name\n"
     )
     run_python(code)
 
 
 def test_every_listed_verb_answers_help(capsys: pytest.CaptureFixture[str]) -> None:
-    for listed in cli.present_verbs():
+    for listed in cli.VERBS:
         assert cli.main([listed.name, "--help"]) == 0, listed.name
         assert "Usage" in capsys.readouterr().out
 

@@ -61,9 +61,7 @@ class Rules:
     )
 
     majority: float = _rule(
-        0.5,
-        "1",
-        "Probability above which the answer says that something is missing, although nothing is named.",
+        0.5, "1", "Probability above which the answer says that something unnamed is missing."
     )
     open_probability: float = _rule(
         0.5, "1", "Probability of an alternative that nothing in the data speaks against."
