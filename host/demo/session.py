@@ -32,6 +32,7 @@ from trimtab.host.plan import Plan, write_plan
 from trimtab.host.plan.dynamics import ResidualModel
 from trimtab.host.progress import Progress
 from trimtab.host.report.trace import page
+from trimtab.host.trace.answer import to_json
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.run import Manoeuvres, run
 from trimtab.host.vehicle import Vehicle
@@ -303,7 +304,7 @@ class _Demo:
     ) -> dict[str, Any]:
         folder, force = self._order.folder, self._order.force
         with self._step("report") as (_, done):
-            found = result.to_json(model_path=MODEL_NAME, report_path=REPORT_NAME) | comparison.to_json()
+            found = to_json(result, model_path=MODEL_NAME, report_path=REPORT_NAME) | comparison.to_json()
             html = page(
                 result,
                 [flight for _, flight in used],

@@ -10,6 +10,8 @@ from typing import Any
 
 import matplotlib
 
+from trimtab.host.trace.sentences import UNITS
+
 matplotlib.use("svg")
 
 import matplotlib.pyplot as plt
@@ -257,7 +259,7 @@ def _field(ax: Any, told: Description, across: str, up: str, take: tuple[int, in
 
 def _curves(row: Any, one: Dependence) -> None:
     """The two leading slopes, or that there is none."""
-    unit = words.UNITS[one.channel].replace("^2", "$^2$")
+    unit = UNITS[one.channel].replace("^2", "$^2$")
     for k, ax in enumerate(row):
         if k >= len(one.slopes):
             ax.axis("off")

@@ -11,5 +11,6 @@ The rooms, in the order in which a trace passes through them (`run`):
 - `residual`: what the selected set leaves, what that depends on, and a network on it.
 - `gathering`, `decision`: the evidence as numbers, the rules, and the verdict with its findings.
 - `uncertainty`, `prediction`, `next_flight`: intervals, errors on held-out flights, the flight to fly next.
-- `assembly`, `result`, `words`: the answer, its JSON, and sentences for people.
+- `assembly`, `result`, `answer`: what was found, and the JSON object of it.
+- `sentences`, `words`: what people read; made from codes and numbers, read back by nothing.
 """

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from trimtab.host.models.model import Model
-from trimtab.host.trace import words
 from trimtab.host.trace.data.audit import Audit
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias
-from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Finding, Verdict
+from trimtab.host.trace.decision.findings import Code, Finding, Verdict
 from trimtab.host.trace.next_flight.separation import NextFlight
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.prediction import Errors
 from trimtab.host.trace.residual.description import Description
 from trimtab.host.trace.residual.network import Unexplained
-from trimtab.host.trace.residual.unexplained import FlightRepeat, UnexplainedResidual
+from trimtab.host.trace.residual.unexplained import UnexplainedResidual
 from trimtab.host.trace.selection import Diagnosis
 
 
@@ -106,82 +104,3 @@ class Trace:
         """Return the findings about the flights as a whole, the exact aliases, then those about each log."""
         exact = [each.finding for effect in self.effects for each in effect.exact_aliases.values()]
         return (*self.findings, *exact, *(finding for audit in self.audits for finding in audit.findings))
-
-    def lines(self) -> list[str]:
-        """Return the result for people, a few lines."""
-        return words.result_lines(self)
-
-    def to_json(
-        self, *, model_path: str | None, report_path: str | None, network_path: str | None = None
-    ) -> dict[str, Any]:
-        """The JSON object of `trimtab trace`; the paths are those of files written."""
-        null = {"position_rmse_m": None, "velocity_rmse_m_s": None}
-        return {
-            "verdict": str(self.verdict),
-            "effects": [
-                {
-                    "name": e.name,
-                    "parameters": {
-                        key: {"value": v.value, "sd": v.sd, "unit": v.unit} for key, v in e.parameters.items()
-                    },
-                    "probability": e.probability,
-                    "evidence_nats": self.evidence.get(e.name),
-                    "aliases": [{"name": n, "probability": p} for n, p in e.aliases.items()],
-                }
-                for e in self.effects
-            ],
-            "drive": self.drive,
-            "horizon_s": self.horizon_s,
-            "before": dict(self.before_score or null),
-            "after": dict(self.after_score or null),
-            "noise_floor": dict(self.noise_floor),
-            "held_out_flights": len(self.before),
-            "next_flight": None if self.next_flight is None else self.next_flight.to_json(),
-            "model": model_path,
-            "report": report_path,
-            "findings": [finding.to_json() for finding in self.all_findings],
-            "reasons": words.sentences(self.findings, UNEXPLAINED),
-            "repeats": dict(zip(("after", "before"), map(_repeat, self.diagnosis.repeats), strict=True)),
-            "possible": [{"name": name, "probability": p} for name, p in self.possible.items()],
-            "hidden": list(self.hidden),
-            "doubts": words.sentences(self.findings, DOUBTS),
-            "description": None if self.description is None else self.description.to_json(),
-            "unexplained": None if self.unexplained is None else self.unexplained.to_json(network_path),
-            "audit": [audit_json(audit) for audit in self.audits],
-        }
-
-
-def _repeat(repeat: FlightRepeat | None) -> dict[str, float] | None:
-    if repeat is None:
-        return None
-    return {"share": repeat.share, "z": repeat.z, "position_m": repeat.position_m}
-
-
-def audit_json(audit: Audit) -> dict[str, Any]:
-    """Return the entry of a flight under `audit`."""
-    return {
-        "log": audit.log,
-        "used_s": round(audit.used_s, 3),
-        "segments": audit.segments,
-        "left_out": audit.left_out,
-        "largest_gap_s": round(audit.largest_gap_s, 4),
-        "rates": [
-            {
-                "topic": rate.topic,
-                "median_hz": round(rate.median_hz, 2),
-                "worst_hz": round(rate.worst_hz, 2),
-                "sampling": rate.sampling,
-            }
-            for rate in audit.rates
-        ],
-        "stretches": [
-            {
-                "start_s": round(stretch.start_s, 3),
-                "end_s": round(stretch.end_s, 3),
-                "code": str(stretch.code),
-                "reason": words.reason(stretch),
-            }
-            for stretch in audit.stretches
-        ],
-        "remarks": words.remarks(audit),
-    }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from trimtab.host.trace.words import result_lines
 from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
 
 FOLDER = "trimtab-demo"
@@ -55,7 +56,7 @@ def command(
     )
     seconds = time.perf_counter() - begin_s
     say(
-        *outcome.result.lines(),
+        *result_lines(outcome.result),
         *report.summary(outcome.answer),
         f"done in {seconds:.0f} s; the report is {outcome.answer['report']}",
     )

@@ -52,7 +52,9 @@ def command(
     from trimtab.host.log import read_flight
     from trimtab.host.output import emit, json_text, say
     from trimtab.host.progress import Progress
+    from trimtab.host.trace.answer import to_json
     from trimtab.host.trace.run import run
+    from trimtab.host.trace.words import result_lines
     from trimtab.host.workspace import open_workspace
 
     if not logs:
@@ -86,7 +88,7 @@ def command(
         learned = None if result.unexplained is None else result.unexplained.model
         if learned is not None:
             network_path = str(output / NETWORK_NAME)
-        answer = result.to_json(model_path=model_path, report_path=report_path, network_path=network_path)
+        answer = to_json(result, model_path=model_path, report_path=report_path, network_path=network_path)
         report = page(result, flights, held_out, answer)
         output.mkdir(exist_ok=True)
         write_model(result.model, output / MODEL_NAME, force=force)
@@ -95,8 +97,8 @@ def command(
         artefacts.write_atomic(output / REPORT_NAME, report, force)
         artefacts.write_atomic(output / JSON_NAME, json_text(answer), force)
         say(f"model, report and JSON are in {output}: {MODEL_NAME}, {REPORT_NAME}, {JSON_NAME}")
-    say(*result.lines())
-    emit(result.to_json(model_path=model_path, report_path=report_path, network_path=network_path), json)
+    say(*result_lines(result))
+    emit(to_json(result, model_path=model_path, report_path=report_path, network_path=network_path), json)
 
 
 def manoeuvres(space: Workspace, vehicle: Vehicle) -> tuple[Manoeuvre, ...]:

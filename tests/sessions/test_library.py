@@ -21,6 +21,7 @@ from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.plan import plan
 from trimtab.host.route import Route, YawProfile
+from trimtab.host.trace import words
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.run import run
 from trimtab.host.vehicle import Vehicle, load_vehicle
@@ -178,7 +179,7 @@ def test_effect_is_found_in_the_sealed_plant(name: str, planned: Plan, tmp_path:
     trace = run(fly(case, planned, tmp_path), (), load_effects())
     found = {effect.name: effect for effect in trace.effects}
     worth = {candidate.partition(".")[0]: nats for candidate, nats in trace.evidence.items()}
-    told = "\n".join(trace.lines())
+    told = "\n".join(words.result_lines(trace))
     if case.vehicle is UNWEIGHED:
         assert max(found, key=lambda each: worth[each], default="") == "thrust-gain", told
         assert "mass" in found["thrust-gain"].aliases

@@ -10,12 +10,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from trimtab.host.log import Flight
-from trimtab.host.trace import words
 from trimtab.host.trace.data.audit import Audit, audit
 from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
 from trimtab.host.trace.data.signals import Signals, averaged, noise, pose_interval_s, signals
 from trimtab.host.trace.decision.findings import Code, Finding, TooLittleToTrace
 from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.sentences import MIXED_INPUTS, too_few_segments
 
 DT_S = 0.01
 SEGMENT_S = 0.6
@@ -37,14 +37,20 @@ def segments_of(
         audits.append(audit)
         parts += part
     if len(parts) < RULES.min_segments:
-        raise TooLittleToTrace(Code.TOO_FEW_SEGMENTS, words.too_few_segments(audits, len(parts), segment_s))
+        raise TooLittleToTrace(Code.TOO_FEW_SEGMENTS, _refusal(audits, len(parts), segment_s))
     if len({bool(p["in_newton"]) for p in parts}) > 1:
-        raise TooLittleToTrace(Code.MIXED_INPUTS, words.MIXED_INPUTS)
+        raise TooLittleToTrace(Code.MIXED_INPUTS, MIXED_INPUTS)
     arrays = {key: np.stack([p[key] for p in parts]) for key in parts[0] if key != "in_newton"}
     in_newton = bool(parts[0]["in_newton"])
     paths = _paths(flights)
     found = Segments(dt_s=DT_S, in_newton=in_newton, rate_driven=rate_driven, paths=paths, **arrays)
     return found, tuple(audits)
+
+
+def _refusal(audits: Sequence[Audit], count: int, segment_s: float) -> str:
+    """Return the refusal of logs with too few usable segments."""
+    lost = {audit.log: audit.findings if audit.left_out else () for audit in audits}
+    return too_few_segments(lost, count, segment_s)
 
 
 def _paths(flights: Sequence[Flight]) -> np.ndarray:

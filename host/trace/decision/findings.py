@@ -1,4 +1,4 @@
-"""What a trace found, as codes with numbers; `trimtab.host.trace.words` makes sentences of them."""
+"""What a trace found, as codes with numbers; `trimtab.host.trace.sentences` words them."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from trimtab.host.trace import words
+from trimtab.host.trace.sentences import closed_form
 
 _EACH = 3
 """Rows from one to the next that is fitted: neighbours are hardly two measurements."""
@@ -30,7 +30,7 @@ class ClosedForm:
         return {
             "name": self.name,
             "parameters": {key: round(value, 4) for key, value in self.parameters.items()},
-            "words": words.closed_form(self),
+            "words": closed_form(self.name, self.parameters),
             "skill": round(self.skill, 4),
         }
 

@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from trimtab.host.trace import words
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.residual.closed_forms import ClosedForm, fit_forms
@@ -34,6 +33,7 @@ from trimtab.host.trace.residual.regression import (
     segment_grams,
     skill_of_group,
 )
+from trimtab.host.trace.sentences import UNITS
 from trimtab.host.vehicle import Vehicle
 
 ANSWERS: dict[Channel, tuple[str, ...]] = {"force": ("thrust", "attitude"), "torque": ("thrust",)}
@@ -145,7 +145,6 @@ class Description:
                 for p, f in zip(self.cells, self.pushes, strict=True)
             ],
             "form": None if self.form is None else self.form.to_json(),
-            "words": words.description(self),
         }
 
 
@@ -259,7 +258,7 @@ def _slopes(
             axis=axes[int(i)],
             quantity=names[int(k)],
             value=float(slope[k, i]),
-            unit=f"{words.UNITS[channel]} a {unit}",
+            unit=f"{UNITS[channel]} a {unit}",
             curve=_curve(linear[:, k], target[:, i]),
         )
         for k, i in np.argwhere(does >= RULES.leading_share * does.max())

@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight
 from trimtab.host.trace import words
+from trimtab.host.trace.answer import audit_json
 from trimtab.host.trace.data.audit import Stretch, audit, with_missing_twins
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.decision.findings import Code, Finding
-from trimtab.host.trace.result import audit_json
 
 DATA = Path(__file__).parents[2] / "data"
 BEGIN_S, END_S = 3.0, 3.5

@@ -6,11 +6,11 @@ import pytest
 
 from tests.host.trace.builders import build_flight
 from trimtab.host.log import Flight
-from trimtab.host.trace import words
 from trimtab.host.trace.decision.decide import tracking_shortfall
 from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.loop import tracking_extent
+from trimtab.host.trace.sentences import sentence
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
 MS = 1e-3
@@ -91,10 +91,10 @@ def test_shortfall_of_tracking_holds_how_much_there_is_and_is_told_before_a_hove
     assert found is not None
     assert (found.code, found.bound, found.unit) == (Code.TRACKING_TOO_SHORT, MIN_S, "s")
     assert found.value == pytest.approx(3.4)
-    assert "3.4 s" in words.sentence(found)
+    assert "3.4 s" in sentence(found)
 
 
 def test_shortfall_of_a_long_hover_holds_its_extent_and_mentions_no_time() -> None:
     found = shortfall_of([build_flight(tracked_s=23.4, extent_m=0.0)])
     assert found == Finding(code=Code.HOVER_ONLY, value=0.0, bound=HOVER_M, unit="m")
-    assert "23.4" not in words.sentence(found)
+    assert "23.4" not in sentence(found)

@@ -17,9 +17,11 @@ from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight
 from trimtab.host.trace import words
+from trimtab.host.trace.answer import to_json
 from trimtab.host.trace.decision.findings import Code, LogsRefused, TooLittleToTrace
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.run import run
+from trimtab.host.trace.sentences import sentence
 from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol.blobs import Node, Reference
 
@@ -81,12 +83,12 @@ def test_one_thin_flight_says_what_it_lacks_and_names_nothing_absent(
     name: str, change: Change, code: Code
 ) -> None:
     found = run([change(read_flight(DATA / f"{name}.mcap"))], [], load_effects())
-    answer = found.to_json(model_path=None, report_path=None)
+    answer = to_json(found, model_path=None, report_path=None)
     codes = {finding["code"] for finding in answer["findings"]}
     assert code in codes, codes
     (finding, *_) = [each for each in found.all_findings if each.code is code]
-    assert any(words.sentence(finding) in line for line in found.lines())
-    assert is_honest(found, PRESENT), found.lines()
+    assert any(sentence(finding) in line for line in words.result_lines(found))
+    assert is_honest(found, PRESENT), words.result_lines(found)
 
 
 def test_less_than_three_seconds_are_refused_with_what_to_do() -> None:
@@ -140,9 +142,9 @@ def test_a_hover_traces_nothing_and_says_what_it_hides(
 ) -> None:
     for seed in seeds:
         found = run([hovered(tmp_path, world, seed)], [], load_effects())
-        assert found.verdict in ("undecided", "nothing-missing"), (seed, found.lines())
+        assert found.verdict in ("undecided", "nothing-missing"), (seed, words.result_lines(found))
         if "thrust-gain" in world or "tilt" in world or "wind" in world:
-            assert found.verdict == "undecided", (seed, found.lines())
+            assert found.verdict == "undecided", (seed, words.result_lines(found))
         unsure = {*found.hidden, *(effect.name for effect in found.effects)}
         # In a wind that was found a lift of typical size does show.
         lift = set() if "wind" in unsure - {*found.hidden} else {"translational-lift"}

@@ -22,6 +22,7 @@ from trimtab.host.trace.data.stretches import STRETCH_ORDER, Stretch
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias
 from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Finding, Verdict
 from trimtab.host.trace.result import Trace
+from trimtab.host.trace.sentences import sentence, sentences
 
 EXAMPLES: dict[Code, tuple[Finding, list[str]]] = {
     finding.code: (finding, mentioned)
@@ -162,7 +163,7 @@ def test_every_code_is_a_finding_a_stretch_or_a_refusal() -> None:
 @pytest.mark.parametrize("code", EXAMPLES)
 def test_sentence_of_a_finding_mentions_its_subject_and_numbers(code: Code) -> None:
     finding, mentioned = EXAMPLES[code]
-    told = words.sentence(finding)
+    told = sentence(finding)
     assert [each for each in mentioned if each not in told] == []
     assert not told.endswith(".")
     assert told == told.strip()
@@ -170,7 +171,7 @@ def test_sentence_of_a_finding_mentions_its_subject_and_numbers(code: Code) -> N
 
 
 def test_sentences_of_all_findings_are_different() -> None:
-    told = [words.sentence(finding) for finding, _ in EXAMPLES.values()]
+    told = [sentence(finding) for finding, _ in EXAMPLES.values()]
     assert len(set(told)) == len(told)
 
 
@@ -180,17 +181,17 @@ def test_reason_of_a_stretch_says_what_is_wrong_with_it(code: Code) -> None:
     assert STRETCHES[code] in words.reason(one)
     assert words.stretch(one) == f"1.23 to 5.68 s: {words.reason(one)}"
     left_out = Finding(code=Code.SEGMENTS_LEFT_OUT, value=2, unit="segments", subject=(str(code),))
-    assert words.reason(one) in words.sentence(left_out)
+    assert words.reason(one) in sentence(left_out)
 
 
 def test_sentences_are_those_of_the_codes_in_the_order_of_the_findings() -> None:
     findings = [finding for finding, _ in EXAMPLES.values()]
     for codes in (UNEXPLAINED, DOUBTS, frozenset({Code.SOMETHING_MISSING})):
-        expected = [words.sentence(finding) for finding in findings if finding.code in codes]
+        expected = [sentence(finding) for finding in findings if finding.code in codes]
         assert len(expected) == len(codes)
-        assert words.sentences(findings, codes) == expected
-        assert words.sentences(findings[::-1], codes) == expected[::-1]
-    assert words.sentences(findings, frozenset()) == []
+        assert sentences(findings, codes) == expected
+        assert sentences(findings[::-1], codes) == expected[::-1]
+    assert sentences(findings, frozenset()) == []
 
 
 def audit_of(log: str, *codes: Code, stretches: int = 0, left_out: int = 0) -> Audit:
@@ -216,25 +217,24 @@ def test_audit_lines_tell_stretches_by_log_and_each_remark_once() -> None:
     assert second.startswith("b: ")
     assert second.count("an impact") == 5
     assert second.endswith("and 2 more")
-    assert twin == f"a and 2 more: {words.sentence(EXAMPLES[Code.NO_TWIN][0])}"
-    assert gyro == f"b: {words.sentence(EXAMPLES[Code.NO_GYRO][0])}"
+    assert twin == f"a and 2 more: {sentence(EXAMPLES[Code.NO_TWIN][0])}"
+    assert gyro == f"b: {sentence(EXAMPLES[Code.NO_GYRO][0])}"
     assert words.audit_lines([audit_of("c")]) == []
 
 
 def test_refusals_name_the_log_and_what_it_lacks() -> None:
     path = Path("one.mcap")
     for told, mentioned in [
-        (words.too_few_poses(path), "100 poses"),
-        (words.too_few_tracking_poses(path), "10 poses"),
-        (words.no_tracking(path), "no tracking phase"),
+        (too_few_poses(path), "100 poses"),
+        (too_few_tracking_poses(path), "10 poses"),
+        (no_tracking(path), "no tracking phase"),
     ]:
         assert told.startswith("one.mcap: ")
         assert mentioned in told
-    audits = [audit_of("a", Code.SEGMENTS_WITH_GAPS, left_out=4), audit_of("b", Code.NO_GYRO)]
-    told = words.too_few_segments(audits, 2, 0.6)
+    gaps = Finding(code=Code.SEGMENTS_WITH_GAPS, value=4, unit="segments", log="a")
+    told = too_few_segments({"a": [gaps], "b": []}, 2, 0.6)
     assert told.startswith("a, b: only 2 usable segments of 0.6 s")
-    assert "4 segments with gaps" in told
-    assert "no gyro" not in told  # nothing of that log was left out
+    assert "(a: 4 segments with gaps" in told
 
 
 @pytest.mark.parametrize(
@@ -290,7 +290,7 @@ def trace(kept: tuple[str, ...] = (), **changes: Any) -> Trace:
         pytest.param(trace(), ["Nothing", "stands out"], "missing", id="nothing-missing"),
         pytest.param(
             trace(verdict=Verdict.OUTSIDE_LIBRARY, findings=(EXAMPLES[Code.FORCE_RINGS][0],)),
-            ["library does not hold", words.sentence(EXAMPLES[Code.FORCE_RINGS][0])],
+            ["library does not hold", sentence(EXAMPLES[Code.FORCE_RINGS][0])],
             "missing",
             id="outside-library",
         ),
@@ -326,12 +326,12 @@ def test_result_lines_hold_the_findings_in_groups() -> None:
     lines = words.result_lines(result)
     assert lines[0] == "verdict: undecided"
     assert lines[1] == "  not excluded: gain (0.32)"
-    assert lines[2] == f"  {words.sentence(EXAMPLES[Code.SOMETHING_MISSING][0])}"
-    assert lines[3] == f"  {words.sentence(EXAMPLES[Code.HOVER_ONLY][0])}"
+    assert lines[2] == f"  {sentence(EXAMPLES[Code.SOMETHING_MISSING][0])}"
+    assert lines[3] == f"  {sentence(EXAMPLES[Code.HOVER_ONLY][0])}"
     assert lines[4] == "  of typical size, these flights would not show: lag"
-    assert lines[5] == f"  {words.sentence(EXAMPLES[Code.FORCE_RINGS][0])}"
+    assert lines[5] == f"  {sentence(EXAMPLES[Code.FORCE_RINGS][0])}"
     assert "no flight held out" in lines[6]
-    assert lines[7:] == [f"data: a: {words.sentence(EXAMPLES[Code.NO_TWIN][0])}"]
+    assert lines[7:] == [f"data: a: {sentence(EXAMPLES[Code.NO_TWIN][0])}"]
 
 
 def test_verdict_of_an_undecided_trace_that_names_nothing_says_so() -> None:

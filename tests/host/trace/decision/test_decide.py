@@ -18,7 +18,6 @@ from tests.host.trace.builders import (
     build_residual,
     build_space,
 )
-from trimtab.host.trace import words
 from trimtab.host.trace.decision.alternatives import Names
 from trimtab.host.trace.decision.decide import (
     better_but_inadmissible,
@@ -31,6 +30,7 @@ from trimtab.host.trace.decision.decide import (
 from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Finding, Verdict
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.residual.unexplained import SpectralLine, UnexplainedResidual
+from trimtab.host.trace.sentences import sentence
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
 """Factors on a threshold for "just below" and "just above"."""
@@ -238,7 +238,7 @@ def test_excess_disturbance_holds_how_much_is_left(
 ) -> None:
     (found,) = excess_disturbance(build_evidence(disturbance_sigma=sigma), RULES)
     assert (found.value, found.bound, found.unit) == expected
-    assert mentioned in words.sentence(found)
+    assert mentioned in sentence(found)
 
 
 @pytest.mark.parametrize("by_segments", [False, True])
@@ -271,8 +271,8 @@ def test_better_but_inadmissible_counts_from_the_best_admissible_set(nats: float
     for finding in found:
         assert finding.subject == ("inflow", "lag")
         assert (finding.value, finding.bound, finding.unit) == (pytest.approx(nats - 5.0), TIE_NATS, "nats")
-        assert "inflow, lag" in words.sentence(finding)
-        assert "drag" not in words.sentence(finding)
+        assert "inflow, lag" in sentence(finding)
+        assert "drag" not in sentence(finding)
 
 
 @pytest.mark.parametrize(
@@ -338,7 +338,7 @@ def test_segment_disagreement_is_about_effects_that_segments_find_absent(
     for finding in found:
         assert finding.code is Code.SEGMENTS_DISAGREE
         assert (finding.value, finding.bound, finding.unit) == (max(nats.values()), TIE_NATS, "nats")
-        told = words.sentence(finding)
+        told = sentence(finding)
         assert [name in told for name in nats] == [name in expected for name in nats]
 
 
@@ -589,8 +589,8 @@ def test_alternatives_are_listed_with_their_probability_and_its_bound() -> None:
         (Code.POSSIBLE, ("sag",), 0.3, OPEN),
         (Code.POSSIBLE, ("lag",), 0.2, OPEN),
     ]
-    assert words.sentence(decision.findings[0]) == "drag may be wind (0.25)"
-    assert words.sentence(decision.findings[2]) == "sag is not excluded (0.30)"
+    assert sentence(decision.findings[0]) == "drag may be wind (0.25)"
+    assert sentence(decision.findings[2]) == "sag is not excluded (0.30)"
 
 
 def test_an_undetectable_alias_is_not_listed_as_possible_too() -> None:
@@ -632,7 +632,7 @@ def test_something_is_missing_where_nothing_is_selected_though_nothing_is_improb
     assert [finding.value for finding in found] == ([] if expected is None else [pytest.approx(expected)])
     assert [finding.bound for finding in found] == [0.5] * len(found)
     for finding in found:
-        assert f"{expected:.2f}" in words.sentence(finding)
+        assert f"{expected:.2f}" in sentence(finding)
 
 
 # What these flights would not show.
@@ -663,7 +663,7 @@ def test_hidden_are_effects_that_would_not_stand_out(sigma: float, expected: Nam
         assert finding == Finding(
             code=Code.HIDDEN, value=sigma, bound=DETECTABLE, unit="sigma", subject=("lag",)
         )
-        assert "lag" in words.sentence(finding)
+        assert "lag" in sentence(finding)
     assert list(decide(build_evidence(detectability={"lag": sigma})).findings) == found
 
 

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from tests.host.trace.builders import build_channel, build_flight_repeat, build_residual
-from trimtab.host.trace import words
 from trimtab.host.trace.decision.decide import (
     ResidualBounds,
     no_model_bounds,
@@ -19,6 +18,7 @@ from trimtab.host.trace.decision.decide import (
 from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.residual.unexplained import FlightRepeat, SpectralLine, UnexplainedResidual
+from trimtab.host.trace.sentences import sentence
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
 FLOOR = {"force": RULES.force_floor_m_s2, "torque": RULES.torque_floor_rad_s2}
@@ -178,7 +178,7 @@ def test_a_finding_holds_what_it_rests_on(
         "value": pytest.approx(expected.value),
         "details": pytest.approx(dict(expected.details)),
     }
-    told = words.sentence(found)
+    told = sentence(found)
     assert [number for number in mentioned if number not in told] == []
 
 
@@ -250,9 +250,9 @@ def test_a_worse_position_lets_segments_speak_too() -> None:
     assert worse == Finding(code=Code.FLIGHTS_WORSENED, value=0.03, bound=0.02, unit="m")
     assert repeats.code is Code.FORCE_REPEATS
     assert repeats.value == pytest.approx(0.6)
-    assert "30.0" in words.sentence(worse)
-    assert "20.0" in words.sentence(worse)
-    assert "0.60" in words.sentence(repeats)
+    assert "30.0" in sentence(worse)
+    assert "20.0" in sentence(worse)
+    assert "0.60" in sentence(repeats)
 
 
 def test_whole_flights_that_repeat_are_told_before_that_they_are_worse() -> None:
