@@ -32,7 +32,7 @@ SIZE = planning.Size(
     naive_nodes=20,
     rockit_nodes=20,
 )
-FIT = 300
+FIT = 100
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,9 @@ def test_rockit_problem_that_is_not_written_is_refused(
 def test_peers_that_are_not_installed_are_not_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rockit_ocp, "installed", lambda: False)
     monkeypatch.setattr(snap_peer, "installed", lambda: False)
-    found = planning.measure(VEHICLE, 1, size=replace(SIZE, plans=0, free_time=0, scaling=0, success=0))
+    found = planning.measure(
+        VEHICLE, 1, size=replace(SIZE, plans=0, free_time=0, scaling=0, success=0), fit_iterations=10
+    )
     assert (found["rockit"], found["minsnap_trajectories"]) == (None, None)
 
 

@@ -27,6 +27,8 @@ from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol.blobs import Reference
 from trimtab.sitl.vehicle import SimulatedVehicle
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 MADE = Path(__file__).parents[2] / "data"
 WORLD = "[effects.linear-drag]\ndx = 0.8\ndy = 0.7\ndz = 0.3\n"
 

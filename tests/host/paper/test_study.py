@@ -10,6 +10,8 @@ from trimtab.host.cli import main
 from trimtab.host.paper.learning import study, summary
 from trimtab.host.paper.learning.study import QUICK, Scope, plan
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 SMALL = Scope(trials=1, epochs=2, seeds=1, iterations=(4,), scales=(1.0,), noisy=(study.CLOSED.name,))
 
 
