@@ -175,8 +175,9 @@ def test_naive_problem_with_keep_out_shapes_is_refused(model: ResidualModel, cou
 
 def test_bench_counts_what_it_plans_and_tells_every_step() -> None:
     heard: list[str] = []
-    found = planning.measure(VEHICLE, 1, heard.append, size=SIZE, fit_iterations=FIT)
-    assert len(heard) == SIZE.steps
+    size = replace(SIZE, success=1)
+    found = planning.measure(VEHICLE, 1, heard.append, size=size, fit_iterations=FIT)
+    assert len(heard) == size.steps
     assert found["planned"] == found["courses"] == 2
     assert found["min_residual_star_median_s"] < found["plan_median_s"]
     assert [row["nodes"] for row in found["scaling"]] == [60, 80]

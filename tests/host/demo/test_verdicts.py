@@ -38,8 +38,10 @@ def test_demo_in_a_world_outside_the_library_says_so_and_adds_nothing(
     assert answer["reasons"][0] in page
 
 
+# In the full run: the demo goes the same way as above, tracing's own tests have what it says of noise.
 # Gusts on a drag within tolerance were once taken for wind at seed 3.
-@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.full)])
+@pytest.mark.full
+@pytest.mark.parametrize("seed", [3, 5])
 def test_demo_in_a_world_of_tolerances_and_turbulence_finds_nothing_missing(
     seed: int, tmp_path: Path, vehicle: Vehicle, short_routes: DemoRoutes
 ) -> None:

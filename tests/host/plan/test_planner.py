@@ -152,7 +152,7 @@ def test_min_control_r_tracks_the_min_control_path_with_the_model_in_its_dynamic
     assert far > 2.0 * off
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.full)])
 def test_min_residual_is_tracked_better_under_drag_than_min_snap(seed: int) -> None:
     # The closed loop of the nominal law with drag, integrated: whole flights in phi.
     route = random_route(seed, count=4, total_time_s=5.0)
@@ -295,8 +295,23 @@ GATES = (
 )
 
 
-@pytest.mark.parametrize("times_s", [None, (0.0, 1.8, 3.0, 4.6)])
-@pytest.mark.parametrize("kind", ALL_KINDS)
+GATE_TIMES_S = (0.0, 1.8, 3.0, 4.6)
+TIMED_KINDS = ("min-snap", "min-residual")
+"""Kinds that `make test` plans through gates at given times; the full run has all."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "times_s"),
+    [
+        *((kind, None) for kind in ALL_KINDS),
+        *((kind, GATE_TIMES_S) for kind in TIMED_KINDS),
+        *(
+            pytest.param(kind, GATE_TIMES_S, marks=pytest.mark.full)
+            for kind in ALL_KINDS
+            if kind not in TIMED_KINDS
+        ),
+    ],
+)
 def test_plan_passes_gates_inside_and_by_shooting_makes_use_of_them(
     kind: str, times_s: tuple[float, ...] | None
 ) -> None:
@@ -493,7 +508,7 @@ def test_free_total_time_of_a_route_with_times_is_refused() -> None:
         plan(route, VEHICLE, kind="min-control", time_box=(0.8, 1.3))
 
 
-@pytest.mark.parametrize("frame", ["world", "body"])
+@pytest.mark.parametrize("frame", [pytest.param("world", marks=pytest.mark.full), "body"])
 def test_plan_with_a_network_is_the_same_in_c_and_in_the_virtual_machine(
     frame: Frame, monkeypatch: pytest.MonkeyPatch, require
 ) -> None:
