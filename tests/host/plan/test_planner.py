@@ -121,7 +121,6 @@ def test_min_residual_under_a_thrust_or_torque_effect_has_less_of_it(
     assert rms["min-residual"] < share * rms["min-control"]
 
 
-@pytest.mark.usefixtures("virtual_machine")
 def test_constant_bias_leaves_the_plan_as_it_is() -> None:
     bias = ((EFFECTS["torque-bias"], (2.0, 1.0, 0.5)), (EFFECTS["frame-tilt"], (0.02, 0.01)))
     made = plan(ROUTE, VEHICLE, kind="min-residual", model=ResidualModel(parts=(*DRAG.parts, *bias)))
