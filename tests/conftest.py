@@ -118,6 +118,15 @@ def require() -> Callable[[str], None]:
 
 
 @pytest.fixture
+def virtual_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Evaluate models in CasADi's virtual machine, in this process and those it starts.
+
+    For tests whose subject is not the compiled engine: the result is the same and nothing is compiled.
+    """
+    monkeypatch.setenv("TRIMTAB_ENGINE", "vm")
+
+
+@pytest.fixture
 def full_disk() -> Callable[[int], AbstractContextManager[None]]:
     """Inside the context it gives, no file of this process grows beyond that many bytes."""
 

@@ -21,12 +21,15 @@ USED = ("a1.mcap", "a2.mcap", "b1.mcap", "b2.mcap")
 
 @pytest.fixture(scope="module")
 def answer(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What `trimtab trace --json` says of the logs."""
+    """What `trimtab trace --json` says of the logs, where there is no simulator."""
     logs = [str(DATA / name) for name in USED]
+    code = (
+        "import sys; sys.modules['trimtab.sitl'] = None; from trimtab.host.cli import main; sys.exit(main())"
+    )
     command = [
         sys.executable,
-        "-m",
-        "trimtab.host.cli",
+        "-c",
+        code,
         "trace",
         *logs,
         "--hold-out",

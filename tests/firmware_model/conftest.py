@@ -174,8 +174,8 @@ def there_and_back(height=1.0, reach=1.5, seconds=2.0):
 
 @pytest.fixture(scope="session")
 def engine():
-    """The law in CasADi's virtual machine. Tests run one after the other: each Flight clears it."""
-    return compile_blocks(law.step, law.INPUTS, law.OUTPUTS, "flight", engine="vm")
+    """The law, compiled where a compiler works. Tests run one after the other: each Flight clears it."""
+    return compile_blocks(law.step, law.INPUTS, law.OUTPUTS, "flight")
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""10^5 inputs of all kinds, and that the fuzzer notices what it is there to notice."""
+"""Inputs of all kinds, 10^4 in `make test` and 10^5 in `make test-all`; what the fuzzer must notice."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from trimtab.protocol import uwb
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import HOST, CommandLong, ParamSet, StatusText
 from trimtab.protocol.uwb import StreamSplitter, split
-from trimtab.sitl.studies.fuzz import KINDS, FuzzReport, replay, run_fuzz
+from trimtab.sitl.studies.fuzz import KINDS, FuzzReport, replay, run, run_fuzz
 from trimtab.sitl.studies.fuzz.__main__ import main
 from trimtab.sitl.studies.fuzz.inputs import FLUSH, frame, pack, valid_messages
 from trimtab.sitl.studies.fuzz.source import record
 
-INPUTS = 100_000
+INPUTS = [10_000, pytest.param(100_000, marks=pytest.mark.full)]
 SEED = 20_261
 GROUPS = (
     ("vehicle-bytes",),
@@ -44,11 +44,14 @@ def _recorded() -> None:
     record()
 
 
+@pytest.mark.parametrize("inputs", INPUTS)
 @pytest.mark.parametrize("kinds", GROUPS, ids=lambda kinds: "+".join(kinds))
-def test_inputs_bring_about_no_crash_and_no_change_without_a_valid_message(kinds: tuple[str, ...]) -> None:
+def test_inputs_bring_about_no_crash_and_no_change_without_a_valid_message(
+    kinds: tuple[str, ...], inputs: int
+) -> None:
     share = sum(KINDS[kind].share for kind in kinds)
-    report = run_fuzz(INPUTS * share // 1000, SEED, kinds=kinds)
-    assert report.inputs == INPUTS * share // 1000
+    report = run_fuzz(inputs * share // 1000, SEED, kinds=kinds)
+    assert report.inputs == inputs * share // 1000
     assert report.valid > report.inputs // 100
     assert [f"{crash.kind}:{crash.index} {crash.error} {crash.data}" for crash in report.crashes] == []
 
@@ -66,6 +69,12 @@ def test_same_seed_gives_the_same_report_however_many_processes() -> None:
 # What it must notice: each fault is put into the real code.
 
 
+@pytest.fixture
+def _one_crash_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """End a batch at its first crash: behind each, fresh vehicles boot."""
+    monkeypatch.setattr(run, "CRASHES_MAX", 1)
+
+
 def _crashes(kind: str, inputs: int = 2_000) -> FuzzReport:
     return run_fuzz(inputs, 6, kinds=(kind,))
 
@@ -78,16 +87,17 @@ def _raises_on_odd_numbers(before: Callable[..., Any]) -> Callable[..., Any]:
     return act
 
 
+@pytest.mark.usefixtures("_one_crash_a_batch")
 def test_exception_of_a_handler_is_found_and_can_be_replayed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Any
 ) -> None:
     monkeypatch.setattr(Commands, "long", _raises_on_odd_numbers(Commands.long))
-    crash = _crashes("vehicle-messages").crashes[0]
+    crash = _crashes("vehicle-messages", 1_000).crashes[0]
     assert "NaN" in crash.error or "infinity" in crash.error
     again = replay(crash.kind, crash.seed, crash.index)
     assert again is not None
     assert (again.error, again.data) == (crash.error, crash.data)
-    words = ["--inputs", "2000", "--seed", "6", "--kinds", "vehicle-messages", "--save", str(tmp_path)]
+    words = ["--inputs", "1000", "--seed", "6", "--kinds", "vehicle-messages", "--save", str(tmp_path)]
     assert main(words) == 1
     assert (tmp_path / f"fuzz-{crash.kind}-6-{crash.index}.hex").read_text().strip() == crash.data
     assert main(["--seed", "6", "--replay", f"{crash.kind}:{crash.index}"]) == 1
@@ -96,6 +106,7 @@ def test_exception_of_a_handler_is_found_and_can_be_replayed(
     assert capsys.readouterr().out.endswith("no crash\n")
 
 
+@pytest.mark.usefixtures("_one_crash_a_batch")
 def test_message_for_another_vehicle_that_is_obeyed_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def receive(self: Any, message: Any, now_us: int) -> None:
         if hasattr(message, "target_system"):
@@ -107,6 +118,7 @@ def test_message_for_another_vehicle_that_is_obeyed_is_found(monkeypatch: pytest
     assert "valid messages alone" in _crashes("vehicle-messages").crashes[0].error
 
 
+@pytest.mark.usefixtures("_one_crash_a_batch")
 def test_parameter_set_in_flight_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def set_always(self: Any, message: ParamSet, now_us: int) -> None:
         if message.param_id in self._parameters:
@@ -116,6 +128,7 @@ def test_parameter_set_in_flight_is_found(monkeypatch: pytest.MonkeyPatch) -> No
     assert any("a parameter changed in" in crash.error for crash in _crashes("vehicle-messages").crashes)
 
 
+@pytest.mark.usefixtures("_one_crash_a_batch")
 def test_message_counted_before_its_checksum_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def decode(self: Codec, data: bytes) -> list[Any]:
         found = before(self, data)
@@ -156,6 +169,7 @@ def test_rotors_that_turn_in_standby_are_found(monkeypatch: pytest.MonkeyPatch) 
         _crashes("vehicle-bytes", 10)
 
 
+@pytest.mark.usefixtures("_one_crash_a_batch")
 def test_host_that_answers_to_noise_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def receive(self: Client, data: bytes, now_us: int) -> list[Any]:
         found = before(self, data, now_us)
@@ -173,6 +187,7 @@ def test_long_messages_leave_the_ground_radio_in_pieces() -> None:
     assert run_fuzz(400, 77_000, kinds=("radio",)).crashes == ()
 
 
+@pytest.mark.usefixtures("_one_crash_a_batch")
 def test_pieces_that_make_no_message_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def cut(message: bytes, number: int, frame_bytes: int = uwb.FRAME_BYTES) -> list[bytes]:
         return [piece[:-1] for piece in before(message, number, frame_bytes)]

@@ -158,6 +158,7 @@ def test_trace_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]])
     check("trace", found)
 
 
+@pytest.mark.usefixtures("virtual_machine")
 def test_learn_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]) -> None:
     logs = (str(MADE / "a1.mcap"), "--hold-out", str(MADE / "b1.mcap"))
     check("learn", trimtab("learn", *logs, "-o", "x.model.toml", "--epochs", "1", "--hidden", "2"))

@@ -162,7 +162,7 @@ def test_session_after_a_power_cycle_equals_one_that_began_so(
     assert logs[0] == logs[1]
 
 
-@pytest.mark.parametrize("wind", [(3.0, 0.0), (-2.1, 2.1)])
+@pytest.mark.parametrize("wind", [pytest.param((3.0, 0.0), marks=pytest.mark.full), (-2.1, 2.1)])
 def test_session_in_a_strong_wind_lands_upright(
     fly: Fly, simulate: Simulate, world_file: Callable[[str], str], wind: tuple[float, float]
 ) -> None:
@@ -174,7 +174,7 @@ def test_session_in_a_strong_wind_lands_upright(
     assert result.end.failsafe is None
 
 
-@pytest.mark.parametrize(("loss", "burst"), [(0.2, 5.0), (0.3, 20.0)])
+@pytest.mark.parametrize(("loss", "burst"), [pytest.param(0.2, 5.0, marks=pytest.mark.full), (0.3, 20.0)])
 def test_session_over_a_lossy_radio_flies_all_the_same(
     fly: Fly, simulate: Simulate, loss: float, burst: float
 ) -> None:
@@ -342,7 +342,7 @@ def restamped(simulated: Any, stamp: Callable[[int, int], list[int]]) -> Any:
     return simulated
 
 
-@pytest.mark.parametrize("wrong_us", [2**64 - 1, 2**63 - 1, 60_000_000])
+@pytest.mark.parametrize("wrong_us", [2**64 - 1, pytest.param(2**63 - 1, marks=pytest.mark.full), 60_000_000])
 @pytest.mark.parametrize("delay_us", [None, 4_000])
 def test_session_one_pose_with_a_wrong_stamp_does_not_end_the_flight(
     fly: Fly, simulate: Simulate, wrong_us: int, delay_us: int | None

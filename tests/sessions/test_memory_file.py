@@ -48,7 +48,7 @@ def test_killed_vehicle_started_again_on_its_memory_takes_the_rest_of_the_upload
 ) -> None:
     memory, world, wanted = tmp_path / "vehicle.memory", tmp_path / "clean.toml", tmp_path / "wanted.ref"
     world.write_text(f'description = "no frame is lost"\n{CLEAN}')
-    reference = figure_eight(vehicle, duration_s=120.0)
+    reference = figure_eight(vehicle, duration_s=40.0)
     wanted.write_bytes(reference.to_bytes())
     chunks = chunk_count(len(reference.to_bytes()))
     sitl = ("sitl", "--port", "tcp:127.0.0.1:0", "--world", str(world), "--memory", str(memory))

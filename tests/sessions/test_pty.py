@@ -79,6 +79,7 @@ def test_pty_flight_after_upload_tracks_and_logs(
     assert flight.metadata["session_uid"] == json.loads(truth.read_text())["uid"]
 
 
+@pytest.mark.full  # beside the flight above and those over lossy links in lock-step
 def test_pty_flight_over_a_radio_that_loses_a_fifth_of_its_frames(
     vehicle: Vehicle, reference: Reference, mocap_url: str, tmp_path: Path
 ) -> None:

@@ -8,6 +8,7 @@ import re
 import signal
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from trimtab.host import cli, output
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.log.scan import scan
+from trimtab.host.plan import Settings
 from trimtab.protocol.blobs import Reference
 from trimtab.sitl.vehicle import SimulatedVehicle
 
@@ -252,8 +254,13 @@ def test_plan_pareto_with_a_world_flies_every_plan_as_fly_does(
             assert "8123" not in text
 
 
-def test_plan_pareto_without_any_plan_tells_why_and_exits_with_1(trimtab: Any, drag_model: str) -> None:
-    words = ("plan", "pretzel", "--model", drag_model, "--pareto", "--time-s", "3.0")
+@pytest.mark.usefixtures("virtual_machine")
+def test_plan_pareto_without_any_plan_tells_why_and_exits_with_1(
+    trimtab: Any, drag_model: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    impatient = partial(Settings, iterations_max=20, rounds=1)
+    monkeypatch.setattr("trimtab.host.plan.pareto.Settings", impatient)
+    words = ("plan", "pretzel", "--model", drag_model, "--pareto", "--time-s", "3.0", "--nodes", "40")
     code, told, complaint = trimtab(*words, "--json")
     assert code == 1
     assert {point["status"] for point in told["points"]} <= {"refused", "unsolved"}

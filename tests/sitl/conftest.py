@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
-import numpy as np
 import pytest
-from scipy.interpolate import make_interp_spline
 
+from trimtab.host.bench.session_parts import figure_eight
 from trimtab.host.link.client import Client
-from trimtab.host.vehicle import Vehicle
-from trimtab.protocol.blobs import Kind, Node, Reference
+from trimtab.protocol.blobs import Kind, Reference
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import CAMERAS, AttPosMocap, CommandLong, FcStatus, Message, mavlink
 from trimtab.sitl.vehicle import SimulatedVehicle
@@ -31,34 +28,6 @@ class Session:
     tracked_ned: list[tuple[float, float, float]] = field(default_factory=list)
     armed: bool = False
     end_us: int = 0
-
-
-def figure_eight(
-    vehicle: Vehicle, *, size_m: float = 2.4, omega: float = 1.35, height_m: float = 1.2, laps: int = 1
-) -> Reference:
-    """A lemniscate that swings in and out gently, as nodes every 0.1 s."""
-    ramp = 2.0
-    duration = round((laps * 2 * math.pi / omega + ramp) * 10) / 10
-    t = np.linspace(0.0, duration, 201)
-    fine = np.linspace(0.0, duration, 20_001)
-    x = np.clip(np.minimum(fine, duration - fine) / ramp, 0.0, 1.0)
-    rate = x**5 * (126 - 420 * x + 540 * x**2 - 315 * x**3 + 70 * x**4)
-    phase = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))])[::100]
-    phase *= laps * 2 * math.pi / phase[-1]
-    path = np.stack(
-        [
-            size_m * np.sin(phase),
-            0.5 * size_m * np.sin(2 * phase),
-            -height_m - 0.08 * size_m * (1 - np.cos(phase)),
-        ],
-        axis=1,
-    )
-    spline = make_interp_spline(t, path, k=9)
-    times = np.arange(0.0, duration + 1e-9, 0.1)
-    rows = np.hstack([spline(times, k) for k in range(4)])
-    rows[0, 3:] = rows[-1, 3:] = 0.0
-    nodes = [Node(round(s * 1e6), tuple(map(float, row))) for s, row in zip(times, rows, strict=True)]
-    return Reference(vehicle_id=vehicle.id, origin_ned=(0.0, 0.0, 0.0), nodes=tuple(nodes))
 
 
 def put_on_board(vehicle: SimulatedVehicle, reference: Reference, flight: int = 0) -> None:

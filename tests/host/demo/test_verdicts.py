@@ -17,7 +17,7 @@ def run(world: str, seed: int, folder: Path, vehicle: Vehicle, routes: DemoRoute
     return run_demo(order, load_effects(), say=lambda _: None)
 
 
-@pytest.mark.parametrize("world", ["flapping", "tether"])
+@pytest.mark.parametrize("world", ["flapping", pytest.param("tether", marks=pytest.mark.full)])
 def test_demo_in_a_world_outside_the_library_says_so_and_adds_nothing(
     world: str, tmp_path: Path, vehicle: Vehicle, short_routes: DemoRoutes
 ) -> None:
@@ -38,7 +38,9 @@ def test_demo_in_a_world_outside_the_library_says_so_and_adds_nothing(
     assert answer["reasons"][0] in page
 
 
+# In the full run: the demo goes the same way as above, tracing's own tests have what it says of noise.
 # Gusts on a drag within tolerance were once taken for wind at seed 3.
+@pytest.mark.full
 @pytest.mark.parametrize("seed", [3, 5])
 def test_demo_in_a_world_of_tolerances_and_turbulence_finds_nothing_missing(
     seed: int, tmp_path: Path, vehicle: Vehicle, short_routes: DemoRoutes

@@ -22,6 +22,8 @@ from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments, cut
 from trimtab.host.vehicle import load_vehicle
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 VEHICLE = load_vehicle("research")
 DRAG = load_effects()["linear-drag"]
 PHI = Phi(vehicle=VEHICLE, effects=(DRAG,), estimator=False)

@@ -27,6 +27,8 @@ from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol.blobs import Reference
 from trimtab.sitl.vehicle import SimulatedVehicle
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 MADE = Path(__file__).parents[2] / "data"
 WORLD = "[effects.linear-drag]\ndx = 0.8\ndy = 0.7\ndz = 0.3\n"
 
@@ -56,6 +58,7 @@ def fly(world: Path, references: list[Reference], folder: Path) -> list[Flight]:
     return flights
 
 
+@pytest.mark.full  # beside test_condensed.py, which finds late poses without the flights
 def test_learn_finds_late_poses_beside_drag(make_states, tmp_path):
     """Poses that are late on board and in the log: an effect, learned with the loop that they are late in."""
     world = tmp_path / "world.toml"
@@ -283,6 +286,7 @@ def test_learn_verb_writes_no_model_that_is_no_better_unless_asked_to(tmp_path, 
     assert (f"{output}: not written" in told.err) is not output.is_file()
 
 
+@pytest.mark.full  # beside the effects that the command line learns above, com-offset among them
 def test_learn_a_standing_torque_is_no_acceleration(make_states, tmp_path):
     """The law's integral stands against it at every segment's start: the default learns what it is."""
     world = tmp_path / "world.toml"

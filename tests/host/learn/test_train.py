@@ -34,7 +34,7 @@ def test_train_drag_is_learned_and_carries_over_to_another_reference(make_states
     flights, other = [make_states(seed, duration_s=6.0) for seed in (1, 2, 3)], [make_states(9)]
     segments = cut(flights, PHI, steps=25)
     rng = np.random.default_rng(0)
-    settings = Settings(hidden=(16,), epochs=12, batch=12)
+    settings = Settings(hidden=(8, 8), epochs=12, batch=12)
     trained = train(PHI, NONE, segments, cut(other, PHI, steps=25), settings, rng, weight=WEIGHT)
     assert trained.validation_loss[trained.best_epoch] < 0.2 * trained.validation_loss[0]
     nominal = whole_flights(WHOLE, NONE, other)
@@ -43,6 +43,7 @@ def test_train_drag_is_learned_and_carries_over_to_another_reference(make_states
     assert learned.position_rmse_m < 0.5 * nominal.position_rmse_m
 
 
+@pytest.mark.usefixtures("virtual_machine")
 def test_train_same_seed_gives_the_same_network(make_states):
     segments = cut([make_states(1)], PHI, steps=25)
     settings = Settings(hidden=(4,), epochs=2, batch=8)
@@ -55,6 +56,7 @@ def test_train_same_seed_gives_the_same_network(make_states):
     np.testing.assert_array_equal(networks[0].xi, networks[1].xi)
 
 
+@pytest.mark.usefixtures("virtual_machine")
 def test_train_nothing_to_learn_stops_early_near_nothing(make_states):
     flights = [make_states(seed, drag=False) for seed in (1, 2)]
     segments = cut(flights, PHI, steps=25)
@@ -65,6 +67,7 @@ def test_train_nothing_to_learn_stops_early_near_nothing(make_states):
     assert np.abs(push).max() < 0.15
 
 
+@pytest.mark.usefixtures("virtual_machine")
 def test_free_starts_moved_starts_come_back(make_states):
     """Starts off by two sigmas, states exact: one step brings most of it back."""
     segments = cut([make_states(4, noise=0.0, drag=False)], PHI, steps=25)

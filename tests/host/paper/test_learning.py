@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from trimtab.host.models.network import Layout, Network
+from trimtab.host.paper.learning import transfer
 from trimtab.host.paper.learning.curves import nominal_errors
 from trimtab.host.paper.learning.flights import DRAG, STEP_S, Flights, accelerations, cut, make_flights
 from trimtab.host.paper.learning.flown import draw_courses, statistics
@@ -63,6 +64,12 @@ def test_position_error_hardly_depends_on_the_step(sets, step_s):
     assert position_error_m(nominal, flights, step_s) == pytest.approx(
         position_error_m(nominal, flights), rel=0.01
     )
+
+
+def test_steps_of_transfer_are_rolled_out_with_the_learned_model(sets):
+    rows = transfer.steps(exact(sets["test"]), sets["test"])
+    assert {row["step_s"] for row in rows} == {0.005, 0.01, 0.02, 0.04}
+    assert rows[2]["position_rmse_m"] == position_error_m(exact(sets["test"]), sets["test"], 0.02)
 
 
 def test_segments_are_the_flights_nodes_and_a_held_reference_is_late(sets):

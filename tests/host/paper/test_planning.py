@@ -17,6 +17,8 @@ from trimtab.host.paper.planning.study import COURSES, PLANNED, WORLDS, plan_pie
 from trimtab.host.paper.planning.summary import summary
 from trimtab.host.vehicle import load_vehicle
 
+pytestmark = pytest.mark.usefixtures("virtual_machine")
+
 DATA = Path(__file__).parent.parent.parent / "data"
 VEHICLE = load_vehicle("research")
 

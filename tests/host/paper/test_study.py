@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import pytest
 
 from trimtab.host.cli import main
-from trimtab.host.paper.learning import study, summary
+from trimtab.host.paper.learning import noise, study, summary, transfer
 from trimtab.host.paper.learning.study import QUICK, Scope, plan
+from trimtab.host.paper.pieces import Piece
 
+full = pytest.mark.full
 SMALL = Scope(trials=1, epochs=2, seeds=1, iterations=(4,), scales=(1.0,), noisy=(study.CLOSED.name,))
 
 
@@ -32,11 +35,41 @@ def made_up_world(ratio: float) -> dict:
     }
 
 
-def test_study_goes_on_from_pieces_and_leaves_page_pictures_and_json(tmp_path, monkeypatch, capsys):
+def made_up(piece: Piece) -> Any:
+    """The result of a piece of the study that nobody computed."""
+    norms = {"pointwise_norm": 0.1, "rolled_norm": 0.2, "pointwise_component": 0.1, "rolled_component": 0.1}
+    errors = dict.fromkeys(("train", "test", "ood"), norms)
+    moved = {"acceleration_rmse": 0.1, "position_rmse_m": 0.1, "nominal_position_rmse_m": 0.2}
+    losses = {"train_loss": [2.0, 1.0], "validation_loss": [2.0, 1.5]}
+    arguments = {key: value for key, value in piece.arguments.items() if key != "iterations"}
+    if piece.kind == "noise":
+        methods = (noise.TRAJECTORY, noise.TRAJECTORY_RAW, noise.SUPERVISED, noise.SUPERVISED_RAW)
+        return [{**arguments, "method": method, "test": 0.1, "ood": 0.2} for method in methods]
+    return {
+        "curve": {**arguments, **losses, "seconds": 1.0, "errors": errors},
+        "regressor": {**piece.arguments, "seconds": 1.0, "errors": errors},
+        "transfer": {
+            "steps": [{"step_s": step_s, "position_rmse_m": 0.1} for step_s in transfer.STEPS_S],
+            "laws": [{"law": "a", "network": "n", "test": moved, "ood": moved}],
+        },
+        "world": made_up_world(0.5),
+    }[piece.kind]
+
+
+@pytest.mark.parametrize(
+    "computed",
+    [
+        pytest.param(("nominal",), id="nominal"),
+        pytest.param(("nominal", "curve", "regressor", "noise", "transfer"), marks=full, id="all-but-worlds"),
+    ],
+)
+def test_study_goes_on_from_pieces_and_leaves_page_pictures_and_json(tmp_path, monkeypatch, capsys, computed):
     monkeypatch.setattr(study, "QUICK", SMALL)
     folder = tmp_path / "study"
     (folder / "pieces").mkdir(parents=True)
-    (folder / "pieces" / "world-00.json").write_text(json.dumps({"result": made_up_world(0.5)}))
+    for piece in plan(5, 1, SMALL):
+        if piece.kind not in computed:
+            (folder / "pieces" / f"{piece.name}.json").write_text(json.dumps({"result": made_up(piece)}))
     words = ["study", "paper-learning", "--quick", "--seed", "5", "-o", str(folder), "--jobs", "1", "--json"]
     assert main(words) == 0
     answer = json.loads(capsys.readouterr().out.splitlines()[-1])

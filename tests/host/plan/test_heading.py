@@ -129,6 +129,7 @@ def test_free_heading_needs_a_model_that_turns_along(model: ResidualModel, match
     assert plan(FREE, VEHICLE, kind="min-control", model=model).reference.yaws
 
 
+@pytest.mark.usefixtures("virtual_machine")
 def test_free_heading_takes_a_network_in_the_bodys_frame_and_wind_within_tolerance() -> None:
     parts = (*SLENDER.parts, (EFFECTS["wind"], (0.02, 0.0)))
     model = ResidualModel(parts=parts, adjusted=frozenset({"wind"}), network=_network("body"))

@@ -110,6 +110,7 @@ def test_min_residual_predicts_less_residual_than_the_others() -> None:
         ("gyroscopic", (40.0,), 0.8),
     ],
 )
+@pytest.mark.usefixtures("virtual_machine")
 def test_min_residual_under_a_thrust_or_torque_effect_has_less_of_it(
     name: str, theta: tuple[float, ...], share: float
 ) -> None:
@@ -150,7 +151,7 @@ def test_min_control_r_tracks_the_min_control_path_with_the_model_in_its_dynamic
     assert far > 2.0 * off
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.full)])
 def test_min_residual_is_tracked_better_under_drag_than_min_snap(seed: int) -> None:
     # The closed loop of the nominal law with drag, integrated: whole flights in phi.
     route = random_route(seed, count=4, total_time_s=5.0)
@@ -161,14 +162,14 @@ def test_min_residual_is_tracked_better_under_drag_than_min_snap(seed: int) -> N
 
 
 def _tracking_rmse(made: Plan) -> float:
-    """RMSE of position in m, by RK4 at 2 ms."""
+    """RMSE of position in m, by RK4 at 5 ms."""
     from trimtab.host.models.phi import Phi, flight_constants
     from trimtab.host.models.reference import flat_outputs
 
     phi = Phi(
         vehicle=VEHICLE, effects=tuple(effect for effect, _ in DRAG.parts), drive="reference", estimator=False
     )
-    theta, constants, step_s = phi.theta(DRAG.parts), flight_constants(), 2e-3
+    theta, constants, step_s = phi.theta(DRAG.parts), flight_constants(), 5e-3
     times = np.arange(0.0, made.duration_s, step_s / 2)
     flat = flat_outputs(made.reference, times)
     drive = np.vstack([flat, np.zeros((6, len(times))), np.ones(len(times)), times])
@@ -236,6 +237,7 @@ def test_plan_with_free_total_time_stays_in_its_box() -> None:
         Settings(relative_weights=False, weights=Weights(control=0.34, thrust_rate=0.02)),
     ],
 )
+@pytest.mark.usefixtures("virtual_machine")
 def test_plan_with_other_settings_is_flyable(settings: Settings) -> None:
     _assert_flyable(plan(ROUTE, VEHICLE, kind="min-residual", model=DRAG, settings=settings))
 
@@ -292,8 +294,23 @@ GATES = (
 )
 
 
-@pytest.mark.parametrize("times_s", [None, (0.0, 1.8, 3.0, 4.6)])
-@pytest.mark.parametrize("kind", ALL_KINDS)
+GATE_TIMES_S = (0.0, 1.8, 3.0, 4.6)
+TIMED_KINDS = ("min-snap", "min-residual")
+"""Kinds that `make test` plans through gates at given times; the full run has all."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "times_s"),
+    [
+        *((kind, None) for kind in ALL_KINDS),
+        *((kind, GATE_TIMES_S) for kind in TIMED_KINDS),
+        *(
+            pytest.param(kind, GATE_TIMES_S, marks=pytest.mark.full)
+            for kind in ALL_KINDS
+            if kind not in TIMED_KINDS
+        ),
+    ],
+)
 def test_plan_passes_gates_inside_and_by_shooting_makes_use_of_them(
     kind: str, times_s: tuple[float, ...] | None
 ) -> None:
@@ -417,6 +434,7 @@ def test_plan_of_a_contradictory_route_is_refused_before_solving() -> None:
     assert caught.value.exit_code == 2
 
 
+@pytest.mark.usefixtures("virtual_machine")
 def test_plan_with_a_network_stays_where_it_was_trained() -> None:
     layout = Layout(hidden=(8,))
     network = Network(layout=layout, xi=0.3 * np.random.default_rng(2).standard_normal(layout.size))
@@ -489,7 +507,7 @@ def test_free_total_time_of_a_route_with_times_is_refused() -> None:
         plan(route, VEHICLE, kind="min-control", time_box=(0.8, 1.3))
 
 
-@pytest.mark.parametrize("frame", ["world", "body"])
+@pytest.mark.parametrize("frame", [pytest.param("world", marks=pytest.mark.full), "body"])
 def test_plan_with_a_network_is_the_same_in_c_and_in_the_virtual_machine(
     frame: Frame, monkeypatch: pytest.MonkeyPatch, require
 ) -> None:
@@ -508,6 +526,7 @@ def test_plan_with_a_network_is_the_same_in_c_and_in_the_virtual_machine(
     assert made[0].residual_rms_m_s2 == pytest.approx(made[1].residual_rms_m_s2, rel=0.01)
 
 
+@pytest.mark.usefixtures("virtual_machine")
 def test_star_with_an_effect_of_the_floor_starts_at_rest_where_the_route_does() -> None:
     floor = ResidualModel(parts=((EFFECTS["ground-effect"], (0.03,)),))
     made = plan(ROUTE, VEHICLE, kind="min-residual*", model=floor)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -120,11 +123,23 @@ def _points(
     return x, rng.standard_normal((INPUTS, count)), rng.uniform(0.8, 1.2, count), steps, p
 
 
-@pytest.mark.parametrize("engine", ["vm", "c"])
-@pytest.mark.parametrize("weigh_time", [True, False])
-@pytest.mark.parametrize("minimise", [True, False])
-@pytest.mark.parametrize("frame", _FRAMES)
-@pytest.mark.parametrize("augmented", [True, False])
+def _on_both_engines(*cases: tuple[Any, ...], compiled: tuple[tuple[Any, ...], ...]) -> list[Any]:
+    """Every case in the virtual machine and in C; in C those not in `compiled` are left to the full run."""
+    rest = [case for case in cases if case not in compiled]
+    return [
+        *((*case, "vm") for case in cases),
+        *((*case, "c") for case in compiled),
+        *(pytest.param(*case, "c", marks=pytest.mark.full) for case in rest),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("augmented", "frame", "minimise", "weigh_time", "engine"),
+    _on_both_engines(
+        *itertools.product((True, False), _FRAMES, (True, False), (True, False)),
+        compiled=((True, None, True, True), (True, "body", True, True)),
+    ),
+)
 def test_derivatives_of_intervals_equal_those_of_the_unrolled_step(
     augmented: bool, frame: Frame | None, minimise: bool, weigh_time: bool, engine: str, require
 ) -> None:
@@ -136,7 +151,7 @@ def test_derivatives_of_intervals_equal_those_of_the_unrolled_step(
     )
 
 
-@pytest.mark.parametrize("engine", ["vm", "c"])
+@pytest.mark.parametrize("engine", ["vm", pytest.param("c", marks=pytest.mark.full)])
 def test_derivatives_of_intervals_with_a_free_heading_equal_those_of_the_unrolled_step(
     engine: str, require
 ) -> None:
@@ -147,10 +162,18 @@ def test_derivatives_of_intervals_with_a_free_heading_equal_those_of_the_unrolle
     _check_derivatives(_dynamics(True, "body"), model, engine)
 
 
-@pytest.mark.parametrize("engine", ["vm", "c"])
-@pytest.mark.parametrize("frame", [None, "body"])
-@pytest.mark.parametrize("augmented", [True, False])
-@pytest.mark.parametrize(("loads", "rows"), [("mass", 3), ("thrust", 6), ("torque", 6)])
+@pytest.mark.parametrize(
+    ("loads", "rows", "augmented", "frame", "engine"),
+    _on_both_engines(
+        *(
+            (*loads, augmented, frame)
+            for loads in (("mass", 3), ("thrust", 6), ("torque", 6))
+            for augmented in (True, False)
+            for frame in (None, "body")
+        ),
+        compiled=(("torque", 6, False, None),),
+    ),
+)
 def test_derivatives_with_a_residual_of_thrust_and_torque_equal_those_of_the_unrolled_step(
     loads: str, rows: int, augmented: bool, frame: Frame | None, engine: str, require
 ) -> None:

@@ -22,7 +22,14 @@ from trimtab.host.trace.data.stretches import STRETCH_ORDER, Stretch
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias
 from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Finding, Verdict
 from trimtab.host.trace.result import Trace
-from trimtab.host.trace.sentences import sentence, sentences
+from trimtab.host.trace.sentences import (
+    no_tracking,
+    sentence,
+    sentences,
+    too_few_poses,
+    too_few_segments,
+    too_few_tracking_poses,
+)
 
 EXAMPLES: dict[Code, tuple[Finding, list[str]]] = {
     finding.code: (finding, mentioned)

@@ -70,6 +70,7 @@ def test_own_flights_are_traced_once_and_again_when_a_log_has_changed(tmp_path: 
     assert read_json(file)["exit_code"] == 2
 
 
+@pytest.mark.full  # beside the group above, and the imports' own tests
 def test_group_of_the_documentation_is_imported_and_traced(
     tmp_path: Path, require: Callable[[str], None]
 ) -> None:

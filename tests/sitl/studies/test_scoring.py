@@ -361,9 +361,14 @@ def fitted(flown: Flown, drawn: dict[str, dict[str, float]]) -> Effective:
     return effective(VEHICLE, SPACE, drawn, truth["deviations"], *logs)
 
 
-def test_effective_parameters_are_near_the_plants_and_not_the_same(flown: Flown) -> None:
+@pytest.fixture(scope="module")
+def known(flown: Flown) -> Effective:
+    """The effective parameters of the world that was flown."""
+    return fitted(flown, flown[1]["effects"])
+
+
+def test_effective_parameters_are_near_the_plants_and_not_the_same(flown: Flown, known: Effective) -> None:
     drawn = flown[1]["effects"]
-    known = fitted(flown, drawn)
     true = known.true()
     assert set(true) == {"linear-drag", "motor-lag"}
     for name, values in drawn.items():
@@ -390,8 +395,8 @@ def test_still_air_has_every_flights_own_battery() -> None:
     assert programme.still(each=True) == programme.flights()[:4]
 
 
-def test_separation_is_counted_from_every_other_candidate(flown: Flown) -> None:
-    separations = nearest(fitted(flown, flown[1]["effects"]))
+def test_separation_is_counted_from_every_other_candidate(known: Effective) -> None:
+    separations = nearest(known)
     assert set(separations) == {"linear-drag", "motor-lag"}
     assert set(separations["motor-lag"]) == set(SPACE.candidates) - {"linear-drag", "motor-lag"}
     assert separations["linear-drag"]["wind"] > separations["linear-drag"]["quadratic-drag"] > 4.2

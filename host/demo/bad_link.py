@@ -1,7 +1,9 @@
-"""Tracking error of the demo's routes over a bad link against a clean one: `python FILE SEED...`.
+"""Tracking error of the demo's routes over a bad link against a clean one.
 
-Each demo seed gives three of its routes (one held out, two to learn from) and its world's seed; each is
-flown over a link without loss, and over `bad-link` with bursts of five frames and with single losses.
+    python -m trimtab.host.demo.bad_link SEED...
+
+Each demo seed gives three of its routes (one held out, two to learn from) and its world's seed. Each route
+is flown over a link without loss, and over `bad-link` with bursts of five frames and with single losses.
 """
 
 from __future__ import annotations
@@ -18,9 +20,9 @@ from trimtab.host.demo.seeds import host_seed, world_seed
 from trimtab.host.link.flight import FlightOrder
 from trimtab.host.link.fly import FlightEnded, fly_lockstep
 from trimtab.host.link.summary import FlightResult
+from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.vehicle import Vehicle, load_vehicle
 from trimtab.protocol.blobs import Reference
-from trimtab.sitl.vehicle import SimulatedVehicle
 
 LINKS = {
     "clean": ("empty", {"loss": 0.0}),
@@ -30,10 +32,10 @@ LINKS = {
 
 
 def fly(vehicle: Vehicle, reference: Reference, seed: int, link: str, log: Path) -> FlightResult:
-    """The flight's result, also where it was not flown to its end."""
+    """Fly the reference over a link and return the result, also of a flight that ended early."""
     world, radio = LINKS[link]
     north, east = reference.nodes_ned()[0].state[:2]
-    simulated = SimulatedVehicle.create(
+    simulated = vehicle_class().create(
         vehicle,
         world=world,
         world_seed=world_seed(seed),
@@ -49,7 +51,7 @@ def fly(vehicle: Vehicle, reference: Reference, seed: int, link: str, log: Path)
 
 
 def main(seeds: list[int]) -> None:
-    """Prints a row a flight, and the ratios with their standard errors."""
+    """Print a row for each flight, and the ratios with their standard errors."""
     vehicle = load_vehicle("research")
     ratios: dict[str, list[float]] = {link: [] for link in LINKS}
     for seed in seeds:

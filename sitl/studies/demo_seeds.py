@@ -1,10 +1,10 @@
-"""Demos on seeds drawn from a commit's hash, each verdict set against its sealed world. Run by hand:
+"""Demos on seeds drawn from a commit's hash, each verdict compared with its sealed world.
 
-    python tests/sessions/demo_seeds.py OUT [--count 10] [--commit HEAD] [--world WORLD]
+    python -m trimtab.sitl.studies.demo_seeds OUT [--count 10] [--commit HEAD] [--world WORLD]
 
-Every demo runs through the command line in a process of its own; its truth is opened when its answer is
-there. Prints a row a seed, the bad ones too, then the counts and medians. OUT gets the demos' folders and
-table.json.
+Every demo runs through the command line in a process of its own; its truth is opened only once it has
+answered. Prints a row for each seed, failures included, then counts and medians. OUT receives the demos'
+folders and table.json.
 """
 
 from __future__ import annotations
@@ -14,48 +14,35 @@ import hashlib
 import json
 import statistics
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
+
+from trimtab.sitl.studies.commandline import run_apart
 
 DRAGS = {"linear-drag", "quadratic-drag"}
 
 
 def drawn_seeds(commit: str, count: int) -> list[int]:
-    """`count` seeds from a commit's hash: the same commit gives the same seeds."""
+    """Return `count` seeds that follow from a commit's hash."""
     digests = (hashlib.sha256(f"{commit} demo {i}".encode()).digest() for i in range(count))
     return [int.from_bytes(digest[:4], "big") % 1_000_000 for digest in digests]
 
 
 def run(seed: int, folder: Path, world: str | None) -> dict[str, Any]:
-    """The answer of one demo; an error object where it failed."""
-    command = [
-        sys.executable,
-        "-m",
-        "trimtab.host.cli",
-        "demo",
-        "--seed",
-        str(seed),
-        "-o",
-        str(folder),
-        "--json",
-        "--force",
-    ]
-    done = subprocess.run(
-        command + (["--world", world] if world else []), capture_output=True, text=True, check=False
-    )
-    lines = done.stdout.splitlines()
-    return json.loads(lines[-1]) if lines else {"error": done.stderr, "exit_code": done.returncode}
+    """Run one demo and return its answer, or an error object where it failed."""
+    words = ["demo", "--seed", str(seed), "-o", str(folder), "--force"]
+    answer = run_apart(words + (["--world", world] if world else []), folder.parent)
+    return answer.data or {"error": answer.errors, "exit_code": answer.code}
 
 
 def opened_truth(folder: Path, answer: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """The sealed effects of a finished demo."""
+    """Return the sealed effects of a demo that has answered."""
     assert "verdict" in answer
     return json.loads(next(iter(sorted(folder.glob("*.truth.json")))).read_text())["effects"]
 
 
 def row(seed: int, answer: dict[str, Any], truth: dict[str, dict[str, float]]) -> dict[str, Any]:
-    """What the table says of one demo."""
+    """Return the table's row for one demo."""
     found = {effect["name"] for effect in answer["effects"]}
     aliases = {alias["name"] for effect in answer["effects"] for alias in effect["aliases"]}
     before, after = answer["before"]["position_rmse_m"], answer["after"]["position_rmse_m"]
@@ -77,12 +64,13 @@ def row(seed: int, answer: dict[str, Any], truth: dict[str, dict[str, float]]) -
 
 
 def median(rows: list[dict[str, Any]], key: str) -> float | None:
-    """Median of what the rows have of a key."""
+    """Return the median of a key over the rows that have it."""
     values = [r[key] for r in rows if r.get(key) is not None]
     return statistics.median(values) if values else None
 
 
 def main() -> None:
+    """Run the demos, print the rows and write table.json."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--count", type=int, default=10)
@@ -92,11 +80,12 @@ def main() -> None:
     commit = subprocess.run(
         ["git", "rev-parse", given.commit], capture_output=True, text=True, check=True
     ).stdout.strip()
-    given.out.mkdir(parents=True, exist_ok=True)
+    out = given.out.absolute()
+    out.mkdir(parents=True, exist_ok=True)
     rows = []
     print(f"commit {commit}")
     for seed in drawn_seeds(commit, given.count):
-        folder = given.out / f"{given.world or 'default'}-{seed}"
+        folder = out / f"{given.world or 'default'}-{seed}"
         answer = run(seed, folder, given.world)
         if "verdict" not in answer:
             rows.append({"seed": seed, "error": answer})
@@ -115,7 +104,7 @@ def main() -> None:
         "applied_ratio_median_with_drag": median([r for r in judged if r["drag"]], "applied_ratio"),
         "seconds_median": median(judged, "seconds"),
     }
-    (given.out / "table.json").write_text(
+    (out / "table.json").write_text(
         json.dumps({"commit": commit, "rows": rows, "summary": summary}, indent=1)
     )
     print(json.dumps(summary))
