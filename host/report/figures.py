@@ -10,7 +10,7 @@ from typing import Any
 
 import matplotlib
 
-from trimtab.host.trace.sentences import UNITS
+from trimtab.host.trace.decision.findings import CHANNEL_UNITS
 
 matplotlib.use("svg")
 
@@ -259,7 +259,7 @@ def _field(ax: Any, told: Description, across: str, up: str, take: tuple[int, in
 
 def _curves(row: Any, one: Dependence) -> None:
     """The two leading slopes, or that there is none."""
-    unit = UNITS[one.channel].replace("^2", "$^2$")
+    unit = CHANNEL_UNITS[one.channel].replace("^2", "$^2$")
     for k, ax in enumerate(row):
         if k >= len(one.slopes):
             ax.axis("off")

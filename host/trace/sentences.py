@@ -12,9 +12,6 @@ from pathlib import Path
 from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.decision.rules import RULES
 
-UNITS = {"force": "m/s^2", "torque": "rad/s^2"}
-
-
 MIXED_INPUTS = "the logs record inputs of different kinds; trace those with motor commands apart"
 
 

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from trimtab.host.trace.data.audit import Audit, Stretch
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias
-from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Verdict
+from trimtab.host.trace.decision.findings import CHANNEL_UNITS, DOUBTS, UNEXPLAINED, Code, Verdict
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.next_flight.separation import NextFlight
 from trimtab.host.trace.residual.description import Dependence, Description
 from trimtab.host.trace.residual.network import Unexplained
 from trimtab.host.trace.result import Named, Trace
-from trimtab.host.trace.sentences import UNITS, closed_form, sentence, sentences, stretch_reason
+from trimtab.host.trace.sentences import closed_form, sentence, sentences, stretch_reason
 
 _SHOWN_STRETCHES = 5
 
@@ -111,7 +111,7 @@ def dependence(one: Dependence) -> list[str]:
         x, y, z = one.mean
         return [
             f"of the {one.channel} only a constant part shows ({span}): in the mean "
-            f"({x:.2g}, {y:.2g}, {z:.2g}) {UNITS[one.channel]} in body axes"
+            f"({x:.2g}, {y:.2g}, {z:.2g}) {CHANNEL_UNITS[one.channel]} in body axes"
         ]
     others = "".join(
         f"; {'the law answers with' if s.group in one.answers else 'or'} {s.group}, {s.skill:.2f}"

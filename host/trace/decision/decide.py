@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -15,12 +14,11 @@ from trimtab.host.trace.decision.alternatives import (
     with_each_other,
     with_undetectable,
 )
-from trimtab.host.trace.decision.findings import Code, Finding, Verdict
+from trimtab.host.trace.decision.findings import CHANNEL_UNITS, Code, Finding, Verdict
+from trimtab.host.trace.decision.residual_rules import no_model_bounds, residual_bounds, residual_findings
 from trimtab.host.trace.decision.rules import RULES, Rules
 from trimtab.host.trace.parameters import ParameterSpace
-from trimtab.host.trace.residual.unexplained import ChannelResidual, UnexplainedResidual
-
-_UNITS = {"force": "m/s^2", "torque": "rad/s^2"}
+from trimtab.host.trace.residual.unexplained import UnexplainedResidual
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,17 +109,6 @@ class Decision:
         return self.verdict is not Verdict.OUTSIDE_LIBRARY
 
 
-@dataclass(frozen=True, kw_only=True)
-class ResidualBounds:
-    """What a residual may hold without needing a cause outside the library."""
-
-    force: float
-    torque: float
-    line_ratio: float
-    flight_share: float
-    position_m: float = math.inf
-
-
 def decide(evidence: Evidence, rules: Rules = RULES) -> Decision:
     """Return the verdict on `evidence` and everything that was found."""
     outside, residual = _outside(evidence, rules)
@@ -200,87 +187,6 @@ def _outside(evidence: Evidence, rules: Rules) -> tuple[list[Finding], Unexplain
     return (without, evidence.residual_without) if without else (findings, evidence.residual)
 
 
-def no_model_bounds(rules: Rules) -> ResidualBounds:
-    """Return the bounds on the residual of a model without any effect."""
-    return ResidualBounds(
-        force=rules.force_floor_m_s2,
-        torque=rules.torque_floor_rad_s2,
-        line_ratio=rules.line_ratio,
-        flight_share=rules.flight_repeat_share,
-    )
-
-
-def residual_bounds(without: UnexplainedResidual, *, has_memory: bool, rules: Rules) -> ResidualBounds:
-    """Return the bounds on the residual of the selected set.
-
-    They grow with what a model `without` any effect leaves, since no form is exact; the selected set has to
-    be an improvement on that. `has_memory`: an effect with states of its own is selected.
-    """
-    share, position_m = 0.0, math.inf
-    if without.flights is not None:
-        share = rules.flight_form_amplitude**2 * without.flights.share
-        position_m = max(rules.worsened_m, rules.worsened_ratio * without.flights.position_m)
-    return ResidualBounds(
-        force=max(rules.force_floor_m_s2, rules.form_error_share * without.force.repeat),
-        torque=max(rules.torque_floor_rad_s2, rules.form_error_share * without.torque.repeat),
-        line_ratio=rules.line_ratio_with_memory if has_memory else rules.line_ratio,
-        flight_share=max(rules.flight_repeat_share, share),
-        position_m=position_m,
-    )
-
-
-def residual_findings(residual: UnexplainedResidual, bounds: ResidualBounds, rules: Rules) -> list[Finding]:
-    """Return what of `residual` is beyond `bounds`: it repeats, it rings, or effects made it worse."""
-    findings = []
-    flights = residual.flights
-    if flights is not None:
-        lower = flights.lower_share(rules)
-        if lower > bounds.flight_share:
-            findings.append(
-                Finding(
-                    code=Code.FLIGHTS_REPEAT,
-                    value=lower,
-                    bound=bounds.flight_share,
-                    details={
-                        "position_m": flights.position_m,
-                        "amplitude": flights.amplitude,
-                        "z": flights.z,
-                    },
-                )
-            )
-        if flights.position_m > bounds.position_m:
-            findings.append(
-                Finding(
-                    code=Code.FLIGHTS_WORSENED, value=flights.position_m, bound=bounds.position_m, unit="m"
-                )
-            )
-    channels = (
-        ("force", residual.force, bounds.force, Code.FORCE_REPEATS, Code.FORCE_RINGS),
-        ("torque", residual.torque, bounds.torque, Code.TORQUE_REPEATS, Code.TORQUE_RINGS),
-    )
-    if flights is None or findings:
-        findings += [
-            Finding(
-                code=repeats, value=channel.repeat, bound=bound, unit=_UNITS[name], details={"z": channel.z}
-            )
-            for name, channel, bound, repeats, _ in channels
-            if channel.z > rules.repeat_z and channel.repeat > bound
-        ]
-    findings += [
-        Finding(
-            code=rings, value=channel.line.ratio, bound=bounds.line_ratio, details={"hz": channel.line.hz}
-        )
-        for _, channel, bound, _, rings in channels
-        if _rings(channel, bound, bounds.line_ratio, rules)
-    ]
-    return findings
-
-
-def _rings(channel: ChannelResidual, floor: float, line_ratio: float, rules: Rules) -> bool:
-    line = channel.line
-    return line.ratio > line_ratio and line.chance < rules.line_false_alarm and line.rms > floor
-
-
 def tracking_shortfall(tracking_s: float, extent_m: float, rules: Rules = RULES) -> Finding | None:
     """Return what flights lack to be fitted whole over the closed loop; None where they are enough.
 
@@ -300,10 +206,10 @@ def excess_disturbance(evidence: Evidence, rules: Rules) -> list[Finding]:
     torque = float(max(sigma[3:]))
     if force > rules.excess_force_m_s2:
         bound = rules.excess_force_m_s2
-        return [Finding(code=Code.EXCESS_FORCE, value=force, bound=bound, unit=_UNITS["force"])]
+        return [Finding(code=Code.EXCESS_FORCE, value=force, bound=bound, unit=CHANNEL_UNITS["force"])]
     if torque > rules.excess_torque_rad_s2 and not evidence.rate_driven:
         bound = rules.excess_torque_rad_s2
-        return [Finding(code=Code.EXCESS_TORQUE, value=torque, bound=bound, unit=_UNITS["torque"])]
+        return [Finding(code=Code.EXCESS_TORQUE, value=torque, bound=bound, unit=CHANNEL_UNITS["torque"])]
     return []
 
 

@@ -76,6 +76,9 @@ class Code(StrEnum):
     NO_TRACKING = "no-tracking"
 
 
+CHANNEL_UNITS = {"force": "m/s^2", "torque": "rad/s^2"}
+"""Units of a residual force and torque, per unit of mass and inertia."""
+
 UNEXPLAINED = frozenset(
     {
         Code.FLIGHTS_REPEAT,

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from trimtab.host.trace.data.segments import Segments
+from trimtab.host.trace.decision.findings import CHANNEL_UNITS
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.residual.closed_forms import ClosedForm, fit_forms
 from trimtab.host.trace.residual.features import (
@@ -33,7 +34,6 @@ from trimtab.host.trace.residual.regression import (
     segment_grams,
     skill_of_group,
 )
-from trimtab.host.trace.sentences import UNITS
 from trimtab.host.vehicle import Vehicle
 
 ANSWERS: dict[Channel, tuple[str, ...]] = {"force": ("thrust", "attitude"), "torque": ("thrust",)}
@@ -258,7 +258,7 @@ def _slopes(
             axis=axes[int(i)],
             quantity=names[int(k)],
             value=float(slope[k, i]),
-            unit=f"{UNITS[channel]} a {unit}",
+            unit=f"{CHANNEL_UNITS[channel]} a {unit}",
             curve=_curve(linear[:, k], target[:, i]),
         )
         for k, i in np.argwhere(does >= RULES.leading_share * does.max())

@@ -8,12 +8,8 @@ from typing import cast
 import numpy as np
 import pytest
 
-from trimtab.host.trace.decision.decide import (
-    no_model_bounds,
-    residual_bounds,
-    residual_findings,
-)
 from trimtab.host.trace.decision.findings import Code
+from trimtab.host.trace.decision.residual_rules import no_model_bounds, residual_bounds, residual_findings
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.loop import CHANNELS, Loop
 from trimtab.host.trace.flight_fit.repeatability import repeat

@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 
 from trimtab.host.trace.data.segments import BIN_S, Segments
-from trimtab.host.trace.decision.decide import (
-    no_model_bounds,
-    residual_bounds,
-    residual_findings,
-)
 from trimtab.host.trace.decision.findings import Code
+from trimtab.host.trace.decision.residual_rules import no_model_bounds, residual_bounds, residual_findings
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.residual.unexplained import FlightRepeat, UnexplainedResidual, unexplained_residual
 

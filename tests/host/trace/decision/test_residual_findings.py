@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 
 from tests.host.trace.builders import build_channel, build_flight_repeat, build_residual
-from trimtab.host.trace.decision.decide import (
+from trimtab.host.trace.decision.findings import Code, Finding
+from trimtab.host.trace.decision.residual_rules import (
     ResidualBounds,
     no_model_bounds,
     residual_bounds,
     residual_findings,
 )
-from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.residual.unexplained import FlightRepeat, SpectralLine, UnexplainedResidual
 from trimtab.host.trace.sentences import sentence
