@@ -56,7 +56,7 @@ def record(flight: Flight, states: States) -> Recording:
     bins = int(duration / FLIGHT_BIN_S)
     t = s.pose_s - start
     inside = (t >= 0.0) & (t < bins * FLIGHT_BIN_S)
-    pose_bin = (t[inside] / FLIGHT_BIN_S).astype(int)
+    pose_bin = bins_of_times(t[inside], bins)
     angles = _euler(s.R[inside])
     poses = np.column_stack([s.p[inside], angles])
     count = np.bincount(pose_bin, minlength=bins)
@@ -84,6 +84,14 @@ def record(flight: Flight, states: States) -> Recording:
         rates=shares @ _interval_means(s.imu_s - start, samples),
         integrals=between @ interpolation(frames_s, samples),
     )
+
+
+def bins_of_times(t_s: np.ndarray, bins: int) -> np.ndarray:
+    """Return the bin (n,) of each time (n,) in [0, bins * FLIGHT_BIN_S).
+
+    A time just before the end may divide to `bins` in floating point; it belongs to the last bin.
+    """
+    return np.minimum((t_s / FLIGHT_BIN_S).astype(int), bins - 1)
 
 
 def _shares(edges_s: np.ndarray, interval_s: np.ndarray) -> csr_array:

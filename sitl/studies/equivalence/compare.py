@@ -13,9 +13,12 @@ from pathlib import Path
 from typing import Any
 
 IGNORED_KEYS = frozenset(
-    {"seconds", "solve_s", "trace_s", "wall_s", "cpu_s", "git", "version", "command", "sources"}
+    {
+        *("seconds", "solve_s", "trace_s", "wall_s", "cpu_s", "realtime_factor"),
+        *("git", "version", "command", "sources", "log_id", "data"),
+    }
 )
-"""What differs between two runs of the same code, names the commit, or hashes a source file."""
+"""What differs between two runs of the same code, names the commit, or hashes a file that names it."""
 
 IGNORED_PATH = re.compile(r"\.model\.toml\.id$")
 """Ids of traced models: they cover the hashes of the effects' source files."""
