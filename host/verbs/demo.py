@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from trimtab.host.trace.words import result_lines
 from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
 
 FOLDER = "trimtab-demo"
@@ -39,6 +38,7 @@ def command(
     from trimtab.host.effects import load_effects
     from trimtab.host.errors import UsageError
     from trimtab.host.output import emit, say
+    from trimtab.host.trace.words import result_lines
     from trimtab.host.verbs.trace import manoeuvres
     from trimtab.host.workspace import open_workspace
 

@@ -86,7 +86,9 @@ def run(
 def refused(run: Callable[..., tuple[int, dict[str, Any], str]], tmp_path: Path) -> Refused:
     """Runs a verb that must fail with `code` and `parts` in its words, one line a problem; returns them."""
 
-    def call(*words: str, code: int, parts: list[str], problems: int | None = 1) -> str:
+    def call(
+        *words: str, code: int, parts: list[str], problems: int | None = 1, refusal: str | None = None
+    ) -> str:
         before = contents(tmp_path)
         got, told, complaint = run(*words)
         assert got == code, complaint
@@ -99,6 +101,7 @@ def refused(run: Callable[..., tuple[int, dict[str, Any], str]], tmp_path: Path)
         assert told == {
             "error": "\n".join(line.removeprefix("trimtab: ") for line in lines),
             "exit_code": code,
+            **({} if refusal is None else {"code": refusal}),
         }
         assert contents(tmp_path) == before
         return complaint
@@ -295,8 +298,8 @@ def test_file_that_is_no_log_is_unreadable(refused: Refused, ref: str) -> None:
 
 def test_log_of_another_vehicle_is_refused(refused: Refused, log: str) -> None:
     parts = ["flight.mcap: a log of vehicle research", "not of nano"]
-    refused("trace", log, "--vehicle", "nano", code=2, parts=parts)
-    refused("trace", log, "--vehicle", "nano", "-o", "out", code=2, parts=parts)
+    refused("trace", log, "--vehicle", "nano", code=2, parts=parts, refusal="mixed-vehicles")
+    refused("trace", log, "--vehicle", "nano", "-o", "out", code=2, parts=parts, refusal="mixed-vehicles")
 
 
 def test_reference_and_model_of_another_vehicle_are_refused(
@@ -321,13 +324,36 @@ def test_logs_of_several_vehicles_are_refused_together(
     refused: Refused, log: str, foreign: Callable[..., str]
 ) -> None:
     other = foreign(THRUST)
-    refused("trace", log, other, code=2, parts=["foreign.mcap: a log of vehicle nano", "apart"])
-    refused("trace", log, "--hold-out", other, code=2, parts=["foreign.mcap: a log of vehicle nano"])
+    refused(
+        "trace",
+        log,
+        other,
+        code=2,
+        parts=["foreign.mcap: a log of vehicle nano", "apart"],
+        refusal="mixed-vehicles",
+    )
+    refused(
+        "trace",
+        log,
+        "--hold-out",
+        other,
+        code=2,
+        parts=["foreign.mcap: a log of vehicle nano"],
+        refusal="mixed-vehicles",
+    )
     refused("learn", log, other, code=2, parts=["foreign.mcap"])
 
 
 def test_log_held_out_and_used_is_refused(refused: Refused, log: str) -> None:
-    refused("trace", log, "--hold-out", log, code=2, parts=["the same log as", "give it once"])
+    refused(
+        "trace",
+        log,
+        "--hold-out",
+        log,
+        code=2,
+        parts=["the same log as", "give it once"],
+        refusal="log-given-twice",
+    )
 
 
 @pytest.mark.parametrize("more", ["", REFERENCE], ids=["no inputs", "reference only"])
@@ -341,8 +367,9 @@ def test_log_without_inputs_is_an_answer_with_what_poses_tell(
 
 
 def test_flight_of_a_few_segments_is_too_little(refused: Refused, foreign: Callable[..., str]) -> None:
-    refused("trace", foreign(THRUST, seconds=2.5), code=2, parts=["usable segments of 0.6 s; fly longer"])
-    refused("trace", foreign("", seconds=2.5), code=2, parts=["usable segments of 0.6 s; fly longer"])
+    parts, few = ["usable segments of 0.6 s; fly longer"], "too-few-segments"
+    refused("trace", foreign(THRUST, seconds=2.5), code=2, parts=parts, refusal=few)
+    refused("trace", foreign("", seconds=2.5), code=2, parts=parts, refusal=few)
     refused("learn", "foreign.mcap", code=2, parts=["foreign.mcap: no control telemetry"])
 
 

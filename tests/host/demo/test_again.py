@@ -16,6 +16,7 @@ from trimtab.host.demo.routes import DemoRoutes
 from trimtab.host.demo.session import JSON_NAME, REPORT_NAME, DemoOrder, Outcome, run_demo
 from trimtab.host.effects import load_effects
 from trimtab.host.errors import FlightFailed, SolverError
+from trimtab.host.trace import words
 from trimtab.host.vehicle import Vehicle
 
 pytestmark = pytest.mark.xdist_group("demo")
@@ -113,18 +114,15 @@ def test_demo_verb_after_a_second_flight_that_failed_answers_and_ends_with_its_e
         "comparison": {"route": "sprint", "flights": [], "no_new_plan": "a", "no_applied": "b"},
     }
 
-    class Told:
-        def lines(self) -> list[str]:
-            return []
-
     def failed(*_: Any, **__: Any) -> Outcome:
         nothing: Any = None
-        told: Any = Told()
+        told: Any = None
         error = FlightFailed("flight 11: the flight ended in failsafe: tilt")
         return Outcome(result=told, comparison=nothing, answer=answer, steps=(), failure=error)
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(session, "run_demo", failed)
+    monkeypatch.setattr(words, "result_lines", lambda result: [])
     assert cli.main(["demo", "--json"]) == 1
     told = capsys.readouterr()
     assert json.loads(told.out.splitlines()[-1])["verdict"] == "traced"

@@ -23,8 +23,9 @@ from trimtab.host.log import Battery, Mocap, RecordedImu, read_flight, write_imp
 from trimtab.host.log.tracks import Flight
 from trimtab.host.models.model import Model
 from trimtab.host.report.effects_page import page
+from trimtab.host.trace import words
 from trimtab.host.trace.data.signals import departure, has_signals
-from trimtab.host.trace.decision.exact_aliases import exact_aliases
+from trimtab.host.trace.decision.exact_aliases import ObservedAlias, exact_aliases
 from trimtab.host.trace.flight_fit.fit import loop_discrepancy
 from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre
 from trimtab.host.trace.next_flight.separation import propose
@@ -127,7 +128,7 @@ def named_in(source: str) -> Iterator[tuple[int, str]]:
 
 
 def test_general_sources_name_no_effect() -> None:
-    assert {"parameters.py", "refine.py", "run.py", "separate.py", "compare.py", "names.py"} <= {
+    assert {"parameters.py", "fit.py", "run.py", "separation.py", "compare.py", "names.py"} <= {
         path.name for path in GENERAL
     }
     found = [
@@ -267,6 +268,11 @@ def fitted(found: ParameterSpace, over: str, under: str) -> tuple[np.ndarray, np
     return z, covariance
 
 
+def told(observed: dict[str, ObservedAlias]) -> dict[str, str]:
+    """The sentences on exact aliases, by the other effect's name."""
+    return {name: words.exact_alias(each) for name, each in observed.items()}
+
+
 @pytest.mark.parametrize(
     ("name", "other", "shows", "remedy"),
     [
@@ -283,8 +289,8 @@ def test_exact_alias_is_told_by_the_ratio_that_shows_and_its_remedy(
     # Relative variances add, less twice the relative covariance: 0.75 (0.02^2/0.9^2 + ...)^0.5.
     sd = 0.75 * ((0.02 / 0.9) ** 2 + (0.03 / 1.2) ** 2 - 2.0 * 0.0004 / (0.9 * 1.2)) ** 0.5
     said = f"only {shows} shows: 0.7500 +- {2 * sd:.4f} times the nominal ratio; {remedy}"
-    assert exact_aliases(found, z, covariance, name) == {other: said}
-    assert exact_aliases(found, z, covariance, other) == {name: said}
+    assert told(exact_aliases(found, z, covariance, name)) == {other: said}
+    assert told(exact_aliases(found, z, covariance, other)) == {name: said}
     assert exact_aliases(found, z, covariance, "wind") == {}
 
 
@@ -303,7 +309,7 @@ def test_exact_alias_without_a_ratio_is_told_by_its_remedy(effects: dict[str, Ef
     plain = replace(effects["thrust-share"], exact_aliases=(alias,))
     found = space(VEHICLE, {**effects, plain.name: plain})
     z, eye = np.zeros(len(found.columns)), np.eye(len(found.columns))
-    assert exact_aliases(found, z, eye, plain.name) == {
+    assert told(exact_aliases(found, z, eye, plain.name)) == {
         "ballast": "no flight tells thrust-share from ballast; put the vehicle on a scale"
     }
 
@@ -315,9 +321,9 @@ def test_trace_names_an_own_effect_with_its_exact_alias(effects: dict[str, Effec
     (found,) = result.effects
     assert found.name == "thrust-share"
     assert set(found.exact_aliases) == set(found.aliases) == {"ballast"}
-    (line,) = (line for line in result.lines() if "push over weight" in line)
+    (line,) = (line for line in words.result_lines(result) if "push over weight" in line)
     assert line.endswith("; put the vehicle on a scale")
-    assert not any("or ballast" in line for line in result.lines())
+    assert not any("or ballast" in line for line in words.result_lines(result))
     assert "ballast" in result.model.adjustments
 
 

@@ -17,6 +17,7 @@ from trimtab.host.effects import load_effects
 from trimtab.host.imports.profiles import read
 from trimtab.host.imports.write import write
 from trimtab.host.log import Flight, read_flight
+from trimtab.host.trace.decision.findings import DOUBTS, Code
 from trimtab.host.trace.result import Named, Trace
 from trimtab.host.trace.run import run
 from trimtab.host.vehicle import load_vehicle
@@ -108,7 +109,9 @@ def test_standard_motors_show_their_thrust_but_six_seconds_are_too_little_to_be_
     gain = named["thrust-gain"].parameters["gain"]
     assert abs(gain.value - 1.06) <= 2.0 * gain.sd < 0.06
     assert {"mass", "ground-effect"} <= set(named["thrust-gain"].aliases)
-    assert found.doubts[0].startswith("only 5.8 s of tracking")
+    (doubt,) = [finding for finding in found.findings if finding.code in DOUBTS]
+    assert doubt.code is Code.TRACKING_TOO_SHORT
+    assert doubt.value == pytest.approx(5.8, abs=0.05)
 
 
 @pytest.mark.full
@@ -132,7 +135,8 @@ def test_nanobench_shows_drag_sag_and_lift_and_no_payload(
     found, named = trace_of(bring_in, "nanobench", [files[i] for i in used], files[held_out])
     # From segments alone two known aliases named together stay undecided; nothing else is in question.
     in_question = {alias for effect in named.values() for alias in effect.aliases}
-    assert found.verdict == ("undecided" if in_question or found.doubts else "traced")
+    doubted = any(finding.code in DOUBTS for finding in found.findings)
+    assert found.verdict == ("undecided" if in_question or doubted else "traced")
     assert in_question <= set(named)
     assert {"battery-sag", "linear-drag", "translational-lift"} <= set(named)
     assert set(named) <= {"battery-sag", "linear-drag", "quadratic-drag", "translational-lift"}

@@ -12,8 +12,11 @@ import pytest
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.models.phi import INTEGRAL
-from trimtab.host.trace import intervals, refine, whitening
-from trimtab.host.trace import loop as closed
+from trimtab.host.trace import uncertainty
+from trimtab.host.trace.flight_fit import fit as refine
+from trimtab.host.trace.flight_fit import loop as closed
+from trimtab.host.trace.flight_fit import recording as recordings
+from trimtab.host.trace.flight_fit import whitening
 from trimtab.host.trace.flight_fit.loop import Loop
 from trimtab.host.trace.flight_fit.whitening import CHANNELS
 from trimtab.host.trace.parameters import ParameterSpace, space
@@ -78,7 +81,7 @@ def test_shipped_flights_show_what_their_world_holds(library: ParameterSpace) ->
             assert error < 3.0 * sd[i], column
             assert error < 0.3 * abs(truth[column.owner][column.key] - column.neutral), column
     without = refine.fit_loop(whole, PRESENT[::2], start, fit.whitening.order)
-    (score,) = refine.LoopFitter(loop=whole, order=fit.whitening.order).scorers(without)
+    (score,) = refine.FlightFitter(loop=whole, order=fit.whitening.order).scorers(without)
     # A hint only, for the whitening without motor-lag has taken up a part of what it explains; but it ranks.
     others = [name for name in library.candidates if name not in PRESENT]
     grown = {name: score(tuple(sorted((*PRESENT[::2], name)))) for name in ("motor-lag", *others)}
@@ -144,15 +147,15 @@ def test_recording_is_compared_with_what_telemetry_makes_of_the_same_motion(loop
         gyro_mean=np.repeat(means[:, None], 3, axis=1),
         rate_integral=np.repeat(np.sin(end)[:, None], 3, axis=1),
     )
-    recording = closed.record(replace(flight, control=seen), loop.recordings[0].states)
-    t = closed.STEP_S * np.arange(recording.bins * closed.PER_BIN + 1)
+    recording = recordings.record(replace(flight, control=seen), loop.recordings[0].states)
+    t = recordings.SAMPLE_S * np.arange(recording.bins * recordings.PER_BIN + 1)
     states = np.repeat(np.sin(9.0 * t)[:, None, None], INTEGRAL.stop, axis=1)
     predicted = closed._means(recording, states, np.zeros(1))[0]
     gap = slice(48, 56)
     at = recording.known
     np.testing.assert_allclose(predicted[at, 6:], recording.measured[at, 6:], atol=2e-4)
-    middle = closed.BIN_S * (np.arange(recording.bins) + 0.5)
-    mean = np.sin(9.0 * middle) * np.sinc(4.5 * closed.BIN_S / np.pi)
+    middle = recordings.FLIGHT_BIN_S * (np.arange(recording.bins) + 0.5)
+    mean = np.sin(9.0 * middle) * np.sinc(4.5 * recordings.FLIGHT_BIN_S / np.pi)
     assert np.abs(recording.measured[gap, 6] - mean[gap]).max() > 0.02
 
 
@@ -175,7 +178,7 @@ def test_autoregression_is_recovered_and_leaves_white_innovations() -> None:
 
 def test_honest_covariance_is_never_less_than_the_fits(library: ParameterSpace, loop: Loop) -> None:
     fit = refine.fit_loop(loop, ("linear-drag",), np.zeros(len(library.columns)), 2)
-    covariance = intervals.honest_covariance(library, fit)
+    covariance = uncertainty.honest_covariance(library, fit)
     assert (np.diag(covariance) >= np.diag(fit.covariance)).all()
     np.linalg.cholesky(covariance)
 
@@ -195,10 +198,10 @@ def test_jackknife_widens_only_what_differs_between_flights() -> None:
     shifts = np.zeros((8, 4))
     shifts[:, 1] = 0.6 * rng.standard_normal(8)
     grams = drifting(rng, shifts)
-    factors = intervals.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4))
+    factors = uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4))
     assert factors[[0, 2, 3]].max() < 1.6
     assert factors[1] > 4.0
-    alone = intervals.jackknife_by_flight(grams[:1], np.zeros(4), np.ones(4))
+    alone = uncertainty.jackknife_by_flight(grams[:1], np.zeros(4), np.ones(4))
     np.testing.assert_array_equal(alone, np.ones(4))
 
 
@@ -207,11 +210,11 @@ def test_jackknife_within_strata_leaves_out_what_differs_between_them() -> None:
     shifts = np.zeros((8, 4))
     shifts[:, 1] = np.repeat(0.6 * rng.standard_normal(4), 2)
     grams, pairs = drifting(rng, shifts), [[0, 1], [2, 3], [4, 5], [6, 7]]
-    assert intervals.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4))[1] > 4.0
-    assert intervals.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4), pairs).max() < 1.6
+    assert uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4))[1] > 4.0
+    assert uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4), pairs).max() < 1.6
 
 
 def test_what_all_parameters_spread_by_widens_even_those_that_happen_not_to() -> None:
     rng = np.random.default_rng(5)
     grams = drifting(rng, 0.6 * rng.standard_normal((8, 4)))
-    assert intervals.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4)).min() > 3.0
+    assert uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4)).min() > 3.0

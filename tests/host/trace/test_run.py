@@ -16,7 +16,7 @@ from trimtab.host.trace.decision.alternatives import with_each_other
 from trimtab.host.trace.decision.decide import better_but_inadmissible, segment_disagreement
 from trimtab.host.trace.decision.findings import Code, LogsRefused, TooLittleToTrace
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.gathering import _segment_disagreement
+from trimtab.host.trace.gathering import segment_disagreement_nats
 from trimtab.host.trace.parameters import space
 from trimtab.host.trace.run import run
 from trimtab.host.trace.segment_fit.fit import refit
@@ -119,10 +119,10 @@ def test_segments_speak_against_what_is_not_there() -> None:
     data, _ = segments_of([flight], rate_driven=False)
     form = SegmentModel(flight.vehicle, library, dt_s=data.dt_s, in_newton=False, rate_driven=False)
     nothing = refit(form, data, (), None, iterations=2)
-    nats = _segment_disagreement(form, nothing, ("frame-tilt", "thrust-gain"))
+    nats = segment_disagreement_nats(form, nothing, ("frame-tilt", "thrust-gain"))
     (found,) = segment_disagreement(nats, RULES)
     assert found.code is Code.SEGMENTS_DISAGREE
     assert found.subject == ("frame-tilt",)
-    alone = _segment_disagreement(form, nothing, ("thrust-gain",))
+    alone = segment_disagreement_nats(form, nothing, ("thrust-gain",))
     assert segment_disagreement(alone, RULES) == []
     assert segment_disagreement({}, RULES) == []

@@ -11,9 +11,9 @@ import pytest
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.models.model import Model
-from trimtab.host.trace import unexplained as module
 from trimtab.host.trace import words
 from trimtab.host.trace.data.cutting import segments_of
+from trimtab.host.trace.residual import network as module
 from trimtab.host.trace.residual.description import describe
 from trimtab.host.trace.residual.network import unexplained
 
