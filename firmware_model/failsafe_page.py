@@ -8,12 +8,11 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from trimtab.firmware_model.failsafe import CONDITIONS, Action, Condition, Failsafe
-from trimtab.firmware_model.flight import LOOK_TICKS
-from trimtab.firmware_model.law.estimator import LONGEST_INTERVAL_S
-from trimtab.firmware_model.offboard import LOWEST
-from trimtab.firmware_model.phases import CLEAR_HEIGHT, TAKEOFF_LEAST
-from trimtab.firmware_model.readiness import (
+from trimtab.firmware_model.flight.failsafe import CONDITIONS, Action, Condition, Failsafe
+from trimtab.firmware_model.flight.flight import LOOK_TICKS
+from trimtab.firmware_model.flight.offboard import LOWEST
+from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, TAKEOFF_LEAST
+from trimtab.firmware_model.flight.readiness import (
     ARM_TILT_DEG,
     ASKEW_DEG,
     CHECKS,
@@ -24,9 +23,10 @@ from trimtab.firmware_model.readiness import (
     REST_SPEED,
     REST_US,
 )
-from trimtab.firmware_model.setpoints import SHORTEST_S
-from trimtab.firmware_model.supervisor import COMMANDS, FAILURES, Event, State, update
-from trimtab.firmware_model.verdict import BATTERY_LOW_CELL_V
+from trimtab.firmware_model.flight.setpoints import SHORTEST_S
+from trimtab.firmware_model.flight.supervisor import COMMANDS, FAILURES, Event, State, update
+from trimtab.firmware_model.flight.verdict import BATTERY_LOW_CELL_V
+from trimtab.firmware_model.law.estimator import LONGEST_INTERVAL_S
 from trimtab.protocol.parameters import BY_NAME
 from trimtab.protocol.telemetry import TICK_US
 

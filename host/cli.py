@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from trimtab.host import output
-from trimtab.host.errors import BUG, INTERRUPTED
+from trimtab.host.base import output
+from trimtab.host.base.errors import BUG, INTERRUPTED
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -53,7 +53,7 @@ VERBS = (
 
 def _version() -> str:
     """Trimtab's version, as installed."""
-    from trimtab.host.artefacts import version
+    from trimtab.host.base.artefacts import version
 
     return version()
 
@@ -106,7 +106,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _fail(words, str(error) or type(error).__name__, code, told)
         if isinstance(error, OSError) and error.filename is not None:
             return _fail(words, f"{error.filename}: {error.strerror}, check the file and its folder", 2)
-        from trimtab.host.artefacts import NO_ROOM
+        from trimtab.host.base.artefacts import NO_ROOM
 
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             return _fail(words, f"nothing more can be written: {error.strerror}, make room", 2)

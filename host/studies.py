@@ -8,7 +8,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, Protocol
 
-from trimtab.host.errors import UsageError
+from trimtab.host.base.errors import UsageError
 
 GROUP = "trimtab.studies"
 

@@ -9,8 +9,8 @@ import stat
 import tempfile
 from pathlib import Path
 
-from trimtab.firmware_model.flash import ERASED, Flash
-from trimtab.firmware_model.store import MAGIC, ReferenceStore, memory_bytes
+from trimtab.firmware_model.storage.flash import ERASED, Flash
+from trimtab.firmware_model.storage.store import MAGIC, ReferenceStore, memory_bytes
 from trimtab.host.vehicle import ConfigurationError, Vehicle
 
 

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from trimtab.firmware_model.telemetry import LoopTimes
+from trimtab.firmware_model.services.telemetry import LoopTimes
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.world import TimingSettings
 

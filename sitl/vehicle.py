@@ -15,11 +15,11 @@ from pathlib import Path
 from time import thread_time_ns
 from typing import Any, Self
 
-from trimtab.firmware_model.flight_mcu import FlightMcu
 from trimtab.firmware_model.law import step as law
-from trimtab.firmware_model.radio_mcu import RadioMcu
-from trimtab.firmware_model.store import ReferenceStore
-from trimtab.firmware_model.uart import UartPort, connect
+from trimtab.firmware_model.mcu.flight_mcu import FlightMcu
+from trimtab.firmware_model.mcu.radio_mcu import RadioMcu
+from trimtab.firmware_model.mcu.uart import UartPort, connect
+from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.codegen import function_engine, sx_function
 from trimtab.host.vehicle import ConfigurationError, Vehicle, to_parameters
 from trimtab.host.vehicle.strict_toml import validate

@@ -10,9 +10,9 @@ import pytest
 from google.protobuf.message import Message
 
 from trimtab.firmware_model import failsafe_page
-from trimtab.firmware_model.files import FILES
-from trimtab.firmware_model.ftp import IDLE_US, SESSIONS_MAX
-from trimtab.firmware_model.streams import STATION_US, STREAMS
+from trimtab.firmware_model.services.files import FILES
+from trimtab.firmware_model.services.ftp import IDLE_US, SESSIONS_MAX
+from trimtab.firmware_model.services.streams import STATION_US, STREAMS
 from trimtab.host.effects import load_effects
 from trimtab.host.imports import crazyflie_usd, nanobench
 from trimtab.host.imports.airborne import CLEAR_M, EDGE_US, SHORTEST_US

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from trimtab.host.errors import EXIT_CODES
+from trimtab.host.base.errors import EXIT_CODES
 
 ROOT = Path(__file__).parent.parent
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from trimtab.host.errors import UsageError
+from trimtab.host.base.errors import UsageError
 from trimtab.protocol.blobs import Blob, BlobError, FeedForward, Reference, from_bytes
 
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
-from trimtab.host.artefacts import content_id
-from trimtab.host.errors import LinkError, UsageError
+from trimtab.host.base.artefacts import content_id
+from trimtab.host.base.errors import LinkError, UsageError
 from trimtab.host.link.client import Client
 from trimtab.host.link.drivers import run_lockstep, run_port
 from trimtab.host.link.ports import open_port

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.errors import FlightFailed, LinkError, Refused, TrimtabError, UsageError
+from trimtab.host.base.errors import FlightFailed, LinkError, Refused, TrimtabError, UsageError
 from trimtab.host.link.client import NEVER_US, Client
 from trimtab.host.link.clock import CameraClock
 from trimtab.host.link.recorder import Recorder

@@ -6,7 +6,7 @@ import contextlib
 import gc
 from collections.abc import Callable, Iterator
 
-from trimtab.host.errors import FlightFailed, TrimtabError
+from trimtab.host.base.errors import FlightFailed, TrimtabError
 from trimtab.host.link.drivers import DriveStatistics, Interrupts, run_lockstep, run_port
 from trimtab.host.link.flight import FlightDirector, FlightOrder
 from trimtab.host.link.ports import Cameras, open_port

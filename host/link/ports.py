@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 import serial
 
-from trimtab.host.errors import LinkError, UsageError
+from trimtab.host.base.errors import LinkError, UsageError
 
 BAUD = 921_600
 READ_BYTES = 65_536

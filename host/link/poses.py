@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
-from trimtab.host.errors import LinkError
+from trimtab.host.base.errors import LinkError
 from trimtab.host.link.client import Client
 from trimtab.host.link.clock import CameraClock
 from trimtab.host.link.drivers import run_port

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from trimtab.firmware_model.law.smoothness import JUMPS, jump_text, jumps
-from trimtab.host.errors import UsageError
+from trimtab.host.base.errors import UsageError
 from trimtab.host.link.client import NEVER_US, Client
 from trimtab.host.log.tracking import reference_at
 from trimtab.protocol import messages as m

@@ -1,7 +1,7 @@
 """What a host asks of a vehicle, each a small state machine that asks again until it is answered or gives up.
 
 A task queues messages through the client and sees those it names in `wants`. It ends with a `result`, or
-raises one of `trimtab.host.errors` out of `receive` or `advance`.
+raises one of `trimtab.host.base.errors` out of `receive` or `advance`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-from trimtab.host.errors import LinkError, Refused
+from trimtab.host.base.errors import LinkError, Refused
 from trimtab.host.link.client import NEVER_US, Client
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Blob

@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
-from trimtab.host.errors import LinkError
+from trimtab.host.base.errors import LinkError
 from trimtab.host.link.download import NAMES, id_on_board, read_back
 from trimtab.host.link.drivers import run_lockstep, run_port
 from trimtab.host.link.ports import open_port

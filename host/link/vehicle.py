@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib.metadata import entry_points
 from typing import Any, Protocol
 
-from trimtab.host.errors import UsageError
+from trimtab.host.base.errors import UsageError
 
 GROUP = "trimtab.vehicles"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from trimtab.host.errors import UsageError
+from trimtab.host.base.errors import UsageError
 from trimtab.host.link.tasks import Identity
 from trimtab.host.vehicle import ConfigurationError, list_vehicles, load_vehicle
 from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from trimtab.host import artefacts
-from trimtab.host.errors import UsageError
+from trimtab.host.base import artefacts
+from trimtab.host.base.errors import UsageError
 from trimtab.host.models.model import Covariance, Model, network_digest
 from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.models.region import Region

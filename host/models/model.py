@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
-from trimtab.host.artefacts import content_id
+from trimtab.host.base.artefacts import content_id
 from trimtab.host.effects import Effect
 from trimtab.host.models.dynamics import Part
 from trimtab.host.models.network import Network

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trimtab.host import artefacts
-from trimtab.host.errors import UsageError
+from trimtab.host.base import artefacts
+from trimtab.host.base.errors import UsageError
 from trimtab.host.plan.result import Plan
 
 SUFFIX = ".ref"
@@ -29,7 +29,7 @@ def write_plan(
 ) -> Path:
     """The path of the written reference; each of the two files appears whole or not at all, the blob last.
 
-    `provenance` as of `trimtab.host.artefacts.provenance`. The same plan and provenance give the same bytes:
+    `provenance`: as of `base.artefacts.provenance`. The same plan and provenance give the same bytes:
     processor time is left out. Raises UsageError where a file exists and `force` is not set.
     """
     path = check_name(path, force)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from trimtab.host.demo.flights import Airfield
-from trimtab.host.errors import FlightFailed
+from trimtab.host.apps.demo.flights import Airfield
+from trimtab.host.base.errors import FlightFailed
 from trimtab.host.log import read_flight
 from trimtab.host.log.tracking import tracking_error
 from trimtab.host.plan.result import Plan

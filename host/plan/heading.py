@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from trimtab.firmware_model.law.reference import cubic_at, cubic_coefficients
 from trimtab.firmware_model.law.rotations import euler_rates
+from trimtab.host.base.errors import UsageError
 from trimtab.host.codegen import NUMPY
-from trimtab.host.errors import UsageError
 from trimtab.host.models.dynamics import RATE, THETA, P, Part, V, rigid_body
 from trimtab.host.plan.dynamics import Dynamics
 from trimtab.host.plan.problem import Solution

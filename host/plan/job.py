@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trimtab.host.errors import UsageError
+from trimtab.host.base.errors import UsageError
 from trimtab.host.plan.dynamics import Dynamics
 from trimtab.host.plan.judge import Judged, judge, measure, passings
 from trimtab.host.plan.result import Kind, Plan, Settings, label

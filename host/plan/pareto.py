@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import Effect
-from trimtab.host.errors import UsageError
 from trimtab.host.models.model import Model
 from trimtab.host.plan.dynamics import ResidualModel
 from trimtab.host.plan.flown import Flown

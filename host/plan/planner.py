@@ -21,8 +21,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import Effect, load_effects
-from trimtab.host.errors import UsageError
 from trimtab.host.models.model import Model
 from trimtab.host.plan.box import within_region
 from trimtab.host.plan.dynamics import Dynamics, ResidualModel

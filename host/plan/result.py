@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from trimtab.firmware_model.law.checks import Verdict
-from trimtab.host.errors import Refused, SolverError, UsageError
+from trimtab.host.base.errors import Refused, SolverError, UsageError
 from trimtab.host.plan.dynamics import Weights
 from trimtab.host.plan.problem import SolveStatus
 from trimtab.host.vehicle import Limits

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trimtab.host.errors import UsageError
+from trimtab.host.base.errors import UsageError
 from trimtab.host.models.dynamics import RATE, THETA, THRUST, P, V
 from trimtab.host.plan.box import SolverBox
 from trimtab.host.plan.dynamics import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from trimtab.host.paper.planning.compare import KINDS
+from trimtab.host.apps.paper.planning.compare import KINDS
 from trimtab.host.report import learning_figures
 from trimtab.host.report.figures import Figure
 from trimtab.host.report.tables import tables_page

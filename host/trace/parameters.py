@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import Effect, Parameter
 from trimtab.host.effects.effect import LOOP_DISCREPANCY
 from trimtab.host.effects.unknowns import MOUNTING_TILT, THRUST_CURVE, TORQUE, UNKNOWN
-from trimtab.host.errors import UsageError
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.vehicle import Vehicle
 

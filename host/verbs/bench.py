@@ -33,11 +33,11 @@ def command(
     courses
         Random courses that the success rate of planning is over: 40 without it, 10 with --quick.
     """
-    from trimtab.host.bench import flown, learning, planning, session
-    from trimtab.host.errors import UsageError
-    from trimtab.host.output import emit, say
-    from trimtab.host.progress import Progress
-    from trimtab.host.workspace import open_workspace
+    from trimtab.host.apps.bench import flown, learning, planning, session
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.base.output import emit, say
+    from trimtab.host.base.progress import Progress
+    from trimtab.host.base.workspace import open_workspace
 
     if seed < 0:
         raise UsageError(f"--seed {seed} is negative, give 0 or more")

@@ -33,14 +33,14 @@ def command(
     """
     import time
 
-    from trimtab.host.demo import report
-    from trimtab.host.demo.session import WORLD, DemoOrder, run_demo
+    from trimtab.host.apps.demo import report
+    from trimtab.host.apps.demo.session import WORLD, DemoOrder, run_demo
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.base.output import emit, say
+    from trimtab.host.base.workspace import open_workspace
     from trimtab.host.effects import load_effects
-    from trimtab.host.errors import UsageError
-    from trimtab.host.output import emit, say
     from trimtab.host.trace.words import result_lines
     from trimtab.host.verbs.trace import manoeuvres
-    from trimtab.host.workspace import open_workspace
 
     begin_s = time.perf_counter()
     if seed < 0:
@@ -74,8 +74,8 @@ def command(
 
 def free_folder(root: Path, output: Path | None, force: bool) -> Path:
     """A folder that is empty or yet to be made; with `force` any. Raises UsageError."""
-    from trimtab.host import artefacts
-    from trimtab.host.errors import UsageError
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.errors import UsageError
 
     if output is None:
         output, number = root / FOLDER, 1

@@ -25,10 +25,10 @@ def command(
     """
     from pathlib import Path
 
-    from trimtab.host.artefacts import check_output, write_atomic
+    from trimtab.host.base.artefacts import check_output, write_atomic
+    from trimtab.host.base.output import emit, say
+    from trimtab.host.base.progress import Progress
     from trimtab.host.link.download import NAMES, download_port
-    from trimtab.host.output import emit, say
-    from trimtab.host.progress import Progress
 
     target = check_output(output or Path(name + NAMES[name].suffix), force)
     with Progress(f"downloading {name}") as bar:

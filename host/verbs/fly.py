@@ -86,16 +86,16 @@ def command(
     output
         Flight log to write; NAME-FLIGHT.mcap by default, with the reference file's name.
     """
-    from trimtab.host import artefacts
-    from trimtab.host.errors import UsageError
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.base.output import emit, say, warn
+    from trimtab.host.base.progress import Progress
+    from trimtab.host.base.workspace import open_workspace
     from trimtab.host.link.blob_files import model_of, read_feedforward, read_reference
     from trimtab.host.link.drivers import Interrupts
     from trimtab.host.link.flight import ON_REQUEST, FlightOrder
     from trimtab.host.link.fly import FlightEnded, FlightInterrupted
     from trimtab.host.link.swap import swap_time_us
-    from trimtab.host.output import emit, say, warn
-    from trimtab.host.progress import Progress
-    from trimtab.host.workspace import open_workspace
 
     if (port is None) != (mocap is None):
         raise UsageError("--port and --mocap go together: poses reach the vehicle through this host only")
@@ -158,7 +158,7 @@ def command(
 
 def _parameters(assignments: tuple[str, ...]) -> dict[str, float]:
     """Value by name of NAME=VALUE texts. Raises UsageError where one is not in the table or not allowed."""
-    from trimtab.host.errors import UsageError
+    from trimtab.host.base.errors import UsageError
     from trimtab.protocol.parameters import BY_NAME
 
     values = {}
@@ -221,7 +221,7 @@ def _write_truth(log: Path, truth: dict[str, object]) -> None:
     """The sealed truth beside the log, tied to it by its id. Only checks open it."""
     import json
 
-    from trimtab.host.artefacts import content_id, write_atomic
+    from trimtab.host.base.artefacts import content_id, write_atomic
 
     record = {**truth, "log": content_id(log.read_bytes())}
     text = json.dumps(record, indent=2, sort_keys=True) + "\n"
@@ -232,7 +232,7 @@ def _provenance() -> dict[str, str]:
     """Version, git state and command, without what two runs of the same flight may differ in."""
     import sys
 
-    from trimtab.host import artefacts
+    from trimtab.host.base import artefacts
 
     kept = artefacts.without_options(sys.argv[1:], _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
     told = {"version": artefacts.version(), "command": artefacts.public_command(kept)}

@@ -20,8 +20,8 @@ def info(log: Path, *, json: Json = False) -> None:
     log
         A flight log.
     """
+    from trimtab.host.base.output import emit, say
     from trimtab.host.log import describe, to_lines
-    from trimtab.host.output import emit, say
 
     told = describe(log)
     say(*to_lines(told))
@@ -39,10 +39,10 @@ def recover(log: Path, *, output: Output = None, force: Force = False, json: Jso
     output
         Flight log to write; LOG.recovered.mcap by default.
     """
-    from trimtab.host import artefacts
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.output import emit, say
     from trimtab.host.log import recover as recover_log
     from trimtab.host.log.recover import default_output
-    from trimtab.host.output import emit, say
 
     target = artefacts.check_output(output or default_output(log), force)
     found = recover_log(log, target)
@@ -64,9 +64,9 @@ def export(log: Path, *, output: Output = None, force: Force = False, json: Json
     output
         Folder for the tables; LOG.csv by default.
     """
-    from trimtab.host import artefacts
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.output import emit, say
     from trimtab.host.log.export import TABLES, csv_tables
-    from trimtab.host.output import emit, say
 
     folder = artefacts.check_folder(output or log.with_suffix(".csv"), TABLES, force)
     tables = csv_tables(log)

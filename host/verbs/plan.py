@@ -75,20 +75,20 @@ def command(
         Reference to write; NAME.ref by default, with the route's name. With --world the folder for all
         references and logs, NAME-pareto by default.
     """
-    from trimtab.host import artefacts
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.base.output import emit, say
+    from trimtab.host.base.progress import Progress
+    from trimtab.host.base.workspace import open_workspace
     from trimtab.host.effects import load_effects
-    from trimtab.host.errors import UsageError
     from trimtab.host.models.file import read_model
-    from trimtab.host.output import emit, say
     from trimtab.host.plan import plan as make_plan
     from trimtab.host.plan.dynamics import ResidualModel
     from trimtab.host.plan.files import check_name, figures, write_plan
     from trimtab.host.plan.sensitivity import sensitivity
     from trimtab.host.plan.table import from_reference
-    from trimtab.host.progress import Progress
     from trimtab.host.route import route_file
     from trimtab.host.verbs import plan_pareto
-    from trimtab.host.workspace import open_workspace
 
     if pareto and (model is None or stretch):
         raise UsageError("--pareto needs --model, and goes without --stretch")
@@ -168,8 +168,8 @@ def command(
 
 def _check_report(path: Path, force: bool) -> None:
     """Raises UsageError where no page may be written; call it before planning."""
-    from trimtab.host import artefacts
-    from trimtab.host.errors import UsageError
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.errors import UsageError
 
     if path.suffix != REPORT_SUFFIX:
         raise UsageError(f"{path}: a report's name ends in {REPORT_SUFFIX}")
@@ -178,7 +178,7 @@ def _check_report(path: Path, force: bool) -> None:
 
 def _headroom(low: float, high: float) -> LimitsOverride:
     """These shares of a rotor's thrust as limits. Raises UsageError."""
-    from trimtab.host.errors import UsageError
+    from trimtab.host.base.errors import UsageError
     from trimtab.host.route import LimitsOverride
 
     if not 0.0 <= low < high <= 1.0:

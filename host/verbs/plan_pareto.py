@@ -30,7 +30,7 @@ class Hangar:
 
 def check_options(world: str | None, world_seed: int, output: Path | None, *, pareto: bool) -> None:
     """Nothing comes back. Raises UsageError for options of a flown trade that do not go together."""
-    from trimtab.host.errors import UsageError
+    from trimtab.host.base.errors import UsageError
 
     if world is not None and not pareto:
         raise UsageError("--world goes with --pareto: `trimtab fly` flies a single reference")
@@ -60,11 +60,11 @@ def trade(
     """
     from dataclasses import replace
 
-    from trimtab.host import artefacts
-    from trimtab.host.errors import FlightFailed, Refused
-    from trimtab.host.output import emit, say
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.errors import FlightFailed, Refused
+    from trimtab.host.base.output import emit, say
+    from trimtab.host.base.progress import Progress
     from trimtab.host.plan.pareto import FACTORS, pareto
-    from trimtab.host.progress import Progress
 
     count = len(FACTORS) + 2
     fly = None if hangar is None else _Flights(hangar, vehicle, model.id, origin)
@@ -102,8 +102,8 @@ class _Flights:
         """Raises ConfigurationError where there is no such world, UsageError for a folder that is taken."""
         import sys
 
-        from trimtab.host import artefacts
-        from trimtab.host.demo.flights import Airfield
+        from trimtab.host.apps.demo.flights import Airfield
+        from trimtab.host.base import artefacts
         from trimtab.host.verbs.demo import free_folder
 
         kept = artefacts.without_options(sys.argv[1:], _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
@@ -124,7 +124,7 @@ class _Flights:
 
     def __call__(self, point: Point) -> Any:
         """The point's `Flown`; its reference is written too."""
-        from trimtab.host import artefacts
+        from trimtab.host.base import artefacts
         from trimtab.host.plan.files import write_plan
         from trimtab.host.plan.flown import fly_plan
 

@@ -25,10 +25,10 @@ def command(*, port: str, mocap: str, mocap_delay_ms: float = CAMERA_DELAY_MS, j
     mocap_delay_ms
         Least time from a camera's exposure to the arrival of its pose, as the maker states it.
     """
-    from trimtab.host.errors import UsageError
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.base.output import emit, say
+    from trimtab.host.base.progress import Progress
     from trimtab.host.link.poses import forward_port
-    from trimtab.host.output import emit, say
-    from trimtab.host.progress import Progress
 
     if not 0.0 <= mocap_delay_ms <= 1000.0:
         raise UsageError(f"--mocap-delay-ms {mocap_delay_ms:g} is no delay, give 0 to 1000")

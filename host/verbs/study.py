@@ -52,13 +52,13 @@ def command(
     """
     import os
 
-    from trimtab.host import artefacts
-    from trimtab.host.errors import UsageError
-    from trimtab.host.output import emit, json_text, say
-    from trimtab.host.progress import Progress
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.base.output import emit, json_text, say
+    from trimtab.host.base.progress import Progress
+    from trimtab.host.base.workspace import open_workspace
     from trimtab.host.report.studies import REPORTS
     from trimtab.host.studies import find_study, options_of
-    from trimtab.host.workspace import open_workspace
 
     study = find_study(name)
     if seed < 0:

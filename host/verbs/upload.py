@@ -29,10 +29,10 @@ def command(
     """
     from pathlib import Path
 
+    from trimtab.host.base.output import emit, say
+    from trimtab.host.base.progress import Progress
     from trimtab.host.link.blob_files import read_blob
     from trimtab.host.link.upload import upload_port
-    from trimtab.host.output import emit, say
-    from trimtab.host.progress import Progress
 
     found = None if blob == "neutral" else read_blob(blob)
     with Progress(f"uploading {Path(blob).name}") as bar:

@@ -12,14 +12,14 @@ from array import array
 from collections.abc import Callable
 from functools import lru_cache
 
-from trimtab.firmware_model.flash import Flash
-from trimtab.firmware_model.flight_mcu import LOOK_US, FlightMcu
+from trimtab.firmware_model.flight.parameters import ParameterValues
+from trimtab.firmware_model.flight.verdict import check_blob
 from trimtab.firmware_model.law import step as law
-from trimtab.firmware_model.parameters import ParameterValues
-from trimtab.firmware_model.radio_mcu import BAUD, RadioMcu
-from trimtab.firmware_model.store import ReferenceStore
-from trimtab.firmware_model.uart import NEVER_US, UartPort, connect
-from trimtab.firmware_model.verdict import check_blob
+from trimtab.firmware_model.mcu.flight_mcu import LOOK_US, FlightMcu
+from trimtab.firmware_model.mcu.radio_mcu import BAUD, RadioMcu
+from trimtab.firmware_model.mcu.uart import NEVER_US, UartPort, connect
+from trimtab.firmware_model.storage.flash import Flash
+from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.vehicle import Vehicle, load_vehicle, to_parameters
 from trimtab.protocol.blobs import Kind
 from trimtab.protocol.codec import Codec

@@ -7,16 +7,16 @@ from collections import deque
 
 import pytest
 
-from trimtab.firmware_model.flight import Flight
-from trimtab.firmware_model.flight_mcu import FlightMcu
+from trimtab.firmware_model.flight.flight import Flight
+from trimtab.firmware_model.flight.parameters import ParameterValues
+from trimtab.firmware_model.flight.supervisor import Event, State
+from trimtab.firmware_model.flight.track import track
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.reference import septic
-from trimtab.firmware_model.parameters import ParameterValues
-from trimtab.firmware_model.radio_mcu import RadioMcu
-from trimtab.firmware_model.store import ReferenceStore
-from trimtab.firmware_model.supervisor import Event, State
-from trimtab.firmware_model.track import track
-from trimtab.firmware_model.uart import UartPort, connect
+from trimtab.firmware_model.mcu.flight_mcu import FlightMcu
+from trimtab.firmware_model.mcu.radio_mcu import RadioMcu
+from trimtab.firmware_model.mcu.uart import UartPort, connect
+from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.codegen import compile_blocks
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Node, Reference, YawNode

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trimtab.firmware_model.commands import Commands
-from trimtab.firmware_model.flight_mcu import FlightMcu
-from trimtab.firmware_model.parameter_service import ParameterService
-from trimtab.firmware_model.services import Services
-from trimtab.firmware_model.store import ReferenceStore
-from trimtab.firmware_model.supervisor import State
+from trimtab.firmware_model.flight.supervisor import State
+from trimtab.firmware_model.mcu.flight_mcu import FlightMcu
+from trimtab.firmware_model.services.commands import Commands
+from trimtab.firmware_model.services.parameter_service import ParameterService
+from trimtab.firmware_model.services.services import Services
+from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.link.client import Client
 from trimtab.protocol import uwb
 from trimtab.protocol.codec import Codec

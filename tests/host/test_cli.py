@@ -14,8 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from trimtab.host import cli, output
-from trimtab.host.errors import (
+from trimtab.host import cli
+from trimtab.host.base import output
+from trimtab.host.base.errors import (
     EXIT_CODES,
     FlightFailed,
     GateMissed,

@@ -75,8 +75,8 @@ def test_telemetry_and_chunks_have_the_sizes_of_the_budget() -> None:
 
 
 def test_enums_of_the_dialect_equal_those_of_the_vehicle() -> None:
-    from trimtab.firmware_model.failsafe import Failsafe
-    from trimtab.firmware_model.supervisor import State
+    from trimtab.firmware_model.flight.failsafe import Failsafe
+    from trimtab.firmware_model.flight.supervisor import State
     from trimtab.protocol.blobs import Kind
 
     for enum, prefix in ((State, "STATE"), (Failsafe, "FAILSAFE"), (Kind, "BLOB")):

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from trimtab.host import cli, output
+from trimtab.host import cli
+from trimtab.host.base import output
 from trimtab.host.link.flight import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.summary import FlightResult

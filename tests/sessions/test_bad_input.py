@@ -26,8 +26,9 @@ from typing import Any
 
 import pytest
 
-from trimtab.host import cli, output
-from trimtab.host.errors import EXIT_CODES
+from trimtab.host import cli
+from trimtab.host.base import output
+from trimtab.host.base.errors import EXIT_CODES
 from trimtab.host.log import LogError, read_flight
 from trimtab.host.models.file import write_model
 from trimtab.host.models.model import Model

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from trimtab.host import cli
-from trimtab.host.errors import LinkError, UsageError
+from trimtab.host.base.errors import LinkError, UsageError
 from trimtab.host.link import download
 from trimtab.host.link.download import PIECE_BYTES, download_lockstep
 from trimtab.host.link.upload import upload_lockstep

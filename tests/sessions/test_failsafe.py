@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from trimtab.firmware_model.failsafe import BY_EVENT, Action
-from trimtab.firmware_model.supervisor import Event, State
+from trimtab.firmware_model.flight.failsafe import BY_EVENT, Action
+from trimtab.firmware_model.flight.supervisor import Event, State
 from trimtab.host import cli
 from trimtab.host.link.fly import FlightEnded
 from trimtab.host.log import Flight, read_flight, topics

@@ -16,18 +16,18 @@ from typing import Any
 import pytest
 
 from trimtab.host import cli
-from trimtab.host.bench import flown as bench_flown
-from trimtab.host.bench import learning as bench
-from trimtab.host.bench import planning
-from trimtab.host.bench.session import realtime_factor
-from trimtab.host.demo.compare import Comparison
+from trimtab.host.apps.bench import flown as bench_flown
+from trimtab.host.apps.bench import learning as bench
+from trimtab.host.apps.bench import planning
+from trimtab.host.apps.bench.session import realtime_factor
+from trimtab.host.apps.demo.compare import Comparison
+from trimtab.host.apps.paper.learning import noise
+from trimtab.host.apps.paper.learning.summary import summary as paper_summary
+from trimtab.host.apps.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS
+from trimtab.host.apps.paper.planning.summary import summary as planning_summary
 from trimtab.host.link.download import Download
 from trimtab.host.link.upload import UploadResult
 from trimtab.host.log import read_flight
-from trimtab.host.paper.learning import noise
-from trimtab.host.paper.learning.summary import summary as paper_summary
-from trimtab.host.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS
-from trimtab.host.paper.planning.summary import summary as planning_summary
 from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol.blobs import Reference
 from trimtab.sitl.studies.link import summary as link_summary

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trimtab.host.errors import LinkError, Refused, UsageError
+from trimtab.host.base.errors import LinkError, Refused, UsageError
 from trimtab.host.link import fly as fly_module
 from trimtab.host.link.drivers import run_lockstep
 from trimtab.host.link.flight import FlightDirector, FlightOrder

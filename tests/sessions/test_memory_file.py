@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from trimtab.firmware_model.flash import Flash
-from trimtab.firmware_model.store import ReferenceStore
+from trimtab.firmware_model.storage.flash import Flash
+from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Kind, Reference
 from trimtab.protocol.upload.transfer import chunk_count

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from trimtab.host.errors import LinkError
+from trimtab.host.base.errors import LinkError
 from trimtab.host.link.client import NEVER_US
 from trimtab.host.link.poses import SILENT_US, forward_session
 from trimtab.protocol.messages import AttPosMocap, FcEstimate, Message

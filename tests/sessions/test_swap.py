@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trimtab.firmware_model.flight import Flight as Firmware
+from trimtab.firmware_model.flight.flight import Flight as Firmware
 from trimtab.firmware_model.law.reference import septic
 from trimtab.host import cli
-from trimtab.host.errors import UsageError
+from trimtab.host.base.errors import UsageError
 from trimtab.host.link.fly import FlightEnded
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.swap import SLOTS_PER_S, swap_time_us

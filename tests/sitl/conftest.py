@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from trimtab.host.bench.session_parts import figure_eight
+from trimtab.host.apps.bench.session_parts import figure_eight
 from trimtab.host.link.client import Client
 from trimtab.protocol.blobs import Kind, Reference
 from trimtab.protocol.codec import Codec

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from trimtab.firmware_model.store import MAGIC, memory_bytes
+from trimtab.firmware_model.storage.store import MAGIC, memory_bytes
 from trimtab.host.vehicle import ConfigurationError, load_vehicle
 from trimtab.protocol.blobs import Kind
 from trimtab.protocol.codec import Codec

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trimtab.host.errors import TrimtabError
+from trimtab.host.base.errors import TrimtabError
 from trimtab.host.models.reference import flat_outputs
 from trimtab.host.trace.data.cutting import DT_S
 from trimtab.host.vehicle import ConfigurationError, Vehicle

@@ -7,7 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-from trimtab.host.progress import Progress
+from trimtab.host.base.progress import Progress
 from trimtab.sitl.studies.fuzz.run import KINDS, Crash, replay, run_fuzz
 
 

@@ -13,10 +13,10 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from trimtab.firmware_model import track
-from trimtab.firmware_model.parameters import ParameterValues
-from trimtab.firmware_model.verdict import check_blob
-from trimtab.host.errors import TrimtabError
+from trimtab.firmware_model.flight import track
+from trimtab.firmware_model.flight.parameters import ParameterValues
+from trimtab.firmware_model.flight.verdict import check_blob
+from trimtab.host.base.errors import TrimtabError
 from trimtab.host.log import LogError, read_flight, recover
 from trimtab.host.models.file import read_model
 from trimtab.host.route import load_route

@@ -13,7 +13,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from trimtab.host.errors import TrimtabError
+from trimtab.host.base.errors import TrimtabError
 from trimtab.host.link.client import Client
 from trimtab.host.link.clock import CameraClock
 from trimtab.host.link.recorder import Recorder

@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from trimtab.firmware_model.law.reference import septic
-from trimtab.firmware_model.store import ReferenceStore
+from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.link.flight import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.route import list_routes

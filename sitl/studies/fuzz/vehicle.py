@@ -16,13 +16,13 @@ import math
 from random import Random
 from typing import Any
 
-from trimtab.firmware_model.flight_mcu import FlightMcu
+from trimtab.firmware_model.flight.supervisor import FLYING, State
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.firmware_model.radio_mcu import RadioMcu
-from trimtab.firmware_model.store import ReferenceStore
-from trimtab.firmware_model.supervisor import FLYING, State
-from trimtab.firmware_model.uart import UartPort, connect
+from trimtab.firmware_model.mcu.flight_mcu import FlightMcu
+from trimtab.firmware_model.mcu.radio_mcu import RadioMcu
+from trimtab.firmware_model.mcu.uart import UartPort, connect
+from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.codegen import function_engine
 from trimtab.host.vehicle import to_parameters
 from trimtab.protocol import messages as m

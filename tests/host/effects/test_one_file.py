@@ -15,7 +15,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from trimtab.host.demo.compare import latency_of
+from trimtab.host.apps.demo.compare import latency_of
 from trimtab.host.effects import Effect, EffectError, ExactAlias, Parameter, load_effects, number
 from trimtab.host.effects.effect import Family, Signal
 from trimtab.host.effects.unknowns import POSE_LATENCY, THRUST, UNKNOWN

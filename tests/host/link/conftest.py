@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from trimtab.firmware_model.store import ReferenceStore
+from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.link.session import Script, Session
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec

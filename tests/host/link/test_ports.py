@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import serial
 
-from trimtab.host.errors import LinkError, TrimtabError, UsageError
+from trimtab.host.base.errors import LinkError, TrimtabError, UsageError
 from trimtab.host.link.ports import Cameras, Port, open_port
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from trimtab.host.errors import LinkError, Refused
+from trimtab.host.base.errors import LinkError, Refused
 from trimtab.host.link.session import Script, Session
 from trimtab.host.link.tasks import (
     Command,

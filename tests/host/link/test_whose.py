@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from trimtab.host.errors import UsageError
+from trimtab.host.base.errors import UsageError
 from trimtab.host.link.tasks import Identity
 from trimtab.host.link.whose import check_same_vehicle, name_of, neutral_feedforward
 from trimtab.host.vehicle import load_vehicle

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import load_effects
-from trimtab.host.errors import UsageError
 from trimtab.host.models.file import ModelFileError, read_model, write_model
 from trimtab.host.models.model import Covariance, Model
 from trimtab.host.models.network import Layout, Network

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from trimtab.host.base.errors import UsageError
 from trimtab.host.cli import main
-from trimtab.host.errors import UsageError
 from trimtab.host.link.blob_files import model_of, read_reference
 from trimtab.host.models.file import write_model
 from trimtab.host.models.model import Model

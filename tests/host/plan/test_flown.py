@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from trimtab.host.demo.flights import Airfield
+from trimtab.host.apps.demo.flights import Airfield
 from trimtab.host.log import read_flight
 from trimtab.host.log.tracking import tracking_error
 from trimtab.host.plan import Plan, plan

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import load_effects
-from trimtab.host.errors import UsageError
 from trimtab.host.plan import PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
 from trimtab.host.plan.flown import Flown
 from trimtab.host.plan.pareto import COLUMNS, Point, pareto, tabulate

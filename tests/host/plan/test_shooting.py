@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trimtab.host.errors import UsageError
+from trimtab.host.base.errors import UsageError
 from trimtab.host.plan import plan
 from trimtab.host.plan.planner import make_job
 from trimtab.host.plan.rounds import first_round

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from trimtab.host.errors import UsageError
+from trimtab.host.base.errors import UsageError
 from trimtab.host.report.study import page, pictures
 from trimtab.host.studies import find_study
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import load_effects
-from trimtab.host.errors import UsageError
 from trimtab.host.trace.parameters import UNKNOWN, space
 from trimtab.host.vehicle import load_vehicle
 

@@ -6,7 +6,7 @@ from dataclasses import FrozenInstanceError
 
 import pytest
 
-from trimtab.host.errors import UsageError
+from trimtab.host.base.errors import UsageError
 from trimtab.host.log.errors import TooLittleData
 from trimtab.host.trace.decision.findings import (
     DOUBTS,

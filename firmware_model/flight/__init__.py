@@ -1,0 +1,1 @@
+"""The flight itself: estimate, supervisor, failsafes, phases and tracks. Knows no bytes."""

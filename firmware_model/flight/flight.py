@@ -1,0 +1,416 @@
+"""The flight itself: law, state and failsafes, tick by tick. Knows no bytes and no messages.
+
+Commands come in as events, poses as numbers; what people should read goes out as `texts`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+from trimtab.firmware_model.flight.engine import Engine, doubles
+from trimtab.firmware_model.flight.estimate import Estimate
+from trimtab.firmware_model.flight.failsafe import BY_EVENT, Action, Condition, Failsafe, escalate
+from trimtab.firmware_model.flight.feedforward import FeedForwardInput
+from trimtab.firmware_model.flight.parameters import ParameterValues
+from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, TAKEOFF_LEAST, Phases, Present
+from trimtab.firmware_model.flight.readiness import Facts, Rest, contradiction, reasons, start_refusal
+from trimtab.firmware_model.flight.setpoints import Target
+from trimtab.firmware_model.flight.supervisor import FLYING, Event, State, update
+from trimtab.firmware_model.flight.track import Track
+from trimtab.firmware_model.flight.verdict import battery_verdict
+from trimtab.firmware_model.flight.watch import LEVEL, TOUCH_HEIGHT, Seen, Watch, fence
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.rotations import mat_vec, quat_to_matrix
+from trimtab.firmware_model.mcu.uart import NEVER_US
+
+BOOT_US = 200_000
+"""Time from power to standby."""
+LOOK_TICKS = 10
+"""Conditions, readiness and touchdown are looked at every so many ticks."""
+_CRITICAL, _WARNING, _INFO = 2, 4, 6  # MAV_SEVERITY
+
+OBSERVED = (State.TRACKING, State.HOLD, State.OFFBOARD)
+"""States in which the disturbance observer runs, as it does in a take-off, once the vehicle is or has been
+well above the floor; in TRACKING at once. In a landing what it found stays: the floor would be taken for a
+disturbance.
+"""
+_END = {
+    State.TRACKING: Event.REFERENCE_ENDED,
+    State.HOLD: Event.HELD,
+    State.LANDING: Event.TOUCHDOWN,
+    State.FAILSAFE: Event.TOUCHDOWN,
+}
+"""What the end of a state's track means; for descents it is the timeout of touchdown. A takeoff knows itself
+what it is for.
+"""
+
+
+class Flight:
+    """One power-up of the flight processor.
+
+    Args:
+        engine: `law.step` as an engine. parameters: values on board.
+
+    `reference` is the track to fly, None for none; `feedforward` the law's feed-forward. Both may be replaced
+    in standby, the reference also by `swap` while it is tracked. `changed` is set whenever state or failsafe
+    change, for whoever reports them. `conditions`: rows of the failsafe table that held at the last look, bit
+    k for Failsafe k.
+    """
+
+    def __init__(self, *, engine: Engine, parameters: ParameterValues) -> None:
+        self.parameters = parameters
+        self.state = State.BOOT
+        self.state_us = 0
+        self.failsafe = Failsafe.NONE
+        self.action = Action.NONE
+        self.conditions = 0
+        self.reference: Track | None = None
+        self.tracking_us: int | None = None
+        self.texts: deque[tuple[int, str]] = deque()
+        self.changed = True
+        self.saturated_ticks = 0
+        self.flight_ticks = 0
+        self.watch = Watch(parameters)
+
+        self._engine = engine
+        inputs, self.outputs = doubles(engine.inputs), doubles(engine.outputs)
+        self._memory = inputs["memory"]
+        self._memory_out = self.outputs["memory"]
+        self._gyro, self._force = inputs["gyro"], inputs["specific_force"]
+        self._observing = inputs["observing"]
+        self._law_parameters = inputs["parameters"]
+        self._saturated, self._cos_tilt = self.outputs["saturated"], self.outputs["cos_tilt"]
+        self._climb_end = Event.CLIMBED
+        self.feedforward = FeedForwardInput(inputs["feedforward"], inputs["ff_accel_ned"])
+        self._phases = Phases(
+            inputs,
+            self.outputs,
+            parameters=parameters,
+            feedforward=self.feedforward,
+            tell=lambda text: self._tell(_WARNING, text),
+        )
+        self._player, self._offboard = self._phases.player, self._phases.offboard
+
+        self._estimate = Estimate(inputs)
+        self.poses, self.calibration = self._estimate.poses, self._estimate.calibration
+        self._rest = Rest()
+        self._poses_waiting = self.poses.waiting
+        self._flying = False
+        for view in (*inputs.values(), *self.outputs.values()):
+            view[:] = memoryview(bytes(8 * len(view))).cast("d")
+        self._estimate.begin()
+        self.feedforward.clear()
+        self._offboard.release()
+        self.configure()
+        self._phases.rest(0)
+
+    @property
+    def rotors_on(self) -> bool:
+        """Whether the law drives the rotors."""
+        return self._phases.rotors_on
+
+    @property
+    def gyro(self) -> tuple[float, float, float]:
+        """The gyro's sample of the last tick (rad/s, FRD)."""
+        return (self._gyro[0], self._gyro[1], self._gyro[2])
+
+    @property
+    def home_ned(self) -> tuple[float, float, float] | None:
+        """Where the last take-off began, None before the first."""
+        return self._phases.home_ned
+
+    @property
+    def height_m(self) -> float:
+        """Estimated height above the floor of the last take-off."""
+        return self._phases.floor - self._memory[2]
+
+    def has_pose(self, now_us: int) -> bool:
+        """Whether poses come."""
+        return self.poses.used > 0 and now_us - self.watch.pose_us <= self.watch.pose_lost_us
+
+    # Commands and measurements.
+
+    def command(self, event: Event, now_us: int, height_m: float | None = None) -> str | None:
+        """Why `event` was refused, None where it took effect. height_m: of a takeoff, else TAKEOFF_HEIGHT."""
+        outcome = update(self.state, event)
+        refusal = outcome.refusal or self._refusal(event, now_us)
+        if refusal is None and (outcome.state is not self.state or event is Event.HOLD):
+            self._enter(outcome.state, event, now_us, height_m)
+        return refusal
+
+    def setpoint(self, target: Target, now_us: int) -> None:
+        """Nothing comes back; the target is followed at once, or when setpoints are asked to be followed."""
+        self._offboard.offer(target, now_us)
+        if self.state is State.OFFBOARD:
+            self.watch.setpoint_us = now_us
+            self._phases.follow(now_us)
+
+    def pose(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
+        """Whether the pose (NED; q_ned_frd, w first) measured at `time_us` will be used at the next tick."""
+        if self.state is State.BOOT:
+            return False
+        flying = self._flying
+        aloft = flying and self.height_m > CLEAR_HEIGHT
+        return self._estimate.offer(time_us, p, q, now_us, flying=flying, aloft=aloft)
+
+    def host_heard(self, now_us: int) -> None:
+        """Nothing comes back; the host has said something."""
+        self.watch.host_us = now_us
+
+    def configure(self) -> None:
+        """Nothing comes back; the law and the failsafes take over the parameters as they are now."""
+        self._law_parameters[:] = memoryview(self.parameters.vector)
+        self.watch.configure(self.parameters)
+
+    def swap(self, reference: Track, at_us: int) -> None:
+        """Nothing comes back; `reference` is tracked from here on, its time 0 is `at_us`, which has come."""
+        self.reference, self.tracking_us, self.changed = reference, at_us, True
+        self._player.start(reference, at_us)
+        self._tell(_INFO, "reference swapped")
+
+    # The tick.
+
+    def tick(self, now_us: int, gyro: Sequence[float], force: Sequence[float]) -> None:
+        """Nothing comes back; the engine has run once on these samples (FRD), outputs hold the commands."""
+        player = self._player
+        if now_us >= player.switch_us and player.switch(now_us):
+            self._track_ended(now_us)
+        fresh = False
+        if self._poses_waiting:
+            fresh = self._take_pose(now_us)
+        view = self._gyro
+        view[0], view[1], view[2] = gyro
+        view = self._force
+        view[0], view[1], view[2] = force
+        player.piece[0] = (now_us - player.piece_us) * 1e-6
+        player.yaw[0] = (now_us - player.yaw_us) * 1e-6
+        self._engine()
+        self._memory[:] = self._memory_out
+        if fresh:
+            self.poses.hide()
+        if self._flying:
+            self.flight_ticks += 1
+            if self._saturated[0]:
+                self.saturated_ticks += 1
+
+    def look(self, now_us: int, battery_v: float) -> None:
+        """Nothing comes back; once every LOOK_TICKS, after the tick: readiness, failsafes, touchdown."""
+        state = self.state
+        if self._flying:
+            self.feedforward.update(self.outputs["reference"])
+        if state is State.BOOT:
+            if now_us >= BOOT_US:
+                self.command(Event.BOOTED, now_us)
+            return
+        self._see(now_us, battery_v)
+        holding = self.watch.holding()
+        self.conditions = 0
+        for condition in holding:
+            if condition.failsafe is not Failsafe.NONE:
+                self.conditions |= 1 << condition.failsafe
+        if state is State.STANDBY:
+            R = quat_to_matrix(FLOAT, self._memory[law.EST_Q])
+            self._rest.look(now_us, math.hypot(*self._memory[law.EST_V]), mat_vec(R, self._force))
+            if self._estimate.calibrate(now_us, self.parameters["EST_BIAS_MAX"]):
+                self._tell(_INFO, "gyro calibrated")
+            return
+        for condition in holding:
+            self._strike(condition, now_us)
+        if self.state is State.ARMED and now_us - self.state_us > self.parameters.us("IDLE_S"):
+            self._tell(_INFO, "disarmed: nothing started")
+            self.command(Event.IDLED, now_us)
+        elif self.state in (State.LANDING, State.FAILSAFE):
+            if self._touched(now_us):
+                self.command(Event.TOUCHDOWN, now_us)
+        elif self.height_m > 2.0 * TOUCH_HEIGHT:
+            if self._cos_tilt[0] > LEVEL:
+                self.watch.aloft(force=-self._force[2], thrust=self._phases.lagged_thrust)
+            self._observing[0] = 1.0
+
+    def _see(self, now_us: int, battery_v: float) -> None:
+        memory, measured_us = self._memory, self.poses.measured_us
+        seen = Seen(
+            cos_tilt=self._cos_tilt[0],
+            age_us=None if measured_us is None else now_us - measured_us,
+            p=(memory[0], memory[1], memory[2]),
+            battery_v=battery_v,
+            imu=(*self._gyro, *self._force),
+            flight_ticks=self.flight_ticks,
+            saturated_ticks=self.saturated_ticks,
+        )
+        self.watch.see(now_us, seen)
+
+    # What the states do when they are entered.
+
+    def _enter(self, state: State, event: Event, now_us: int, height_m: float | None = None) -> None:
+        before, self.state, self.state_us, self.changed = self.state, state, now_us, True
+        self._flying = state in FLYING
+        if state not in OBSERVED:
+            self._observing[0] = 0.0
+        elif state is State.TRACKING:
+            self._observing[0] = 1.0
+        self.watch.start(now_us)
+        self.watch.setpoint_us = self._offboard.heard_us if state is State.OFFBOARD else NEVER_US
+        phases = self._phases
+        present = phases.present(now_us)
+        self._offboard.release()
+        if state is State.STANDBY:
+            self.action = Action.NONE
+            self._rest.begin(now_us)
+            self.feedforward.resume()
+            phases.rest(now_us)
+            if before is not State.BOOT:
+                self._tell(_INFO, "disarmed")
+        elif state is State.ARMED:
+            self.failsafe = Failsafe.NONE
+            self.tracking_us = None
+            self._tell(_INFO, "armed")
+            if self.reference is None:
+                self._tell(_WARNING, "no live reference: start will be refused")
+        elif state is State.TAKEOFF:
+            self._climb_end = Event.CLIMBED if event is Event.START else Event.RISEN
+            self._climb(before, present, height_m, now_us)
+        elif state is State.TRACKING and self.reference is not None:
+            self.tracking_us = now_us
+            self._player.start(self.reference, now_us)
+        elif state is State.HOLD:
+            if event is Event.REFERENCE_ENDED and self.reference is not None:
+                phases.hold_end(self.reference, now_us)
+            else:
+                lost = event is Event.SETPOINTS_LOST
+                phases.stop(present, now_us, self.parameters["FS_OFFB_HOLD_S"] if lost else None)
+        elif state is State.OFFBOARD:
+            if before is State.ARMED:
+                phases.lift_off(now_us)
+            else:
+                phases.stop(present, now_us)
+            phases.follow(now_us)
+        elif state is State.LANDING:
+            phases.land(present, now_us)
+
+    def _climb(self, before: State, present: Present, height_m: float | None, now_us: int) -> None:
+        """To a height or to the first node of the reference, from the floor or in the air."""
+        phases, reference = self._phases, self.reference
+        if self._climb_end is Event.RISEN:
+            phases.rise(height_m, now_us)
+            return
+        assert reference is not None, "a start without a reference is refused"
+        if before is State.ARMED:
+            phases.climb_to(reference, now_us)
+        else:
+            phases.go_to_start(reference, present, now_us)
+
+    # Trouble, touchdown, readiness.
+
+    def _strike(self, condition: Condition, now_us: int) -> None:
+        """The condition's event goes to the supervisor; its action is taken if it outranks what is done."""
+        if self.state is State.FAILSAFE and condition.action <= self.action:
+            return
+        outcome = update(self.state, condition.event)
+        if outcome.refusal is not None:
+            return
+        self._tell(_WARNING if condition.failsafe is Failsafe.NONE else _CRITICAL, condition.text)
+        if outcome.state is not State.FAILSAFE:
+            self.failsafe = condition.failsafe
+            self._enter(outcome.state, condition.event, now_us)
+            return
+        if self.failsafe is Failsafe.NONE:
+            self.failsafe = condition.failsafe
+        phases = self._phases
+        present = phases.present(now_us)
+        if self.state is not State.FAILSAFE:
+            self._enter(State.FAILSAFE, condition.event, now_us)
+        self.changed = True
+        self.action = escalate(self.action, condition)
+        if self.action is Action.LAND_IN_PLACE:
+            phases.land(present, now_us)
+        elif self.action is Action.LEVEL_DESCENT:
+            _, (yaw, _) = present
+            phases.descend_level(yaw, self.watch.thrust_ratio, now_us)
+        elif self.action is Action.MOTORS_OFF:
+            phases.fall(now_us)
+
+    def _track_ended(self, now_us: int) -> None:
+        event = self._climb_end if self.state is State.TAKEOFF else _END.get(self.state)
+        if event is None:
+            return
+        if event in BY_EVENT:
+            self._tell(_INFO, BY_EVENT[event].text)
+        elif event is Event.TOUCHDOWN and self.action is not Action.MOTORS_OFF:
+            self._tell(_WARNING, "no touchdown noticed: motors off")
+        self.command(event, now_us)
+
+    def _touched(self, now_us: int) -> bool:
+        if self.action is Action.MOTORS_OFF:
+            return False
+        memory = self._memory
+        if self.action is Action.LEVEL_DESCENT:
+            phases, watch = self._phases, self.watch
+            phases.go_blind(watch.thrust_ratio, now_us)
+            return watch.carried(
+                now_us,
+                force=-self._force[2],
+                thrust=phases.lagged_thrust,
+                floor=phases.floor_force,
+                learn=not phases.blind,
+            )
+        return self.watch.landed(
+            now_us,
+            height=self.height_m,
+            speed=math.hypot(memory[3], memory[4], memory[5]),
+            descending=self.outputs["reference"][2] > memory[2] + 0.05,
+        )
+
+    def _take_pose(self, now_us: int) -> bool:
+        """Whether a pose is in the engine's inputs; after a pause in standby it sets the estimate."""
+        self.watch.pose_us = now_us
+        resting = self.state is State.STANDBY
+        return self._estimate.take_pose(now_us, self.watch.pose_lost_us if resting else None)
+
+    def _refusal(self, event: Event, now_us: int) -> str | None:
+        """Why a command that the table allows is refused all the same."""
+        state = self.state
+        if event is Event.ARM and state is State.STANDBY:
+            return next(iter(self.arming_reasons(now_us)), None)
+        if event is Event.START and state in (State.ARMED, State.TAKEOFF, State.HOLD):
+            rising = state is State.TAKEOFF
+            if rising and self._climb_end is Event.CLIMBED:
+                return None  # said twice, done once
+            flown = self.tracking_us is not None
+            return start_refusal(self.reference, rising=rising, flown=flown, battery=self._battery())
+        if event is Event.TAKEOFF and state is State.ARMED and self._phases.headroom < TAKEOFF_LEAST:
+            return f"fence less than {TAKEOFF_LEAST:g} m above"
+        if event is Event.OFFBOARD and not self._offboard.arriving(now_us):
+            return "no setpoints: stream them first"
+        return None
+
+    def arming_reasons(self, now_us: int) -> list[str]:
+        """Every reason why arming would be refused in standby; none where it would not."""
+        memory, values = self._memory, self.parameters
+        facts = Facts(
+            calibrated=self.calibration.bias is not None,
+            posed=self.has_pose(now_us),
+            still=self._rest.still,
+            askew_deg=self._rest.askew_deg,
+            cos_tilt=self._cos_tilt[0],
+            p=(memory[0], memory[1], memory[2]),
+            fence=fence(values),
+            holding=frozenset(row.event for row in self.watch.holding()),
+            battery=self._battery(),
+            contradiction=contradiction(values),
+        )
+        return reasons(facts)
+
+    def _battery(self) -> str | None:
+        """Why the live reference is not flown with this battery."""
+        volts = self.watch.volts
+        if self.reference is None or volts is None:
+            return None
+        verdict = battery_verdict(self.parameters, volts)
+        return None if verdict is None else verdict.message
+
+    def _tell(self, severity: int, text: str) -> None:
+        self.texts.append((severity, text))

@@ -1,0 +1,292 @@
+"""What is flown in each phase: the tracks and engine settings of take-off, hold, setpoints, landings, rest.
+
+Each phase begins where the reference of the one before is, so that the reference never steps. What state the
+vehicle is in, and why, is Flight's affair.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from trimtab.firmware_model.flight import track
+from trimtab.firmware_model.flight.feedforward import FeedForwardInput
+from trimtab.firmware_model.flight.offboard import Offboard
+from trimtab.firmware_model.flight.parameters import ParameterValues
+from trimtab.firmware_model.flight.player import Player
+from trimtab.firmware_model.flight.setpoints import PositionTarget, towards, turned, upwards
+from trimtab.firmware_model.flight.watch import FLOOR_HEIGHT
+from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.rotations import quat_to_matrix
+from trimtab.firmware_model.mcu.uart import NEVER_US
+from trimtab.protocol.parameters import BY_NAME
+from trimtab.protocol.telemetry import TICK_US
+
+BLIND_US = 5_000_000
+"""How long dead-reckoned velocity is worth following."""
+BLIND_END_US = 8_000_000
+"""When a level descent is over at the latest."""
+FALL_US = 2_000_000
+"""Time that rotors rest before a failsafe that stopped them ends."""
+HARDEST = 8.0
+"""m/s^2 that a reference begins with at most where it takes over from commanded attitude."""
+
+TAKEOFF_LEAST = BY_NAME["TAKEOFF_HEIGHT"].min
+"""m that a takeoff climbs at least."""
+CLEAR_HEIGHT = 0.15
+"""m above the floor below which it goes straight up, whatever place is asked for: no foot is dragged."""
+
+Present = tuple[track.Node, track.YawState]
+"""The reference's state (p, v, a, j) and its yaw and yaw rate."""
+
+
+_REST = (0.0,) * 9
+
+
+class Phases:
+    """Keeps the engine's blocks that say what is followed, and whether the rotors turn.
+
+    Args:
+        inputs, outputs: the engine's blocks. parameters: values on board. feedforward: the law's. tell: is
+        told what people should read of a setpoint or a take-off that is bounded.
+
+    `player` plays what is followed, `offboard` has the newest setpoint. `floor` (m, down) and `home_ned`: of
+    the last take-off, home None before the first.
+    """
+
+    def __init__(
+        self,
+        inputs: Mapping[str, memoryview[float]],
+        outputs: Mapping[str, memoryview[float]],
+        *,
+        parameters: ParameterValues,
+        feedforward: FeedForwardInput,
+        tell: Callable[[str], None],
+    ) -> None:
+        self.player = Player(inputs["piece"], inputs["yaw_piece"])
+        self.offboard = Offboard(inputs["offboard"], parameters)
+        self.floor = 0.0
+        self.home_ned: tuple[float, float, float] | None = None
+        self._parameters = parameters
+        self._feedforward = feedforward
+        self._tell = tell
+        self._memory = inputs["memory"]
+        self._armed, self._weights = inputs["armed"], inputs["feedback_weights"]
+        self._collective = outputs["collective_n"]
+        self._bounded = False  # by the newest setpoint
+        self._blind_until_us = NEVER_US
+
+    @property
+    def rotors_on(self) -> bool:
+        """Whether the law drives the rotors."""
+        return self._armed[0] > 0.5
+
+    @property
+    def thrust(self) -> float:
+        """Commanded thrust over mass (m/s^2)."""
+        return self._collective[0] / self._parameters["MASS"]
+
+    @property
+    def headroom(self) -> float:
+        """m from the vehicle up to the ceiling of the flight volume."""
+        return self._memory[2] - self._parameters["FENCE_D_MIN"]
+
+    @property
+    def lagged_thrust(self) -> float:
+        """Thrust over mass (m/s^2) that the rotors give, by their nominal gain and lag."""
+        return self._memory[law.OBSERVER_THRUST.start] / self._parameters["MASS"]
+
+    @property
+    def blind(self) -> bool:
+        """Whether velocity is no longer followed: on the floor, too, thrust then sinks slowly."""
+        return self._weights[1] == 0.0
+
+    @property
+    def floor_force(self) -> float:
+        """m/s^2 by which the rotors carry less in a level descent once it stands on the floor."""
+        values = self._parameters
+        return track.SINK if self.blind else values["VEL_D_D"] * values["FS_SINK_SPEED"]
+
+    def present(self, now_us: int) -> Present:
+        """The reference now; the vehicle's own state where attitude is commanded."""
+        if not self.offboard.direct:
+            reference = self.player.reference(now_us)
+            return reference[:12], (reference[12], reference[13])
+        memory = self._memory
+        if self.floor - memory[2] < FLOOR_HEIGHT:  # which carries what thrust does not
+            return (*self._place(), *_REST), (self._yaw(), 0.0)
+        R = quat_to_matrix(FLOAT, memory[law.EST_Q])
+        thrust = self.thrust
+        a = (-R[2] * thrust, -R[5] * thrust, GRAVITY - R[8] * thrust)
+        share = min(1.0, HARDEST / max(math.hypot(*a), 1e-9))
+        state = (*memory[law.EST_P], *memory[law.EST_V], *(share * x for x in a), 0.0, 0.0, 0.0)
+        return state, (self._yaw(), 0.0)
+
+    # On the floor and off it.
+
+    def rest(self, now_us: int) -> None:
+        """Nothing comes back; rotors off, nothing to follow."""
+        self._armed[0] = 0.0
+        self._weights[0] = self._weights[1] = 1.0
+        self._blind_until_us = NEVER_US
+        self._bounded = False
+        self.player.rest(track.hold(self._place(), 0.0, 1_000_000), now_us)
+
+    def climb_to(self, reference: track.Track, now_us: int) -> None:
+        """Nothing comes back; it takes off to the reference's first node and hovers there."""
+        self._climb(reference.start_ned, reference.start_yaw, now_us)
+
+    def rise(self, height_m: float | None, now_us: int) -> None:
+        """Nothing comes back; it takes off to this height above the floor, TAKEOFF_HEIGHT for None."""
+        p, most = self._place(), self.headroom
+        height = self._parameters["TAKEOFF_HEIGHT"] if height_m is None else height_m
+        if height > most:
+            self._tell(f"takeoff bounded by the fence: {most:.2f} m")
+        self._climb((p[0], p[1], p[2] - min(height, most)), self._yaw(), now_us)
+
+    def _climb(self, target: track.Vector, yaw_end: float, now_us: int) -> None:
+        values, p = self._parameters, self._place()
+        climb = track.climb(
+            p,
+            self._yaw(),
+            target,
+            yaw_end,
+            speed=values["TAKEOFF_SPEED"],
+            clear=values["TAKEOFF_CLEAR"],
+            hover_us=max(TICK_US, track.seconds_us(values["HOVER_S"])),
+        )
+        self._leave_floor(p)
+        self.player.start(climb, now_us)
+
+    def lift_off(self, now_us: int) -> None:
+        """Nothing comes back; the rotors turn, the reference rests where it stands."""
+        p = self._place()
+        self._leave_floor(p)
+        self.player.start(track.hold(p, self._yaw(), track.ENDLESS_US), now_us)
+
+    def _leave_floor(self, p: track.Vector) -> None:
+        """The rotors turn, and here is home."""
+        self.floor, self.home_ned = p[2], p
+        self._weights[0] = self._weights[1] = 1.0
+        self._armed[0] = 1.0
+
+    # In the air.
+
+    def go_to_start(self, reference: track.Track, present: Present, now_us: int) -> None:
+        """Nothing comes back; it goes to the reference's first node and hovers; from the floor up first."""
+        values = self._parameters
+        way = track.transit(
+            *present,
+            reference.start_ned,
+            reference.start_yaw,
+            speed=values["TAKEOFF_SPEED"],
+            deceleration=values["LAND_DECEL"],
+            room=self._room(),
+            hover_us=max(TICK_US, track.seconds_us(values["HOVER_S"])),
+            upright=self._low(present[0]),
+        )
+        self.player.start(way, now_us)
+
+    def hold_end(self, reference: track.Track, now_us: int) -> None:
+        """Nothing comes back; it stays at the end of the reference for HOLD_S."""
+        hold_us = max(TICK_US, track.seconds_us(self._parameters["HOLD_S"]))
+        self.player.start(track.hold(reference.end_ned, reference.end_yaw, hold_us), now_us)
+
+    def stop(self, present: Present, now_us: int, hold_s: float | None = None) -> None:
+        """Nothing comes back; it stops and stays, until told otherwise or for `hold_s`."""
+        hold_us = track.ENDLESS_US if hold_s is None else max(TICK_US, track.seconds_us(hold_s))
+        deceleration = self._parameters["LAND_DECEL"]
+        way = track.stop(*present, deceleration=deceleration, room=self._room(), hold_us=hold_us)
+        self.player.start(way, now_us)
+
+    def follow(self, now_us: int) -> None:
+        """Nothing comes back; the newest setpoint is what is flown from now on."""
+        offboard = self.offboard
+        target = offboard.target
+        if not isinstance(target, PositionTarget):
+            if target is not None:
+                offboard.drive(target)
+            return
+        if target == offboard.followed and target.rests:
+            return
+        node, yaw = self.present(now_us)
+        offboard.release()
+        aim = turned(target, self._yaw())
+        if self._low(node):
+            aim = upwards(aim, node)
+        else:
+            offboard.followed = target
+        way, bounded = towards(aim, node, yaw, offboard.bounds(self.floor))
+        if bounded and not self._bounded:
+            self._tell("setpoint bounded by fence, floor or speed")
+        self._bounded = bounded
+        self.player.start(way, now_us)
+
+    # Down.
+
+    def land(self, present: Present, now_us: int) -> None:
+        """Nothing comes back; it stops and goes straight down."""
+        values = self._parameters
+        descent = track.land(
+            *present,
+            floor=self.floor,
+            speed=values["LAND_SPEED"],
+            deceleration=values["LAND_DECEL"],
+            room=self._room(),
+        )
+        self.player.start(descent, now_us)
+
+    def descend_level(self, yaw: float, thrust_ratio: float, now_us: int) -> None:
+        """Nothing comes back; it keeps attitude and sink rate, without position feedback.
+
+        thrust_ratio: real over nominal thrust, as it was while position was known.
+        """
+        memory = self._memory
+        descent = track.level_descent(
+            self._place(),
+            (memory[3], memory[4], memory[5]),
+            yaw,
+            speed=self._parameters["FS_SINK_SPEED"],
+            damped_us=BLIND_US,
+            end_us=BLIND_END_US,
+        )
+        self._weights[0] = 0.0
+        self._blind_until_us = now_us + BLIND_US
+        # What was observed rests on a velocity that is no longer measured.
+        for k in range(law.OBSERVER.start, law.OBSERVER.stop):
+            memory[k] = 0.0
+        self._make_up(thrust_ratio)
+        self.player.start(descent, now_us)
+
+    def go_blind(self, thrust_ratio: float, now_us: int) -> None:
+        """Nothing comes back; velocity is followed no longer once dead reckoning is worth nothing.
+
+        thrust_ratio: real over nominal thrust, as it was in the descent so far.
+        """
+        if now_us >= self._blind_until_us and not self.blind:
+            self._weights[1] = 0.0
+            self._make_up(thrust_ratio)
+
+    def _make_up(self, thrust_ratio: float) -> None:
+        """What thrust has been worth so far replaces the feedback that made up for it."""
+        self._feedforward.hold((0.0, 0.0, GRAVITY / thrust_ratio - GRAVITY))
+
+    def fall(self, now_us: int) -> None:
+        """Nothing comes back; rotors off in the air."""
+        self._armed[0] = 0.0
+        self.player.start(track.hold((0.0, 0.0, 0.0), 0.0, FALL_US), now_us)
+
+    def _room(self) -> track.Room:
+        return self.offboard.bounds(self.floor).room
+
+    def _low(self, node: track.Node) -> bool:
+        return self.floor - node[2] < CLEAR_HEIGHT
+
+    def _place(self) -> track.Vector:
+        return (self._memory[0], self._memory[1], self._memory[2])
+
+    def _yaw(self) -> float:
+        w, x, y, z = self._memory[law.EST_Q]
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -1,0 +1,73 @@
+"""Plays a track into the engine: its pieces change when they are due, the time inside them at every tick."""
+
+from __future__ import annotations
+
+from trimtab.firmware_model.flight.track import Track
+from trimtab.firmware_model.law.reference import cubic_at, septic_at
+from trimtab.firmware_model.mcu.uart import NEVER_US
+
+
+class Player:
+    """Where on its track the vehicle is.
+
+    A tick compares its time with `switch_us`, calls `switch` where that has come, and writes the time inside
+    the pieces, `piece[0] = (now_us - piece_us) * 1e-6` and likewise for yaw. That is all it costs.
+
+    Args:
+        piece, yaw: the engine's input blocks.
+    """
+
+    def __init__(self, piece: memoryview[float], yaw: memoryview[float]) -> None:
+        self.piece = piece
+        self.yaw = yaw
+        self.piece_us = 0
+        self.yaw_us = 0
+        self.switch_us = NEVER_US
+        self._track: Track | None = None
+        self._start_us = 0
+        self._next_piece = 0
+        self._next_yaw = 0
+
+    def start(self, track: Track, now_us: int) -> None:
+        """Nothing comes back; the track's time 0 is now."""
+        self._track = track
+        self._start_us = now_us
+        self._next_piece = self._next_yaw = 0
+        self.switch(now_us)
+
+    def rest(self, track: Track, now_us: int) -> None:
+        """Nothing comes back; the track's first piece is in the inputs and time no longer ends it."""
+        self.start(track, now_us)
+        self.switch_us = NEVER_US
+
+    def reference(self, now_us: int) -> tuple[float, ...]:
+        """Position, velocity, acceleration, jerk (NED), yaw and yaw rate at `now_us`, 14 numbers."""
+        p, v, a, j, _ = septic_at(self.piece[1:], (now_us - self.piece_us) * 1e-6)
+        return (*p, *v, *a, *j, *cubic_at(self.yaw[1:], (now_us - self.yaw_us) * 1e-6))
+
+    def switch(self, now_us: int) -> bool:
+        """Whether the track has ended; if not, the inputs hold the present pieces until `switch_us`."""
+        track, start = self._track, self._start_us
+        if track is None or now_us >= start + track.end_us:
+            self.switch_us = NEVER_US
+            return True
+        starts, yaw_starts, at_us = track.starts_us, track.yaw_starts_us, now_us - start
+        k = self._next_piece
+        if k < len(starts) and starts[k] <= at_us:
+            while k + 1 < len(starts) and starts[k + 1] <= at_us:
+                k += 1
+            self.piece[:] = track.blocks[k]
+            self.piece_us = start + starts[k]
+            self._next_piece = k = k + 1
+        y = self._next_yaw
+        if y < len(yaw_starts) and yaw_starts[y] <= at_us:
+            while y + 1 < len(yaw_starts) and yaw_starts[y + 1] <= at_us:
+                y += 1
+            self.yaw[:] = track.yaw_blocks[y]
+            self.yaw_us = start + yaw_starts[y]
+            self._next_yaw = y = y + 1
+        self.switch_us = start + min(
+            starts[k] if k < len(starts) else track.end_us,
+            yaw_starts[y] if y < len(yaw_starts) else track.end_us,
+        )
+        return False

@@ -1,0 +1,124 @@
+"""The vehicle's own verdict on a blob: by its own parameters and limits, whoever sent it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from enum import IntEnum
+
+from trimtab.firmware_model.flight.parameters import ParameterValues
+from trimtab.firmware_model.law import checks
+from trimtab.protocol.blobs import BlobError, FeedForward, Reference, from_bytes
+from trimtab.protocol.upload import Verdict
+
+
+class Reason(IntEnum):
+    """Reasons beside those of `law.checks`, whose numbers are below 100; they travel on the wire."""
+
+    BAD_BLOB = 100
+    OTHER_VEHICLE = 101
+    OTHER_KIND = 102
+    FEEDFORWARD_RANGE = 103
+    NOT_CONTINUOUS = 104  # with what is flown, where it should take over
+    TOO_LATE = 105
+
+
+GAIN_RANGE = (0.3, 3.0)
+"""Real over nominal thrust that a feed-forward may claim."""
+BIAS_MAX = 5.0
+"""m/s^2."""
+DRAG_MAX = 5.0
+"""1/s and 1/m."""
+OFFSET_MAX = 0.2
+"""rad."""
+PREDICTION_MAX_S = 0.1
+BATTERY_RESERVE = 0.05
+"""Share of the thrust that is left which a reference must leave to the controller and to further sag."""
+BATTERY_LOW_CELL_V = 0.1
+"""Voltage of a cell above empty below which no reference is accepted."""
+
+
+def check_blob(
+    kind: int, data: bytes, *, parameters: ParameterValues, vehicle_id: str, battery_v: float = 0.0
+) -> Verdict:
+    """Whether this vehicle may use the blob, and if not, why. Never raises.
+
+    battery_v: as measured last, 0 where it has not been: then nothing is said about the battery.
+    """
+    try:
+        blob = from_bytes(data)
+    except BlobError as error:
+        return _refused(Reason.BAD_BLOB, str(error))
+    found = int(blob.KIND)
+    if found != kind:
+        return _refused(Reason.OTHER_KIND, f"announced as kind {kind}, but it is kind {found}")
+    if blob.vehicle_id != vehicle_id:
+        return _refused(Reason.OTHER_VEHICLE, f"made for vehicle {blob.vehicle_id}, this is {vehicle_id}")
+    if isinstance(blob, Reference):
+        return battery_verdict(parameters, battery_v) or _check_reference(blob, parameters, battery_v)
+    return _check_feedforward(blob)
+
+
+def battery_verdict(parameters: ParameterValues, battery_v: float) -> Verdict | None:
+    """The refusal of any reference where the battery is as good as empty, else None; also where 0 V or
+    NaN says that it has not been measured.
+    """
+    bound = parameters["BAT_EMPTY_V"] + BATTERY_LOW_CELL_V * parameters["BAT_CELLS"]
+    if not 0.0 < battery_v < bound:
+        return None
+    text = f"battery at {battery_v:.2f} V, below {bound:.2f} V"
+    return _refused(checks.Reason.BATTERY, text, battery_v, bound)
+
+
+def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: float) -> Verdict:
+    limits = parameters.limits
+    low, high = limits.thrust_headroom
+    available = high
+    if battery_v > 0.0:
+        full = (battery_v / parameters["BAT_FULL_V"]) ** 2  # thrust goes with the square of the voltage
+        available = max(low + 1e-6, min(high, (1.0 - BATTERY_RESERVE) * full))
+    found = checks.check_reference(
+        blob.nodes,
+        blob.yaw_nodes(),
+        parameters.airframe,
+        replace(limits, thrust_headroom=(low, available)),
+        origin=blob.origin_ned,
+        ends_at_rest=not blob.free_ends,
+    )
+    if found.ok:
+        return Verdict(ok=True)
+    reason, text = found.reason_code, found.text
+    if reason is checks.Reason.THRUST_HIGH and found.bound < high:
+        reason = checks.Reason.BATTERY
+        text = f"{found.quantity} {found.value:.4g} of max, the battery gives {found.bound:.4g}"
+    return Verdict(
+        ok=False,
+        node=found.node if 0 <= found.node < 0xFFFF else None,
+        reason=int(reason),
+        value=found.value,
+        bound=found.bound,
+        message=text,
+    )
+
+
+def _check_feedforward(blob: FeedForward) -> Verdict:
+    if blob.block is None:
+        return Verdict(ok=True)
+    gain, *rest = blob.block
+    if not GAIN_RANGE[0] <= gain <= GAIN_RANGE[1]:
+        bound = GAIN_RANGE[0] if gain < GAIN_RANGE[0] else GAIN_RANGE[1]
+        return _refused(Reason.FEEDFORWARD_RANGE, f"gain {gain:.4g} beyond {bound:g}", gain, bound)
+    bias, drag, offset, prediction_s = rest[0:3], rest[3:9], rest[9:11], rest[11:12]
+    for name, values, bound in (
+        ("bias", bias, BIAS_MAX),
+        ("drag", drag, DRAG_MAX),
+        ("attitude offset", offset, OFFSET_MAX),
+        ("prediction time", prediction_s, PREDICTION_MAX_S),
+    ):
+        worst = max(values, key=abs)
+        if not abs(worst) <= bound:
+            return _refused(Reason.FEEDFORWARD_RANGE, f"{name} {worst:.4g} beyond {bound:g}", worst, bound)
+    return Verdict(ok=True)
+
+
+def _refused(reason: Reason | checks.Reason, message: str, value: float = 0.0, bound: float = 0.0) -> Verdict:
+    return Verdict(ok=False, reason=int(reason), value=value, bound=bound, message=message)

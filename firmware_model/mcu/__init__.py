@@ -1,0 +1,1 @@
+"""The two processors and the serial lines between them."""

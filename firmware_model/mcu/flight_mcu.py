@@ -1,0 +1,338 @@
+"""The flight processor: bytes in, sensors in, motor commands out; everything happens in its tick."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from trimtab.firmware_model.flight import track
+from trimtab.firmware_model.flight.engine import Engine
+from trimtab.firmware_model.flight.flight import LOOK_TICKS, Flight
+from trimtab.firmware_model.flight.parameters import stored_parameters
+from trimtab.firmware_model.flight.supervisor import State
+from trimtab.firmware_model.flight.swap import agree_swap
+from trimtab.firmware_model.flight.verdict import check_blob
+from trimtab.firmware_model.mcu.uart import NEVER_US, UartPort
+from trimtab.firmware_model.services import telemetry
+from trimtab.firmware_model.services.services import Identity, Services
+from trimtab.firmware_model.services.telemetry import LoopTimes
+from trimtab.firmware_model.storage.store import ReferenceStore
+from trimtab.protocol.blobs import FeedForward, Kind, Reference, from_bytes
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import (
+    DIALECT_VERSION,
+    NO_TICK,
+    VEHICLE,
+    AttPosMocap,
+    FcStatus,
+    Message,
+    UploadResult,
+    mavlink,
+)
+from trimtab.protocol.telemetry import TICK_US, whole_tick
+from trimtab.protocol.upload import Agreement, ReceiverEvent, UploadEvent, UploadReceiver, Verdict
+
+BAUD = 921_600
+RX_BYTES = 2_048
+TX_BYTES = 4_096
+LOOK_US = LOOK_TICKS * TICK_US
+FOREIGN_US = 5_000_000
+"""How often it says that it does not understand."""
+FOREIGN_LEAST = 3
+"""Wrong checksums in that time that noise does not explain."""
+CATCH_UP_TICKS = 20
+"""Most ticks that are caught up with at once."""
+
+
+class FlightMcu:
+    """One power-up of the flight processor. A power cycle is a new one with the same store.
+
+    Args:
+        engine: `law.step` as an engine; it is this processor's alone.
+        parameters: values by the names of protocol's table, defaults where missing; what was set before and
+            is in the store goes first.
+        store: non-volatile memory.
+        uid: of this power-up, at most 18 bytes; AUTOPILOT_VERSION.uid2, little-endian.
+        vehicle_id: 6 bytes, id of the vehicle file that the parameters come from.
+        baud, rx_bytes, tx_bytes, chunk_bytes, idle_us: the line to the radio processor.
+        loop_times: what the cycle counter has measured of the ticks before a time since the last call.
+        check: says whether a blob may be used, as `verdict.check_blob` does.
+
+    `motor_command` is a view of four numbers in 0..1, fixed for life, new after each tick. `late_ticks`
+    counts the ticks that began later than one tick after the one before.
+    Raises ValueError for parameters that the table refuses or that contradict each other.
+    """
+
+    def __init__(
+        self,
+        *,
+        engine: Engine,
+        parameters: Mapping[str, float],
+        store: ReferenceStore,
+        uid: int,
+        vehicle_id: bytes,
+        baud: int = BAUD,
+        rx_bytes: int = RX_BYTES,
+        tx_bytes: int = TX_BYTES,
+        chunk_bytes: int | None = None,
+        idle_us: int = 0,
+        loop_times: Callable[[int], LoopTimes] = lambda now_us: LoopTimes(0, 0, 0),
+        check: Callable[..., Verdict] = check_blob,
+    ) -> None:
+        self.uart = UartPort(
+            baud=baud, rx_bytes=rx_bytes, tx_bytes=tx_bytes, chunk_bytes=chunk_bytes, idle_us=idle_us
+        )
+        self.late_ticks = 0
+        self.parameters = stored_parameters(parameters, store, vehicle_id)
+        self.flight = Flight(engine=engine, parameters=self.parameters)
+        self.motor_command = self.flight.outputs["motor_command"]
+        self.unsendable = 0  # messages whose numbers fit no field
+        self.unsent = 0  # messages for which the line had no room
+        self._store = store
+        self._blob_check = check
+        self._identity = Identity(uid=uid, vehicle_id=vehicle_id)
+        self._battery_v = 0.0
+        self._codec = Codec(*VEHICLE)
+        self._upload = UploadReceiver(
+            store,
+            check=self._check,
+            may_commit=lambda kind: self._on_floor(),
+            agree=self._agree,
+            capacity=store.bank_bytes,
+        )
+        self._services = Services(
+            flight=self.flight,
+            parameters=self.parameters,
+            upload=self._upload,
+            store=store,
+            identity=self._identity,
+            send=self._queue,
+            status=self._status,
+            battery_v=lambda: self._battery_v,
+            on_upload=self._uploaded,
+            on_limits=self._limits_changed,
+            keep=store.settings.change,
+        )
+        self._out: list[bytes] = []
+        self._swap_us = NEVER_US
+        self._following: track.Track | None = None
+        self._last_us = -TICK_US
+        self._look_us = 0
+        self._status_us = 0
+        self._heartbeat_us = 0
+        self._loop_times = loop_times
+        self._foreign_us = FOREIGN_US
+        self._foreign = 0
+        self.flight.texts.extend((mavlink.MAV_SEVERITY_WARNING, fault) for fault in store.faults)
+        for kind in Kind:
+            self._load(kind)
+
+    @property
+    def state(self) -> State:
+        """What the vehicle is doing."""
+        return self.flight.state
+
+    def tick(
+        self, now_us: int, gyro: Sequence[float], specific_force: Sequence[float], battery_v: float
+    ) -> None:
+        """Nothing comes back; one tick has passed, `motor_command` is what the rotors get until the next.
+
+        Args:
+            now_us: time since power-up. gyro (rad/s), specific_force (m/s^2): FRD.
+        """
+        if now_us >= self.uart.due_us:
+            self._receive(now_us)
+        if now_us - self._last_us != TICK_US:
+            self._catch_up(now_us, gyro, specific_force)
+        self._last_us = now_us
+        if now_us >= self._swap_us:
+            self._swap(now_us)
+        self.flight.tick(now_us, gyro, specific_force)
+        if now_us >= self._look_us:
+            self._battery_v = battery_v
+            self._look(now_us)
+
+    def _receive(self, now_us: int) -> None:
+        """Whatever has arrived is handled; answers leave at once."""
+        flight, services = self.flight, self._services
+        for message in self._codec.decode(self.uart.read(now_us)):
+            if isinstance(message, AttPosMocap):
+                flight.pose(message.time_usec, (message.x, message.y, message.z), message.q, now_us)
+            else:
+                services.receive(message, now_us)
+        if self._out:
+            self._flush(now_us)
+
+    def _look(self, now_us: int) -> None:
+        """Every ten ticks: what is watched, and what is reported."""
+        self._look_us = now_us - now_us % LOOK_US + LOOK_US
+        flight = self.flight
+        streams = self._services.streams
+        flight.look(now_us, self._battery_v)
+        if self._swap_us < NEVER_US and flight.state is not State.TRACKING:
+            self._call_off(now_us)
+        if not self._gives_way(now_us):
+            self._report_at_rate(now_us)
+        if now_us >= self._status_us or flight.changed:
+            self._status_us = now_us - now_us % telemetry.STATUS_US + telemetry.STATUS_US
+            if flight.changed or streams.own_due(FcStatus.id, now_us):
+                flight.changed = False
+                self._queue(self._status(now_us))
+        if now_us >= self._heartbeat_us:
+            self._heartbeat_us = now_us - now_us % telemetry.HEARTBEAT_US + telemetry.HEARTBEAT_US
+            self._queue(telemetry.heartbeat(flight))
+        while flight.texts:
+            self._services.text(*flight.texts.popleft())
+        self._services.look(now_us)
+        if now_us >= self._foreign_us:
+            self._notice_foreign(now_us)
+        self._flush(now_us)
+
+    def _gives_way(self, now_us: int) -> bool:
+        """Whether an upload has the air to itself: while chunks come and the vehicle stands on the floor."""
+        return self._on_floor() and self._upload.under_way(now_us)
+
+    def _report_at_rate(self, now_us: int) -> None:
+        streams = self._services.streams
+        try:
+            for message in telemetry.at_rate(self.flight, now_us):
+                if not streams.slowed or streams.own_due(message.id, now_us):
+                    self._queue(message)
+        except (ValueError, OverflowError):
+            self.unsendable += 1
+
+    def _notice_foreign(self, now_us: int) -> None:
+        """Messages of another dialect's version look like known ones with wrong checksums: say so."""
+        self._foreign_us = now_us + FOREIGN_US
+        fresh, self._foreign = self._codec.bad_checksums - self._foreign, self._codec.bad_checksums
+        if fresh >= FOREIGN_LEAST:
+            text = f"{fresh} messages not understood; dialect {DIALECT_VERSION} here"
+            self._services.text(mavlink.MAV_SEVERITY_WARNING, text)
+
+    def _catch_up(self, now_us: int, gyro: Sequence[float], specific_force: Sequence[float]) -> None:
+        """Runs the ticks that were missed, with what is sensed now: the law's step is always one tick."""
+        self.late_ticks += 1
+        self.flight.watch.late(now_us)
+        first_us = max(self._last_us + TICK_US, now_us - CATCH_UP_TICKS * TICK_US)
+        for missed_us in range(first_us, now_us, TICK_US):
+            self.flight.tick(missed_us, gyro, specific_force)
+
+    # Sending.
+
+    def _queue(self, message: Message) -> None:
+        try:
+            self._out.append(self._codec.encode(message))
+        except ValueError:
+            self.unsendable += 1
+
+    def _flush(self, now_us: int) -> None:
+        """What is queued goes on the line: as a whole where there is room, else as many messages as fit."""
+        out, self._out = self._out, []
+        data = b"".join(out)
+        if len(data) <= self.uart.tx_free(now_us):
+            self.uart.write(data, now_us)
+            return
+        for message in out:
+            if not self.uart.write(message, now_us):
+                self.unsent += 1
+
+    def _status(self, now_us: int) -> Message:
+        upload = self._upload
+        staged_kind, staged_id = upload.staged()
+        board = telemetry.OnBoard(
+            vehicle_id=self._identity.vehicle_id,
+            reference_id=upload.live_id(Kind.REFERENCE),
+            feedforward_id=upload.live_id(Kind.FEEDFORWARD),
+            staged_id=staged_id,
+            staged_kind=staged_kind,
+            battery_v=self._battery_v,
+            loop=self._loop_times(now_us),
+            late_ticks=self.late_ticks,
+            uart_overruns=self.uart.overruns,
+            swap_tick=NO_TICK if upload.at_tick is None else upload.at_tick,
+            bad_bytes=self._codec.bad_bytes,
+        )
+        return telemetry.status(self.flight, now_us, board)
+
+    # Blobs.
+
+    def _check(self, kind: int, blob: bytes) -> Verdict:
+        return self._blob_check(
+            kind,
+            blob,
+            parameters=self.parameters,
+            vehicle_id=self._identity.vehicle_id.hex(),
+            battery_v=self._battery_v,
+        )
+
+    def _on_floor(self) -> bool:
+        return self.flight.state in (State.BOOT, State.STANDBY)
+
+    def _uploaded(self, event: ReceiverEvent) -> None:
+        self.flight.changed = True
+        if event.event is UploadEvent.COMMITTED and self._on_floor():
+            self._load(event.kind)  # in flight it has been taken over already
+
+    def _limits_changed(self) -> None:
+        """Nothing comes back; what is live and what is staged are judged anew."""
+        self._load(Kind.REFERENCE)
+        now_us = self._last_us
+        self._services.take(self._upload.limits_changed(now_us), now_us)
+
+    # A reference that takes over in flight.
+
+    def _agree(self, kind: int, data: bytes, at_tick: int, now_us: int) -> Agreement:
+        """Whether this blob takes over at a tick; what was agreed before no longer holds."""
+        self._swap_us, flight = NEVER_US, self.flight
+        if kind != Kind.REFERENCE:
+            return Agreement(result=UploadResult.BAD_REQUEST)
+        live, start_us = flight.reference, flight.tracking_us
+        if flight.state is not State.TRACKING or live is None or start_us is None:
+            return Agreement(result=UploadResult.BUSY)
+        blob = Reference.from_bytes(data)
+        following = track.track(blob.nodes_ned(), blob.yaw_nodes())
+        at_us = TICK_US * whole_tick(at_tick, now_us // TICK_US)
+        agreement = agree_swap(
+            live,
+            blob,
+            following,
+            at_us=at_us - start_us,
+            ahead_us=at_us - now_us,
+            limits=self.parameters.limits,
+        )
+        if agreement.result is UploadResult.OK:
+            self._following, self._swap_us, flight.changed = following, at_us, True
+        return agreement
+
+    def _swap(self, now_us: int) -> None:
+        """The agreed tick has come: the track changes and what is staged becomes live."""
+        at_us, following = self._swap_us, self._following
+        if self.flight.state is not State.TRACKING or following is None or self._upload.at_tick is None:
+            self._call_off(now_us)
+            return
+        self._swap_us = NEVER_US
+        self.flight.swap(following, at_us)
+        self._services.take(self._upload.due(now_us), now_us)
+
+    def _call_off(self, now_us: int) -> None:
+        self._swap_us = NEVER_US
+        self._upload.call_off(now_us)
+        self._services.take([], now_us)
+        self.flight.changed = True
+
+    def _load(self, kind: int) -> None:
+        """What is live of this kind becomes what is flown, if it (still) passes the check."""
+        data = self._store.live(kind)
+        verdict = None if data is None else self._check(kind, data)
+        if verdict is not None and not verdict.ok:
+            node = "" if verdict.node is None else f" at node {verdict.node}"
+            for text in (f"live blob refused{node}:", verdict.message):
+                self.flight.texts.append((mavlink.MAV_SEVERITY_WARNING, text))
+        blob = from_bytes(data) if data is not None and verdict is not None and verdict.ok else None
+        if kind == Kind.REFERENCE:
+            self.flight.reference = None
+            if isinstance(blob, Reference):
+                self.flight.reference = track.track(blob.nodes_ned(), blob.yaw_nodes())
+        else:
+            self.flight.feedforward.clear()
+            if isinstance(blob, FeedForward):
+                self.flight.feedforward.load(blob)

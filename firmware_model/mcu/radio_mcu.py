@@ -1,0 +1,138 @@
+"""The radio processor: whole messages between a serial line and radio frames. It reads no payload.
+
+The ground radio is another one of these: its serial line is the host's port.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from trimtab.firmware_model.mcu.uart import UartPort
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.messages import HOST_RADIO, VEHICLE_RADIO, RadioStats
+from trimtab.protocol.uwb import FRAME_BYTES, PIECE, Assembler, FramePacker, StreamSplitter
+
+BAUD = 921_600
+RX_BYTES = 4_096
+TX_BYTES = 8_192
+AIR_BYTES = 1_024
+"""Room for what has come over the air until the next tick; what finds none is lost and counted."""
+STATS_US = 1_000_000
+"""Interval of RADIO_STATS."""
+_PIECE = bytes([PIECE])
+
+
+class RadioMcu:
+    """One radio. Both its sides see bytes; they move from one to the other in its own tick, and only there.
+
+    Args:
+        address: system and component on RADIO_STATS, `messages.VEHICLE_RADIO` or `messages.HOST_RADIO`.
+        poses: poses that may wait for a slot; 2 where they come at 200 Hz.
+        baud, rx_bytes, tx_bytes, chunk_bytes, idle_us: the serial line.
+        frame_bytes: what a radio frame holds.
+
+    `due_us` is when the next tick has something to do, the sooner of the line's `uart.due_us` and of
+    `own_due_us`; ticks before may be left out.
+    """
+
+    def __init__(
+        self,
+        *,
+        address: tuple[int, int] = VEHICLE_RADIO,
+        poses: int = 1,
+        baud: int = BAUD,
+        rx_bytes: int = RX_BYTES,
+        tx_bytes: int = TX_BYTES,
+        chunk_bytes: int | None = None,
+        idle_us: int = 0,
+        frame_bytes: int = FRAME_BYTES,
+    ) -> None:
+        self.uart = UartPort(
+            baud=baud, rx_bytes=rx_bytes, tx_bytes=tx_bytes, chunk_bytes=chunk_bytes, idle_us=idle_us
+        )
+        self.packer = FramePacker(poses=poses, frame_bytes=frame_bytes)
+        self.frames_sent = 0
+        self.frames_received = 0
+        self.air_overruns = 0
+        self._splitter = StreamSplitter()
+        self._assembler = Assembler()
+        self._codec = Codec(*address)
+        self._to_host = address == HOST_RADIO
+        self._air: deque[bytes] = deque()
+        self._air_bytes = 0
+        self._stats_us = STATS_US
+        self.own_due_us = STATS_US
+
+    @property
+    def due_us(self) -> int:
+        """When the next tick has something to do."""
+        return min(self.uart.due_us, self.own_due_us)
+
+    @property
+    def pose_waits(self) -> bool:
+        """Whether a pose waits for the air."""
+        return self.packer.pose_waits
+
+    def tick(self, now_us: int) -> bool:
+        """Whether something waits for the air; moves what line and air have brought since the last tick."""
+        if self._air:
+            self._pass_down(now_us)
+        uart, packer = self.uart, self.packer
+        if now_us >= uart.due_us:
+            for message in self._splitter.feed(uart.read(now_us)):
+                packer.offer(message)
+        if now_us >= self._stats_us:
+            self._report(now_us)
+        self.own_due_us = 0 if self._air else self._stats_us
+        return packer.waiting > 0
+
+    def air_send(self, now_us: int) -> bytes | None:
+        """The next frame for the air: whole messages, or a piece of a long one; None where nothing waits."""
+        frame = self.packer.take()
+        if frame is not None:
+            self.frames_sent += 1
+        return frame
+
+    def air_receive(self, frame: bytes, now_us: int) -> None:
+        """Nothing comes back; its messages wait for the next tick, or are lost where the buffer is full."""
+        self.frames_received += 1
+        if frame.startswith(_PIECE):
+            message = self._assembler.receive(frame, now_us)
+            if message is None:
+                return
+            frame = message
+        if self._air_bytes + len(frame) > AIR_BYTES:
+            self.air_overruns += len(frame)
+            return
+        self._air.append(frame)
+        self._air_bytes += len(frame)
+        self.own_due_us = 0
+
+    def _pass_down(self, now_us: int) -> None:
+        """Frames go out on the line as they came; those that find no room wait."""
+        air, uart = self._air, self.uart
+        while air and uart.tx_free(now_us) >= len(air[0]):
+            frame = air.popleft()
+            self._air_bytes -= len(frame)
+            uart.write(frame, now_us)
+
+    def _report(self, now_us: int) -> None:
+        """RADIO_STATS goes to the host: along the line from the ground radio, else through the air."""
+        self._stats_us = now_us - now_us % STATS_US + STATS_US
+        self._assembler.expire(now_us)
+        message = self._codec.encode(
+            RadioStats(
+                self.frames_sent & 0xFFFF_FFFF,
+                self.frames_received & 0xFFFF_FFFF,
+                self.packer.packed & 0xFFFF_FFFF,
+                self.packer.refused & 0xFFFF,
+                self.packer.replaced & 0xFFFF,
+                self._assembler.broken & 0xFFFF,
+                (self.uart.overruns + self.air_overruns) & 0xFFFF,
+                self._splitter.bad_bytes & 0xFFFF,
+            )
+        )
+        if self._to_host:
+            self.uart.write(message, now_us)
+        else:
+            self.packer.offer(message)

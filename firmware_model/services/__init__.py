@@ -1,0 +1,1 @@
+"""What the vehicle offers over the link: commands, parameters, setpoints, files, telemetry."""

@@ -1,0 +1,156 @@
+"""Commands over the link, each answered by COMMAND_ACK; a refusal says why in a text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from trimtab.firmware_model.flight.flight import Flight
+from trimtab.firmware_model.flight.phases import TAKEOFF_LEAST
+from trimtab.firmware_model.flight.supervisor import Event, State
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import Message, mavlink
+from trimtab.protocol.upload import ReceiverEvent, UploadReceiver
+
+_ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
+_NOT_NOW = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+_UNSUPPORTED = mavlink.MAV_RESULT_UNSUPPORTED
+_FAILED = mavlink.MAV_RESULT_FAILED
+_WARNING = mavlink.MAV_SEVERITY_WARNING
+_LOCAL_FRAMES = (
+    mavlink.MAV_FRAME_LOCAL_NED,
+    mavlink.MAV_FRAME_LOCAL_OFFSET_NED,
+    mavlink.MAV_FRAME_BODY_NED,
+)
+
+_CUSTOM_MODE = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+_MODES: dict[tuple[float, float | None], Event] = {
+    (4.0, 3.0): Event.HOLD,
+    (4.0, 6.0): Event.LAND,
+    (6.0, None): Event.OFFBOARD,
+}
+"""Main mode and sub mode as PX4 numbers them; None: any sub mode."""
+
+
+class Commands:
+    """Handlers of COMMAND_LONG and COMMAND_INT.
+
+    Args:
+        send: puts a message on the line. text: tells people. requests: what can be asked for by
+        MAV_CMD_REQUEST_MESSAGE, by message id. on_upload: is told what a commit brought about. more: commands
+        that are carried out elsewhere: MAV_RESULT from a command and the time.
+    """
+
+    def __init__(
+        self,
+        *,
+        flight: Flight,
+        upload: UploadReceiver,
+        send: Callable[[Message], None],
+        text: Callable[[int, str], None],
+        requests: Mapping[float, Callable[[int], Message]],
+        on_upload: Callable[[list[ReceiverEvent], int], None],
+        more: Mapping[int, Callable[[Any, int], int]],
+    ) -> None:
+        self._flight = flight
+        self._upload = upload
+        self._send = send
+        self._text = text
+        self._requests = requests
+        self._on_upload = on_upload
+        self._commands: dict[int, Callable[[Any, int], int]] = {
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
+            mavlink.MAV_CMD_RUN_PREARM_CHECKS: self._check,
+            mavlink.MAV_CMD_MISSION_START: lambda _, now_us: self._event(Event.START, now_us),
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
+            mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
+            mavlink.MAV_CMD_NAV_LAND: lambda _, now_us: self._event(Event.LAND, now_us),
+            mavlink.MAV_CMD_DO_FLIGHTTERMINATION: self._terminate,
+            mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
+            mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._request_version,
+            mavlink.MAV_CMD_USER_1: self._commit,
+            **more,
+        }
+
+    def long(self, message: m.CommandLong, now_us: int) -> None:
+        """The command has been carried out or refused, and is acknowledged."""
+        act = self._commands.get(message.command)
+        result = _UNSUPPORTED if act is None else act(message, now_us)
+        self._send(m.CommandAck(message.command, result, 0, 0, *m.sender_of(message)))
+
+    def int(self, message: m.CommandInt, now_us: int) -> None:
+        """As `long`; the place is in 1e-4 m in a local frame, and none in any other."""
+        place = (math.nan, math.nan)
+        if message.frame in _LOCAL_FRAMES:
+            place = (1e-4 * message.x, 1e-4 * message.y)
+        first = (message.param1, message.param2, message.param3, message.param4)
+        target = (message.target_system, message.target_component)
+        long = m.CommandLong(*target, message.command, 0, *first, *place, message.z)
+        long._header.srcSystem, long._header.srcComponent = m.sender_of(message)
+        self.long(long, now_us)
+
+    def _event(self, event: Event, now_us: int, height_m: float | None = None) -> int:
+        reason = self._flight.command(event, now_us, height_m)
+        if reason is None:
+            return _ACCEPTED
+        self._text(_WARNING, f"{event.name.lower()} refused: {reason}")
+        return _NOT_NOW
+
+    def _arm(self, message: m.CommandLong, now_us: int) -> int:
+        if not math.isfinite(message.param1):
+            return mavlink.MAV_RESULT_DENIED
+        if message.param1 > 0.5:
+            return self._event(Event.ARM, now_us)
+        return self._event(Event.KILL if message.param2 == m.FORCE else Event.DISARM, now_us)
+
+    def _check(self, message: m.CommandLong, now_us: int) -> int:
+        """Every reason why arming would be refused, as texts."""
+        if self._flight.state is not State.STANDBY:
+            self._text(_WARNING, f"not in standby: {self._flight.state.name.lower()}")
+            return _NOT_NOW
+        reasons = self._flight.arming_reasons(now_us)
+        for reason in reasons:
+            self._text(_WARNING, f"not ready: {reason}")
+        if not reasons:
+            self._text(mavlink.MAV_SEVERITY_INFO, "ready to arm")
+        return _NOT_NOW if reasons else _ACCEPTED
+
+    def _take_off(self, message: m.CommandLong, now_us: int) -> int:
+        height = message.param7
+        if math.isnan(height) or height == 0.0:
+            return self._event(Event.TAKEOFF, now_us)
+        if not TAKEOFF_LEAST <= height < math.inf:
+            return mavlink.MAV_RESULT_DENIED
+        return self._event(Event.TAKEOFF, now_us, height)
+
+    def _set_mode(self, message: m.CommandLong, now_us: int) -> int:
+        named = bool(math.isfinite(message.param1) and int(message.param1) & _CUSTOM_MODE)
+        event = _MODES.get((message.param2, message.param3)) or _MODES.get((message.param2, None))
+        return self._event(event, now_us) if named and event is not None else _UNSUPPORTED
+
+    def _terminate(self, message: m.CommandLong, now_us: int) -> int:
+        return self._event(Event.KILL, now_us) if message.param1 > 0.5 else _ACCEPTED
+
+    def _request(self, message: m.CommandLong, now_us: int) -> int:
+        make = self._requests.get(message.param1)
+        if make is None:
+            return _UNSUPPORTED
+        self._send(make(now_us))
+        return _ACCEPTED
+
+    def _request_version(self, message: m.CommandLong, now_us: int) -> int:
+        self._send(self._requests[m.AutopilotVersion.id](now_us))
+        return _ACCEPTED
+
+    def _commit(self, message: m.CommandLong, now_us: int) -> int:
+        """Commit by MAV_CMD_USER_1: the id's 12 hex digits as three 16-bit numbers."""
+        parts = (message.param1, message.param2, message.param3)
+        if not all(math.isfinite(part) and 0 <= part <= 0xFFFF for part in parts):
+            return mavlink.MAV_RESULT_DENIED
+        id_bytes = b"".join(int(part).to_bytes(2, "big") for part in parts)
+        result, events = self._upload.commit(id_bytes, now_us)
+        self._on_upload(events, now_us)
+        if result is m.UploadResult.OK:
+            return _ACCEPTED
+        return _NOT_NOW if result is m.UploadResult.BUSY else _FAILED

@@ -1,0 +1,103 @@
+"""Parameters over the link: the list, single values, and setting them in standby."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from trimtab.firmware_model.flight.flight import Flight
+from trimtab.firmware_model.flight.parameters import ParameterValues, index_of, name_at
+from trimtab.firmware_model.flight.supervisor import State
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import Message, mavlink
+from trimtab.protocol.parameter_wire import REAL32, decode, encode, type_of
+from trimtab.protocol.parameters import BY_NAME
+
+VALUES_PER_LOOK = 2
+"""PARAM_VALUEs sent at each look while a list goes out: 200 a second."""
+_WARNING = mavlink.MAV_SEVERITY_WARNING
+_TYPE_NAMES = {True: "INT32", False: "REAL32"}
+
+
+class ParameterService:
+    """Handlers of PARAM_ messages.
+
+    Args:
+        send: puts a message on the line. text: tells people. keep: gets the name and value of what was set.
+        on_limits: is called where what references are checked by has changed.
+    """
+
+    def __init__(
+        self,
+        *,
+        flight: Flight,
+        parameters: ParameterValues,
+        send: Callable[[Message], None],
+        text: Callable[[int, str], None],
+        keep: Callable[[str, float], None],
+        on_limits: Callable[[], None],
+    ) -> None:
+        self._flight = flight
+        self._parameters = parameters
+        self._send = send
+        self._text = text
+        self._keep = keep
+        self._on_limits = on_limits
+        self._listing: deque[int] = deque()
+
+    def look(self) -> None:
+        """Nothing comes back; sends the next entries of a list that was asked for."""
+        for _ in range(min(VALUES_PER_LOOK, len(self._listing))):
+            self._send_value(self._listing.popleft())
+
+    def list(self, message: m.ParamRequestList, now_us: int) -> None:
+        """All values follow, a few at each look.
+
+        Every station hears them: where another list is under way, what it still holds serves both, and what
+        has gone out already follows it.
+        """
+        waiting = set(self._listing)
+        self._listing.extend(index for index in range(len(self._parameters)) if index not in waiting)
+
+    def read(self, message: m.ParamRequestRead, now_us: int) -> None:
+        """One value follows, where there is such a parameter."""
+        index = message.param_index if message.param_index >= 0 else index_of(message.param_id)
+        if index is not None and name_at(index) is not None:
+            self._send_value(index)
+
+    def set(self, message: m.ParamSet, now_us: int) -> None:
+        """Set in standby alone; the answer is the value on board, whatever became of the request.
+
+        A whole number may come as REAL32 too: MAVProxy sends all of them so.
+        """
+        name = message.param_id
+        index = index_of(name)
+        if index is None:
+            self._text(_WARNING, f"no parameter {name}")
+            return
+        if self._flight.state is not State.STANDBY:
+            self._text(_WARNING, f"{name} kept: set in standby only")
+        elif message.param_type not in (REAL32, type_of(BY_NAME[name])):
+            self._text(_WARNING, f"{name} kept: set it as {_TYPE_NAMES[BY_NAME[name].integer]}")
+        else:
+            self._set(name, decode(message.param_value, message.param_type))
+        self._send_value(index)
+
+    def _set(self, name: str, value: float) -> None:
+        parameters = self._parameters
+        before = (parameters.airframe, parameters.limits)
+        try:
+            self._keep(name, parameters.set(name, value))
+        except ValueError as error:
+            self._text(_WARNING, str(error))
+            return
+        self._flight.configure()
+        if (parameters.airframe, parameters.limits) != before:
+            self._on_limits()
+
+    def _send_value(self, index: int) -> None:
+        name = name_at(index)
+        if name is not None:
+            value, count = self._parameters[name], len(self._parameters)
+            kind = type_of(BY_NAME[name])
+            self._send(m.ParamValue(name.encode(), encode(value, kind), kind, count, index))

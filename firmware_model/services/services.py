@@ -1,0 +1,202 @@
+"""What the vehicle answers: clock comparison, version, echo, missions (none), uploads.
+
+Parameters, commands, telemetry of other stations and files have modules of their own.
+
+One handler a message type. Handlers return nothing; their answers go out through `send`.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from trimtab.firmware_model.flight.flight import Flight
+from trimtab.firmware_model.flight.parameters import ParameterValues
+from trimtab.firmware_model.services.commands import Commands
+from trimtab.firmware_model.services.files import BlobFiles
+from trimtab.firmware_model.services.ftp import FtpServer
+from trimtab.firmware_model.services.parameter_service import ParameterService
+from trimtab.firmware_model.services.setpoint_service import SetpointService
+from trimtab.firmware_model.services.streams import Streams
+from trimtab.firmware_model.services.telemetry import heartbeat
+from trimtab.firmware_model.storage.store import ReferenceStore
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import Message, mavlink
+from trimtab.protocol.upload import ReceiverEvent, UploadReceiver
+
+TEXT_BYTES = 50
+SOFTWARE_VERSION = 0x00_01_00_FF
+"""0.1.0, official."""
+
+_CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_FTP
+    | mavlink.MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identity:
+    """Who this is: uid of the power-up, id of the vehicle file it was set up for (6 B)."""
+
+    uid: int
+    vehicle_id: bytes
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.uid < 1 << 144:
+            raise ValueError(f"uid must have at most 18 bytes, not {self.uid:#x}")
+        if len(self.vehicle_id) != 6:
+            raise ValueError(f"vehicle_id must have 6 bytes, not {len(self.vehicle_id)}")
+
+
+class Services:
+    """Handlers of what arrives.
+
+    Args:
+        send: puts a message on the line. on_upload: is told what became of uploads; on_limits: that what
+        references are checked by has changed. keep: gets the name and value of a parameter that was set.
+        status: the present FC_STATUS. battery_v: the battery's present voltage. store: blobs on board.
+
+    `streams` is the telemetry for other stations than Trimtab's host.
+    """
+
+    def __init__(
+        self,
+        *,
+        flight: Flight,
+        parameters: ParameterValues,
+        upload: UploadReceiver,
+        store: ReferenceStore,
+        identity: Identity,
+        send: Callable[[Message], None],
+        status: Callable[[int], Message],
+        battery_v: Callable[[], float],
+        on_upload: Callable[[ReceiverEvent], None],
+        on_limits: Callable[[], None],
+        keep: Callable[[str, float], None],
+    ) -> None:
+        self._flight = flight
+        self._upload = upload
+        self._identity = identity
+        self._send = send
+        self._on_upload = on_upload
+        self._parameter_service = ParameterService(
+            flight=flight, parameters=parameters, send=send, text=self.text, keep=keep, on_limits=on_limits
+        )
+        self.streams = Streams(flight=flight, send=send, battery_v=battery_v)
+        files = BlobFiles(store=store, upload=upload, text=self.text, on_upload=self.take)
+        self._ftp = FtpServer(files, send=send)
+        commands = Commands(
+            flight=flight,
+            upload=upload,
+            send=send,
+            text=self.text,
+            requests={
+                m.AutopilotVersion.id: lambda now_us: self._version(),
+                m.FcStatus.id: status,
+                m.Heartbeat.id: lambda now_us: heartbeat(flight),
+                **self.streams.requests(),
+            },
+            on_upload=self.take,
+            more=self.streams.commands(),
+        )
+        setpoints = SetpointService(take=flight.setpoint, text=self.text)
+        self._handlers: dict[type, Callable[[Any, int], None]] = {
+            m.Timesync: self._timesync,
+            m.Ping: self._ping,
+            m.CommandLong: commands.long,
+            m.SetPositionTarget: setpoints.position,
+            m.SetAttitudeTarget: setpoints.attitude,
+            m.CommandInt: commands.int,
+            m.Heartbeat: self.streams.heartbeat,
+            m.RequestDataStream: self.streams.data_stream,
+            m.MissionRequestList: self._mission_list,
+            m.MissionClearAll: self._mission_clear,
+            m.FileTransfer: self._ftp.receive,
+            m.ParamRequestList: self._parameter_service.list,
+            m.ParamRequestRead: self._parameter_service.read,
+            m.ParamSet: self._parameter_service.set,
+            m.UploadBegin: self._upload_message,
+            m.UploadChunk: self._upload_message,
+            m.UploadCommit: self._upload_message,
+            m.UploadAbort: self._upload_message,
+        }
+
+    def receive(self, message: Message, now_us: int) -> None:
+        """Nothing comes back; the message has been handled if it is for this vehicle and of a known kind."""
+        if message.get_srcSystem() == m.VEHICLE[0]:
+            return
+        target = getattr(message, "target_system", 0)
+        component = getattr(message, "target_component", 0)
+        if target not in (0, m.VEHICLE[0]) or component not in (0, m.VEHICLE[1]):
+            return
+        self._flight.host_heard(now_us)
+        handler = self._handlers.get(type(message))
+        if handler is not None:
+            handler(message, now_us)
+
+    def look(self, now_us: int) -> None:
+        """Nothing comes back; sends what is due: list entries, upload reports."""
+        self._parameter_service.look()
+        self.streams.look(now_us)
+        self._ftp.look(now_us)
+        deadline_us = self._upload.next_deadline_us()
+        if deadline_us is not None and now_us >= deadline_us:
+            self.take(self._upload.advance(now_us), now_us)
+
+    def text(self, severity: int, text: str) -> None:
+        """Nothing comes back; people read `text`, in lines of 50 bytes."""
+        for line in textwrap.wrap(text, TEXT_BYTES):
+            self._send(m.StatusText(severity, line.encode("ascii", errors="replace")))
+
+    def take(self, events: list[ReceiverEvent], now_us: int) -> None:
+        """Nothing comes back; the upload's events are passed on and its answers sent."""
+        for event in events:
+            self._on_upload(event)
+        for answer in self._upload.send(now_us):
+            self._send(answer)
+
+    # Small services.
+
+    def _timesync(self, message: m.Timesync, now_us: int) -> None:
+        if message.tc1 == 0:
+            self._send(m.Timesync(1000 * now_us, message.ts1))
+
+    def _ping(self, message: m.Ping, now_us: int) -> None:
+        if message.target_system == 0:
+            self._send(m.Ping(message.time_usec, message.seq, *m.sender_of(message)))
+
+    def _mission_list(self, message: m.MissionRequestList, now_us: int) -> None:
+        self._send(m.MissionCount(*m.sender_of(message), 0, message.mission_type))
+
+    def _mission_clear(self, message: m.MissionClearAll, now_us: int) -> None:
+        self._send(m.MissionAck(*m.sender_of(message), mavlink.MAV_MISSION_ACCEPTED, message.mission_type))
+
+    def _version(self) -> Message:
+        identity = self._identity
+        return m.AutopilotVersion(
+            _CAPABILITIES,
+            SOFTWARE_VERSION,
+            0,
+            0,
+            0,
+            list(identity.vehicle_id + bytes(2)),
+            [0] * 8,
+            [0] * 8,
+            m.VENDOR_ID,
+            m.DIALECT_VERSION,
+            identity.uid & (1 << 64) - 1,
+            list(identity.uid.to_bytes(18, "little")),
+        )
+
+    # Uploads.
+
+    def _upload_message(self, message: Message, now_us: int) -> None:
+        self.take(self._upload.receive(message, now_us), now_us)

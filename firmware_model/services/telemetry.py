@@ -1,0 +1,151 @@
+"""What the vehicle says unasked: FC_CONTROL and FC_ESTIMATE at 100 Hz, FC_STATUS at 10, HEARTBEAT at 1.
+
+FC_OBSERVER comes at 100 Hz while the observer is on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from trimtab.firmware_model.flight.flight import Flight
+from trimtab.firmware_model.flight.supervisor import State
+from trimtab.firmware_model.law import step as law
+from trimtab.protocol.messages import NO_TICK, FcStatus, Heartbeat, Message, vehicle_heartbeat
+from trimtab.protocol.telemetry import (
+    TICK_US,
+    control_message,
+    encode_age,
+    estimate_message,
+    observer_message,
+)
+
+STATUS_US = 100_000
+HEARTBEAT_US = 1_000_000
+_MASK32 = 0xFFFF_FFFF
+_MASK16 = 0xFFFF
+
+
+class LoopTimes(NamedTuple):
+    """Of some ticks, in us: longest and mean time of their work, furthest that one began from when due."""
+
+    longest_us: int
+    mean_us: int
+    jitter_us: int
+
+
+class OnBoard(NamedTuple):
+    """What FC_STATUS says beside the flight: blobs on board, health of the processor and of its line."""
+
+    vehicle_id: bytes
+    reference_id: bytes
+    feedforward_id: bytes
+    staged_id: bytes
+    staged_kind: int
+    battery_v: float
+    loop: LoopTimes
+    late_ticks: int
+    uart_overruns: int
+    swap_tick: int
+    bad_bytes: int
+
+
+def at_rate(flight: Flight, now_us: int) -> Iterator[Message]:
+    """The messages at 100 Hz of this tick, in the order in which they leave.
+
+    The observer's comes behind the estimate, whose frame has room for it, and before the control message, so
+    that a host has both when the latter arrives. Raises ValueError or OverflowError where something is not
+    finite.
+    """
+    if flight.parameters["OBS_GAIN"] > 0.0:
+        yield estimate(flight, now_us)
+        yield observer(flight, now_us)
+        yield control(flight, now_us)
+    else:
+        yield control(flight, now_us)
+        yield estimate(flight, now_us)
+
+
+def control(flight: Flight, now_us: int) -> Message:
+    """FC_CONTROL of this tick. What is commanded is 0 while the rotors are off; the sums run on.
+
+    Raises ValueError or OverflowError where the law's outputs are not finite.
+    """
+    outputs, memory = flight.outputs, flight.outputs["memory"]
+    on = flight.rotors_on
+    return control_message(
+        now_us // TICK_US,
+        collective_n=outputs["collective_n"][0] if on else 0.0,
+        rate_cmd=outputs["rate_cmd"].tolist() if on else _ZERO3,
+        torque=outputs["torque"].tolist() if on else _ZERO3,
+        motor_sum=memory[law.MOTOR_SUM],
+        gyro_sum=memory[law.GYRO_SUM],
+        force_sum=memory[law.FORCE_SUM],
+        rate_integral=memory[law.RATE_INTEGRAL].tolist(),
+    )
+
+
+def estimate(flight: Flight, now_us: int) -> Message:
+    """FC_ESTIMATE of this tick. Raises ValueError or OverflowError where the estimate is not finite."""
+    memory = flight.outputs["memory"].tolist()
+    bias = memory[law.EST_BIAS]
+    pose_us = flight.poses.measured_us
+    return estimate_message(
+        now_us // TICK_US,
+        p_ned=memory[law.EST_P],
+        v_ned=memory[law.EST_V],
+        q_ned_frd=memory[law.EST_Q],
+        rate_frd=[g - b for g, b in zip(flight.gyro, bias, strict=True)],
+        mocap_age_us=None if pose_us is None else now_us - pose_us,
+        gyro_bias_frd=bias,
+    )
+
+
+def observer(flight: Flight, now_us: int) -> Message:
+    """FC_OBSERVER of this tick. Raises ValueError or OverflowError where the estimate is not finite."""
+    return observer_message(
+        now_us // TICK_US, disturbance_ned=flight.outputs["memory"][law.OBSERVER].tolist()
+    )
+
+
+def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
+    """FC_STATUS of this tick. What it says of the time since the last one begins anew."""
+    tracking_us = flight.tracking_us
+    battery_mv = 1000.0 * board.battery_v
+    return FcStatus(
+        tick=now_us // TICK_US & _MASK32,
+        state_tick=flight.state_us // TICK_US & _MASK32,
+        reference_tick=NO_TICK if tracking_us is None else tracking_us // TICK_US & _MASK32,
+        saturated_ticks=flight.saturated_ticks & _MASK32,
+        flight_ticks=flight.flight_ticks & _MASK32,
+        poses_used=flight.poses.used & _MASK32,
+        battery_mv=min(_MASK16, max(0, round(battery_mv))) if math.isfinite(battery_mv) else 0,
+        swap_tick=board.swap_tick & _MASK32,
+        conditions=flight.conditions,
+        loop_us=min(_MASK16, board.loop.longest_us),
+        loop_mean_us=min(_MASK16, board.loop.mean_us),
+        jitter_us=min(_MASK16, board.loop.jitter_us),
+        mocap_age_max=encode_age(flight.poses.oldest_us(now_us)),
+        loop_overruns=board.late_ticks & _MASK16,
+        uart_overruns=board.uart_overruns & _MASK16,
+        bad_bytes=board.bad_bytes & _MASK16,
+        state=int(flight.state),
+        failsafe=int(flight.failsafe),
+        action=int(flight.action),
+        staged_kind=board.staged_kind,
+        staged_id=board.staged_id,
+        reference_id=board.reference_id,
+        feedforward_id=board.feedforward_id,
+        vehicle_id=board.vehicle_id,
+    )
+
+
+def heartbeat(flight: Flight) -> Heartbeat:
+    """HEARTBEAT as of now."""
+    state = flight.state
+    armed = state not in (State.BOOT, State.STANDBY)
+    return vehicle_heartbeat(int(state), armed=armed, failsafe=state is State.FAILSAFE)
+
+
+_ZERO3 = (0.0, 0.0, 0.0)

@@ -1,0 +1,1 @@
+"""Non-volatile memory: flash, banks of blobs, stored settings."""

@@ -1,0 +1,1 @@
+"""Applications on top of the library: the demo, the paper's studies, the benchmark."""

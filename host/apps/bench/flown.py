@@ -1,0 +1,82 @@
+"""What a smaller residual is worth in flight: min-residual against min-snap and min-control.
+
+The comparison is that of `trimtab study paper-planning` (`apps.paper.planning.compare`), same draws
+and all: sealed worlds, in each a model learned from flights of its own, held-out courses with the same
+waypoints, time, limits and headroom for every kind, flown by the DFBC without feed-forward through firmware
+and radio.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from trimtab.host.apps.paper.planning.compare import flown
+from trimtab.host.apps.paper.planning.summary import failures, medians, ratio
+from trimtab.host.vehicle import Vehicle
+
+KIND = "min-residual"
+KINDS = ("min-snap", "min-control", KIND)
+_FIGURES = (
+    "flights",
+    "residual_mean_m_s2",
+    "error_mean_m",
+    "clipped_share",
+    "path_length_m",
+    "mean_speed_m_s",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """How many worlds, and courses flown in each."""
+
+    worlds: int = 5
+    courses: int = 4
+
+    @property
+    def steps(self) -> int:
+        """How often `measure` tells of a step."""
+        return self.worlds * (self.courses + 1)
+
+
+QUICK = Size(worlds=1)
+
+
+def measure(
+    vehicle: Vehicle, seed: int, hear: Callable[[str], None] = lambda step: None, *, size: Size | None = None
+) -> dict[str, Any]:
+    """Ratios, each a median over courses with the 95 % of bootstraps, and medians by kind.
+
+    residual_ratio: of the mean predicted residual along the finished references, less that at rest, m/s^2.
+    hear: told `size.steps` times what begins.
+    """
+    size = size or Size()
+    courses = []
+    with tempfile.TemporaryDirectory(prefix="trimtab-bench-") as folder:
+        for world in range(size.worlds):
+            place = Path(folder) / f"{world:02d}"
+            found = flown(place, vehicle, seed, world, size.courses, kinds=KINDS, residuals=False, hear=hear)
+            courses += found["courses"]
+    residual = ratio(courses, KIND, "min-snap", "residual_mean_m_s2")
+    error, control = (ratio(courses, KIND, base, "error_mean_m") for base in ("min-snap", "min-control"))
+    length = ratio(courses, KIND, "min-snap", "path_length_m")
+    by_kind = {kind: medians(courses, kind) for kind in KINDS}
+    return {
+        "kind": KIND,
+        "seed": seed,
+        "worlds": size.worlds,
+        "courses": len(courses),
+        "residual_ratio": residual["median"],
+        "residual_ratio_ci95": residual["ci95"],
+        "error_ratio": error["median"],
+        "error_ratio_ci95": error["ci95"],
+        "error_ratio_min_control": control["median"],
+        "error_ratio_min_control_ci95": control["ci95"],
+        "length_ratio": length["median"],
+        "kinds": {kind: {name: found[name] for name in _FIGURES} for kind, found in by_kind.items()},
+        "failures": [f"{row['course']}, {row['kind']}: {row['why']}" for row in failures(courses)],
+    }

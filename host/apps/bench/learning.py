@@ -1,0 +1,88 @@
+"""Learning on the data of the paper's section V-A: a mini-batch's gradient, Adam, the condensed loss."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from trimtab.host.apps.bench import peers
+from trimtab.host.apps.bench.timing import best_ms
+from trimtab.host.apps.paper.learning.flights import STEP_S, make_flights
+from trimtab.host.apps.paper.learning.measure import acceleration_error
+from trimtab.host.apps.paper.learning.methods import (
+    PAPER_BATCH,
+    PAPER_EPOCHS,
+    PAPER_MLP,
+    SHORT,
+    WEIGHT,
+    WORLD,
+    condensed,
+    exact_segments,
+    paper,
+    phi_of,
+)
+from trimtab.host.codegen.compiler import wanted_compiler
+from trimtab.host.learn.adjoint import Rollouts
+from trimtab.host.learn.lanes import LaneRollouts
+from trimtab.host.vehicle import Vehicle
+
+STEPS = ("flights", "gradient", "gradient, virtual machine", "peers", "Adam", "condensed")
+_REPEATS = 100
+
+
+def measure(
+    vehicle: Vehicle,
+    seed: int,
+    hear: Callable[[str], None] = lambda step: None,
+    *,
+    epochs: int = PAPER_EPOCHS,
+    iterations: int = SHORT,
+    repeats: int = _REPEATS,
+    counts: dict[str, int] | None = None,
+) -> dict[str, Any]:
+    """Times on one core, and the errors that the condensed loss ends at.
+
+    gradient_ms: of 10 segments of 49 steps, a network of 2 x 32, in C; None without a compiler.
+    gradient_vm_ms: the same in CasADi's virtual machine. peers: the same by JAX and diffrax, over_ours the
+    ratio to the best of ours; None where they are not installed. hear: told each of STEPS as it begins.
+    counts: flights by set.
+    """
+    hear(STEPS[0])
+    sets = make_flights(vehicle, seed, counts=counts)
+    phi = phi_of(sets["train"], WORLD)
+    train, validation = (exact_segments(phi, sets[name]) for name in ("train", "validation"))
+    xi = PAPER_MLP.initial(np.random.default_rng(seed))
+    batch = train.take(np.arange(PAPER_BATCH))
+    theta = phi.theta_neutral
+    compiler = wanted_compiler()
+    hear(STEPS[1])
+    lanes_ms = None
+    if compiler is not None:
+        lanes = LaneRollouts(phi, PAPER_MLP, theta, step_s=STEP_S, weight=WEIGHT, compiler=compiler)
+        lanes_ms = best_ms(lambda: lanes.gradient(batch, batch.x0, xi), repeats=repeats)
+    hear(STEPS[2])
+    machine = Rollouts(phi, PAPER_MLP, theta, batch=PAPER_BATCH, step_s=STEP_S, weight=WEIGHT, engine="vm")
+    machine_ms = best_ms(lambda: machine.gradient(batch, batch.x0, xi), repeats=repeats)
+    hear(STEPS[3])
+    ours, best_of_ours_ms = machine.gradient(batch, batch.x0, xi), lanes_ms or machine_ms
+    beside = peers.measure(phi, PAPER_MLP, batch, xi, WEIGHT, ours, repeats=repeats)
+    if beside is not None:
+        beside = [{**row, "over_ours": row["gradient_ms"] / best_of_ours_ms} for row in beside]
+    hear(STEPS[4])
+    adam = paper(phi, train, validation, seed, layout=PAPER_MLP, weight=WEIGHT, epochs=epochs)
+    hear(STEPS[5])
+    quick = condensed(
+        phi, train, validation, seed, layout=PAPER_MLP, weight=WEIGHT, iterations=iterations, passes=1
+    )
+    return {
+        "gradient_ms": lanes_ms,
+        "gradient_vm_ms": machine_ms,
+        "peers": beside,
+        "adam_100_s": adam.seconds,
+        "adam_test_rmse": acceleration_error(adam.candidate, sets["test"]).pointwise,
+        "condensed_s": quick.seconds,
+        "test_rmse": acceleration_error(quick.candidate, sets["test"]).pointwise,
+        "ood_rmse": acceleration_error(quick.candidate, sets["ood"]).pointwise,
+    }

@@ -1,0 +1,107 @@
+"""The demo's plans: first with the nominal model, then one of the routes again with the traced one.
+
+The second plan keeps the first one's limits, waypoints, headings and total time. It has nominal dynamics too,
+but another cost, as the paper plans for a flatness-based law (section IV-C.4): the first plan's is effort,
+the second's the residual that the traced model predicts, and some effort.
+
+How much effort a smaller residual is worth depends on the vehicle: with slow motors a wild path of little
+drag is followed worse than a calm one of more. The traced model of the closed loop tells before any flight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from trimtab.host.base.errors import Refused, SolverError
+from trimtab.host.effects import Effect
+from trimtab.host.models.model import Model
+from trimtab.host.plan import Plan, PlanRefused, PlanUnsolved, Settings, Weights, plan
+from trimtab.host.route import Route
+from trimtab.host.vehicle import Vehicle
+
+FIRST_KIND, AGAIN_KIND = "min-control", "min-residual"
+MORE_TIME = 1.15
+TRIES = 4
+"""A first plan that fails gets this much more time for the next try, and so many tries."""
+CALM = (1.0, 4.0, 16.0)
+"""Weights of effort that second plans are tried with, in units of the planner's own."""
+_WEIGHTS = Weights()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planned:
+    """A plan, the route it is for and the total time it was given."""
+
+    name: str
+    route: Route
+    time_s: float
+    plan: Plan
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """The plan that is predicted to fly best, with that prediction, out of `plans`."""
+
+    planned: Planned
+    predicted_rmse_m: float
+    plans: int
+
+
+def plan_first(route: Route, vehicle: Vehicle) -> Planned:
+    """A plan with the nominal model. Raises PlanRefused or PlanUnsolved where more time does not help."""
+    time_s = route.duration_s
+    for left in reversed(range(TRIES)):
+        try:
+            made = plan(route, vehicle, kind=FIRST_KIND, total_time_s=time_s)
+        except (PlanRefused, PlanUnsolved):
+            if not left:
+                raise
+            time_s = round(time_s * MORE_TIME, 2)
+        else:
+            return Planned(name=route.name, route=route, time_s=time_s, plan=made)
+    raise AssertionError("the last try returns or raises")
+
+
+def plan_again(
+    first: Planned,
+    vehicle: Vehicle,
+    model: Model,
+    effects: Mapping[str, Effect],
+    predict: Callable[[Plan], float],
+) -> Choice:
+    """The same route in the same time, planned with the model: the best by prediction of several efforts.
+
+    predict: the tracking error (m) of a plan that has not been flown. Raises Refused or PlanUnsolved where no
+    plan succeeds.
+    """
+    tried: list[tuple[float, Plan]] = []
+    failed: PlanRefused | PlanUnsolved | None = None
+    for calm in CALM:
+        weights = Weights(control=calm * _WEIGHTS.control, thrust_rate=calm * _WEIGHTS.thrust_rate)
+        try:
+            made = plan(
+                first.route,
+                vehicle,
+                kind=AGAIN_KIND,
+                model=model,
+                effects=effects,
+                total_time_s=first.time_s,
+                settings=Settings(weights=weights),
+            )
+        except (PlanRefused, PlanUnsolved) as error:
+            failed = error
+        else:
+            tried.append((predict(made), made))
+    if not tried:
+        assert failed is not None
+        what = f"{first.name} planned again with the traced model: {failed}"
+        raise (Refused(what) if isinstance(failed, PlanRefused) else SolverError(what)) from failed
+    predicted_m, best = min(tried, key=lambda pair: pair[0])
+    planned = Planned(name=f"{first.name}-again", route=first.route, time_s=first.time_s, plan=best)
+    return Choice(planned=planned, predicted_rmse_m=predicted_m, plans=len(tried))
+
+
+def fastest(plans: Sequence[Planned]) -> Planned:
+    """The plan with the greatest mean speed; the first of equals."""
+    return max(plans, key=lambda planned: planned.plan.mean_speed_m_s)

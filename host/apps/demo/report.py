@@ -1,0 +1,135 @@
+"""The demo's own sections of the report: the flown comparisons, and what got worse."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from trimtab.host.apps.demo.compare import AXES, Comparison, Tracked, what_got_worse
+from trimtab.host.report import figures
+from trimtab.host.trace.result import Trace
+from trimtab.host.vehicle import Vehicle
+
+Section = dict[str, Any]
+
+
+def sections(comparison: Comparison, result: Trace, vehicle: Vehicle) -> dict[str, Any]:
+    """What `trimtab.host.report.trace.page` takes as `extra`."""
+    return {
+        "sections": [_flown(comparison, vehicle), _worse(comparison, result)],
+        "data": comparison.to_json(),
+    }
+
+
+def _flown(comparison: Comparison, vehicle: Vehicle) -> Section:
+    flown = comparison.flown
+    head = [f"route {flown[0].planned.route.name}", *(flight.label for flight in flown)]
+    return {
+        "title": "Flown before and after",
+        "text": _text(comparison),
+        "table": [head, *_rows(flown, vehicle, comparison.latency_s)],
+        "figures": [_paths(comparison)],
+    }
+
+
+def _text(comparison: Comparison) -> list[str]:
+    count = len(comparison.first)
+    how = (
+        f"The fastest of the first routes, flown {count} times with the nominal plan; these flights differ "
+        f"by {1e3 * comparison.spread_m:.1f} mm RMSE, and any smaller difference means nothing. "
+    )
+    if comparison.new_plan is not None:
+        again = (
+            "Then the same law with the same constants flew a new plan for the same waypoints, headings, "
+            "total time, limits and headroom. The first plan minimises effort alone, the new one the "
+            "residual that the traced model predicts and some effort; of several such plans, with more or "
+            "less weight on effort, it is the one that the model predicts to be followed best. "
+        )
+    else:
+        again = f"No new plan was flown: {_sentence(comparison.no_new_plan)} "
+    if comparison.applied is not None:
+        applied = (
+            f"The last flight ({comparison.applied.label}) has the traced effects applied where the law can, "
+            f"for a battery at {100 * (comparison.voltage_ratio or 1.0):.1f} % of its full voltage, the mean "
+            "of the flights learned from."
+        )
+    else:
+        applied = f"The effects were not flown applied: {_sentence(comparison.no_applied)}"
+    lines = [how + again + applied]
+    if comparison.latency_s:
+        lines.append(
+            f"Poses were found to be {1e3 * comparison.latency_s:.1f} ms older than stamped. All flights are "
+            "measured with that correction; the last row of the table is without it."
+        )
+    return lines
+
+
+def _sentence(reason: str | None) -> str:
+    """A reason with a full stop."""
+    return f"{(reason or '').rstrip('.')}."
+
+
+def _rows(flown: tuple[Tracked, ...], vehicle: Vehicle, latency_s: float) -> list[list[str]]:
+    plans = [flight.planned.plan for flight in flown]
+    limits = vehicle.limits
+    speeds = [limits.speed_max_m_s - plan.margins["speed_m_s"] for plan in plans]
+    tilts = [limits.tilt_max_deg - plan.margins["tilt_deg"] for plan in plans]
+    tops = [limits.thrust_headroom[1] - plan.margins["thrust_high"] for plan in plans]
+    rows = [
+        ["tracking error RMSE, mm", *(_mm(f.rmse_m) for f in flown)],
+        ["predicted before the flight, mm", *(_mm(f.predicted_rmse_m) for f in flown)],
+        *([f"{axis}, mm", *(_mm(f.axes_m[i]) for f in flown)] for i, axis in enumerate(AXES)),
+        ["greatest, mm", *(_mm(f.max_m) for f in flown)],
+        ["time at the motors' limits, %", *(f"{100 * f.clipped_share:.2f}" for f in flown)],
+        ["battery as tracking began, V", *(_volts(f.battery_v) for f in flown)],
+        ["planned path, m", *(f"{plan.path_length_m:.2f}" for plan in plans)],
+        ["planned time, s", *(f"{plan.duration_s:.2f}" for plan in plans)],
+        ["planned mean speed, m/s", *(f"{plan.mean_speed_m_s:.2f}" for plan in plans)],
+        ["planned top speed, m/s", *(f"{speed:.2f}" for speed in speeds)],
+        ["planned greatest tilt, °", *(f"{tilt:.1f}" for tilt in tilts)],
+        ["planned greatest rotor thrust, % of its most", *(f"{100 * top:.0f}" for top in tops)],
+    ]
+    if latency_s:
+        rows.append(["error RMSE with poses as stamped, mm", *(_mm(f.stamped_rmse_m) for f in flown)])
+    return rows
+
+
+def _paths(comparison: Comparison) -> figures.Figure:
+    shown = [comparison.first[0], *comparison.flown[len(comparison.first) :]]
+    panels = [
+        (f"{flight.label}: {1e3 * flight.rmse_m:.0f} mm", flight.p_ned, flight.norm_m) for flight in shown
+    ]
+    return figures.paths(
+        panels, "Paths flown, from above, coloured by distance from the reference; one scale for all."
+    )
+
+
+def _worse(comparison: Comparison, result: Trace) -> Section:
+    found = what_got_worse(comparison, result)
+    none = "Nothing of what was measured got worse: no error on any axis, flown or predicted."
+    return {"title": "What got worse", "text": found or [none], "table": None, "figures": []}
+
+
+def _mm(value_m: float | None) -> str:
+    return "" if value_m is None else f"{1e3 * value_m:.1f}"
+
+
+def _volts(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.2f}"
+
+
+def summary(answer: Mapping[str, Any]) -> list[str]:
+    """The flown comparison for people, from the demo's JSON."""
+    first, comparison = answer["tracking_rmse_first_m"], answer["comparison"]
+    lines = [f"tracking error on route {comparison['route']}: {1e3 * first:.1f} mm as first flown"]
+    again, applied = answer["tracking_rmse_new_plan_m"], answer["tracking_rmse_applied_m"]
+    if again is None:
+        lines.append(f"  no new plan: {comparison['no_new_plan']}")
+    else:
+        lines.append(f"  new plan, same law: {1e3 * again:.1f} mm ({again / first:.2f} of it)")
+    if applied is None:
+        lines.append(f"  effects not applied: {comparison['no_applied']}")
+    else:
+        what = comparison["flights"][-1]["what"]
+        lines.append(f"  {what}: {1e3 * applied:.1f} mm ({applied / first:.2f} of it)")
+    return lines

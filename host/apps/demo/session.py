@@ -1,0 +1,384 @@
+"""One demo: plan, upload, fly, trace, plan again, fly again, report. Each step is timed and says a figure."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trimtab.host.apps.demo import report
+from trimtab.host.apps.demo.applied import to_apply, voltage_ratio
+from trimtab.host.apps.demo.compare import Comparison, Tracked, latency_of, pooled_rmse_m, tracked
+from trimtab.host.apps.demo.flights import Airfield, upload_through_pty
+from trimtab.host.apps.demo.plans import Planned, fastest, plan_again, plan_first
+from trimtab.host.apps.demo.predict import predicted_rmse_m
+from trimtab.host.apps.demo.routes import DemoRoutes, draw_routes
+from trimtab.host.apps.demo.seeds import host_seed, world_seed
+from trimtab.host.base import artefacts
+from trimtab.host.base.errors import FlightFailed, Refused, SolverError, TrimtabError
+from trimtab.host.base.output import json_text
+from trimtab.host.base.progress import Progress
+from trimtab.host.effects import Effect
+from trimtab.host.log import Flight, read_flight
+from trimtab.host.models.file import write_model
+from trimtab.host.models.model import Model
+from trimtab.host.plan import Plan, write_plan
+from trimtab.host.plan.dynamics import ResidualModel
+from trimtab.host.report.trace import page
+from trimtab.host.trace.answer import to_json
+from trimtab.host.trace.result import Trace
+from trimtab.host.trace.run import Manoeuvres, run
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import FeedForward
+
+WORLD = "drawn-several"
+TWINS = 2
+MODEL_NAME, REPORT_NAME, JSON_NAME, FEEDFORWARD_NAME = (
+    "demo.model.toml",
+    "demo.html",
+    "demo.json",
+    "applied.ff",
+)
+
+Say = Callable[[str], None]
+FAILURES = (Refused, SolverError, FlightFailed)
+"""What may come of a second plan or flight without an end to the demo."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoOrder:
+    """What to show, and where to leave it.
+
+    folder: gets every file, made if missing; `force` overwrites. routes: drawn from the seed where None.
+    twins: flights of each reference to learn from.
+    """
+
+    vehicle: Vehicle
+    folder: Path
+    seed: int
+    world: str = WORLD
+    routes: DemoRoutes | None = None
+    twins: int = TWINS
+    force: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What the demo found: the trace, the flown comparison, and the JSON object without wall time.
+
+    failure: the first of what came of a second plan or flight instead; report and answer are whole then too.
+    """
+
+    result: Trace
+    comparison: Comparison
+    answer: Mapping[str, Any]
+    steps: tuple[tuple[str, float], ...]
+    failure: TrimtabError | None
+
+
+def run_demo(
+    order: DemoOrder,
+    effects: Mapping[str, Effect],
+    *,
+    say: Say = lambda line: None,
+    manoeuvres: Manoeuvres | None = None,
+) -> Outcome:
+    """The outcome of a demo; files are in the folder.
+
+    Raises ConfigurationError (no such world), Refused or PlanUnsolved (a first plan), FlightFailed (a
+    failsafe before the trace), or what tracing raises; flights finished by then have left readable logs.
+    """
+    return _Demo(order, effects, say, manoeuvres).run()
+
+
+class _Demo:
+    def __init__(
+        self, order: DemoOrder, effects: Mapping[str, Effect], say: Say, manoeuvres: Manoeuvres | None
+    ) -> None:
+        self._order = order
+        self._effects = effects
+        self._say = say
+        self._manoeuvres = manoeuvres
+        self._seed = host_seed(order.seed)
+        self._routes = order.routes or draw_routes(self._seed, order.vehicle.limits)
+        self._field = Airfield(
+            vehicle=order.vehicle,
+            world=order.world,
+            world_seed=world_seed(order.seed),
+            session=self._told(),
+        )
+        self._flights = 0
+        self._steps: list[tuple[str, float]] = []
+        self._failures: list[TrimtabError] = []
+
+    def run(self) -> Outcome:
+        self._field.check()
+        order = self._order
+        self._say(
+            f"demo with seed {order.seed}, vehicle {order.vehicle.name}; every file goes to {order.folder}"
+        )
+        order.folder.mkdir(parents=True, exist_ok=True)
+        learning, held_out = self._plan()
+        used, unseen = self._fly(learning, held_out)
+        result = self._trace([flight for _, flight in used], [flight for _, flight in unseen])
+        model_path = self._order.folder / MODEL_NAME
+        write_model(result.model, model_path, force=self._order.force)
+        comparison = self._again(learning, used, result)
+        answer = self._report(result, comparison, used, unseen)
+        return Outcome(
+            result=result,
+            comparison=comparison,
+            answer=answer,
+            steps=tuple(self._steps),
+            failure=self._failures[0] if self._failures else None,
+        )
+
+    # The steps.
+
+    def _plan(self) -> tuple[list[Planned], list[Planned]]:
+        routes = (*self._routes.learning, *self._routes.held_out)
+        with self._step("plan", len(routes)) as (bar, done):
+            plans = []
+            for route in routes:
+                bar.advance(0.0, route.name)
+                planned = plan_first(route, self._order.vehicle)
+                self._write_plan(planned)
+                plans.append(planned)
+                bar.advance()
+            seconds = sum(planned.plan.duration_s for planned in plans)
+            done(f"{len(plans)} references with the nominal model, {seconds:.0f} s to fly")
+        count = len(self._routes.learning)
+        return plans[:count], plans[count:]
+
+    def _fly(
+        self, learning: list[Planned], held_out: list[Planned]
+    ) -> tuple[list[tuple[Planned, Flight]], list[tuple[Planned, Flight]]]:
+        """Every planned flight; the first reference goes on board through a pty, the others in lock-step."""
+        field, first = self._field, learning[0]
+        reference = first.plan.reference
+        with self._step("upload") as (bar, done):
+            simulated = field.power_up(reference, 1)
+            bar.advance(0.0, first.name)
+            port, sent = upload_through_pty(simulated, reference)
+            done(
+                f"reference {first.name} through pyserial at {port}: {len(reference.to_bytes())} B in "
+                f"{sent.frames_sent} frames, checked on board and live"
+            )
+        flown: list[tuple[Planned, Flight]] = []
+        every = [planned for planned in learning for _ in range(self._order.twins)] + held_out
+        with self._step("fly", len(every)) as (bar, done):
+            for planned in every:
+                bar.advance(0.0, planned.name)
+                if not flown:
+                    flown.append((planned, self._first_flight(simulated, planned)))
+                else:
+                    flown.append((planned, self._flight(planned)))
+                bar.advance()
+            count = len(every) - len(held_out)
+            errors = [tracked("", f, p, latency_s=0.0).stamped_rmse_m for p, f in flown]
+            done(
+                f"{count} flights to learn from (the first with what the pty left on board, the others "
+                f"uploaded over the simulated link) and {len(held_out)} held out; tracking error "
+                f"{1e3 * float(np.mean(errors)):.0f} mm RMSE on average"
+            )
+        return flown[:count], flown[count:]
+
+    def _trace(self, used: list[Flight], held_out: list[Flight]) -> Trace:
+        with self._step("trace") as (bar, done):
+            result = run(
+                used,
+                held_out,
+                self._effects,
+                vehicle=self._order.vehicle,
+                manoeuvres=self._manoeuvres,
+                provenance=artefacts.provenance(
+                    seed=self._seed,
+                    parents={f"log {i}": flight.id for i, flight in enumerate(used)},
+                    argv=self._argv(),
+                ),
+                report=lambda doing: bar.advance(0.0, doing),
+            )
+            names = ", ".join(effect.name for effect in result.effects)
+            text = result.verdict + (f": {names}" if names else "")
+            if result.before_score and result.after_score:
+                before, after = (s["position_rmse_m"] for s in (result.before_score, result.after_score))
+                text += f"; prediction error on held-out flights {1e3 * before:.0f} to {1e3 * after:.0f} mm"
+            done(text)
+        return result
+
+    def _again(
+        self, learning: list[Planned], used: list[tuple[Planned, Flight]], result: Trace
+    ) -> Comparison:
+        """The fastest route again: by a new plan, then with the effects applied, as far as there is one."""
+        route = fastest(learning)
+        latency_s = latency_of(result)
+        mine = [flight for planned, flight in used if planned is route]
+        first = tuple(
+            tracked(f"first flight {i}", flight, route, latency_s=latency_s)
+            for i, flight in enumerate(mine, start=1)
+        )
+        if not result.effects:
+            why = "nothing was traced"
+            return Comparison(first=first, latency_s=latency_s, no_new_plan=why, no_applied=why)
+        model = result.model
+
+        def predict(plan: Plan, feedforward: FeedForward | None = None) -> float:
+            return predicted_rmse_m(mine[0], plan.reference, model, self._effects, feedforward)
+
+        def fly(label: str, planned: Planned, feedforward: FeedForward | None) -> tuple[Tracked | None, str]:
+            """The flight and nothing, or None and what came of it."""
+            with self._step("fly again") as (_, done):
+                predicted_m = predict(planned.plan, feedforward)
+                try:
+                    flight = self._flight(planned, feedforward, model.id)
+                except FAILURES as error:
+                    why = self._failed(error)
+                    done(f"{label}: {why}")
+                    return None, why
+                found = tracked(label, flight, planned, latency_s=latency_s, predicted_rmse_m=predicted_m)
+                before_mm, after_mm = 1e3 * pooled_rmse_m(first), 1e3 * found.rmse_m
+                done(f"{label}: tracking error {before_mm:.1f} to {after_mm:.1f} mm RMSE")
+            return found, ""
+
+        new_plan, applied = None, None
+        again, no_new_plan = self._plan_again(route, model, predict)
+        if again is not None:
+            new_plan, no_new_plan = fly("new plan", again, None)
+        flown, label = (route, "first plan") if again is None else (again, "new plan")
+        ratio = voltage_ratio([flight for _, flight in used])
+        feedforward, no_applied = to_apply(
+            model, self._order.vehicle, self._effects, ratio, partial(predict, flown.plan)
+        )
+        if feedforward is not None:
+            path = self._order.folder / FEEDFORWARD_NAME
+            artefacts.write_atomic(path, feedforward.to_bytes(), self._order.force)
+            applied, no_applied = fly(f"{label}, effects applied", flown, feedforward)
+        return Comparison(
+            first=first,
+            latency_s=latency_s,
+            new_plan=new_plan,
+            applied=applied,
+            no_new_plan=no_new_plan or None,
+            no_applied=no_applied or None,
+            voltage_ratio=None if applied is None else ratio,
+        )
+
+    def _plan_again(
+        self, route: Planned, model: Model, predict: Callable[[Plan], float]
+    ) -> tuple[Planned | None, str]:
+        """The route's second plan and nothing, or None and the reason why."""
+        with self._step("plan again") as (_, done):
+            if not ResidualModel.of(model, self._effects).has_force:
+                why = f"{', '.join(model.effects)}: not a drag that another path could avoid"
+                done(f"no new plan: {why}")
+                return None, why
+            try:
+                choice = plan_again(route, self._order.vehicle, model, self._effects, predict)
+            except FAILURES as error:
+                why = self._failed(error)
+                done(f"no new plan: {why}")
+                return None, why
+            planned = choice.planned
+            self._write_plan(planned, model)
+            before_mm, after_mm = 1e3 * predict(route.plan), 1e3 * choice.predicted_rmse_m
+            done(
+                f"route {route.name} with the traced model, the best of {choice.plans} plans in the same "
+                f"{planned.plan.duration_s:.1f} s; predicted tracking error {before_mm:.1f} to "
+                f"{after_mm:.1f} mm RMSE"
+            )
+        return planned, ""
+
+    def _report(
+        self,
+        result: Trace,
+        comparison: Comparison,
+        used: list[tuple[Planned, Flight]],
+        unseen: list[tuple[Planned, Flight]],
+    ) -> dict[str, Any]:
+        folder, force = self._order.folder, self._order.force
+        with self._step("report") as (_, done):
+            found = to_json(result, model_path=MODEL_NAME, report_path=REPORT_NAME) | comparison.to_json()
+            html = page(
+                result,
+                [flight for _, flight in used],
+                [flight for _, flight in unseen],
+                found,
+                report.sections(comparison, result, self._order.vehicle),
+            )
+            artefacts.write_atomic(folder / REPORT_NAME, html, force)
+            artefacts.write_atomic(folder / JSON_NAME, json_text(found) + "\n", force)
+            done(f"one file of {len(html.encode()) / 1024:.0f} KiB")
+        return found | {"model": str(folder / MODEL_NAME), "report": str(folder / REPORT_NAME)}
+
+    # Parts of steps.
+
+    def _first_flight(self, simulated: Any, planned: Planned) -> Flight:
+        """The flight with what is on board: the vehicle starts from power-up, its memory kept."""
+        self._flights += 1
+        simulated.power_cycle(self._flights)
+        log = self._log(planned)
+        self._field.fly_with(simulated, planned.plan.reference, self._flights, log)
+        simulated.close()
+        return read_flight(log)
+
+    def _flight(
+        self, planned: Planned, feedforward: FeedForward | None = None, model_id: str | None = None
+    ) -> Flight:
+        self._flights += 1
+        log = self._log(planned)
+        self._field.fly(
+            planned.plan.reference, self._flights, log, feedforward=feedforward, model_id=model_id
+        )
+        return read_flight(log)
+
+    def _log(self, planned: Planned) -> Path:
+        return artefacts.check_log(
+            self._order.folder / f"{self._flights:02d}-{planned.name}.mcap", self._order.force
+        )
+
+    def _write_plan(self, planned: Planned, model: Model | None = None) -> None:
+        parents = {"vehicle": self._order.vehicle.id, "route": planned.route.id}
+        if model is not None:
+            parents["model"] = model.id
+        write_plan(
+            planned.plan,
+            self._order.folder / f"{planned.name}.ref",
+            provenance=artefacts.provenance(seed=self._seed, parents=parents, argv=self._argv()),
+            force=self._order.force,
+        )
+
+    def _failed(self, error: TrimtabError) -> str:
+        """What the error says, files by name alone; the demo's exit code will be its."""
+        self._failures.append(error)
+        return str(error).replace(f"{self._order.folder}{os.sep}", "")
+
+    def _argv(self) -> list[str]:
+        """The command without world, seed and folder, which artefacts do not tell."""
+        return ["demo", "--vehicle", self._order.vehicle.name]
+
+    def _told(self) -> dict[str, str]:
+        """What the logs say of the session."""
+        known = artefacts.provenance(seed=self._seed, argv=self._argv())
+        return {
+            key: str(known[key]) for key in ("version", "git", "command", "seed") if known[key] is not None
+        }
+
+    @contextmanager
+    def _step(
+        self, title: str, total: float | None = None
+    ) -> Iterator[tuple[Progress, Callable[[str], None]]]:
+        """Times a step and says its line; the figure of it is told to the second of what is yielded."""
+        figures: list[str] = []
+        begin_s = time.perf_counter()
+        with Progress(title, total) as bar:
+            yield bar, figures.append
+        seconds = time.perf_counter() - begin_s
+        self._steps.append((title, seconds))
+        self._say(f"{len(self._steps)}. {title} ({seconds:.1f} s): {figures[0]}")

@@ -1,0 +1,54 @@
+"""Courses drawn for plans to be compared on: all kinds get the same waypoints, time, limits and headroom."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+from trimtab.host.base.errors import Refused
+from trimtab.host.plan import Plan, plan
+from trimtab.host.route import Route, random_route
+from trimtab.host.vehicle import Vehicle
+
+BOX_M = ((-3.5, 3.5), (-3.5, 3.5), (-2.6, -1.0))
+WAYPOINTS = 9
+"""Our choice: the paper prints no number of waypoints for its simulated course (its real one has seven)."""
+MEAN_SPEED_M_S = 4.0
+_TRIES = 50
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """A route with the time in which its min-snap plan keeps the limits, and that plan."""
+
+    route: Route
+    snap: Plan
+
+
+def draw_course(vehicle: Vehicle, seed: int, index: int, purpose: str) -> Course:
+    """Course `index` of a purpose. Feasible by construction: the least time from the drawn pace on in which
+    min-snap keeps the limits, if that is within twice.
+
+    Raises ValueError where none of many drawn is.
+    """
+    for attempt in range(_TRIES):
+        route = random_route(
+            draw(seed, purpose, index, attempt),
+            count=WAYPOINTS,
+            box_m=BOX_M,
+            mean_speed_m_s=MEAN_SPEED_M_S,
+            name=f"{purpose}-{index}",
+        )
+        try:
+            snap = plan(route, vehicle, kind="min-snap", stretch=True)
+        except Refused:
+            continue
+        if snap.stretch <= 2.0:
+            return Course(route=route.model_copy(update={"total_time_s": snap.duration_s}), snap=snap)
+    raise ValueError(f"none of {_TRIES} drawn courses may be flown by {vehicle.name}")
+
+
+def draw(seed: int, *what: str | int) -> int:
+    """A number for a purpose, from the study's seed."""
+    text = "trimtab study paper-planning, " + ", ".join(map(str, what)) + f", seed {seed}"
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") >> 33

@@ -1,0 +1,60 @@
+"""Ways to setpoints, whatever stream of them comes: within the bounds, and there in the end."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from trimtab.firmware_model.flight.setpoints import Bounds, PositionTarget, towards
+from trimtab.firmware_model.flight.track import Room
+
+BOUNDS = Bounds(room=Room((-10.0, -10.0, -5.0), (10.0, 10.0, -0.2)), speed=5.0, accel=4.0, yaw_rate=3.0)
+EVERY_US = 50_000
+NONE = (None, None, None)
+
+
+def targets(rng: random.Random) -> dict[str, PositionTarget]:
+    """One of each kind, some that lead out of the room."""
+
+    def three(side: float, up: float) -> tuple[float, float, float]:
+        return rng.uniform(-side, side), rng.uniform(-side, side), rng.uniform(-up, up)
+
+    p = (*three(12.0, 0.0)[:2], -rng.uniform(-0.5, 6.0))
+    return {
+        "position": PositionTarget(p=p, v=NONE),
+        "velocity": PositionTarget(p=NONE, v=three(6.0, 3.0)),
+        "acceleration": PositionTarget(p=NONE, v=three(3.0, 2.0), a=three(5.0, 5.0)),
+        "height": PositionTarget(p=(None, None, p[2]), v=(*three(6.0, 0.0)[:2], None)),
+        "all": PositionTarget(p=p, v=three(4.0, 2.0), a=three(2.0, 2.0)),
+    }
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_stream_of_any_setpoints_stays_within_its_bounds(seed: int) -> None:
+    rng = random.Random(seed)
+    state, yaw = (0.0, 0.0, -rng.uniform(0.5, 3.0), *(0.0,) * 9), (0.0, 0.0)
+    for _ in range(12):
+        target = rng.choice(list(targets(rng).values()))
+        for _ in range(rng.choice((1, 3, 10, 30))):
+            way, _ = towards(target, state, yaw, BOUNDS)
+            for share in (2, 1):
+                found = way.state_at(EVERY_US // share)
+                assert BOUNDS.room.beyond(found) < 0.01
+                assert math.hypot(*found[3:6]) < 1.2 * BOUNDS.speed
+                assert math.hypot(*found[6:9]) < 1.3 * BOUNDS.accel
+            state, yaw = found[:12], (found[12], found[13])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_one_change_of_position_in_full_flight_leads_there(seed: int) -> None:
+    rng = random.Random(1000 + seed)
+    first, second = (targets(rng)["position"] for _ in range(2))
+    way, _ = towards(first, (0.0, 0.0, -2.0, *(0.0,) * 9), (0.0, 0.0), BOUNDS)
+    state = way.state_at(round(1e6 * rng.uniform(0.2, 2.0)))
+    way, _ = towards(second, state[:12], (0.0, 0.0), BOUNDS)
+    asked = [min(max(x or 0.0, a), b) for x, a, b in zip(second.p, *BOUNDS.room, strict=True)]
+    assert way.state_at(20_000_000)[:3] == pytest.approx(asked)
+    lowest = max(way.state_at(10_000 * k)[2] for k in range(1000))
+    assert lowest < BOUNDS.room.high[2] + 0.01

@@ -1,0 +1,112 @@
+"""A workspace's own files come before the shipped ones; the page's example works."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.base.errors import UsageError
+from trimtab.host.base.workspace import open_workspace
+from trimtab.host.cli import main
+from trimtab.host.effects import Context, load_effects
+from trimtab.host.models.file import write_model
+from trimtab.host.models.model import Model
+from trimtab.host.vehicle import load_vehicle
+
+DOCS = Path(__file__).parents[3] / "docs"
+
+
+def test_workspace_finds_own_and_shipped_files(tmp_path: Path) -> None:
+    (tmp_path / "vehicles").mkdir()
+    (tmp_path / "effects").mkdir()
+    (tmp_path / "vehicles" / "mine.toml").write_text(load_vehicle("nano").replace(name="mine").to_toml())
+    (tmp_path / "effects" / "slow_leak.py").write_text("")
+    (tmp_path / "effects" / "_shared.py").write_text("")
+    workspace = open_workspace(tmp_path)
+    assert workspace.vehicle("mine").name == "mine"
+    assert workspace.vehicle("research").name == "research"
+    assert workspace.route("random:2").name == "random-2"
+    assert workspace.effect_files() == {"slow-leak": tmp_path / "effects" / "slow_leak.py"}
+
+
+def test_workspace_is_the_current_folder_unless_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert open_workspace().root == tmp_path
+
+
+def test_missing_workspace_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no such folder"):
+        open_workspace(tmp_path / "gone")
+
+
+@pytest.fixture
+def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of docs/workspace.md, as the current one: its effect, the route page's route, a vehicle."""
+    page = (DOCS / "workspace.md").read_text(encoding="utf-8")
+    (effect,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    (route,) = re.findall(r"```toml\n(.*?)```", (DOCS / "route-file.md").read_text(), flags=re.DOTALL)
+    mine = load_vehicle("research").replace(name="mine", mass_kg=0.76).to_toml()
+    files = {"effects/elastic_tether.py": effect, "routes/window.toml": route, "vehicles/mine.toml": mine}
+    for name, text in files.items():
+        assert name in page
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text(text)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_workspace_pages_effect_loads_and_acts_as_its_equation_says(workspace: Path) -> None:
+    effect = load_effects(workspace)["elastic-tether"]
+    assert effect.specific_force_frd is not None
+    # Half a turn about x: body down is world up.
+    context = Context(
+        p_ned=(0.0, 0.0, -2.0),
+        v_ned=(0.0, 0.0, 0.0),
+        v_air_frd=(0.0, 0.0, 0.0),
+        R=(1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0),
+        rate_frd=(0.0, 0.0, 0.0),
+        thrust=(1.8, 1.8, 1.8, 1.8),
+        collective_n=7.2,
+        mass_kg=0.75,
+        voltage_ratio=1.0,
+        t_s=0.0,
+        rotor_positions=((0.1, 0.1, 0.0),) * 4,
+        spin_signs=(1.0, 1.0, -1.0, -1.0),
+        inertia_kg_m2=(0.0025, 0.0021, 0.0043),
+        hover_n=1.8,
+    )
+    # 2 m from an anchor below it, of which 0.5 m are slack.
+    assert effect.specific_force_frd(FLOAT, (0.1, 0.5, 0.0, 0.0), context) == pytest.approx(
+        (0.0, 0.0, -0.15), abs=1e-3
+    )
+    assert effect.specific_force_frd(FLOAT, (0.1, 3.0, 0.0, 0.0), context) == pytest.approx(
+        (0.0, 0.0, 0.0), abs=1e-3
+    )
+    assert effect.specific_force_frd(FLOAT, effect.neutral, context) == pytest.approx((0.0, 0.0, 0.0))
+
+
+def test_workspace_pages_files_are_planned_with(workspace: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    vehicle = load_vehicle("mine", workspace)
+    effect = load_effects(workspace)["elastic-tether"]
+    model = Model(
+        vehicle_id=vehicle.id,
+        vehicle_name="mine",
+        effects={effect.name: {"stiffness": 0.5, "slack_m": 0.5, "north_m": 0.0, "east_m": 0.0}},
+        sources={effect.name: effect.source_id},
+    )
+    write_model(model, workspace / "m.model.toml")
+    told = []
+    for more in (["-o", "snap.ref", "--kind", "min-snap"], []):
+        assert main(["plan", "window", "--vehicle", "mine", "--model", "m.model.toml", "--json", *more]) == 0
+        told.append(json.loads(capsys.readouterr().out.splitlines()[-1]))
+    snap, residual = told
+    assert (residual["kind"], residual["reference"]) == ("min-residual", "window.ref")
+    # The waypoints are 1.2 to 3.6 m from the anchor; between them the plan stays nearer, as the page says.
+    assert 0.5 * (1.2 - 0.5) < snap["residual_rms_m_s2"] < 0.5 * (3.7 - 0.5)
+    assert residual["residual_rms_m_s2"] < 0.8 * snap["residual_rms_m_s2"]
