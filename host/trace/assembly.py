@@ -10,6 +10,7 @@ from trimtab.host.effects import Effect
 from trimtab.host.log import Flight
 from trimtab.host.models.model import Covariance, Model
 from trimtab.host.models.region import Region
+from trimtab.host.trace.data.logs import TraceData
 from trimtab.host.trace.decision.exact_aliases import exact_aliases
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.prediction import (
@@ -108,25 +109,24 @@ def model_of(
 
 
 def held_out_errors(
-    drive: str,
+    logs: TraceData,
     form: SegmentModel,
     diagnosis: Diagnosis,
     added: bool,
     model: Model,
-    held_out: Sequence[Flight],
     effects: Mapping[str, Effect],
 ) -> tuple[tuple[Errors, ...], tuple[Errors, ...], tuple[Errors, ...]]:
     """Held-out errors with nothing, with everything, and with the adjustments only."""
-    if not held_out:
+    if not logs.held_out:
         return (), (), ()
     chosen = form.space
     named = [i for name in diagnosis.best.effects for i in chosen.groups[name]]
     bare = Model(vehicle_id=model.vehicle_id, vehicle_name=model.vehicle_name, adjustments=model.adjustments)
 
     def predict(values: np.ndarray, whole: Model | None) -> tuple[Errors, ...]:
-        if drive == "reference":
-            return predict_flights(held_out, whole, effects)
-        return predict_segments(held_out, form, values)
+        if logs.drive == "reference":
+            return predict_flights(logs.held_out, whole, effects)
+        return predict_segments(logs.held_out, form, values)
 
     before = predict(unknowns_only(chosen, diagnosis.nothing), None)
     if not added:

@@ -10,13 +10,11 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
 from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.effects import Effect
-from trimtab.host.log import Flight
 from trimtab.host.log.errors import TooLittleData
 from trimtab.host.models.dynamics import mocap_latency_s as latency_of
 from trimtab.host.models.model import Model
@@ -25,8 +23,9 @@ from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.states import flight_states
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.cutting import DT_S, SEGMENT_S, segments_of
+from trimtab.host.trace.data.logs import TraceData
 from trimtab.host.trace.data.segments import Segments
-from trimtab.host.trace.data.signals import pose_interval_s, signals
+from trimtab.host.trace.data.signals import FlightData, pose_interval_s
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.segment_fit import linearise, model, rollout
 from trimtab.host.trace.segment_fit.fit import starting_process
@@ -59,19 +58,11 @@ def rmse(errors: Sequence[Errors]) -> dict[str, float]:
     }
 
 
-def drive_of(flights: Sequence[Flight]) -> str:
-    """How these flights can be predicted: "reference" where all have one and the law on board, else
-    "inputs".
-    """
-    known = all(f.reference is not None and f.firmware_parameters is not None for f in flights)
-    return "reference" if known else "inputs"
-
-
-def motion(flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def motion(data: FlightData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Measured times (n,) s, positions and velocities (n, 3) in the used span, by local quadratics over 0.1 s
     or, where poses are rare, over seven of them.
     """
-    s = signals(flight)
+    s = data.signals
     half_s = max(0.055, 3.5 * pose_interval_s(s))
     t = np.arange(s.span_s[0] + half_s + 0.005, s.span_s[1] - half_s - 0.005, DT_S)
     low, high = np.searchsorted(s.pose_s, t - half_s), np.searchsorted(s.pose_s, t + half_s)
@@ -91,15 +82,15 @@ def motion(flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def predict_flights(
-    flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect]
+    flights: Sequence[FlightData], model: Model | None, effects: Mapping[str, Effect]
 ) -> tuple[Errors, ...]:
     """Errors of whole flights predicted from their references by phi with the model's effects.
 
     Flights of one firmware setting are rolled out together.
     """
     settings: dict[str, list[int]] = {}
-    for index, flight in enumerate(flights):
-        settings.setdefault(json.dumps(flight.firmware_parameters, sort_keys=True), []).append(index)
+    for index, data in enumerate(flights):
+        settings.setdefault(json.dumps(data.flight.firmware_parameters, sort_keys=True), []).append(index)
     found: dict[int, Errors] = {}
     for indices in settings.values():
         predicted = _predict([flights[index] for index in indices], model, effects)
@@ -107,8 +98,9 @@ def predict_flights(
     return tuple(found[index] for index in range(len(flights)))
 
 
-def _predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect]) -> list[Errors]:
+def _predict(data: Sequence[FlightData], model: Model | None, effects: Mapping[str, Effect]) -> list[Errors]:
     """Errors of flights of one firmware setting."""
+    flights = [each.flight for each in data]
     parts = [] if model is None else model.parts(effects)
     phi = Phi(
         vehicle=flights[0].vehicle,
@@ -144,7 +136,7 @@ def _predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[st
     out = []
     for k, flight in enumerate(flights):
         assert flight.tracking is not None
-        t, p, v = motion(flight)
+        t, p, v = motion(data[k])
         t = t - flight.tracking[0] * 1e-6
         inside = (t > 0.1) & (t < duration[k])
         t, p, v = t[inside], p[inside], v[inside]
@@ -163,7 +155,7 @@ def _predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[st
     return out
 
 
-def predict_segments(flights: Sequence[Flight], form: SegmentModel, z: np.ndarray) -> tuple[Errors, ...]:
+def predict_segments(flights: Sequence[FlightData], form: SegmentModel, z: np.ndarray) -> tuple[Errors, ...]:
     """Errors over 0.6 s ahead from recorded inputs, each start fitted to the 0.3 s before it.
 
     A flight's own nuisances come from its first quarter, and what is predicted lies behind that: nothing of a
@@ -171,14 +163,16 @@ def predict_segments(flights: Sequence[Flight], form: SegmentModel, z: np.ndarra
     """
     whole, _ = segments_of(flights, rate_driven=form.rate_driven)
     data, _ = segments_of(flights, rate_driven=form.rate_driven, segment_s=_LEAD_S + SEGMENT_S)
-    spans = np.array([signals(flight).span_s for flight in flights])
+    spans = np.array([each.signals.span_s for each in flights])
     known_s = RULES.calibration_share * (spans[:, 1] - spans[:, 0])
     early = whole.take(whole.start_s + SEGMENT_S <= known_s[whole.flight])
     local = _fitted_local(form, early, z, len(flights))
     data = data.take(data.start_s >= known_s[data.flight])
-    for index, flight in enumerate(flights):
+    for index, each in enumerate(flights):
         if not (data.flight == index).any():
-            raise TooLittleData(f"{flight.path}: too short to be held out; fly longer or hold out another")
+            raise TooLittleData(
+                f"{each.flight.path}: too short to be held out; fly longer or hold out another"
+            )
     lead = round(_LEAD_S / DT_S)
     before = (np.arange(data.steps) < lead).astype(float)
     fit = replace(
@@ -195,8 +189,8 @@ def predict_segments(flights: Sequence[Flight], form: SegmentModel, z: np.ndarra
     seen = data.pose_weight > 0
     seen[:, :lead] = False
     out = []
-    for index, flight in enumerate(flights):
-        t, p, v = motion(flight)
+    for index, each in enumerate(flights):
+        t, p, v = motion(each)
         mine = seen & (data.flight == index)[:, None]
         grid = data.start_s[:, None] + spans[index, 0] + DT_S * np.arange(data.steps)
         # A prediction is of its pose's own time; its slope along the grid is the speed at the grid's.
@@ -205,8 +199,8 @@ def predict_segments(flights: Sequence[Flight], form: SegmentModel, z: np.ndarra
         velocity = np.column_stack([np.interp(steps, t, v[:, i]) for i in range(3)])
         out.append(
             Errors(
-                flight=flight.id,
-                reference_id=flight.reference_id,
+                flight=each.flight.id,
+                reference_id=each.flight.reference_id,
                 t_s=ahead,
                 position=measured - predicted[mine],
                 velocity=velocity - speed[mine],
@@ -234,15 +228,18 @@ def _fitted_local(form: SegmentModel, data: Segments, z: np.ndarray, flights: in
     return local
 
 
-def noise_floor(flights: Sequence[Flight], errors: Sequence[Errors]) -> dict[str, float | None]:
-    """An estimate of the error that a perfect model would leave: what of the prediction's errors does not
-    repeat between twins.
+def noise_floor(
+    logs: TraceData, model: Model | None, effects: Mapping[str, Effect]
+) -> dict[str, float | None]:
+    """Estimate the error that a perfect model would leave: what does not repeat between twins.
 
-    `errors` are those of `flights`, whole flights predicted by one model; voltage and the like, which the
-    model follows, drop out. None where nothing was flown twice.
+    Each flight is predicted whole, by one model; voltage and the like, which the model follows, drop out. None
+    where nothing was flown twice or flights cannot be predicted whole.
     """
+    whole = logs.drive == "reference" and logs.twins
+    errors = predict_flights(logs.flights, model, effects) if whole else ()
     squares: dict[str, list[np.ndarray]] = {"position": [], "velocity": []}
-    for a, b in twins_of(flights) if errors else ():
+    for a, b in logs.twins if errors else ():
         first, second = errors[a], errors[b]
         t = first.t_s[(first.t_s >= second.t_s[0]) & (first.t_s <= second.t_s[-1])]
         for kind, found in squares.items():
@@ -251,27 +248,3 @@ def noise_floor(flights: Sequence[Flight], errors: Sequence[Errors]) -> dict[str
                 found.append((x - y) ** 2)
     rms = {k: float(np.sqrt(1.5 * np.mean(np.concatenate(v)))) if v else None for k, v in squares.items()}
     return {"position_rmse_m": rms["position"], "velocity_rmse_m_s": rms["velocity"]}
-
-
-def twins_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
-    """Pairs of indices of flights of the same reference under the same feed-forward and firmware parameters.
-
-    A law that holds the vehicle closer repeats other errors of the model than one that does not.
-    """
-    keys = [
-        (flight.reference_id, flight.metadata.get("feedforward_id"), flight.firmware_parameters)
-        for flight in flights
-    ]
-    return [(a, b) for a, b in combinations(range(len(flights)), 2) if keys[a][0] and keys[a] == keys[b]]
-
-
-def strata_of(twins: Sequence[tuple[int, int]], count: int) -> list[list[int]]:
-    """Indices of `count` flights, those of one reference together; all that have no twin together."""
-    group = list(range(count))
-    for a, b in twins:
-        group[b] = min(group[a], group[b])
-    found: dict[int, list[int]] = {}
-    for flight, first in enumerate(group):
-        found.setdefault(first, []).append(flight)
-    alone = [flight for flights in found.values() if len(flights) == 1 for flight in flights]
-    return [flights for flights in found.values() if len(flights) > 1] + ([alone] if alone else [])

@@ -9,11 +9,13 @@ import numpy as np
 
 from trimtab.host.models.model import Model
 from trimtab.host.trace.data.audit import Audit
+from trimtab.host.trace.data.cutting import SEGMENT_S
+from trimtab.host.trace.data.logs import Drive
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias
 from trimtab.host.trace.decision.findings import Code, Finding, Verdict
 from trimtab.host.trace.next_flight.separation import NextFlight
 from trimtab.host.trace.parameters import ParameterSpace
-from trimtab.host.trace.prediction import Errors
+from trimtab.host.trace.prediction import Errors, rmse
 from trimtab.host.trace.residual.description import Description
 from trimtab.host.trace.residual.network import Unexplained
 from trimtab.host.trace.residual.unexplained import UnexplainedResidual
@@ -59,13 +61,10 @@ class Trace:
     findings: tuple[Finding, ...]
     effects: tuple[Named, ...]
     possible: Mapping[str, float]
-    drive: str
-    horizon_s: float | None
+    drive: Drive
     before: Sequence[Errors]
     after: Sequence[Errors]
     adjustments_only: Sequence[Errors]
-    before_score: Mapping[str, float] | None
-    after_score: Mapping[str, float] | None
     noise_floor: Mapping[str, float | None]
     next_flight: NextFlight | None
     model: Model
@@ -77,6 +76,21 @@ class Trace:
     """What the disturbance outside the library depends on; None where the verdict is another."""
     unexplained: Unexplained | None
     """The network's errors on what is left, where one was trained."""
+
+    @property
+    def horizon_s(self) -> float | None:
+        """Return how far ahead held-out flights are predicted; None for whole flights."""
+        return None if self.drive == "reference" else SEGMENT_S
+
+    @property
+    def before_score(self) -> dict[str, float] | None:
+        """Return the held-out RMSE without effects; None where nothing was held out."""
+        return rmse(self.before) if self.before else None
+
+    @property
+    def after_score(self) -> dict[str, float] | None:
+        """Return the held-out RMSE with the model; None where nothing was held out."""
+        return rmse(self.after) if self.after else None
 
     @property
     def evidence(self) -> dict[str, float]:

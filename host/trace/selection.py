@@ -8,19 +8,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from trimtab.host.log import Flight
 from trimtab.host.trace import evidence
+from trimtab.host.trace.data.logs import strata_of
 from trimtab.host.trace.data.segments import Segments
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.decide import is_null_probable
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import FlightFit, FlightFitter, fit_loop, prior_of
 from trimtab.host.trace.flight_fit.loop import closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import in_turbulence, repeat
 from trimtab.host.trace.parameters import ParameterSpace
-from trimtab.host.trace.prediction import (
-    strata_of,
-    twins_of,
-)
 from trimtab.host.trace.residual.unexplained import FlightRepeat
 from trimtab.host.trace.search import Names, Report, SearchResult, likeliest, none_of, search, sizes, smallest
 from trimtab.host.trace.segment_fit.fit import SegmentFit, SegmentFitter, at_parameters, refit, unknowns_only
@@ -76,11 +73,15 @@ def stands_out(space: ParameterSpace, gram: np.ndarray, precision: np.ndarray) -
 
 
 def select_effects(
-    form: SegmentModel, data: Segments, flights: Sequence[Flight], report: Report
+    form: SegmentModel,
+    data: Segments,
+    flights: Sequence[FlightData],
+    twins: Sequence[tuple[int, int]],
+    report: Report,
 ) -> Diagnosis:
-    """What is missing, by whole `flights` over the closed loop, or by segments where there are none.
+    """Select the missing effects from whole `flights` in closed loop, or from segments without any.
 
-    The segments show in both cases what the kept set leaves.
+    `twins` pair indices of `flights`. The segments show in both cases what the selected set leaves.
     """
     nothing = refit(form, data, (), None, iterations=3)
     report("no effect fitted")
@@ -96,7 +97,7 @@ def select_effects(
         fitter = FlightFitter(loop=loop, order=order)
         found = search(fitter, fit_loop(loop, (), nothing.z, order), report)
         report("comparing twin flights")
-        twins, unread = twins_of(flights), unknowns_only(form.space, nothing)
+        unread = unknowns_only(form.space, nothing)
         found = without_form_faults(found, fitter, twins)
         kept = in_turbulence(loop, found.best, order, twins)
         there = tuple(name for name, size in sizes(fitter, kept).items() if size > RULES.present_tolerances)

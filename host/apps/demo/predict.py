@@ -13,6 +13,7 @@ from trimtab.host.log import Flight
 from trimtab.host.log.tracking import reference_at
 from trimtab.host.models.dynamics import mocap_latency_s
 from trimtab.host.models.model import Model
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.prediction import predict_flights
 from trimtab.protocol.blobs import FeedForward, Reference
 
@@ -29,7 +30,7 @@ def predicted_rmse_m(
     `reference` starts where the flight's own did and lasts as long. Infinite where the roll-out diverges.
     """
     (found,) = predict_flights(
-        [replace(flight, reference=reference, feedforward=feedforward)], model, effects
+        [FlightData.of(replace(flight, reference=reference, feedforward=feedforward))], model, effects
     )
     # A prediction is of what a late camera shows; where the vehicle is at that time is on the reference then.
     latency_s = float(mocap_latency_s(NUMPY, model.parts(effects)))

@@ -10,7 +10,7 @@ import numpy as np
 
 from trimtab.host.log import Flight, topics
 from trimtab.host.trace.data.contact import ground_contact
-from trimtab.host.trace.data.signals import Signals, signals, without_inputs
+from trimtab.host.trace.data.signals import FlightData, Signals, without_inputs
 from trimtab.host.trace.data.stretches import (
     STRETCH_ORDER,
     Stretch,
@@ -54,11 +54,11 @@ class Audit:
         return next((s for s in self.stretches if s.start_s < end_s and s.end_s > start_s), None)
 
 
-def audit(flight: Flight) -> Audit:
-    """The health of a flight's tracking phase. Raises TooLittleData as `signals` does."""
-    s = signals(flight)
+def audit(data: FlightData) -> Audit:
+    """The health of a flight's tracking phase."""
+    flight, s = data.flight, data.signals
     rates = _rates(flight, s.span_s)
-    stretches = [*_gaps(s), *_jumps(flight, s), *_attitudes(s), *_saturation(s), *ground_contact(flight, s)]
+    stretches = [*_gaps(s), *_jumps(flight, s), *_attitudes(s), *_saturation(s), *ground_contact(data)]
     inside = within(s.pose_s, s.span_s)
     return Audit(
         log=flight.path.name,

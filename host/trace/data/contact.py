@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.host.log import Flight
-from trimtab.host.trace.data.signals import Signals, averaged, without_inputs
+from trimtab.host.trace.data.signals import FlightData, Signals, averaged, without_inputs
 from trimtab.host.trace.data.stretches import Stretch, clipped_stretch, merged_spans, runs_of, within
 from trimtab.host.trace.decision.findings import Code
 from trimtab.host.trace.decision.rules import RULES
@@ -19,19 +18,20 @@ _WINDOW_S = 0.3
 _WINDOW_STEP_S = 0.1
 
 
-def ground_contact(flight: Flight, s: Signals) -> list[Stretch]:
+def ground_contact(data: FlightData) -> list[Stretch]:
     """Where the floor carries the vehicle, or something hits it.
 
     Either low over where it stood, or low in the log, not falling, with rotors that give less than the
     specific force by more than what they give less in free flight.
     """
+    flight, s = data.flight, data.signals
     t = np.arange(s.pose_s[0], s.pose_s[-1] - _WINDOW_S, _WINDOW_STEP_S)
     low, high = np.searchsorted(s.pose_s, t), np.searchsorted(s.pose_s, t + _WINDOW_S)
     known = high - low >= 4
     t, low, high = t[known], low[known], high[known]
     flying = (t + _WINDOW_S > s.span_s[0]) & (t < s.span_s[1])
     if without_inputs(flight) or not flying.any():
-        return _impacts(flight, s)
+        return _impacts(data)
     spans = list(zip(low, high, strict=True))
     down = np.array([np.median(s.p[a:b, 2]) for a, b in spans])
     thrust, force, speed = _carried(flight.vehicle, s, t, low, high)
@@ -54,7 +54,7 @@ def ground_contact(flight: Flight, s: Signals) -> list[Stretch]:
     )
     bad = (touching | carried) & flying
     return [clipped_stretch(s, a, b + _WINDOW_S, Code.GROUND_CONTACT) for a, b in runs_of(t, bad)] + _impacts(
-        flight, s
+        data
     )
 
 
@@ -100,11 +100,12 @@ def _thrust(vehicle: Vehicle, command: np.ndarray) -> np.ndarray:
     return vehicle.thrust_max_n * command * (c1 + c2 * command)
 
 
-def _impacts(flight: Flight, s: Signals) -> list[Stretch]:
+def _impacts(data: FlightData) -> list[Stretch]:
     """Times at which the accelerometer shows what no rotor can give and no air makes."""
+    s, vehicle = data.signals, data.flight.vehicle
     if not len(s.force):
         return []
-    strongest = 4.0 * flight.vehicle.thrust_max_n / flight.vehicle.mass_kg
+    strongest = 4.0 * vehicle.thrust_max_n / vehicle.mass_kg
     beyond = RULES.impact_g * GRAVITY
     x, y, z = s.force.T
     hit = (np.hypot(x, y) > beyond) | (z > beyond) | (z < -strongest - beyond)

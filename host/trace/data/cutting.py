@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trimtab.host.log import Flight
 from trimtab.host.trace.data.audit import Audit, audit
 from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
-from trimtab.host.trace.data.signals import Signals, averaged, noise, pose_interval_s, signals
+from trimtab.host.trace.data.signals import FlightData, Signals, averaged, noise, pose_interval_s
 from trimtab.host.trace.decision.findings import Code, Finding, TooLittleToTrace
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.sentences import MIXED_INPUTS, too_few_segments
@@ -24,7 +23,7 @@ LAGS = 5
 
 
 def segments_of(
-    flights: Sequence[Flight], *, rate_driven: bool, segment_s: float = SEGMENT_S
+    flights: Sequence[FlightData], *, rate_driven: bool, segment_s: float = SEGMENT_S
 ) -> tuple[Segments, tuple[Audit, ...]]:
     """Return all usable segments of the flights, of one vehicle, and what was left out of each.
 
@@ -32,8 +31,8 @@ def segments_of(
     TooLittleToTrace when too few segments are left.
     """
     parts, audits = [], []
-    for index, flight in enumerate(flights):
-        part, audit = _cut(flight, index, segment_s, rate_driven)
+    for index, data in enumerate(flights):
+        part, audit = _cut(data, index, segment_s, rate_driven)
         audits.append(audit)
         parts += part
     if len(parts) < RULES.min_segments:
@@ -53,14 +52,14 @@ def _refusal(audits: Sequence[Audit], count: int, segment_s: float) -> str:
     return too_few_segments(lost, count, segment_s)
 
 
-def _paths(flights: Sequence[Flight]) -> np.ndarray:
+def _paths(flights: Sequence[FlightData]) -> np.ndarray:
     """Measured state (flights, n, 12) from each flight's first pose on, each PATH_S; body rate 0.
 
     Flights that end earlier stand at their last state.
     """
     each = []
-    for flight in flights:
-        s = signals(flight)
+    for data in flights:
+        s = data.signals
         t = np.arange(s.pose_s[0], s.pose_s[-1] + 0.5 * PATH_S, PATH_S)
         p = np.column_stack([np.interp(t, s.pose_s, s.p[:, i]) for i in range(3)])
         at = np.minimum(np.searchsorted(s.pose_s, t), len(s.pose_s) - 1)
@@ -72,9 +71,9 @@ def _paths(flights: Sequence[Flight]) -> np.ndarray:
 
 
 def _cut(
-    flight: Flight, index: int, segment_s: float, rate_driven: bool
+    data: FlightData, index: int, segment_s: float, rate_driven: bool
 ) -> tuple[list[dict[str, Any]], Audit]:
-    s = signals(flight)
+    flight, s = data.flight, data.signals
     sigma = noise(s)
     steps = round(segment_s / DT_S)
     pre = max(1, int(np.ceil(LAGS * flight.vehicle.motor_lag_s / DT_S)))
@@ -95,7 +94,7 @@ def _cut(
     at[nearest[keep]] = keep
     fewest = (1.0 - RULES.missing_share) * min(1.0, DT_S / pose_interval_s(s))
 
-    health = audit(flight)
+    health = audit(data)
     found: list[dict[str, Any]] = []
     thin, lost = 0, dict[Code, int]()
     for k in range(count):

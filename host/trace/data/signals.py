@@ -50,6 +50,19 @@ class Signals:
     span_s: tuple[float, float]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FlightData:
+    """A flight with its measurements and inputs on one clock, built once for a trace."""
+
+    flight: Flight
+    signals: Signals
+
+    @classmethod
+    def of(cls, flight: Flight) -> FlightData:
+        """Return the data of `flight`. Raises TooLittleToTrace as `signals` does."""
+        return cls(flight=flight, signals=signals(flight))
+
+
 def signals(flight: Flight) -> Signals:
     """The flight's measurements and inputs. Raises TooLittleData when it has no poses or no tracking phase.
 

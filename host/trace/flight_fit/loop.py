@@ -14,12 +14,11 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from trimtab.host.codegen.ops import NUMPY
-from trimtab.host.log import Flight
 from trimtab.host.models.dynamics import mocap_latency_s as latency_of
 from trimtab.host.models.phi import INTEGRAL, Phi
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.states import States, flight_states
-from trimtab.host.trace.data.signals import Signals, signals
+from trimtab.host.trace.data.signals import FlightData, Signals
 from trimtab.host.trace.flight_fit.recording import PER_BIN, SAMPLE_S, Recording, interpolation, record
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, affordable
 from trimtab.host.trace.parameters import ParameterSpace
@@ -201,20 +200,22 @@ def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
     return out
 
 
-def closed_loop(flights: Sequence[Flight], vehicle: Vehicle, space: ParameterSpace, z: np.ndarray) -> Loop:
+def closed_loop(
+    flights: Sequence[FlightData], vehicle: Vehicle, space: ParameterSpace, z: np.ndarray
+) -> Loop:
     """The closed loop of `flights`, all with reference and law; poses are as late as z (P,) says.
 
     Raises TooLittleData where a log lacks something.
     """
     values = space.theta(list(space.values(z)))
     latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
-    states = flight_states(flights, latency_s=latency_s)
+    states = flight_states([data.flight for data in flights], latency_s=latency_s)
     return Loop([record(*each) for each in zip(flights, states, strict=True)], vehicle, space)
 
 
-def tracking_extent(flights: Sequence[Flight]) -> tuple[float, float]:
+def tracking_extent(flights: Sequence[FlightData]) -> tuple[float, float]:
     """Return the tracking time of all flights in s, and the greatest extent of one along an axis in m."""
-    spans = [signals(flight) for flight in flights]
+    spans = [data.signals for data in flights]
     return sum(s.span_s[1] - s.span_s[0] for s in spans), max(_extent(s) for s in spans)
 
 

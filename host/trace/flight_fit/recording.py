@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from trimtab.host.log import Flight
 from trimtab.host.models.states import States
-from trimtab.host.trace.data.signals import signals
+from trimtab.host.trace.data.signals import FlightData
 
 SAMPLE_S = 0.02
 
@@ -48,9 +47,9 @@ class Recording:
         return len(self.measured)
 
 
-def record(flight: Flight, states: States) -> Recording:
+def record(data: FlightData, states: States) -> Recording:
     """The recording of a flight with reference, law and telemetry, and its `states`."""
-    s = signals(flight)
+    flight, s = data.flight, data.signals
     start = s.span_s[0]
     duration = min(states.reference.nodes[-1].t_us * 1e-6, s.span_s[1] - start)
     bins = int(duration / FLIGHT_BIN_S)

@@ -16,6 +16,7 @@ from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.codegen.ops import CASADI
 from trimtab.host.models import dynamics
 from trimtab.host.models.lanes import LaneProgram, Lanes, lane_program
+from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.vehicle import Vehicle
 
@@ -57,6 +58,11 @@ class SegmentModel:
         self.rate_driven = rate_driven
         self.memory = dynamics.memory_size(space.effects[name] for name in space.parts)
         self._bound: dict[tuple[str, int], Lanes] = {}
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, space: ParameterSpace, data: Segments) -> SegmentModel:
+        """Return the model that predicts `data`."""
+        return cls(vehicle, space, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
 
     def bind(self, name: str, lanes: int) -> Lanes:
         """The program `name` ("step", "rotors" or "memory") with arrays for `lanes` lanes, kept."""

@@ -19,7 +19,7 @@ from trimtab.host.effects import Effect, load_effects
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.trace.data.cutting import DT_S, segments_of
 from trimtab.host.trace.data.segments import Segments
-from trimtab.host.trace.data.signals import unknowns
+from trimtab.host.trace.data.signals import FlightData, unknowns
 from trimtab.host.trace.parameters import ParameterSpace, space
 from trimtab.host.trace.segment_fit import rollout
 from trimtab.host.trace.segment_fit.model import LOCALS, SegmentModel
@@ -89,7 +89,11 @@ def _series(vehicle: Vehicle, space: ParameterSpace, flights: Sequence[Flight]) 
     """For each flight (n, 6, 1 + P) every DT_S: residual accelerations and their slopes in scaled
     parameters, over the usual turbulence; specific force, then angular acceleration, FRD.
     """
-    data, _ = segments_of(flights, rate_driven="torque" in unknowns(flights), segment_s=RUN_S)
+    data, _ = segments_of(
+        [FlightData.of(flight) for flight in flights],
+        rate_driven="torque" in unknowns(flights),
+        segment_s=RUN_S,
+    )
     count = len(space.columns)
     lanes = np.zeros((count, 1 + count))
     lanes[np.arange(count), 1 + np.arange(count)] = _STEP
@@ -218,8 +222,6 @@ def _responses(vehicle: Vehicle, space: ParameterSpace, data: Segments, z: np.nd
     lanes = z.shape[1]
     x0 = np.repeat(data.x0.T[:, None, :], lanes, axis=1)
     local = np.zeros((LOCALS, lanes, len(data.flight)))
-    form = SegmentModel(
-        vehicle, space, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven
-    )
+    form = SegmentModel.of(vehicle, space, data)
     found = rollout.roll_out(form, data, x0, z, local)
     return np.transpose(found[:, [9, 10, 11, 6, 7, 8]], (2, 3, 0, 1))

@@ -18,13 +18,15 @@ import numpy as np
 from trimtab.host.effects import Effect
 from trimtab.host.log import Flight
 from trimtab.host.models.model import Model
+from trimtab.host.trace.data.logs import twins_of
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import prior_of, weighted
 from trimtab.host.trace.flight_fit.loop import closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import turbulence
 from trimtab.host.trace.next_flight.separation import separation
 from trimtab.host.trace.parameters import ParameterSpace
-from trimtab.host.trace.prediction import predict_flights, rmse, twins_of
+from trimtab.host.trace.prediction import predict_flights, rmse
 from trimtab.host.vehicle import Vehicle
 from trimtab.sitl.studies.scoring.names import ratios
 
@@ -79,11 +81,11 @@ def effective(
     z = centre + _off_by(
         space, {f"{n}.{k}": v for n in candidates for k, v in _away(space, n, drawn[n]).items()}
     )
-    flown = closed_loop(flights, vehicle, space, z)
+    flown = closed_loop([FlightData.of(flight) for flight in flights], vehicle, space, z)
     white = turbulence(flown, z, order_of(flown), twins_of(flights))
     if white is None:
         raise ValueError("the flights have no twins: their turbulence cannot be told from physics")
-    loop = closed_loop(still, vehicle, space, z)
+    loop = closed_loop([FlightData.of(flight) for flight in still], vehicle, space, z)
     z, covariance, grams = weighted(loop, white, names, z, centre=centre, count=len(flights) / len(still))
     gram = grams.sum(0)[1:, 1:]
     return Effective(space=space, candidates=candidates, z=z, covariance=covariance, gram=gram)
@@ -159,4 +161,6 @@ def floor_m(
         effects=tables[True],
         adjustments=tables[False],
     )
-    return rmse(predict_flights(held_out, model, library))["position_rmse_m"]
+    return rmse(predict_flights([FlightData.of(flight) for flight in held_out], model, library))[
+        "position_rmse_m"
+    ]

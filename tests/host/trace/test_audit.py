@@ -16,6 +16,7 @@ from trimtab.host.trace import words
 from trimtab.host.trace.answer import audit_json
 from trimtab.host.trace.data.audit import Stretch, audit, with_missing_twins
 from trimtab.host.trace.data.cutting import segments_of
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.findings import Code, Finding
 
 DATA = Path(__file__).parents[2] / "data"
@@ -63,10 +64,10 @@ def codes(findings: Sequence[Finding]) -> set[Code]:
 
 def the_stretch(flight: Flight, code: Code) -> Stretch:
     """The one stretch of the flight, which no segment may touch."""
-    found = audit(flight)
+    found = audit(FlightData.of(flight))
     assert [stretch.code for stretch in found.stretches] == [code]
     (stretch,) = found.stretches
-    data, (cut,) = segments_of([flight], rate_driven=False)
+    data, (cut,) = segments_of([FlightData.of(flight)], rate_driven=False)
     assert not ((data.start_s < stretch.end_s) & (data.start_s + 0.6 > stretch.start_s)).any()
     assert [f.subject for f in cut.findings if f.code is Code.SEGMENTS_LEFT_OUT] == [(str(code),)]
     assert 0 < cut.left_out <= 3
@@ -76,13 +77,13 @@ def the_stretch(flight: Flight, code: Code) -> Stretch:
 
 @pytest.mark.parametrize("name", ["a1", "a2", "b1", "b2", "c1"])
 def test_ordinary_flights_are_used_whole_and_without_a_remark(name: str) -> None:
-    found = audit(read_flight(DATA / f"{name}.mcap"))
+    found = audit(FlightData.of(read_flight(DATA / f"{name}.mcap")))
     assert found.stretches == ()
     assert found.findings == ()
 
 
 def test_rates_are_those_of_the_topics_with_how_they_were_taken(flight: Flight) -> None:
-    rates = {rate.topic: rate for rate in audit(flight).rates}
+    rates = {rate.topic: rate for rate in audit(FlightData.of(flight)).rates}
     assert rates["/mocap/pose"].median_hz == pytest.approx(100.0)
     assert rates["/mocap/pose"].sampling == "sampled"
     assert rates["/fc/control"].sampling == "averaged"
@@ -93,7 +94,7 @@ def test_poses_that_thin_out_for_a_second_are_told(flight: Flight) -> None:
     assert flight.mocap is not None
     count = np.arange(len(flight.mocap))
     thin = poses(flight, ~between(flight, flight.mocap.t_us, 2.0, 3.5) | (count % 4 == 0))
-    (finding,) = audit(thin).findings
+    (finding,) = audit(FlightData.of(thin)).findings
     assert finding.code is Code.RATE_DROPS
     assert finding.subject == ("/mocap/pose",)
     assert 20.0 <= (finding.value or 0.0) < 30.0
@@ -143,7 +144,7 @@ def test_clocks_that_drift_apart_are_told(flight: Flight) -> None:
     assert link is not None
     ramp = np.linspace(0.0, 8_000.0, len(link))
     (finding,) = audit(
-        replace(flight, link=replace(link, clock_offset_us=link.clock_offset_us + ramp))
+        FlightData.of(replace(flight, link=replace(link, clock_offset_us=link.clock_offset_us + ramp)))
     ).findings
     assert finding.code is Code.CLOCK_DRIFT
 
@@ -152,7 +153,7 @@ def test_repeated_time_stamps_are_counted(flight: Flight) -> None:
     assert flight.mocap is not None
     twice = np.flatnonzero(between(flight, flight.mocap.t_us))[[3, 9, 20]]
     t_us = changed(flight.mocap.t_us, twice + 1, flight.mocap.t_us[twice])
-    (finding,) = audit(poses(flight, t_us=t_us)).findings
+    (finding,) = audit(FlightData.of(poses(flight, t_us=t_us))).findings
     assert (finding.code, finding.value, finding.subject) == (Code.REPEATED_STAMPS, 3, ("/mocap/pose",))
 
 
@@ -178,7 +179,7 @@ def test_rotors_below_weight_without_a_fall_are_carried_by_the_ground(flight: Fl
     started = flight.control.t1_us > flight.mocap.t_us[airborne][0]
     low = commands(poses(flight, airborne, p=p), started, motor_mean=motor)
     the_stretch(replace(low, kind="imported"), Code.GROUND_CONTACT)
-    assert audit(commands(poses(flight, airborne), started)).stretches == ()
+    assert audit(FlightData.of(commands(poses(flight, airborne), started))).stretches == ()
 
 
 def test_an_impact_is_left_out(flight: Flight) -> None:
@@ -202,7 +203,7 @@ def test_a_motor_at_its_limit_is_left_out(flight: Flight, limit: float) -> None:
 def test_rotors_clipped_for_a_share_of_the_ticks_are_told(flight: Flight) -> None:
     assert flight.status is not None
     clipped = replace(flight.status, saturated_ticks=flight.status.flight_ticks // 20)
-    (finding,) = audit(replace(flight, status=clipped)).findings
+    (finding,) = audit(FlightData.of(replace(flight, status=clipped))).findings
     assert finding.code is Code.ROTORS_SATURATED
     assert finding.value == pytest.approx(0.05, abs=0.001)
 
@@ -225,27 +226,30 @@ def test_sampled_commands_say_what_they_cost(flight: Flight) -> None:
     inputs = RecordedInputs(t_us=c.t1_us, level="motor", motor=c.motor_mean)
     imu = RecordedImu(t_us=c.t1_us, gyro=c.gyro_mean, specific_force=c.force_mean)
     sampled = replace(flight, control=None, recorded_inputs=inputs, recorded_imu=imu)
-    (finding,) = audit(sampled).findings
+    (finding,) = audit(FlightData.of(sampled)).findings
     assert finding.code is Code.SAMPLED_COMMANDS
-    deaf = audit(replace(sampled, recorded_imu=None))
+    deaf = audit(FlightData.of(replace(sampled, recorded_imu=None)))
     assert Code.NO_GYRO in codes(deaf.findings)
     slow = RecordedInputs(t_us=c.t1_us[::5], level="motor", motor=c.motor_mean[::5])
-    assert Code.SLOW_COMMANDS in codes(audit(replace(sampled, recorded_inputs=slow)).findings)
+    assert Code.SLOW_COMMANDS in codes(audit(FlightData.of(replace(sampled, recorded_inputs=slow))).findings)
 
 
 def test_a_flight_without_inputs_says_so(flight: Flight) -> None:
-    findings = audit(replace(flight, control=None)).findings
+    findings = audit(FlightData.of(replace(flight, control=None))).findings
     assert {Code.NO_INPUTS, Code.NO_GYRO} <= codes(findings)
 
 
 def test_a_flight_without_a_twin_says_so(flight: Flight) -> None:
-    found = with_missing_twins([audit(flight)] * 3, [(0, 2)])
+    found = with_missing_twins([audit(FlightData.of(flight))] * 3, [(0, 2)])
     assert [codes(one.findings) for one in found] == [set(), {Code.NO_TWIN}, set()]
 
 
 def test_the_audit_of_a_flight_tells_machines_the_same(flight: Flight) -> None:
     assert flight.mocap is not None
-    _, (cut,) = segments_of([poses(flight, ~between(flight, flight.mocap.t_us))], rate_driven=False)
+    _, (cut,) = segments_of(
+        [FlightData.of(poses(flight, ~between(flight, flight.mocap.t_us)))],
+        rate_driven=False,
+    )
     told = audit_json(cut)
     assert told["stretches"][0]["code"] == Code.GAP_IN_POSES
     assert told["stretches"][0]["reason"] == words.reason(cut.stretches[0])

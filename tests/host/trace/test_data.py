@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from trimtab.host.log import Battery, Mocap, RecordedInputs, read_flight, write_imported
 from trimtab.host.trace.data.cutting import segments_of
-from trimtab.host.trace.data.signals import averaged, signals, unknowns
+from trimtab.host.trace.data.signals import FlightData, averaged, signals, unknowns
 from trimtab.host.trace.decision.findings import Code, TooLittleToTrace
 from trimtab.host.vehicle import load_vehicle
 
@@ -66,7 +66,7 @@ def test_signals_of_a_reference_alone_are_those_of_poses_alone(tmp_path: Path) -
     reference = RecordedInputs(t_us=t_us, level="reference", p_ref=np.zeros((len(t_us), 3)))
     flight = read_flight(log(tmp_path / "reference.mcap", inputs=reference))
     assert "thrust" in unknowns([flight])
-    data, (audit,) = segments_of([flight], rate_driven="torque" in unknowns([flight]))
+    data, (audit,) = segments_of([FlightData.of(flight)], rate_driven="torque" in unknowns([flight]))
     assert data.rate_driven
     assert Code.NO_INPUTS in {finding.code for finding in audit.findings}
 
@@ -74,7 +74,7 @@ def test_signals_of_a_reference_alone_are_those_of_poses_alone(tmp_path: Path) -
 def test_segments_of_a_short_log_are_too_little(tmp_path: Path) -> None:
     flight = read_flight(log(tmp_path / "short.mcap", seconds=2.0))
     with pytest.raises(TooLittleToTrace, match=r"^short\.mcap: only \d usable segments") as refusal:
-        segments_of([flight], rate_driven=True)
+        segments_of([FlightData.of(flight)], rate_driven=True)
     assert refusal.value.told == {"code": Code.TOO_FEW_SEGMENTS}
 
 
@@ -85,7 +85,7 @@ def test_segments_leave_out_a_gap_and_say_so(tmp_path: Path) -> None:
     q = np.tile([1.0, 0.0, 0.0, 0.0], (len(t_us), 1))
     path = tmp_path / "gap.mcap"
     write_imported(path, vehicle=VEHICLE, mocap=Mocap(t_us=t_us, t_arrival_us=t_us, p=p, q=q))
-    _, (audit,) = segments_of([read_flight(path)], rate_driven=True)
+    _, (audit,) = segments_of([FlightData.of(read_flight(path))], rate_driven=True)
     assert audit.left_out >= 1
     assert audit.largest_gap_s == pytest.approx(1.01, abs=0.02)
     assert Code.SEGMENTS_LEFT_OUT in {finding.code for finding in audit.findings}
@@ -93,7 +93,7 @@ def test_segments_leave_out_a_gap_and_say_so(tmp_path: Path) -> None:
 
 def test_segments_of_slow_poses_count_what_their_rate_gives(tmp_path: Path) -> None:
     flight = read_flight(log(tmp_path / "slow.mcap", every_us=20_000))
-    _, (audit,) = segments_of([flight], rate_driven=True)
+    _, (audit,) = segments_of([FlightData.of(flight)], rate_driven=True)
     assert audit.segments >= 8
     assert audit.left_out == 0
 
@@ -101,7 +101,7 @@ def test_segments_of_slow_poses_count_what_their_rate_gives(tmp_path: Path) -> N
 def test_too_little_data_says_what_was_left_out(tmp_path: Path) -> None:
     flight = read_flight(log(tmp_path / "holes.mcap", holes=True))
     with pytest.raises(TooLittleToTrace, match=r"holes\.mcap: \d+ segments with gaps"):
-        segments_of([flight], rate_driven=True)
+        segments_of([FlightData.of(flight)], rate_driven=True)
 
 
 def test_a_dead_battery_reading_is_no_measurement(tmp_path: Path) -> None:
@@ -115,6 +115,9 @@ def test_a_dead_battery_reading_is_no_measurement(tmp_path: Path) -> None:
 def test_segment_without_a_gyro_starts_with_the_rate_of_the_poses(tmp_path: Path) -> None:
     t_us = np.arange(0, 6_000_000, 10_000)
     inputs = RecordedInputs(t_us=t_us, level="motor", motor=np.full((len(t_us), 4), 0.5))
-    data, _ = segments_of([read_flight(log(tmp_path / "deaf.mcap", inputs=inputs))], rate_driven=False)
+    data, _ = segments_of(
+        [FlightData.of(read_flight(log(tmp_path / "deaf.mcap", inputs=inputs)))],
+        rate_driven=False,
+    )
     assert not data.rate_driven
     np.testing.assert_allclose(data.x0[:, 9:], np.tile([0.0, 0.0, 0.4], (len(data.flight), 1)), atol=1e-6)

@@ -14,6 +14,7 @@ from trimtab.host.report.figures import dependence
 from trimtab.host.trace import words
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.segments import Segments
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.residual.description import Description, describe
 from trimtab.host.trace.residual.features import Bins, bins_of
 from trimtab.host.vehicle import load_vehicle
@@ -27,7 +28,10 @@ Push = Callable[[Bins], np.ndarray]
 @pytest.fixture(scope="module")
 def data() -> Segments:
     names = ("a1", "a2", "b1", "b2", "c1")
-    return segments_of([read_flight(DATA / f"{name}.mcap") for name in names], rate_driven=False)[0]
+    return segments_of(
+        [FlightData.of(read_flight(DATA / f"{name}.mcap")) for name in names],
+        rate_driven=False,
+    )[0]
 
 
 def noise(shape: tuple[int, ...]) -> np.ndarray:

@@ -10,6 +10,7 @@ from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.cutting import segments_of
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.parameters import space
 from trimtab.host.trace.segment_fit.fit import at_parameters, refit
 from trimtab.host.trace.segment_fit.model import SegmentModel
@@ -23,8 +24,8 @@ def test_a_fit_is_the_optimum_of_its_linearisation() -> None:
     flight = read_flight(DATA / "c1.mcap")
     effects = load_effects()
     library = space(flight.vehicle, {name: effects[name] for name in LIBRARY})
-    data, _ = segments_of([flight], rate_driven=False)
-    form = SegmentModel(flight.vehicle, library, dt_s=data.dt_s, in_newton=False, rate_driven=False)
+    data, _ = segments_of([FlightData.of(flight)], rate_driven=False)
+    form = SegmentModel.of(flight.vehicle, library, data)
     nothing = refit(form, data, (), None, iterations=2)
     fit = refit(form, data, ("thrust-gain",), nothing, iterations=1)
     white = evidence.whitened(fit.lin, fit.process, library.prior)

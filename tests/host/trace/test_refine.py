@@ -13,6 +13,7 @@ from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.models.phi import INTEGRAL
 from trimtab.host.trace import uncertainty
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.flight_fit import fit as refine
 from trimtab.host.trace.flight_fit import loop as closed
 from trimtab.host.trace.flight_fit import recording as recordings
@@ -37,7 +38,9 @@ def library() -> ParameterSpace:
 @pytest.fixture(scope="module")
 def loop(library: ParameterSpace) -> Loop:
     flights = [read_flight(DATA / f"{name}.mcap") for name in ("a1", "b1")]
-    return closed.closed_loop(flights, flights[0].vehicle, library, np.zeros(len(library.columns)))
+    return closed.closed_loop(
+        [FlightData.of(each) for each in flights], flights[0].vehicle, library, np.zeros(len(library.columns))
+    )
 
 
 def scaled(library: ParameterSpace, **values: float) -> np.ndarray:
@@ -72,7 +75,7 @@ def test_shipped_flights_show_what_their_world_holds(library: ParameterSpace) ->
     flights = [read_flight(DATA / f"{name}.mcap") for name in ("a1", "a2", "b1", "b2")]
     truth = json.loads((DATA / "truth.json").read_text())["effects"]
     start = scaled(library, mocap_latency__latency_s=0.018, motor_lag__extra_s=0.012, thrust_gain__gain=0.95)
-    whole = closed.closed_loop(flights, flights[0].vehicle, library, start)
+    whole = closed.closed_loop([FlightData.of(each) for each in flights], flights[0].vehicle, library, start)
     fit = refine.fit_loop(whole, PRESENT, start, closed.order_of(whole))
     values, sd = library.values(fit.z), np.sqrt(np.diag(fit.covariance)) * library.scale
     for i, column in enumerate(library.columns):
@@ -147,7 +150,7 @@ def test_recording_is_compared_with_what_telemetry_makes_of_the_same_motion(loop
         gyro_mean=np.repeat(means[:, None], 3, axis=1),
         rate_integral=np.repeat(np.sin(end)[:, None], 3, axis=1),
     )
-    recording = recordings.record(replace(flight, control=seen), loop.recordings[0].states)
+    recording = recordings.record(FlightData.of(replace(flight, control=seen)), loop.recordings[0].states)
     t = recordings.SAMPLE_S * np.arange(recording.bins * recordings.PER_BIN + 1)
     states = np.repeat(np.sin(9.0 * t)[:, None, None], INTEGRAL.stop, axis=1)
     predicted = closed._means(recording, states, np.zeros(1))[0]

@@ -11,7 +11,8 @@ import pytest
 from trimtab.host.effects import load_effects
 from trimtab.host.log import Battery, Mocap, read_flight, write_imported
 from trimtab.host.trace.data.cutting import segments_of
-from trimtab.host.trace.data.logs import check_logs
+from trimtab.host.trace.data.logs import read_logs
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.alternatives import with_each_other
 from trimtab.host.trace.decision.decide import better_but_inadmissible, segment_disagreement
 from trimtab.host.trace.decision.findings import Code, LogsRefused, TooLittleToTrace
@@ -55,7 +56,7 @@ def test_a_log_given_twice_is_refused(tmp_path: Path, held_out: bool) -> None:
     with pytest.raises(
         LogsRefused, match=r"again\.mcap: the same log as .*one\.mcap; give it once"
     ) as refusal:
-        check_logs([one] if held_out else [one, again], [again] if held_out else [], None)
+        read_logs([one] if held_out else [one, again], [again] if held_out else [], None)
     assert refusal.value.told == {"code": Code.LOG_GIVEN_TWICE}
 
 
@@ -64,7 +65,7 @@ def test_logs_of_vehicles_that_share_a_name_are_refused_with_what_differs(tmp_pa
     one = read_flight(log(tmp_path / "one.mcap"))
     other = read_flight(log(tmp_path / "other.mcap", vehicle=heavier))
     with pytest.raises(LogsRefused, match=r"other\.mcap: .*research .* mass_kg differ") as refusal:
-        check_logs([one, other], [], None)
+        read_logs([one, other], [], None)
     assert refusal.value.told == {"code": Code.MIXED_VEHICLES}
 
 
@@ -72,7 +73,7 @@ def test_a_held_out_log_without_poses_in_its_tracking_phase_is_refused_first(tmp
     one = read_flight(log(tmp_path / "one.mcap"))
     bare = read_flight(log(tmp_path / "bare.mcap", tracking_us=(5_900_000, 5_905_000)))
     with pytest.raises(TooLittleToTrace, match=r"bare\.mcap: fewer than 10 poses") as refusal:
-        check_logs([one], [bare], None)
+        read_logs([one], [bare], None)
     assert refusal.value.told == {"code": Code.TOO_FEW_POSES}
 
 
@@ -116,8 +117,8 @@ def test_segments_speak_against_what_is_not_there() -> None:
     effects = load_effects()
     names = ("thrust-gain", "frame-tilt", "mass")
     library = space(flight.vehicle, {name: effects[name] for name in names})
-    data, _ = segments_of([flight], rate_driven=False)
-    form = SegmentModel(flight.vehicle, library, dt_s=data.dt_s, in_newton=False, rate_driven=False)
+    data, _ = segments_of([FlightData.of(flight)], rate_driven=False)
+    form = SegmentModel.of(flight.vehicle, library, data)
     nothing = refit(form, data, (), None, iterations=2)
     nats = segment_disagreement_nats(form, nothing, ("frame-tilt", "thrust-gain"))
     (found,) = segment_disagreement(nats, RULES)

@@ -30,7 +30,7 @@ from tests.host.trace.builders import (
 from trimtab.host.effects import ExactAlias
 from trimtab.host.trace import gathering, selection, words
 from trimtab.host.trace.assembly import named_effects
-from trimtab.host.trace.data.logs import check_logs, observable_effects
+from trimtab.host.trace.data.logs import observable_effects, read_logs
 from trimtab.host.trace.decision.decide import segment_disagreement
 from trimtab.host.trace.decision.findings import Code, LogsRefused, TooLittleToTrace
 from trimtab.host.trace.decision.rules import RULES
@@ -63,19 +63,19 @@ SAG_SEEN = 0.01
         pytest.param([{"reference_id": "r"}], [{}], id="none-held-out"),
     ],
 )
-def test_check_logs_that_belong_together_is_their_vehicle(
+def test_read_logs_that_belong_together_is_their_vehicle(
     used: list[dict[str, Any]], held_out: list[dict[str, Any]]
 ) -> None:
     flights = [build_flight(f"used-{k}", **each) for k, each in enumerate(used)]
     others = [build_flight(f"held-{k}", **each) for k, each in enumerate(held_out)]
-    assert check_logs(flights, others, None) == VEHICLE
+    assert read_logs(flights, others, None).vehicle == VEHICLE
 
 
-def test_check_logs_against_a_given_vehicle_is_that_vehicle() -> None:
+def test_read_logs_against_a_given_vehicle_is_that_vehicle() -> None:
     flight = build_flight("one", vehicle=OTHER)
-    assert check_logs([flight], [], OTHER) is OTHER
+    assert read_logs([flight], [], OTHER).vehicle is OTHER
     with pytest.raises(LogsRefused, match=r"one\.mcap.*mass_kg") as caught:
-        check_logs([flight], [], VEHICLE)
+        read_logs([flight], [], VEHICLE)
     assert caught.value.told == {"code": Code.MIXED_VEHICLES}
 
 
@@ -145,11 +145,11 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("flights", "held_out", "log", "code", "mentioned"), WRONG)
-def test_check_logs_that_do_not_belong_together_are_refused_with_a_code(
+def test_read_logs_that_do_not_belong_together_are_refused_with_a_code(
     flights: list[Any], held_out: list[Any], log: str, code: Code, mentioned: str
 ) -> None:
     with pytest.raises(LogsRefused) as caught:
-        check_logs(flights, held_out, None)
+        read_logs(flights, held_out, None)
     assert caught.value.told == {"code": code}
     assert str(caught.value).startswith(f"{log}.mcap")
     assert mentioned in str(caught.value)
@@ -174,11 +174,11 @@ def test_check_logs_that_do_not_belong_together_are_refused_with_a_code(
         ),
     ],
 )
-def test_check_logs_without_poses_or_tracking_is_too_little_data(
+def test_read_logs_without_poses_or_tracking_is_too_little_data(
     flights: list[Any], held_out: list[Any], log: str, code: Code
 ) -> None:
     with pytest.raises(TooLittleToTrace) as caught:
-        check_logs(flights, held_out, None)
+        read_logs(flights, held_out, None)
     assert caught.value.told == {"code": code}
     assert str(caught.value).startswith(f"{log}.mcap")
 

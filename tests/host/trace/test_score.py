@@ -12,7 +12,8 @@ from trimtab.host.effects import load_effects
 from trimtab.host.log import Flight, Mocap, read_flight, write_imported
 from trimtab.host.log.errors import TooLittleData
 from trimtab.host.trace.data.cutting import DT_S
-from trimtab.host.trace.data.signals import unknowns
+from trimtab.host.trace.data.logs import read_logs
+from trimtab.host.trace.data.signals import FlightData, unknowns
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.parameters import space
 from trimtab.host.trace.prediction import Errors, noise_floor, predict_segments
@@ -37,7 +38,7 @@ def flight(
 
 def errors_of(held_out: Flight) -> Errors:
     form = form_for(held_out)
-    return predict_segments([held_out], form, np.zeros(len(form.space.columns)))[0]
+    return predict_segments([FlightData.of(held_out)], form, np.zeros(len(form.space.columns)))[0]
 
 
 def form_for(flight: Flight) -> SegmentModel:
@@ -69,9 +70,9 @@ def test_a_held_out_flight_too_short_to_predict_is_refused_by_name(tmp_path: Pat
     short, long = flight(tmp_path / "short.mcap", seconds=1.1), flight(tmp_path / "long.mcap")
     form = form_for(long)
     with pytest.raises(TooLittleData, match=r"short\.mcap: too short"):
-        predict_segments([long, short], form, np.zeros(len(form.space.columns)))
+        predict_segments([FlightData.of(long), FlightData.of(short)], form, np.zeros(len(form.space.columns)))
 
 
 def test_noise_floor_without_twins_is_unknown(tmp_path: Path) -> None:
-    floor = noise_floor([flight(tmp_path / "a.mcap")], ())
+    floor = noise_floor(read_logs([flight(tmp_path / "a.mcap")], [], None), None, {})
     assert floor == {"position_rmse_m": None, "velocity_rmse_m_s": None}

@@ -14,6 +14,7 @@ from trimtab.host.report.manoeuvres_page import INSTRUMENTS
 from trimtab.host.route import load_route
 from trimtab.host.trace import words
 from trimtab.host.trace.data.cutting import segments_of
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre, manoeuvres
 from trimtab.host.trace.next_flight.separation import (
@@ -58,7 +59,7 @@ def known(vehicle: Vehicle) -> dict[str, Manoeuvre]:
 def fit(form: SegmentModel) -> SegmentFit:
     """A shipped flight with a centre of mass that is taken to be off."""
     flight = read_flight(DATA / "c1.mcap")
-    data, _ = segments_of([flight], rate_driven=False)
+    data, _ = segments_of([FlightData.of(flight)], rate_driven=False)
     found = refit(form, data, ("com-offset",), None, iterations=2)
     z = found.z.copy()
     z[list(form.space.groups["com-offset"])] = 0.5

@@ -13,6 +13,7 @@ from trimtab.host.log import read_flight
 from trimtab.host.models.model import Model
 from trimtab.host.trace import words
 from trimtab.host.trace.data.cutting import segments_of
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.residual import network as module
 from trimtab.host.trace.residual.description import describe
 from trimtab.host.trace.residual.network import unexplained
@@ -25,7 +26,7 @@ def test_a_network_takes_what_is_left_and_names_nothing(monkeypatch: pytest.Monk
     flights = [read_flight(DATA / f"{name}.mcap") for name in ("a1", "a2")]
     held_out = [read_flight(DATA / "b1.mcap")]
     vehicle = flights[0].vehicle
-    data, _ = segments_of(flights, rate_driven=False)
+    data, _ = segments_of([FlightData.of(each) for each in flights], rate_driven=False)
     told = describe(np.zeros((len(data.flight), data.bins, 6)), data, ("a", "a"), vehicle)
     model = Model(vehicle_id=vehicle.id, vehicle_name=vehicle.name)
     said: list[str] = []

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from tests.host.trace.builders import (
@@ -21,6 +22,7 @@ from trimtab.host.trace.data.audit import Audit
 from trimtab.host.trace.data.stretches import STRETCH_ORDER, Stretch
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias
 from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Finding, Verdict
+from trimtab.host.trace.prediction import Errors
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.sentences import (
     no_tracking,
@@ -311,12 +313,22 @@ def test_verdict_in_words_names_effects_or_reasons(
     assert unmentioned not in told
 
 
+def build_errors(position_m: float) -> Errors:
+    """Return the errors of a flight whose position is off by as much all the time."""
+    off = np.tile([position_m, 0.0, 0.0], (3, 1))
+    return Errors(
+        flight="a",
+        reference_id=None,
+        t_s=np.arange(3.0),
+        position=off,
+        velocity=off,
+        predicted=off,
+        measured=off,
+    )
+
+
 def test_verdict_with_held_out_flights_ends_with_errors_in_whole_millimetres() -> None:
-    scores = {
-        "before": [cast(Any, None)] * 2,
-        "before_score": {"position_rmse_m": 0.0518},
-        "after_score": {"position_rmse_m": 0.0121},
-    }
+    scores = {"before": [build_errors(0.0518)] * 2, "after": [build_errors(0.0121)] * 2}
     told = words.verdict(trace(("drag",), named=("drag",), **scores))
     assert told.endswith("On 2 held-out flights the prediction error went from 52 to 12 mm.")
     assert "mm" not in words.verdict(trace(**scores))

@@ -9,6 +9,7 @@ import pytest
 
 from trimtab.host.log import Control, Flight, read_flight
 from trimtab.host.trace.data.audit import audit
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.findings import Code
 from trimtab.sitl.studies import cut
 from trimtab.sitl.studies.commandline import run_apart
@@ -98,7 +99,7 @@ def test_copy_without_reference_keeps_the_flight(flight: Flight, tmp_path: Path)
     assert left.tracking[0] == flight.tracking[0]
     assert abs(left.tracking[1] - flight.tracking[1]) < 200_000
     np.testing.assert_array_equal(controls(left).motor_mean, controls(flight).motor_mean)
-    assert Code.NO_REFERENCE in {finding.code for finding in audit(left).findings}
+    assert Code.NO_REFERENCE in {finding.code for finding in audit(FlightData.of(left)).findings}
 
 
 @pytest.fixture(scope="module")
