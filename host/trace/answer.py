@@ -43,7 +43,7 @@ def to_json(
         "report": report_path,
         "findings": [finding.to_json() for finding in result.all_findings],
         "reasons": sentences(result.findings, UNEXPLAINED),
-        "repeats": dict(zip(("after", "before"), map(_repeat, result.diagnosis.repeats), strict=True)),
+        "repeats": dict(zip(("after", "before"), map(_repeat, result.diagnosis.repeatability), strict=True)),
         "possible": [{"name": name, "probability": p} for name, p in result.possible.items()],
         "hidden": list(result.hidden),
         "doubts": sentences(result.findings, DOUBTS),
@@ -56,7 +56,7 @@ def to_json(
 def _repeat(repeat: FlightRepeat | None) -> dict[str, float] | None:
     if repeat is None:
         return None
-    return {"share": repeat.share, "z": repeat.z, "position_m": repeat.position_m}
+    return {"share": repeat.share, "z": repeat.z_score, "position_m": repeat.position_m}
 
 
 def audit_json(audit: Audit) -> dict[str, Any]:

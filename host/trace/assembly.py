@@ -28,9 +28,12 @@ from trimtab.host.trace.selection import Diagnosis
 def named_effects(
     chosen: ParameterSpace, diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]
 ) -> tuple[Named, ...]:
-    values, sd = chosen.values(diagnosis.best.z), np.sqrt(np.diag(diagnosis.best.covariance)) * chosen.scale
+    values, sd = (
+        chosen.values(diagnosis.selected.theta_scaled),
+        np.sqrt(np.diag(diagnosis.selected.covariance)) * chosen.scale,
+    )
     out = []
-    for name in diagnosis.best.effects:
+    for name in diagnosis.selected.effects:
         effect = chosen.effect(name)
         parameters = {
             chosen.columns[i].key: Value(value=float(values[i]), sd=float(sd[i]), unit=chosen.columns[i].unit)
@@ -40,15 +43,17 @@ def named_effects(
         for other, probability in aliases[name].items():
             title = chosen.effect(other).name
             others[title] = others.get(title, 0.0) + probability
-        exact = exact_aliases(chosen, diagnosis.best.z, diagnosis.best.covariance, effect.name)
+        exact = exact_aliases(
+            chosen, diagnosis.selected.theta_scaled, diagnosis.selected.covariance, effect.name
+        )
         for other in exact:
-            others.setdefault(other, diagnosis.inclusion[name])
+            others.setdefault(other, diagnosis.inclusion_probability[name])
         out.append(
             Named(
                 name=effect.name,
                 title=effect.title,
                 parameters=parameters,
-                probability=diagnosis.inclusion[name],
+                probability=diagnosis.inclusion_probability[name],
                 aliases=others,
                 exact_aliases=exact,
             )
@@ -59,7 +64,7 @@ def named_effects(
 def model_of(
     chosen: ParameterSpace,
     diagnosis: Diagnosis,
-    z: np.ndarray,
+    theta_scaled: np.ndarray,
     flights: Sequence[Flight],
     named: Sequence[Named],
     added: bool,
@@ -70,7 +75,7 @@ def model_of(
     Unless effects are `added` there are none, no adjustments beside what the logs declare unknown, and no
     covariance.
     """
-    values = chosen.values(z)
+    values = chosen.values(theta_scaled)
     found = {effect.name for effect in named}
     tables: dict[bool, dict[str, dict[str, float]]] = {True: {}, False: {}}
     kept = [owner for owner in chosen.owners if added or owner in chosen.unknown]
@@ -79,12 +84,12 @@ def model_of(
         tables[owner in found][owner] = table
     covariance = None
     if added:
-        scaled = diagnosis.best.covariance * np.outer(chosen.scale, chosen.scale)
+        scaled = diagnosis.selected.covariance * np.outer(chosen.scale, chosen.scale)
         covariance = Covariance(
             names=tuple(f"{c.owner}.{c.key}" for c in chosen.columns),
             matrix=tuple(tuple(float(x) for x in row) for row in 0.5 * (scaled + scaled.T)),
         )
-    data, vehicle = diagnosis.best.data, flights[0].vehicle
+    data, vehicle = diagnosis.selected.data, flights[0].vehicle
     tilt = np.arccos(np.clip(data.attitude[:, :, 8], -1.0, 1.0))
     speed = np.linalg.norm(np.diff(data.position, axis=1), axis=2) / data.dt_s
     seen = data.pose_weight[:, 1:] * data.pose_weight[:, :-1] > 0
@@ -120,7 +125,7 @@ def held_out_errors(
     if not logs.held_out:
         return (), (), ()
     chosen = form.space
-    named = [i for name in diagnosis.best.effects for i in chosen.groups[name]]
+    named = [i for name in diagnosis.selected.effects for i in chosen.groups[name]]
     bare = Model(vehicle_id=model.vehicle_id, vehicle_name=model.vehicle_name, adjustments=model.adjustments)
 
     def predict(values: np.ndarray, whole: Model | None) -> tuple[Errors, ...]:
@@ -128,10 +133,10 @@ def held_out_errors(
             return predict_flights(logs.held_out, whole, effects)
         return predict_segments(logs.held_out, form, values)
 
-    before = predict(unknowns_only(chosen, diagnosis.nothing), None)
+    before = predict(unknowns_only(chosen, diagnosis.null_fit), None)
     if not added:
         return before, before, before
-    z = diagnosis.best.z
-    middle = z.copy()
+    theta_scaled = diagnosis.selected.theta_scaled
+    middle = theta_scaled.copy()
     middle[named] = 0.0
-    return before, predict(z, model), predict(middle, bare)
+    return before, predict(theta_scaled, model), predict(middle, bare)

@@ -1,7 +1,7 @@
 """Evidence for sets of effects from whitened, linearised segments.
 
 A segment's residual is r = X dx0 + S dz + Z w + e with sensor noise e of unit variance, a free initial state
-dx0 (projected out before it gets here), the scaled parameters z of the library form and a process
+dx0 (projected out before it gets here), the scaled parameters theta_scaled of the library form and a process
 disturbance w, force and torque in bins of 0.1 s. Only the Gram matrix of [r, S, Z] of a segment is kept, so
 that any subset of effects costs one small solve. Spike and slab: a parameter whose effect is not selected
 still moves within its declared tolerance; a selected one is free within twice its typical size.
@@ -60,13 +60,13 @@ class Linearisation:
 
     gram: np.ndarray
     flight: np.ndarray
-    z: np.ndarray
+    theta_scaled: np.ndarray
     local: np.ndarray
 
     @property
     def parameters(self) -> int:
         """Number P of scaled parameters."""
-        return len(self.z)
+        return len(self.theta_scaled)
 
     @property
     def bins(self) -> int:
@@ -154,24 +154,24 @@ def local_step(lin: Linearisation, white: Whitened, prior: Prior, step: np.ndarr
 def log_evidence(
     gram: np.ndarray,
     log_det: float,
-    z: np.ndarray,
+    theta_scaled: np.ndarray,
     precision: np.ndarray,
     count: int,
     limits: tuple[np.ndarray, np.ndarray],
 ) -> float:
-    """Log evidence, up to a constant, of a set of `count` effects in the linearisation at z.
+    """Log evidence, up to a constant, of a set of `count` effects in the linearisation at theta_scaled.
 
     gram (1 + P, 1 + P) of the whitened [r | S], log_det of what whitened them. At the best point within
     `limits` (P,) of the scaled parameters: bounds of an effect are physics, and what only a value beyond
     them explains is not explained.
     """
-    rhs = gram[0, 1:] - precision * z
+    rhs = gram[0, 1:] - precision * theta_scaled
     normal = gram[1:, 1:] + np.diag(precision)
     chol = np.linalg.cholesky(normal)
     half = np.linalg.solve(chol, rhs)
-    quadratic = gram[0, 0] + precision @ (z * z) - half @ half
+    quadratic = gram[0, 0] + precision @ (theta_scaled * theta_scaled) - half @ half
     free = np.linalg.solve(chol.T, half)
-    off = held(normal, free, limits[0] - z, limits[1] - z) - free
+    off = held(normal, free, limits[0] - theta_scaled, limits[1] - theta_scaled) - free
     quadratic += off @ normal @ off
     occam = 2.0 * np.log(np.diag(chol)).sum() - np.log(precision).sum()
     return float(-0.5 * (quadratic + occam + log_det) + RULES.prior_log_odds * count)
@@ -192,22 +192,24 @@ def held(normal: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndar
     return at
 
 
-def posterior(gram: np.ndarray, z: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def posterior(
+    gram: np.ndarray, theta_scaled: np.ndarray, precision: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Step (P,) to the posterior mean and the posterior covariance (P, P), scaled units."""
     covariance = np.linalg.inv(gram[1:, 1:] + np.diag(precision))
-    return covariance @ (gram[0, 1:] - precision * z), covariance
+    return covariance @ (gram[0, 1:] - precision * theta_scaled), covariance
 
 
 def bounded(
-    gram: np.ndarray, z: np.ndarray, precision: np.ndarray, limits: tuple[np.ndarray, np.ndarray]
+    gram: np.ndarray, theta_scaled: np.ndarray, precision: np.ndarray, limits: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """As `posterior`, the step to the best point within `limits` (P,) of the scaled parameters.
 
     Cut off at a bound instead, a step would leave undone what it had meant to do beyond it.
     """
-    step, covariance = posterior(gram, z, precision)
+    step, covariance = posterior(gram, theta_scaled, precision)
     normal = gram[1:, 1:] + np.diag(precision)
-    return held(normal, step, limits[0] - z, limits[1] - z), covariance
+    return held(normal, step, limits[0] - theta_scaled, limits[1] - theta_scaled), covariance
 
 
 def fit_process(lin: Linearisation, prior: Prior, selected: Sequence[str], start: Process) -> Process:
@@ -256,10 +258,10 @@ def _evidence_and_slope(
     # All unknowns but the disturbance at once: parameters, then every flight's nuisances.
     size = lin.parameters + count * width
     A, b = np.zeros((size, size)), np.zeros(size)
-    square_of_rest = float((local_precision * lin.local**2).sum() + precision @ lin.z**2)
+    square_of_rest = float((local_precision * lin.local**2).sum() + precision @ lin.theta_scaled**2)
     own = np.arange(lin.parameters)
     A[own, own] = precision
-    b[own] = -precision * lin.z
+    b[own] = -precision * lin.theta_scaled
     for k, gram in enumerate(flights):
         at = np.r_[own, lin.parameters + k * width : lin.parameters + (k + 1) * width]
         A[np.ix_(at, at)] += gram[1:, 1:]
@@ -287,7 +289,7 @@ def _evidence_and_slope(
 
 
 def disturbances(lin: Linearisation, process: Process, step: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """Best linear prediction (segments, bins, 6) of the disturbance left by the model at z + step.
+    """Best linear prediction (segments, bins, 6) of the disturbance left by the model at theta_scaled + step.
 
     local: (flights, K) step of the flights' nuisances.
     """

@@ -10,7 +10,7 @@ import numpy as np
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.decision.decide import Evidence
 from trimtab.host.trace.residual.unexplained import unexplained_residual
-from trimtab.host.trace.search import Names, likeliest
+from trimtab.host.trace.search import Names, most_probable
 from trimtab.host.trace.segment_fit.fit import SegmentFit, disturbance_left, refit, unknowns_only
 from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.selection import Diagnosis, is_judged
@@ -25,9 +25,9 @@ def gather_evidence(
     extent_m: float,
 ) -> Evidence:
     """Return everything that the verdict is decided by."""
-    best, nothing = diagnosis.best, diagnosis.nothing
+    best, nothing = diagnosis.selected, diagnosis.null_fit
     axial = "thrust" not in unknown
-    after, before = diagnosis.repeats
+    after, before = diagnosis.repeatability
     residual = unexplained_residual(*_remainder(form, diagnosis), twins, axial=axial)
     without = unexplained_residual(
         disturbance_left(nothing, unknowns_only(form.space, nothing)), nothing.data, twins, axial=axial
@@ -36,11 +36,11 @@ def gather_evidence(
     return Evidence(
         space=form.space,
         selected=best.effects,
-        null_probability=diagnosis.none,
-        log_evidence=diagnosis.sets,
-        posterior_weights=diagnosis.weights,
-        inclusion_probability=diagnosis.inclusion,
-        detectability=diagnosis.stands_out,
+        null_probability=diagnosis.null_probability,
+        log_evidence=diagnosis.log_evidence,
+        posterior_weights=diagnosis.posterior_weights,
+        inclusion_probability=diagnosis.inclusion_probability,
+        detectability=diagnosis.detectability,
         by_segments=by_segments,
         residual=replace(residual, flights=after),
         residual_without=replace(without, flights=before),
@@ -72,8 +72,8 @@ def _remainder(form: SegmentModel, diagnosis: Diagnosis) -> tuple[np.ndarray, Se
 
     Of the kept set; where none is kept though one is more probable than nothing, of the most probable.
     """
-    best = diagnosis.best
+    best = diagnosis.selected
     if is_judged(diagnosis):
-        return disturbance_left(best, best.z), best.data
-    fit = refit(form, diagnosis.nothing.data, likeliest(diagnosis.weights), diagnosis.nothing)
-    return disturbance_left(fit, fit.z), fit.data
+        return disturbance_left(best, best.theta_scaled), best.data
+    fit = refit(form, diagnosis.null_fit.data, most_probable(diagnosis.posterior_weights), diagnosis.null_fit)
+    return disturbance_left(fit, fit.theta_scaled), fit.data

@@ -1,8 +1,8 @@
 """The scaled parameter space that tracing searches: the candidates' parameters and the adjustments beside
 them.
 
-Every parameter is a column z = (value - neutral) / scale. Candidates can be selected; adjustments never are:
-they move within their tolerance, or freely where a log declares them unknown.
+Every parameter is a column theta_scaled = (value - neutral) / scale. Candidates can be selected; adjustments
+never are: they move within their tolerance, or freely where a log declares them unknown.
 """
 
 from __future__ import annotations
@@ -104,22 +104,22 @@ class ParameterSpace:
         spike = np.array([np.hypot(c.tolerance / c.scale, c.discrepancy) for c in self.columns])
         return Prior(groups=self.groups, spike=spike, local=np.array(self.local_sigma))
 
-    def values(self, z: np.ndarray) -> np.ndarray:
+    def values(self, theta_scaled: np.ndarray) -> np.ndarray:
         """Physical values of scaled parameters; z is (P,) or (P, lanes)."""
         neutral = np.array([column.neutral for column in self.columns])
-        shape = (-1,) + (1,) * (z.ndim - 1)
-        return neutral.reshape(shape) + self.scale.reshape(shape) * z
+        shape = (-1,) + (1,) * (theta_scaled.ndim - 1)
+        return neutral.reshape(shape) + self.scale.reshape(shape) * theta_scaled
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and greatest z (P,)."""
+        """Least and greatest theta_scaled (P,)."""
         limits = [((c.lower - c.neutral) / c.scale, (c.upper - c.neutral) / c.scale) for c in self.columns]
         lower, upper = np.array(limits).T
         return lower, upper
 
-    def clipped(self, z: np.ndarray) -> np.ndarray:
+    def clipped(self, theta_scaled: np.ndarray) -> np.ndarray:
         """z (P,) moved inside every parameter's bounds."""
-        return np.clip(z, *self.bounds)
+        return np.clip(theta_scaled, *self.bounds)
 
     def check_finite(self, sizes: np.ndarray) -> None:
         """Refuse roll-outs that diverge: sizes (1 + P,) of the residual and of each parameter's slope.
@@ -136,10 +136,12 @@ class ParameterSpace:
             what = f"{self.columns[bad[0] - 1].owner}.{self.columns[bad[0] - 1].key}"
         raise UsageError(f"roll-outs with {what} diverge; bound what the effect's slots give, or take it out")
 
-    def bounded(self, z: np.ndarray) -> np.ndarray:
+    def bounded(self, theta_scaled: np.ndarray) -> np.ndarray:
         """Which entries (P,) stand at a bound that is not neutral."""
         lower, upper = self.bounds
-        return ((z <= lower + 1e-9) & (lower < 0.0)) | ((z >= upper - 1e-9) & (upper > 0.0))
+        return ((theta_scaled <= lower + 1e-9) & (lower < 0.0)) | (
+            (theta_scaled >= upper - 1e-9) & (upper > 0.0)
+        )
 
     def theta(self, values: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
         """Parameter values by owner, in the order of each owner's keys."""

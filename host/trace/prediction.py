@@ -155,7 +155,9 @@ def _predict(data: Sequence[FlightData], model: Model | None, effects: Mapping[s
     return out
 
 
-def predict_segments(flights: Sequence[FlightData], form: SegmentModel, z: np.ndarray) -> tuple[Errors, ...]:
+def predict_segments(
+    flights: Sequence[FlightData], form: SegmentModel, theta_scaled: np.ndarray
+) -> tuple[Errors, ...]:
     """Errors over 0.6 s ahead from recorded inputs, each start fitted to the 0.3 s before it.
 
     A flight's own nuisances come from its first quarter, and what is predicted lies behind that: nothing of a
@@ -166,7 +168,7 @@ def predict_segments(flights: Sequence[FlightData], form: SegmentModel, z: np.nd
     spans = np.array([each.signals.span_s for each in flights])
     known_s = RULES.calibration_share * (spans[:, 1] - spans[:, 0])
     early = whole.take(whole.start_s + SEGMENT_S <= known_s[whole.flight])
-    local = _fitted_local(form, early, z, len(flights))
+    local = _fitted_local(form, early, theta_scaled, len(flights))
     data = data.take(data.start_s >= known_s[data.flight])
     for index, each in enumerate(flights):
         if not (data.flight == index).any():
@@ -181,9 +183,11 @@ def predict_segments(flights: Sequence[FlightData], form: SegmentModel, z: np.nd
         rate_weight=data.rate_weight * before,
         force_weight=data.force_weight * before,
     )
-    kept = linearise.basis(form, fit, z, local)
-    x0 = linearise.fitted_x0(form, fit, z, local, kept, iterations=4)
-    rolled = rollout.roll_out(form, data, x0.T[:, None, :], z[:, None], local[data.flight].T[:, None, :])
+    kept = linearise.basis(form, fit, theta_scaled, local)
+    x0 = linearise.fitted_x0(form, fit, theta_scaled, local, kept, iterations=4)
+    rolled = rollout.roll_out(
+        form, data, x0.T[:, None, :], theta_scaled[:, None], local[data.flight].T[:, None, :]
+    )
     predicted = np.transpose(rolled[:, :3, 0, :], (2, 0, 1))
     speed = np.gradient(predicted, DT_S, axis=1)
     seen = data.pose_weight > 0
@@ -211,20 +215,20 @@ def predict_segments(flights: Sequence[FlightData], form: SegmentModel, z: np.nd
     return tuple(out)
 
 
-def _fitted_local(form: SegmentModel, data: Segments, z: np.ndarray, flights: int) -> np.ndarray:
+def _fitted_local(form: SegmentModel, data: Segments, theta_scaled: np.ndarray, flights: int) -> np.ndarray:
     """Nuisances (flights, 9) of flights that were not used, under given parameters; 0 where no segment is."""
     local = np.zeros((flights, model.LOCALS))
     if not len(data.flight):
         return local
     process = starting_process(data)
-    kept = linearise.basis(form, data, z, local)
+    kept = linearise.basis(form, data, theta_scaled, local)
     for _ in range(3):
-        grams = linearise.linearise(form, data, z, local, kept)
+        grams = linearise.linearise(form, data, theta_scaled, local, kept)
         data = data.with_x0(grams.x0)
-        lin = linearise.project(grams, data, z, local)
+        lin = linearise.project(grams, data, theta_scaled, local)
         process = evidence.fit_process(lin, form.space.prior, (), process)
         white = evidence.whitened(lin, process, form.space.prior)
-        local = local + evidence.local_step(lin, white, form.space.prior, np.zeros(len(z)))
+        local = local + evidence.local_step(lin, white, form.space.prior, np.zeros(len(theta_scaled)))
     return local
 
 
@@ -233,8 +237,8 @@ def noise_floor(
 ) -> dict[str, float | None]:
     """Estimate the error that a perfect model would leave: what does not repeat between twins.
 
-    Each flight is predicted whole, by one model; voltage and the like, which the model follows, drop out. None
-    where nothing was flown twice or flights cannot be predicted whole.
+    Each flight is predicted whole, by one model; voltage and the like, which the model follows, drop out.
+    None where nothing was flown twice or flights cannot be predicted whole.
     """
     whole = logs.drive == "reference" and logs.twins
     errors = predict_flights(logs.flights, model, effects) if whole else ()

@@ -98,7 +98,7 @@ class Trace:
 
         Taken from the sets considered; a candidate that no set near the kept one holds is left out.
         """
-        weights, kept = self.diagnosis.weights, set(self.diagnosis.best.effects)
+        weights, kept = self.diagnosis.posterior_weights, set(self.diagnosis.selected.effects)
         here = float(np.log(max(weights[tuple(sorted(kept))], 1e-300)))
         out = {}
         for name in self.space.candidates:

@@ -43,8 +43,8 @@ def run(
 ) -> Trace:
     """Trace `flights` to the effects that their model lacks, and score the answer on `held_out`.
 
-    `manoeuvres` are what a next flight is chosen from where the data cannot decide. With `network`, one learns
-    what is left of a cause outside the library. Raises LogsRefused and TooLittleToTrace.
+    A next flight is chosen from `manoeuvres` where the data cannot decide. With `network`, one learns what is
+    left of a cause outside the library. Raises LogsRefused and TooLittleToTrace.
     """
     logs = read_logs(flights, held_out, vehicle)
     report("reading segments")
@@ -55,16 +55,16 @@ def run(
     whole = logs.drive == "reference" and tracking_shortfall(*extent) is None
     diagnosis = select_effects(form, data, logs.flights if whole else (), logs.twins, report)
     decision = decide(gather_evidence(form, diagnosis, logs.twins, logs.unknown, *extent))
-    added, nothing = decision.effects_added, diagnosis.nothing
+    added, nothing = decision.effects_added, diagnosis.null_fit
     named = named_effects(chosen, diagnosis, decision.aliases) if added else ()
-    theta_scaled = diagnosis.best.z if added else unknowns_only(chosen, nothing)
+    theta_scaled = diagnosis.selected.theta_scaled if added else unknowns_only(chosen, nothing)
     model = model_of(chosen, diagnosis, theta_scaled, flights, named, added, provenance)
     report("predicting the held-out flights")
     before, after, adjusted = held_out_errors(logs, form, diagnosis, added, model, effects)
     following = description = more = None
     if decision.to_separate is not None and manoeuvres is not None:
         report("looking for the flight that decides")
-        following = propose(form, diagnosis.best, *decision.to_separate, manoeuvres())
+        following = propose(form, diagnosis.selected, *decision.to_separate, manoeuvres())
     if not added:
         report("describing what is outside the library")
         left = disturbance_left(nothing, theta_scaled)

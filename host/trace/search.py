@@ -26,14 +26,14 @@ Report = Callable[[str], None]
 
 
 class Fitted(Protocol):
-    """One set of effects fitted: its evidence in nats and scaled parameters z (P,)."""
+    """One set of effects fitted: its evidence in nats and scaled parameters theta_scaled (P,)."""
 
     @property
     def effects(self) -> Names: ...
     @property
     def log_evidence(self) -> float: ...
     @property
-    def z(self) -> np.ndarray: ...
+    def theta_scaled(self) -> np.ndarray: ...
 
 
 F = TypeVar("F", bound=Fitted)
@@ -67,31 +67,31 @@ class SearchResult(Generic[F]):
     posterior weight of every set considered, `sets` the evidence of every fitted one.
     """
 
-    best: F
-    inclusion: Mapping[str, float]
-    weights: Mapping[Names, float]
-    sets: Mapping[Names, float]
+    selected: F
+    inclusion_probability: Mapping[str, float]
+    posterior_weights: Mapping[Names, float]
+    log_evidence: Mapping[Names, float]
 
     @property
-    def none(self) -> float:
+    def null_probability(self) -> float:
         """Posterior probability that no effect is missing."""
-        return none_of(self.weights)
+        return null_probability_of(self.posterior_weights)
 
 
-def smallest(found: SearchResult[F], within: float) -> Names:
+def most_parsimonious(found: SearchResult[F], within: float) -> Names:
     """The smallest of the sets that may be kept whose evidence is `within` so many nats of the greatest."""
-    may = {names: value for names, value in found.sets.items() if names in found.weights}
+    may = {names: value for names, value in found.log_evidence.items() if names in found.posterior_weights}
     top = max(may.values())
     close = [names for names, value in may.items() if value >= top - within]
     return min(close, key=lambda names: (len(names), -may[names], names))
 
 
-def likeliest(weights: Mapping[Names, float]) -> Names:
+def most_probable(weights: Mapping[Names, float]) -> Names:
     """The set of greatest weight."""
     return max(weights, key=lambda names: (weights[names], names))
 
 
-def none_of(weights: Mapping[Names, float]) -> float:
+def null_probability_of(weights: Mapping[Names, float]) -> float:
     """Share of the empty set in posterior `weights`."""
     return weights.get((), 0.0) / sum(weights.values())
 
@@ -118,33 +118,33 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Se
     kept, scores = _judged(fitter, fits)
     # What the kept fit's linearisation gives far more than that fit is fitted too, until nothing is left.
     for _ in range(RULES.max_effects):
-        promised = likeliest(scores)
+        promised = most_probable(scores)
         if promised in fits or scores[kept.effects] > scores[promised] - RULES.tie_nats:
             break
         fits[promised] = fitter.fit(promised, kept)
         report(f"{', '.join(promised)} fitted")
         kept, scores = _judged(fitter, fits)
     # What was within its tolerance or at its bounds in all fits that had it is in no other set either.
-    kept_in = {name for names, fit in fits.items() if _borne(fitter, fit) for name in names}
+    kept_in = {name for names, fit in fits.items() if _is_supported(fitter, fit) for name in names}
     gone = {name for names in fits for name in names} - kept_in
     scores = {names: score for names, score in scores.items() if not gone & set(names)}
     top = max(scores.values())
     weights = {names: float(np.exp(score - top)) for names, score in scores.items()}
     total = sum(weights.values())
     return SearchResult(
-        best=kept,
-        inclusion={
+        selected=kept,
+        inclusion_probability={
             name: sum(w for names, w in weights.items() if name in names) / total for name in space.candidates
         },
-        weights=weights,
-        sets={names: fit.log_evidence for names, fit in fits.items()},
+        posterior_weights=weights,
+        log_evidence={names: fit.log_evidence for names, fit in fits.items()},
     )
 
 
 def _judged(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, float]]:
     """The set that is kept of the fitted ones, and the scores."""
-    borne = {names: fit for names, fit in fits.items() if _borne(fitter, fit)}
-    kept = _smallest(borne)
+    borne = {names: fit for names, fit in fits.items() if _is_supported(fitter, fit)}
+    kept = _most_parsimonious(borne)
     return kept, _scores(fitter, kept, borne, frozenset(fits) - frozenset(borne))
 
 
@@ -188,14 +188,14 @@ def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
     return [*order[:1], *more, *swapped, *fewer]
 
 
-def _borne(fitter: Fitter[F], fit: F) -> bool:
+def _is_supported(fitter: Fitter[F], fit: F) -> bool:
     """Return whether every effect of the set is present, and what it acts through large enough to carry it.
 
     One that is within its tolerance is not there; one that only its bounds hold explains something else. Wind
     on a drag within tolerance is a force of some 0.01 m/s^2, as the slow part of turbulence is.
     """
     space = fitter.space
-    if any(space.bounded(fit.z)[i] for name in fit.effects for i in space.groups[name]):
+    if any(space.bounded(fit.theta_scaled)[i] for name in fit.effects for i in space.groups[name]):
         return False
     size = sizes(fitter, fit)
     found = {name for name in fit.effects if size[name] > RULES.carrier_tolerances}
@@ -209,10 +209,13 @@ def sizes(fitter: Fitter[F], fit: F) -> dict[str, float]:
     """How many tolerances each effect of the set is from not being there, by its greatest strength."""
     space = fitter.space
     strengths = {name: [i for i in space.groups[name] if space.columns[i].strength] for name in fit.effects}
-    return {name: max(abs(fit.z[i]) / fitter.prior.spike[i] for i in own) for name, own in strengths.items()}
+    return {
+        name: max(abs(fit.theta_scaled[i]) / fitter.prior.spike[i] for i in own)
+        for name, own in strengths.items()
+    }
 
 
-def _smallest(fits: Mapping[Names, F]) -> F:
+def _most_parsimonious(fits: Mapping[Names, F]) -> F:
     """The smallest set within RULES.tie_nats of the greatest evidence; of several, the most probable."""
     top = max(fit.log_evidence for fit in fits.values())
     close = [fit for fit in fits.values() if fit.log_evidence > top - RULES.tie_nats]

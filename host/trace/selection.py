@@ -16,13 +16,22 @@ from trimtab.host.trace.decision.decide import is_null_probable
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import FlightFit, FlightFitter, fit_loop, prior_of
 from trimtab.host.trace.flight_fit.loop import closed_loop, order_of
-from trimtab.host.trace.flight_fit.repeatability import in_turbulence, repeat
+from trimtab.host.trace.flight_fit.repeatability import in_turbulence, repeatability_of
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.residual.unexplained import FlightRepeat
-from trimtab.host.trace.search import Names, Report, SearchResult, likeliest, none_of, search, sizes, smallest
+from trimtab.host.trace.search import (
+    Names,
+    Report,
+    SearchResult,
+    most_parsimonious,
+    most_probable,
+    null_probability_of,
+    search,
+    sizes,
+)
 from trimtab.host.trace.segment_fit.fit import SegmentFit, SegmentFitter, at_parameters, refit, unknowns_only
 from trimtab.host.trace.segment_fit.model import SegmentModel
-from trimtab.host.trace.uncertainty import by_segments, honest_covariance
+from trimtab.host.trace.uncertainty import by_segments, inflated_covariance
 
 Method = Literal["segments", "closed-loop"]
 
@@ -31,29 +40,29 @@ Method = Literal["segments", "closed-loop"]
 class Diagnosis:
     """The missing effects and how sure they are.
 
-    best: the segments under the kept set, nothing: without any effect. method: what the set and its
-    parameters were found by. inclusion: each candidate's posterior probability. weights: the relative
-    posterior weight of every set considered. sets: the evidence of every fitted one. stands_out: by how many
-    sigma each effect of typical size would show in these flights. repeats: of whole flights, where twins were
-    flown, beside what was found and of a model without any effect.
+    selected: the segments under the selected set; null_fit: without any effect. method: what the set and its
+    parameters were found by. inclusion_probability: of each candidate. posterior_weights: relative, of every
+    set considered. log_evidence: of every fitted set, in nats. detectability: by how many
+    sigma each effect of typical size would show in these flights. repeatability: of whole flights, where
+    twins were flown, beside what was found and of a model without any effect.
     """
 
-    best: SegmentFit
-    nothing: SegmentFit
+    selected: SegmentFit
+    null_fit: SegmentFit
     method: Method
-    inclusion: Mapping[str, float]
-    weights: Mapping[Names, float]
-    sets: Mapping[Names, float]
-    stands_out: Mapping[str, float]
-    repeats: tuple[FlightRepeat | None, FlightRepeat | None] = (None, None)
+    inclusion_probability: Mapping[str, float]
+    posterior_weights: Mapping[Names, float]
+    log_evidence: Mapping[Names, float]
+    detectability: Mapping[str, float]
+    repeatability: tuple[FlightRepeat | None, FlightRepeat | None] = (None, None)
 
     @property
-    def none(self) -> float:
+    def null_probability(self) -> float:
         """Posterior probability that no effect is missing."""
-        return none_of(self.weights)
+        return null_probability_of(self.posterior_weights)
 
 
-def stands_out(space: ParameterSpace, gram: np.ndarray, precision: np.ndarray) -> dict[str, float]:
+def detectability(space: ParameterSpace, gram: np.ndarray, precision: np.ndarray) -> dict[str, float]:
     """By how many sigma each effect of typical size would show in flights of this whitened `gram`
     (1 + P, 1 + P) of [residual | slopes], everything else moving under the prior `precision` (P,).
 
@@ -87,38 +96,41 @@ def select_effects(
     report("no effect fitted")
     if not flights:
         found, repeats = search(SegmentFitter(form=form), nothing, report), (None, None)
-        covariance = by_segments(form.space, found.best)
-        best, method = replace(found.best, covariance=covariance), "segments"
+        covariance = by_segments(form.space, found.selected)
+        best, method = replace(found.selected, covariance=covariance), "segments"
         prior = form.space.prior
         gram = evidence.whitened(best.lin, best.process, prior).flight_grams.sum(0)
     else:
-        loop = closed_loop(flights, form.vehicle, form.space, nothing.z)
+        loop = closed_loop(flights, form.vehicle, form.space, nothing.theta_scaled)
         order = order_of(loop)
         fitter = FlightFitter(loop=loop, order=order)
-        found = search(fitter, fit_loop(loop, (), nothing.z, order), report)
+        found = search(fitter, fit_loop(loop, (), nothing.theta_scaled, order), report)
         report("comparing twin flights")
         unread = unknowns_only(form.space, nothing)
         found = without_form_faults(found, fitter, twins)
-        kept = in_turbulence(loop, found.best, order, twins)
+        kept = in_turbulence(loop, found.selected, order, twins)
         there = tuple(name for name, size in sizes(fitter, kept).items() if size > RULES.present_tolerances)
         if there != kept.effects:  # sizes are told better than the search does
-            found = replace(found, best=fitter.fit(there, found.best))
-            kept = in_turbulence(loop, found.best, order, twins)
-        covariance = honest_covariance(form.space, kept, strata_of(twins, len(flights)))
-        judged = kept if is_judged(found) else fitter.fit(likeliest(found.weights), kept)
-        repeats = repeat(loop, judged.z, order, twins), repeat(loop, unread, order, twins)
-        best = at_parameters(form, nothing, kept.effects, kept.z, covariance, kept.log_evidence)
+            found = replace(found, selected=fitter.fit(there, found.selected))
+            kept = in_turbulence(loop, found.selected, order, twins)
+        covariance = inflated_covariance(form.space, kept, strata_of(twins, len(flights)))
+        judged = kept if is_judged(found) else fitter.fit(most_probable(found.posterior_weights), kept)
+        repeats = (
+            repeatability_of(loop, judged.theta_scaled, order, twins),
+            repeatability_of(loop, unread, order, twins),
+        )
+        best = at_parameters(form, nothing, kept.effects, kept.theta_scaled, covariance, kept.log_evidence)
         method = "closed-loop"
         gram, prior = kept.grams.sum(0), prior_of(form.space)
     return Diagnosis(
-        best=best,
-        nothing=nothing,
+        selected=best,
+        null_fit=nothing,
         method=method,
-        inclusion=found.inclusion,
-        weights=found.weights,
-        sets=found.sets,
-        stands_out=stands_out(form.space, gram, prior.precision(best.effects)),
-        repeats=repeats,
+        inclusion_probability=found.inclusion_probability,
+        posterior_weights=found.posterior_weights,
+        log_evidence=found.log_evidence,
+        detectability=detectability(form.space, gram, prior.precision(best.effects)),
+        repeatability=repeats,
     )
 
 
@@ -129,20 +141,20 @@ def without_form_faults(
 
     What a payload on its line leaves of itself is strong and repeats; other effects explain a little of it.
     """
-    if not any(fitter.space.effect(name).memory for name in found.best.effects):
+    if not any(fitter.space.effect(name).memory for name in found.selected.effects):
         return found
-    left = repeat(fitter.loop, found.best.z, fitter.order, twins)
-    names = smallest(
+    left = repeatability_of(fitter.loop, found.selected.theta_scaled, fitter.order, twins)
+    names = most_parsimonious(
         found,
         RULES.tie_nats
         if left is None
         else max(RULES.tie_nats, RULES.memory_fault_share * left.log_evidence(RULES)),
     )
-    if len(names) >= len(found.best.effects):
+    if len(names) >= len(found.selected.effects):
         return found
-    return replace(found, best=fitter.fit(names, found.best))
+    return replace(found, selected=fitter.fit(names, found.selected))
 
 
 def is_judged(found: SearchResult[Any] | Diagnosis) -> bool:
     """Whether abstention is judged by what was kept: not by nothing where that is improbable."""
-    return bool(found.best.effects) or is_null_probable(found.none)
+    return bool(found.selected.effects) or is_null_probable(found.null_probability)

@@ -15,7 +15,7 @@ from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.segment_fit.fit import SegmentFit
 
 
-def honest_covariance(
+def inflated_covariance(
     space: ParameterSpace, closed: FlightFit, strata: Sequence[Sequence[int]] | None = None
 ) -> np.ndarray:
     """Covariance (P, P), scaled: the fit's, widened by its jackknife over flights or within `strata`, and by
@@ -34,7 +34,7 @@ def by_segments(space: ParameterSpace, fit: SegmentFit) -> np.ndarray:
     """
     prior = space.prior
     grams = evidence.whitened(_in_pieces(fit.lin), fit.process, prior).flight_grams
-    widened = jackknife_by_flight(grams, fit.lin.z, prior.precision(fit.effects))
+    widened = jackknife_by_flight(grams, fit.lin.theta_scaled, prior.precision(fit.effects))
     read_into = np.array([column.discrepancy for column in space.columns])
     return fit.covariance * np.outer(widened, widened) + np.diag(read_into**2)
 
@@ -52,31 +52,34 @@ def _in_pieces(lin: Linearisation) -> Linearisation:
 
 
 def jackknife_by_flight(
-    grams: np.ndarray, z: np.ndarray, precision: np.ndarray, strata: Sequence[Sequence[int]] | None = None
+    grams: np.ndarray,
+    theta_scaled: np.ndarray,
+    precision: np.ndarray,
+    strata: Sequence[Sequence[int]] | None = None,
 ) -> np.ndarray:
     """(P,) factors >= 1 on the standard deviations for what repeats within a flight but not between flights.
 
-    grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] at z (P,), linearised; the prior's
-    precision (P,). Each parameter's spread over the fits that leave one flight out (Efron's jackknife),
-    the others of its stratum counting for it, over its posterior's. Since so few flights tell one spread
-    badly, it counts together with a number of flights that spread as the parameters do in the median.
-    `strata` part the flights that are alike (default: all are): what differs between strata, such as
+    grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes], linearised at theta_scaled (P,); the
+    prior's precision (P,). Each parameter's spread over the fits that leave one flight out (Efron's
+    jackknife), the others of its stratum counting for it, over its posterior's. Since so few flights tell
+    one spread badly, it counts together with a number of flights that spread as the parameters do in the
+    median. `strata` part the flights that are alike (default: all are): what differs between strata, such as
     references, is what was flown, not chance.
     """
     total = grams.sum(0)
     parts = [list(part) for part in (strata or [range(len(grams))]) if len(part) > 1]
     freedom = sum(len(part) - 1 for part in parts)
     if not freedom:
-        return np.ones(len(z))
-    _, covariance = evidence.posterior(total, z, precision)
+        return np.ones(len(theta_scaled))
+    _, covariance = evidence.posterior(total, theta_scaled, precision)
     # A parameter's prior does not vary between flights: expected is the data's share of the variance.
     data = grams[[i for part in parts for i in part]].sum(0)
     expected = np.diag(covariance @ data[1:, 1:] @ covariance)
-    spread = np.zeros(len(z))
+    spread = np.zeros(len(theta_scaled))
     for part in parts:
         own, count = grams[part].sum(0), len(part)
         rest = [total - own + (own - grams[i]) * (count / (count - 1)) for i in part]
-        steps = np.stack([evidence.posterior(gram, z, precision)[0] for gram in rest])
+        steps = np.stack([evidence.posterior(gram, theta_scaled, precision)[0] for gram in rest])
         spread += (count - 1) / count * ((steps - steps.mean(0)) ** 2).sum(0)
     told = expected > 0.0
     ratio = np.where(told, spread / np.where(told, expected, 1.0), 0.0)

@@ -167,7 +167,7 @@ def check_numbers(trace: Trace, case: Case, name: str) -> None:
 
 
 def thrust_over_mass(trace: Trace) -> float:
-    values = trace.space.values(trace.diagnosis.best.z)
+    values = trace.space.values(trace.diagnosis.selected.theta_scaled)
     gain, mass = (values[trace.space.groups[name][0]] for name in ("thrust-gain", "mass"))
     return float(gain / mass)
 

@@ -20,7 +20,7 @@ class ObservedAlias:
 
 
 def exact_aliases(
-    space: ParameterSpace, z: np.ndarray, covariance: np.ndarray, name: str
+    space: ParameterSpace, theta_scaled: np.ndarray, covariance: np.ndarray, name: str
 ) -> dict[str, ObservedAlias]:
     """Return what no flight tells from the effect `name`, by the other effect's name.
 
@@ -44,7 +44,7 @@ def exact_aliases(
                 continue
             finding = Finding(code=Code.EXACT_ALIAS, subject=(name, other))
             if alias.ratio is not None:
-                ratio, sd = _ratio(space, z, covariance, effect, space.effects[alias.effect])
+                ratio, sd = _ratio(space, theta_scaled, covariance, effect, space.effects[alias.effect])
                 finding = replace(finding, value=ratio, details={"sd": sd})
             observed[other] = ObservedAlias(alias=alias, finding=finding)
     return observed
@@ -57,13 +57,13 @@ def _is_measured(space: ParameterSpace, name: str) -> bool:
 
 
 def _ratio(
-    space: ParameterSpace, z: np.ndarray, covariance: np.ndarray, over: Effect, under: Effect
+    space: ParameterSpace, theta_scaled: np.ndarray, covariance: np.ndarray, over: Effect, under: Effect
 ) -> tuple[float, float]:
     """Return the ratio of two effects' first parameters, each over neutral, and its sd to first order."""
     pair = [space.owners[over.name][0], space.owners[under.name][0]]
     neutral = np.array([over.neutral[0], under.neutral[0]])
     scale = space.scale[pair] / neutral
-    a, b = space.values(z)[pair] / neutral
+    a, b = space.values(theta_scaled)[pair] / neutral
     physical = covariance[np.ix_(pair, pair)] * np.outer(scale, scale)
     slope = np.array([1.0 / b, -a / b**2])
     return float(a / b), float(np.sqrt(slope @ physical @ slope))

@@ -65,7 +65,7 @@ def residual_findings(residual: UnexplainedResidual, bounds: ResidualBounds, rul
                     details={
                         "position_m": flights.position_m,
                         "amplitude": flights.amplitude,
-                        "z": flights.z,
+                        "z": flights.z_score,
                     },
                 )
             )
@@ -86,10 +86,10 @@ def residual_findings(residual: UnexplainedResidual, bounds: ResidualBounds, rul
                 value=channel.repeat,
                 bound=bound,
                 unit=CHANNEL_UNITS[name],
-                details={"z": channel.z},
+                details={"z": channel.z_score},
             )
             for name, channel, bound, repeats, _ in channels
-            if channel.z > rules.repeat_z and channel.repeat > bound
+            if channel.z_score > rules.repeat_z and channel.repeat > bound
         ]
     findings += [
         Finding(

@@ -41,12 +41,12 @@ _LINE = (1.0, 0.5, 0.25, 0.1)
 class FlightFit:
     """A set of effects fitted over the closed loop, comparable with others of the same recordings and order.
 
-    z (P,) and covariance (P, P) scaled; grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes] by
-    flight, linearised at `at` (P,).
+    theta_scaled (P,) and its covariance (P, P); grams (flights, 1 + P, 1 + P) of the whitened
+    [residual | slopes] by flight, linearised at `at` (P,).
     """
 
     effects: tuple[str, ...]
-    z: np.ndarray
+    theta_scaled: np.ndarray
     at: np.ndarray
     covariance: np.ndarray
     log_evidence: float
@@ -66,38 +66,40 @@ def _grams(
     return np.stack(grams)
 
 
-def fit_loop(loop: Loop, effects: Sequence[str], z: np.ndarray, order: int) -> FlightFit:
-    """The set of `effects` fitted over the closed loop from z (P,): Gauss-Newton with line search.
+def fit_loop(loop: Loop, effects: Sequence[str], theta_scaled: np.ndarray, order: int) -> FlightFit:
+    """The set of `effects` fitted over the closed loop from theta_scaled (P,): Gauss-Newton with line search.
 
     The whitening is fitted again to what every linear step leaves.
     """
     space = loop.space
     precision = prior_of(space).precision(effects)
-    z = space.clipped(z)
-    base = [r[0] for r in loop.residuals(z[:, None])]
+    theta_scaled = space.clipped(theta_scaled)
+    base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
     for iteration in range(_ITERATIONS):
-        slopes = loop.slopes(z, effects, base)
-        step = np.zeros(len(z))
+        slopes = loop.slopes(theta_scaled, effects, base)
+        step = np.zeros(len(theta_scaled))
         for _ in range(3):
             left = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
             white = autoregression(left, loop.known, order)
             grams = _grams(white, loop, base, slopes)
-            step, covariance = evidence.bounded(grams.sum(0), z, precision, space.bounds)
+            step, covariance = evidence.bounded(grams.sum(0), theta_scaled, precision, space.bounds)
         small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < LOOP_SETTLED
         if small or iteration == _ITERATIONS - 1:
             break
-        moved, there = _line_search(loop, white, precision, z, step, base)
-        if np.array_equal(moved, z):
+        moved, there = _line_search(loop, white, precision, theta_scaled, step, base)
+        if np.array_equal(moved, theta_scaled):
             break
-        z, base = moved, there
+        theta_scaled, base = moved, there
     count = sum(len(stretches(k, span_of(order))) for k in loop.known)
     log_det = count * float(np.linalg.slogdet(white.innovation)[1])
     return FlightFit(
         effects=tuple(sorted(effects)),
-        z=space.clipped(z + step),
-        at=z,
+        theta_scaled=space.clipped(theta_scaled + step),
+        at=theta_scaled,
         covariance=covariance,
-        log_evidence=evidence.log_evidence(grams.sum(0), log_det, z, precision, len(effects), space.bounds),
+        log_evidence=evidence.log_evidence(
+            grams.sum(0), log_det, theta_scaled, precision, len(effects), space.bounds
+        ),
         whitening=white,
         grams=grams,
         error_m=_position_rms(loop, base),
@@ -125,7 +127,7 @@ def _line_search(
     loop: Loop,
     white: Whitening,
     precision: np.ndarray,
-    z: np.ndarray,
+    theta_scaled: np.ndarray,
     step: np.ndarray,
     base: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -133,9 +135,9 @@ def _line_search(
 
     With it, as `base` for z, per flight the residual (bins, 12) there.
     """
-    points = np.column_stack([loop.space.clipped(z + share * step) for share in _LINE])
+    points = np.column_stack([loop.space.clipped(theta_scaled + share * step) for share in _LINE])
     rolled = [np.concatenate([r[None], along]) for r, along in zip(base, loop.residuals(points), strict=True)]
-    points = np.column_stack([z, points])
+    points = np.column_stack([theta_scaled, points])
     cost = (precision[:, None] * points**2).sum(0)
     for recording, r in zip(loop.recordings, rolled, strict=True):
         cost += (whitened(white, r, recording.known) ** 2).sum(1)
@@ -163,15 +165,15 @@ class FlightFitter:
 
     def fit(self, effects: Sequence[str], start: FlightFit) -> FlightFit:
         """The set `effects` fitted from `start`."""
-        z = start.z.copy()
+        theta_scaled = start.theta_scaled.copy()
         for name in set(start.effects) - set(effects):
-            z[list(self.space.groups[name])] = 0.0
+            theta_scaled[list(self.space.groups[name])] = 0.0
         for name in set(effects) - set(start.effects):
             if self.space.effect(name).starts:
                 gain, begun = self._begun(name, start)
                 own = list(self.space.groups[name])
-                z[own] = begun[own] if gain > RULES.worth_fitting_nats else z[own]
-        fit = fit_loop(self.loop, effects, z, self.order)
+                theta_scaled[own] = begun[own] if gain > RULES.worth_fitting_nats else theta_scaled[own]
+        fit = fit_loop(self.loop, effects, theta_scaled, self.order)
         # What is smooth and large an autoregression foretells: that alone would not speak against it.
         worse = not fit.error_m < RULES.worse_fit_ratio * start.error_m or not np.isfinite(fit.log_evidence)
         return replace(fit, log_evidence=-np.inf) if worse else fit
@@ -197,31 +199,31 @@ class FlightFitter:
         """Nats that the effect gains at the best of its starts, in whatever strength and with all else that
         may move moving along, and the scaled parameters (P,) there. Asked of a fit twice, found once.
         """
-        asked = (name, fit.effects, fit.z.tobytes())
+        asked = (name, fit.effects, fit.theta_scaled.tobytes())
         if asked not in self._found:
             self._found[asked] = self._best_start(name, fit)
         return self._found[asked]
 
     def _best_start(self, name: str, fit: FlightFit) -> tuple[float, np.ndarray]:
         space, own = self.space, list(self.space.groups[name])
-        points = np.repeat(fit.z[:, None], len(space.effect(name).starts), axis=1)
+        points = np.repeat(fit.theta_scaled[:, None], len(space.effect(name).starts), axis=1)
         for lane, values in enumerate(space.effect(name).starts):
             columns = [space.columns[i] for i in own]
             points[own, lane] = [(v - c.neutral) / c.scale for v, c in zip(values, columns, strict=True)]
-        base = [r[0] for r in self.loop.residuals(fit.z[:, None])]
-        slopes = self.loop.slopes(fit.z, fit.effects, base)
-        gram = np.zeros((1 + len(fit.z) + points.shape[1],) * 2)
+        base = [r[0] for r in self.loop.residuals(fit.theta_scaled[:, None])]
+        slopes = self.loop.slopes(fit.theta_scaled, fit.effects, base)
+        gram = np.zeros((1 + len(fit.theta_scaled) + points.shape[1],) * 2)
         for recording, r, s, there in zip(
             self.loop.recordings, base, slopes, self.loop.residuals(points), strict=True
         ):
             columns = whitened(fit.whitening, np.concatenate([r[None], s, r - there]), recording.known)
             gram += columns @ columns.T
-        rest = [i for i in range(len(fit.z)) if i not in own]
+        rest = [i for i in range(len(fit.theta_scaled)) if i not in own]
         precision = self.prior.precision(fit.effects)[rest]
-        rhs = gram[0, 1:][rest] - precision * fit.z[rest]
+        rhs = gram[0, 1:][rest] - precision * fit.theta_scaled[rest]
         normal = gram[1:, 1:][np.ix_(rest, rest)] + np.diag(precision)
         gains = []
-        for start in range(1 + len(fit.z), len(gram)):
+        for start in range(1 + len(fit.theta_scaled), len(gram)):
             cross = gram[start, 1:][rest]
             along = np.linalg.solve(normal, cross)
             left = gram[start, start] - cross @ along
@@ -235,7 +237,7 @@ def weighted(
     loop: Loop,
     white: Whitening,
     effects: Sequence[str],
-    z: np.ndarray,
+    theta_scaled: np.ndarray,
     *,
     centre: np.ndarray | float = 0.0,
     count: float = 1.0,
@@ -243,18 +245,20 @@ def weighted(
     """Scaled parameters (P,), covariance (P, P) and Grams (flights, 1 + P, 1 + P) of `effects` fitted from z.
 
     The whitening stays as given, slopes are those where the effects are, residuals count for 1/RULES.temper.
-    `centre` (P,) is what the prior holds likeliest, `count` how often each flight counts.
+    `centre` (P,) is the mean of the prior, `count` how often each flight counts.
     """
     precision = prior_of(loop.space).precision(effects)
     for turn in range(_PASSES):
-        base = [r[0] for r in loop.residuals(z[:, None])]
+        base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
         grams = (
-            count / RULES.temper * _grams(white, loop, base, loop.slopes(z, effects, base, afresh=turn < 2))
+            count
+            / RULES.temper
+            * _grams(white, loop, base, loop.slopes(theta_scaled, effects, base, afresh=turn < 2))
         )
-        away = z - centre
+        away = theta_scaled - centre
         limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
         step, covariance = evidence.bounded(grams.sum(0), away, precision, limits)
-        z = loop.space.clipped(z + step)
+        theta_scaled = loop.space.clipped(theta_scaled + step)
         if (np.abs(step) / np.sqrt(np.diag(covariance))).max() < _SETTLED_WELL:
             break
-    return z, covariance, grams
+    return theta_scaled, covariance, grams

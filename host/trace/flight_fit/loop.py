@@ -78,10 +78,10 @@ class Loop:
         """Per flight (bins,) where everything was measured."""
         return [recording.known for recording in self.recordings]
 
-    def predicted(self, z: np.ndarray) -> list[np.ndarray]:
-        """Per flight the means (lanes, bins, 12) as measured, for scaled parameters z (P, lanes)."""
-        lanes = z.shape[1]
-        theta = self.space.values(z)[self._rows]
+    def predicted(self, theta_scaled: np.ndarray) -> list[np.ndarray]:
+        """Return per flight the means (lanes, bins, 12) as measured, for theta_scaled (P, lanes)."""
+        lanes = theta_scaled.shape[1]
+        theta = self.space.values(theta_scaled)[self._rows]
         parts = [self._alike[0].phi.parts(theta[:, lane]) for lane in range(lanes)]
         latency_s = np.array([float(latency_of(NUMPY, each)) for each in parts])
         found: dict[int, np.ndarray] = {}
@@ -105,19 +105,29 @@ class Loop:
                 found[index] = _means(recording, own, latency_s)
         return [found[index] for index in range(len(self.recordings))]
 
-    def residuals(self, z: np.ndarray) -> list[np.ndarray]:
-        """Per flight measured minus predicted (lanes, bins, 12) for z (P, lanes); the rate less its mean."""
+    def residuals(self, theta_scaled: np.ndarray) -> list[np.ndarray]:
+        """Return per flight measured minus predicted (lanes, bins, 12) for theta_scaled (P, lanes).
+
+        The body rate is less its mean.
+        """
         out = []
-        for recording, predicted in zip(self.recordings, self.predicted(z), strict=True):
+        for recording, predicted in zip(self.recordings, self.predicted(theta_scaled), strict=True):
             r = recording.measured - predicted
             r[..., 5] = np.angle(np.exp(1j * r[..., 5]))
             out.append(_in_body(recording, r))
         return out
 
     def slopes(
-        self, z: np.ndarray, effects: Sequence[str], base: Sequence[np.ndarray], *, afresh: bool = False
+        self,
+        theta_scaled: np.ndarray,
+        effects: Sequence[str],
+        base: Sequence[np.ndarray],
+        *,
+        afresh: bool = False,
     ) -> list[np.ndarray]:
-        """Per flight the negative slopes (P, bins, 12) at z (P,) of the residual, which is `base` (bins, 12).
+        """Return per flight the negative slopes (P, bins, 12) of the residual at theta_scaled (P,).
+
+        `base` is the residual there, per flight (bins, 12).
 
         The first call computes all slopes, and any one `afresh`; others those of `effects` and of effects
         with states of their own, for what else stays within its tolerance hardly changes them: a payload's
@@ -125,14 +135,14 @@ class Loop:
         """
         chosen = {i for name in effects for i in self.space.groups[name]} | self._products
         rows = [i for i in self._rows if afresh or not self._slopes or i in chosen]
-        lanes = np.repeat(z[:, None], len(rows), axis=1)
+        lanes = np.repeat(theta_scaled[:, None], len(rows), axis=1)
         for lane, row in enumerate(rows):
             lanes[row, lane] += _Z_STEP
         pushed = self.residuals(lanes) if rows else [np.empty((0, *r.shape)) for r in base]
         if not self._slopes:
-            self._slopes = [np.zeros((len(z), *r.shape)) for r in base]
+            self._slopes = [np.zeros((len(theta_scaled), *r.shape)) for r in base]
         slopes = [kept.copy() for kept in self._slopes]
-        sizes = np.zeros(1 + len(z))
+        sizes = np.zeros(1 + len(theta_scaled))
         sizes[0] = sum(float(np.square(r).sum()) for r in base)
         sizes[[1 + row for row in rows]] = sum(np.square(r).sum((1, 2)) for r in pushed)
         self.space.check_finite(sizes)
@@ -201,13 +211,13 @@ def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
 
 
 def closed_loop(
-    flights: Sequence[FlightData], vehicle: Vehicle, space: ParameterSpace, z: np.ndarray
+    flights: Sequence[FlightData], vehicle: Vehicle, space: ParameterSpace, theta_scaled: np.ndarray
 ) -> Loop:
-    """The closed loop of `flights`, all with reference and law; poses are as late as z (P,) says.
+    """The closed loop of `flights`, all with reference and law; poses are as late as theta_scaled (P,) says.
 
     Raises TooLittleData where a log lacks something.
     """
-    values = space.theta(list(space.values(z)))
+    values = space.theta(list(space.values(theta_scaled)))
     latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
     states = flight_states([data.flight for data in flights], latency_s=latency_s)
     return Loop([record(*each) for each in zip(flights, states, strict=True)], vehicle, space)

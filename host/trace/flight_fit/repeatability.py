@@ -30,12 +30,14 @@ from trimtab.host.trace.residual.unexplained import FlightRepeat
 _EVERY = 5
 
 
-def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int]]) -> FlightRepeat | None:
-    """What repeats at scaled parameters z (P,), whitened to an autoregression of `order`; None without twins.
+def repeatability_of(
+    loop: Loop, theta_scaled: np.ndarray, order: int, twins: Sequence[tuple[int, int]]
+) -> FlightRepeat | None:
+    """Return what repeats at theta_scaled (P,), whitened by an autoregression of `order`; None without twins.
 
     `twins` pair the loop's recordings.
     """
-    pairs = _pairs(loop, z, twins)
+    pairs = _pairs(loop, theta_scaled, twins)
     white = _turbulence(pairs, order)
     if white is None:
         return None
@@ -59,17 +61,20 @@ def repeat(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int
     common -= 0.5 * count * (2 * coefficients + CHANNELS + 1) / (rows - coefficients - CHANNELS - 1)
     return FlightRepeat(
         share=common / count,
-        z=common / float(np.sqrt(variance)),
+        z_score=common / float(np.sqrt(variance)),
         position_m=float(np.sqrt(max(position / len(pairs), 0.0))),
         size=count,
     )
 
 
-def turbulence(loop: Loop, z: np.ndarray, order: int, twins: Sequence[tuple[int, int]]) -> Whitening | None:
-    """What whitens turbulence and noise, from twins' differences at scaled parameters z (P,); None without
-    twins.
+def turbulence(
+    loop: Loop, theta_scaled: np.ndarray, order: int, twins: Sequence[tuple[int, int]]
+) -> Whitening | None:
+    """Return what whitens turbulence and noise, from twins' differences at theta_scaled (P,).
+
+    None without twins.
     """
-    return _turbulence(_pairs(loop, z, twins), order)
+    return _turbulence(_pairs(loop, theta_scaled, twins), order)
 
 
 def in_turbulence(loop: Loop, fit: FlightFit, order: int, twins: Sequence[tuple[int, int]]) -> FlightFit:
@@ -80,19 +85,21 @@ def in_turbulence(loop: Loop, fit: FlightFit, order: int, twins: Sequence[tuple[
     nothing. For how large an effect is, only chance is noise: weights are then those of the flights, not of
     the library's shortcomings.
     """
-    white = turbulence(loop, fit.z, order, twins)
+    white = turbulence(loop, fit.theta_scaled, order, twins)
     if white is None:
         return replace(fit, covariance=RULES.temper * fit.covariance, grams=fit.grams / RULES.temper)
-    z, covariance, grams = weighted(loop, white, fit.effects, fit.z)
-    return replace(fit, z=z, at=z, covariance=covariance, whitening=white, grams=grams)
+    theta_scaled, covariance, grams = weighted(loop, white, fit.effects, fit.theta_scaled)
+    return replace(
+        fit, theta_scaled=theta_scaled, at=theta_scaled, covariance=covariance, whitening=white, grams=grams
+    )
 
 
 _Pair = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-def _pairs(loop: Loop, z: np.ndarray, twins: Sequence[tuple[int, int]]) -> list[_Pair]:
+def _pairs(loop: Loop, theta_scaled: np.ndarray, twins: Sequence[tuple[int, int]]) -> list[_Pair]:
     """Of twins long enough to be compared: residuals (bins, 12) of both, and where they are known (bins,)."""
-    left = [each[0] for each in loop.residuals(z[:, None])] if twins else []
+    left = [each[0] for each in loop.residuals(theta_scaled[:, None])] if twins else []
     out = []
     for a, b in twins:
         bins = min(len(left[a]), len(left[b]))

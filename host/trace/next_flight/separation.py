@@ -120,13 +120,13 @@ def separation(
     space: ParameterSpace,
     gram: np.ndarray,
     present: Iterable[str],
-    z: np.ndarray,
+    theta_scaled: np.ndarray,
     effect: str,
     alias: str,
     *,
     prior: Prior | None = None,
 ) -> float:
-    """Sigma by which `effect` at its size in z (P,) stands out where `alias` may take any size.
+    """Sigma by which `effect` at its size in theta_scaled (P,) stands out where `alias` may take any size.
 
     lambda^2 = theta' S' (I - P) S theta, with gram = S' S (P, P) of the whitened columns of all scaled
     parameters. P projects on the alias and on the other effects that are `present`, all free within what an
@@ -139,7 +139,7 @@ def separation(
     inner = gram[np.ix_(rest, rest)] + np.diag((prior or space.prior).precision([*free, alias])[rest])
     cross = gram[np.ix_(rest, mine)]
     information = gram[np.ix_(mine, mine)] - cross.T @ np.linalg.solve(inner, cross)
-    return float(np.sqrt(max(z[mine] @ information @ z[mine], 0.0)))
+    return float(np.sqrt(max(theta_scaled[mine] @ information @ theta_scaled[mine], 0.0)))
 
 
 def propose(
@@ -153,16 +153,16 @@ def propose(
     """
     space = form.space
     carriers = _carriers(space, fit.effects, (effect, alias))
-    z = fit.z.copy()
+    theta_scaled = fit.theta_scaled.copy()
     for name in (*carriers, *({effect} - set(fit.effects))):
-        z[list(space.groups[name])] = 1.0
+        theta_scaled[list(space.groups[name])] = 1.0
     instruments = Instruments.of(fit)
     present = {*fit.effects, *carriers}
 
     def sigma(gram: np.ndarray) -> float:
-        return separation(space, gram, present, z, effect, alias)
+        return separation(space, gram, present, theta_scaled, effect, alias)
 
-    so_far = _flown(form, fit, z)
+    so_far = _flown(form, fit, theta_scaled)
     # Flights that leave an alias open tell no more than that: noise in the commands makes segments believe in
     # more, of timing above all.
     while (before := sigma(so_far)) > RULES.undecided_sigma:
@@ -170,7 +170,7 @@ def propose(
 
     best, most = None, -1.0
     for candidate in known:
-        told = information(form, candidate.flat, z, instruments)
+        told = information(form, candidate.flat, theta_scaled, instruments)
         if told is None:
             continue
         expected = sigma(so_far + told)
@@ -195,9 +195,9 @@ def _measurement(space: ParameterSpace, effect: str, alias: str) -> str | None:
 
 
 def information(
-    form: SegmentModel, flat: np.ndarray, z: np.ndarray, instruments: Instruments
+    form: SegmentModel, flat: np.ndarray, theta_scaled: np.ndarray, instruments: Instruments
 ) -> np.ndarray | None:
-    """(P, P) of the scaled parameters at z (P,), from one flight along flat outputs (14, n) each DT_S.
+    """Return the information (P, P) at theta_scaled (P,) of one flight along flat outputs (14, n) each DT_S.
 
     The whitened S' S, the flight's own nuisances integrated out. None where it is shorter than a segment.
     """
@@ -208,16 +208,19 @@ def information(
     rolled = np.unique(np.round(np.linspace(0, count - 1, min(count, _ROLLED))).astype(int))
     nearest = np.abs(np.arange(count)[:, None] - rolled).argmin(axis=1)
     part, local = data.take(rolled), np.zeros((1, model.LOCALS))
-    part = _kept_on_path(form, part, z)
-    kept = linearise.basis(form, part, z, local)
-    lin = linearise.project(linearise.linearise(form, part, z, local, kept), part, z, local)
+    part = _kept_on_path(form, part, theta_scaled)
+    kept = linearise.basis(form, part, theta_scaled, local)
+    lin = linearise.project(
+        linearise.linearise(form, part, theta_scaled, local, kept), part, theta_scaled, local
+    )
     lin = replace(lin, gram=lin.gram[nearest], flight=data.flight)
     return evidence.whitened(lin, instruments.process, form.space.prior).gram[1:, 1:]
 
 
-def _kept_on_path(form: SegmentModel, data: Segments, z: np.ndarray) -> Segments:
-    """The segments with the angular acceleration that keeps roll-outs at scaled parameters z (P,) on their
-    path: the commands are the nominal vehicle's, with z it would need others.
+def _kept_on_path(form: SegmentModel, data: Segments, theta_scaled: np.ndarray) -> Segments:
+    """Return the segments with the angular acceleration that keeps roll-outs on their path.
+
+    At theta_scaled (P,). The commands are the nominal vehicle's; with theta_scaled it would need others.
 
     Read off the body rate. Forces are left alone, they turn nothing.
     """
@@ -225,7 +228,7 @@ def _kept_on_path(form: SegmentModel, data: Segments, z: np.ndarray) -> Segments
     local = np.zeros((model.LOCALS, *start.shape[1:]))
     per_bin = round(BIN_S / data.dt_s)
     for _ in range(_TURNS):
-        predicted = rollout.roll_out(form, data, start, z[:, None], local)[:, 6:9, 0]
+        predicted = rollout.roll_out(form, data, start, theta_scaled[:, None], local)[:, 6:9, 0]
         short = data.rate - np.transpose(predicted, (2, 0, 1))
         inner = 0.5 * (short[:, per_bin - 1 : -1 : per_bin] + short[:, per_bin::per_bin])
         edges = np.concatenate([np.zeros_like(short[:, :1]), inner, short[:, -1:]], axis=1)
@@ -235,12 +238,12 @@ def _kept_on_path(form: SegmentModel, data: Segments, z: np.ndarray) -> Segments
     return data
 
 
-def _flown(form: SegmentModel, fit: SegmentFit, z: np.ndarray) -> np.ndarray:
-    """(P, P) as `information`, of the fitted flights, linearised at z (P,)."""
+def _flown(form: SegmentModel, fit: SegmentFit, theta_scaled: np.ndarray) -> np.ndarray:
+    """(P, P) as `information`, of the fitted flights, linearised at theta_scaled (P,)."""
     lin = fit.lin
-    if not np.array_equal(z, fit.z):
-        grams = linearise.linearise(form, fit.data, z, fit.local, fit.basis)
-        lin = linearise.project(grams, fit.data, z, fit.local)
+    if not np.array_equal(theta_scaled, fit.theta_scaled):
+        grams = linearise.linearise(form, fit.data, theta_scaled, fit.local, fit.basis)
+        lin = linearise.project(grams, fit.data, theta_scaled, fit.local)
     return evidence.whitened(lin, fit.process, form.space.prior).gram[1:, 1:]
 
 

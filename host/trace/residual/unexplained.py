@@ -41,12 +41,12 @@ NO_LINE = SpectralLine()
 class ChannelResidual:
     """What a residual force (m/s^2) or torque (rad/s^2) holds beside turbulence.
 
-    repeat: rms that repeats between twin flights, negative where it reverses. z: its score, of unit variance
-    where nothing repeats. line: the strongest line of its spectrum.
+    repeat: rms that repeats between twin flights, negative where it reverses. z_score: its score, of unit
+    variance where nothing repeats. line: the strongest line of its spectrum.
     """
 
     repeat: float
-    z: float
+    z_score: float
     line: SpectralLine
 
 
@@ -54,13 +54,13 @@ class ChannelResidual:
 class FlightRepeat:
     """What repeats between twins of whole flights less their prediction.
 
-    share: its power over that of turbulence and noise, both whitened; negative where it reverses. z: its
-    score, of unit variance where nothing repeats. position_m: rms of the position that repeats. size: number
+    share: its power over that of turbulence and noise, both whitened; negative where it reverses. z_score: of
+    unit variance where nothing repeats. position_m: rms of the position that repeats. size: number
     of whitened values of either twin that were compared.
     """
 
     share: float
-    z: float
+    z_score: float
     position_m: float
     size: int = 0
 
@@ -71,11 +71,11 @@ class FlightRepeat:
 
     def lower_share(self, rules: Rules) -> float:
         """Return the share two standard errors down, 0 where nothing repeats."""
-        return self.share * (1.0 - 2.0 / self.z) if self.z > rules.repeat_z else 0.0
+        return self.share * (1.0 - 2.0 / self.z_score) if self.z_score > rules.repeat_z else 0.0
 
     def log_evidence(self, rules: Rules) -> float:
         """Return the log evidence in nats that a model without fault would gain, 0 where nothing repeats."""
-        return 0.5 * self.size * self.share if self.z > rules.repeat_z else 0.0
+        return 0.5 * self.size * self.share if self.z_score > rules.repeat_z else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +111,7 @@ def unexplained_residual(
     for channel, motion, silent in zip(channels, motions, (False, data.rate_driven), strict=True):
         repeat, z = _repeat(w[:, :, channel], flight, start_s, twins)
         line = NO_LINE if silent else _line(w[:, :, channel], motion, flight, start_s)
-        residuals.append(ChannelResidual(repeat=repeat, z=z, line=line))
+        residuals.append(ChannelResidual(repeat=repeat, z_score=z, line=line))
     force, torque = residuals
     return UnexplainedResidual(force=force, torque=torque, pairs=len(twins))
 

@@ -33,7 +33,7 @@ class SegmentFit:
 
     effects: Names
     log_evidence: float
-    z: np.ndarray
+    theta_scaled: np.ndarray
     local: np.ndarray
     covariance: np.ndarray
     process: Process
@@ -76,7 +76,12 @@ class SegmentFitter:
         each = [evidence.whitened(fit.lin, process, prior) for process in (saturated, fit.process)]
         return [
             lambda names, white=white: evidence.log_evidence(
-                white.gram, white.log_det, fit.lin.z, prior.precision(names), len(names), self.space.bounds
+                white.gram,
+                white.log_det,
+                fit.lin.theta_scaled,
+                prior.precision(names),
+                len(names),
+                self.space.bounds,
             )
             for white in each
         ]
@@ -104,50 +109,50 @@ def refit(
     prior, groups = space.prior, space.groups
     flights = int(data.flight.max()) + 1
     if start is None:
-        z, local, process = (
+        theta_scaled, local, process = (
             np.zeros(len(space.columns)),
             np.zeros((flights, model.LOCALS)),
             starting_process(data),
         )
     else:
-        z, local, process = start.lin.z.copy(), start.lin.local, start.process
+        theta_scaled, local, process = start.lin.theta_scaled.copy(), start.lin.local, start.process
         for name in set(start.effects) - set(effects):
-            z[list(groups[name])] = 0.0
+            theta_scaled[list(groups[name])] = 0.0
     precision = prior.precision(effects)
     if start is None:
         data = data.with_w(linearise.measured_turn(form, data))
-        kept = linearise.basis(form, data, z, local)
+        kept = linearise.basis(form, data, theta_scaled, local)
     else:
         kept = start.basis
     for iteration in range(iterations):
-        if iteration == 0 and start is not None and np.array_equal(z, start.lin.z):
+        if iteration == 0 and start is not None and np.array_equal(theta_scaled, start.lin.theta_scaled):
             lin = start.lin
         else:
-            grams = linearise.linearise(form, data, z, local, kept)
+            grams = linearise.linearise(form, data, theta_scaled, local, kept)
             data = data.with_x0(grams.x0)
-            lin = linearise.project(grams, data, z, local)
+            lin = linearise.project(grams, data, theta_scaled, local)
         process = evidence.fit_process(lin, prior, effects, process)
         white = evidence.whitened(lin, process, prior)
-        step, covariance = evidence.bounded(white.gram, z, precision, space.bounds)
+        step, covariance = evidence.bounded(white.gram, theta_scaled, precision, space.bounds)
         sigma = np.sqrt(np.diag(covariance))
         if np.abs(step).max() < 0.03 or (iteration >= 1 and (np.abs(step) / sigma).max() < SEGMENTS_SETTLED):
             break
         if iteration < iterations - 1:
-            step = space.clipped(z + np.clip(step, -4.0, 4.0)) - z
+            step = space.clipped(theta_scaled + np.clip(step, -4.0, 4.0)) - theta_scaled
             moved = evidence.local_step(lin, white, prior, step)
             local = local + moved
             data = data.with_w(evidence.disturbances(lin, process, step, moved))
-            z = z + step
+            theta_scaled = theta_scaled + step
             if start is None and iteration < 2:
-                data = data.with_x0(linearise.fitted_x0(form, data, z, local, kept, 2))
-                kept = linearise.basis(form, data, z, local)
-    step = space.clipped(z + np.clip(step, -4.0, 4.0)) - z
+                data = data.with_x0(linearise.fitted_x0(form, data, theta_scaled, local, kept, 2))
+                kept = linearise.basis(form, data, theta_scaled, local)
+    step = space.clipped(theta_scaled + np.clip(step, -4.0, 4.0)) - theta_scaled
     return SegmentFit(
         effects=tuple(sorted(effects)),
         log_evidence=evidence.log_evidence(
-            white.gram, white.log_det, z, precision, len(effects), space.bounds
+            white.gram, white.log_det, theta_scaled, precision, len(effects), space.bounds
         ),
-        z=z + step,
+        theta_scaled=theta_scaled + step,
         local=local + evidence.local_step(lin, white, prior, step),
         covariance=covariance,
         process=process,
@@ -161,28 +166,30 @@ def at_parameters(
     form: SegmentModel,
     start: SegmentFit,
     effects: Names,
-    z: np.ndarray,
+    theta_scaled: np.ndarray,
     covariance: np.ndarray,
     log_evidence: float,
 ) -> SegmentFit:
-    """The segments of `start` under `effects` with scaled parameters z (P,) that were found otherwise.
+    """Return the segments of `start` under `effects` with theta_scaled (P,) that was fitted otherwise.
 
     Only the flights' nuisances, the disturbance and its strength are fitted.
     """
     prior, data, local, process = form.space.prior, start.data, start.local, start.process
     for last in (False, True):
-        grams = linearise.linearise(form, data, z, local, start.basis)
+        grams = linearise.linearise(form, data, theta_scaled, local, start.basis)
         data = data.with_x0(grams.x0)
-        lin = linearise.project(grams, data, z, local)
+        lin = linearise.project(grams, data, theta_scaled, local)
         process = evidence.fit_process(lin, prior, effects, process)
-        moved = evidence.local_step(lin, evidence.whitened(lin, process, prior), prior, np.zeros(len(z)))
+        moved = evidence.local_step(
+            lin, evidence.whitened(lin, process, prior), prior, np.zeros(len(theta_scaled))
+        )
         local = local + moved
         if not last:
-            data = data.with_w(evidence.disturbances(lin, process, np.zeros(len(z)), moved))
+            data = data.with_w(evidence.disturbances(lin, process, np.zeros(len(theta_scaled)), moved))
     return SegmentFit(
         effects=effects,
         log_evidence=log_evidence,
-        z=z,
+        theta_scaled=theta_scaled,
         local=local,
         covariance=covariance,
         process=process,
@@ -192,16 +199,19 @@ def at_parameters(
     )
 
 
-def disturbance_left(fit: SegmentFit, z: np.ndarray) -> np.ndarray:
-    """Disturbance (segments, bins, 6) that the model with scaled parameters z (P,) leaves, in the fit's
-    linearisation.
+def disturbance_left(fit: SegmentFit, theta_scaled: np.ndarray) -> np.ndarray:
+    """Return the disturbance (segments, bins, 6) that the model leaves at theta_scaled (P,).
+
+    In the linearisation of the fit.
     """
-    return evidence.disturbances(fit.lin, fit.process, z - fit.lin.z, fit.local - fit.lin.local)
+    return evidence.disturbances(
+        fit.lin, fit.process, theta_scaled - fit.lin.theta_scaled, fit.local - fit.lin.local
+    )
 
 
 def unknowns_only(chosen: ParameterSpace, nothing: SegmentFit) -> np.ndarray:
     """Scaled values (P,) of a model that adds nothing: only what the logs declare unknown is fitted."""
     unknown = [i for i, column in enumerate(chosen.columns) if column.owner in chosen.unknown]
-    z = np.zeros(len(chosen.columns))
-    z[unknown] = nothing.z[unknown]
-    return z
+    theta_scaled = np.zeros(len(chosen.columns))
+    theta_scaled[unknown] = nothing.theta_scaled[unknown]
+    return theta_scaled

@@ -66,10 +66,16 @@ class _Lanes:
     """Lanes of perturbed roll-outs, all starting from one point of every segment."""
 
     def __init__(
-        self, data: Segments, x0: np.ndarray, z: np.ndarray, local: np.ndarray, memory: np.ndarray, count: int
+        self,
+        data: Segments,
+        x0: np.ndarray,
+        theta_scaled: np.ndarray,
+        local: np.ndarray,
+        memory: np.ndarray,
+        count: int,
     ) -> None:
         self.x0 = np.repeat(x0.T[:, None, :], count, axis=1)
-        self.z = np.repeat(z[:, None], count, axis=1)
+        self.theta_scaled = np.repeat(theta_scaled[:, None], count, axis=1)
         self.memory = np.broadcast_to(memory, (len(memory), count, len(data.flight)))
         self.local = np.repeat(local[data.flight].T[:, None, :], count, axis=1)
         self.bins = np.zeros((data.bins, 6, count))
@@ -78,7 +84,7 @@ class _Lanes:
     def jacobian(self, form: SegmentModel, data: Segments, *, bins: bool) -> np.ndarray:
         """(S, lanes, n): the residual in lane 0, in the others its negative slope along the perturbation."""
         pushed = self.bins if bins else None
-        r = residuals(data, roll_out(form, data, self.x0, self.z, self.local, pushed, self.memory))
+        r = residuals(data, roll_out(form, data, self.x0, self.theta_scaled, self.local, pushed, self.memory))
         A = (r[0] - r) / self.steps[:, None, None]
         A[0] = r[0]
         return np.swapaxes(A, 0, 1)
@@ -89,14 +95,14 @@ def _chunks(data: Segments, lanes: int) -> list[slice]:
     return [slice(i, i + size) for i in range(0, len(data.flight), size)]
 
 
-def basis(form: SegmentModel, data: Segments, z: np.ndarray, local: np.ndarray) -> Basis:
-    """The basis at scaled parameters z (P,) and flight nuisances `local` (flights, 9)."""
+def basis(form: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray) -> Basis:
+    """The basis at scaled parameters theta_scaled (P,) and flight nuisances `local` (flights, 9)."""
     count = 1 + STATES + LOCALS + 6 * data.bins
-    memory = remembered(form, data, z[:, None])
+    memory = remembered(form, data, theta_scaled[:, None])
     parts = []
     for chunk in _chunks(data, count):
         part = data.take(chunk)
-        lanes = _Lanes(part, part.x0, z, local, memory[:, :, chunk], count)
+        lanes = _Lanes(part, part.x0, theta_scaled, local, memory[:, :, chunk], count)
         for i in range(STATES):
             lanes.steps[1 + i] = _X_STEP[i]
             lanes.x0[i, 1 + i] += _X_STEP[i]
@@ -163,7 +169,7 @@ def _turning(data: Segments, i: int) -> np.ndarray:
 def fitted_x0(
     form: SegmentModel,
     data: Segments,
-    z: np.ndarray,
+    theta_scaled: np.ndarray,
     local: np.ndarray,
     kept: Basis,
     iterations: int = 1,
@@ -175,37 +181,39 @@ def fitted_x0(
     """
     x0 = data.x0
     if memory is None:
-        memory = remembered(form, data, z[:, None])
+        memory = remembered(form, data, theta_scaled[:, None])
     normal = kept.gram[:, :STATES, :STATES] + 1e-9 * np.eye(STATES)
     for _ in range(iterations):
         residual = []
         for chunk in _chunks(data, 1):
             part = data.take(chunk)
-            lanes = _Lanes(part, x0[chunk], z, local, memory[:, :, chunk], 1)
+            lanes = _Lanes(part, x0[chunk], theta_scaled, local, memory[:, :, chunk], 1)
             residual.append(lanes.jacobian(form, part, bins=False)[:, 0])
         x0 = x0 + np.linalg.solve(normal, kept.x @ np.concatenate(residual)[:, :, None])[:, :, 0]
     return x0
 
 
-def linearise(form: SegmentModel, data: Segments, z: np.ndarray, local: np.ndarray, kept: Basis) -> Grams:
-    """Grams of all segments at scaled parameters z (P,) and flight nuisances `local` (flights, 9).
+def linearise(
+    form: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray, kept: Basis
+) -> Grams:
+    """Grams of all segments at scaled parameters theta_scaled (P,) and flight nuisances `local` (flights, 9).
 
     Initial states take one Gauss-Newton step towards their own segment first.
     """
-    count = 1 + len(z)
-    points = np.repeat(z[:, None], count, axis=1)
-    points[:, 1:] += _Z_STEP * np.eye(len(z))
+    count = 1 + len(theta_scaled)
+    points = np.repeat(theta_scaled[:, None], count, axis=1)
+    points[:, 1:] += _Z_STEP * np.eye(len(theta_scaled))
     memory = remembered(form, data, points)
-    x0 = fitted_x0(form, data, z, local, kept, memory=memory[:, :1])
-    first = 1 + len(z)
+    x0 = fitted_x0(form, data, theta_scaled, local, kept, memory=memory[:, :1])
+    first = 1 + len(theta_scaled)
     size = first + kept.columns.shape[1]
     gram = np.empty((len(data.flight), size, size))
     gram[:, first:, first:] = kept.gram
     for chunk in _chunks(data, count):
         part = data.take(chunk)
-        lanes = _Lanes(part, x0[chunk], z, local, memory[:, :, chunk], count)
+        lanes = _Lanes(part, x0[chunk], theta_scaled, local, memory[:, :, chunk], count)
         lanes.steps[1:] = _Z_STEP
-        lanes.z = points
+        lanes.theta_scaled = points
         A = lanes.jacobian(form, part, bins=False)
         columns = kept.columns[chunk]
         A[:, 0] += np.einsum("szn,sz->sn", kept.bins[chunk], part.w.reshape(len(part.w), -1))
@@ -213,10 +221,10 @@ def linearise(form: SegmentModel, data: Segments, z: np.ndarray, local: np.ndarr
         gram[chunk, :first, first:] = A @ np.swapaxes(columns, 1, 2)
     form.space.check_finite(np.einsum("sii->i", gram[:, :first, :first]))
     gram[:, first:, :first] = np.swapaxes(gram[:, :first, first:], 1, 2)
-    return Grams(gram=gram, x0=x0, parameters=len(z))
+    return Grams(gram=gram, x0=x0, parameters=len(theta_scaled))
 
 
-def project(grams: Grams, data: Segments, z: np.ndarray, local: np.ndarray) -> Linearisation:
+def project(grams: Grams, data: Segments, theta_scaled: np.ndarray, local: np.ndarray) -> Linearisation:
     """The linearisation left when every segment's initial state is free."""
     gram = grams.gram
     first = 1 + grams.parameters
@@ -227,5 +235,8 @@ def project(grams: Grams, data: Segments, z: np.ndarray, local: np.ndarray) -> L
     C = gram[:, head[:, None], rest] / scale[:, :, None]
     B = gram[:, rest[:, None], rest]
     return Linearisation(
-        gram=B - np.swapaxes(C, 1, 2) @ np.linalg.solve(A, C), flight=data.flight, z=z, local=local
+        gram=B - np.swapaxes(C, 1, 2) @ np.linalg.solve(A, C),
+        flight=data.flight,
+        theta_scaled=theta_scaled,
+        local=local,
     )

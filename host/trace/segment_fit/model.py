@@ -75,22 +75,24 @@ class SegmentModel:
         """Number of states of its own that an owner of columns has."""
         return self.space.effects[owner].memory if owner in self.space.effects else 0
 
-    def delay_s(self, z: np.ndarray) -> np.ndarray:
-        """Delay (C,) of the commands for scaled parameters z (P, C)."""
-        return np.broadcast_to(np.asarray(dynamics.command_delay_s(CASADI, self._parts(z))), z.shape[1:])
+    def delay_s(self, theta_scaled: np.ndarray) -> np.ndarray:
+        """Delay (C,) of the commands for scaled parameters theta_scaled (P, C)."""
+        return np.broadcast_to(
+            np.asarray(dynamics.command_delay_s(CASADI, self._parts(theta_scaled))), theta_scaled.shape[1:]
+        )
 
-    def _parts(self, z: Any) -> list[dynamics.Part]:
-        """Every effect with its values for scaled parameters z: rows of an array, or scalars."""
-        theta = self.space.theta(self._values(z))
+    def _parts(self, theta_scaled: Any) -> list[dynamics.Part]:
+        """Every effect with its values for scaled parameters theta_scaled: rows of an array, or scalars."""
+        theta = self.space.theta(self._values(theta_scaled))
         return [(self.space.effects[name], theta[name]) for name in self.space.parts]
 
-    def _values(self, z: Any) -> list[Any]:
-        """Physical values for scaled parameters z: rows of an array, or scalars."""
-        return [c.neutral + c.scale * z[i] for i, c in enumerate(self.space.columns)]
+    def _values(self, theta_scaled: Any) -> list[Any]:
+        """Physical values for scaled parameters theta_scaled: rows of an array, or scalars."""
+        return [c.neutral + c.scale * theta_scaled[i] for i, c in enumerate(self.space.columns)]
 
-    def _commanded(self, z: Any, command: list) -> list[Scalar]:
+    def _commanded(self, theta_scaled: Any, command: list) -> list[Scalar]:
         """Rotor thrust in N that a command asks for, before the lag."""
-        log_gain, linear = self.space.theta(self._values(z)).get("thrust-curve", (0.0, 0.0))
+        log_gain, linear = self.space.theta(self._values(theta_scaled)).get("thrust-curve", (0.0, 0.0))
         gain = np.exp(log_gain) if isinstance(log_gain, float) else casadi.exp(log_gain)
         if self.in_newton:
             return [gain * u for u in command]
@@ -109,10 +111,10 @@ class SegmentModel:
 
     def _rotors(self) -> LaneProgram:
         """The rotor thrusts a step later: (thrust, z, command) -> next."""
-        columns, (thrust, z, command) = self._symbols("thrust", "z", "command")
-        lag = dynamics.motor_lag_s(CASADI, self.vehicle, self._parts(z))
+        columns, (thrust, theta_scaled, command) = self._symbols("thrust", "z", "command")
+        lag = dynamics.motor_lag_s(CASADI, self.vehicle, self._parts(theta_scaled))
         keep = casadi.exp(-self.dt_s / lag)
-        target = self._commanded(z, command)
+        target = self._commanded(theta_scaled, command)
         after = [t + (now - t) * keep for t, now in zip(target, thrust, strict=True)]
         start = casadi.vertcat(*target)
         names = ["thrust", "z", "command"]
@@ -127,8 +129,8 @@ class SegmentModel:
         No rotor is known along a measured path: the thrust is what its `acceleration` (NED, m/s^2) takes.
         """
         names = ["body", "z", "memory", "acceleration"]
-        columns, (body, z, memory, acceleration) = self._symbols(*names)
-        parts, vehicle = self._parts(z), self.vehicle
+        columns, (body, theta_scaled, memory, acceleration) = self._symbols(*names)
+        parts, vehicle = self._parts(theta_scaled), self.vehicle
         R = euler_to_matrix(CASADI, body[6:9])
         rotor: Scalar = vehicle.mass_kg * GRAVITY / 4.0
         none = (0.0, 0.0, 0.0)
@@ -149,10 +151,23 @@ class SegmentModel:
         """One step of the midpoint rule, rotors exactly: state after it, and what is measured in it."""
         names = list(_STEP_INPUTS)
         columns, scalars = self._symbols(*names)
-        body, thrust, z, memory, local, w, command, measured, rate, (voltage,), (t_s,), (shift,) = scalars
-        dt, vehicle, parts = self.dt_s, self.vehicle, self._parts(z)
+        (
+            body,
+            thrust,
+            theta_scaled,
+            memory,
+            local,
+            w,
+            command,
+            measured,
+            rate,
+            (voltage,),
+            (t_s,),
+            (shift,),
+        ) = scalars
+        dt, vehicle, parts = self.dt_s, self.vehicle, self._parts(theta_scaled)
         lag = dynamics.motor_lag_s(CASADI, vehicle, parts)
-        target = self._commanded(z, command)
+        target = self._commanded(theta_scaled, command)
         middle_keep, keep = casadi.exp(-0.5 * dt / lag), casadi.exp(-dt / lag)
         middle = [t + (now - t) * middle_keep for t, now in zip(target, thrust, strict=True)]
         after = [t + (now - t) * keep for t, now in zip(target, thrust, strict=True)]

@@ -13,16 +13,16 @@ def roll_out(
     form: SegmentModel,
     data: Segments,
     x0: np.ndarray,
-    z: np.ndarray,
+    theta_scaled: np.ndarray,
     local: np.ndarray,
     bins: np.ndarray | None = None,
     memory: np.ndarray | None = None,
 ) -> np.ndarray:
     """Predicted measurements (H, 12, C, S) of lanes: `form.CHANNELS` of every step.
 
-    x0 (12, C, S); z (P, C); local (9, C, S); bins (bins, 6, C) disturbance, specific force m/s^2 then angular
-    acceleration rad/s^2, both FRD. Motors start at the lagged command of the run-up, the effects' own states
-    at `memory` (M, C, S); by default with what the measured flight made of them.
+    x0 (12, C, S); theta_scaled (P, C); local (9, C, S); bins (bins, 6, C) disturbance, specific force
+    m/s^2 then angular acceleration rad/s^2, both FRD. Motors start at the lagged command of the run-up, the
+    effects' own states at `memory` (M, C, S); by default with what the measured flight made of them.
     """
     lanes, count = x0.shape[1:]
     total = lanes * count
@@ -34,14 +34,14 @@ def roll_out(
         rows = value.T[:, None] if value.ndim == 2 else value
         inputs[name].reshape(-1, lanes, count)[:] = rows
 
-    each = np.repeat(z, count, axis=1)
+    each = np.repeat(theta_scaled, count, axis=1)
     inputs["z"][:] = each
     inputs["body"][:] = x0.reshape(STATES, total)
     inputs["local"][:] = local.reshape(LOCALS, total)
-    commands = _delayed(form, data.command, z)
+    commands = _delayed(form, data.command, theta_scaled)
     inputs["thrust"][:] = _spun_up(form, commands[:pre], each)
     if form.memory:
-        memory = remembered(form, data, z) if memory is None else memory
+        memory = remembered(form, data, theta_scaled) if memory is None else memory
         inputs["memory"][:] = memory.reshape(form.memory, total)
     predicted = np.empty((data.steps, CHANNELS, lanes, count))
     per_bin = round(BIN_S / data.dt_s)
@@ -65,13 +65,13 @@ def roll_out(
     return predicted
 
 
-def _delayed(form: SegmentModel, command: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Commands (pre + H, 4, C S) of the lanes z (P, C) as they arrive, from those given (S, pre + H, 4).
+def _delayed(form: SegmentModel, command: np.ndarray, theta_scaled: np.ndarray) -> np.ndarray:
+    """Return commands (pre + H, 4, C S) as they arrive at theta_scaled (P, C), of those sent (S, pre + H, 4).
 
     Means over steps, so that a delay of a fraction of a step mixes two of them; before the first, the first.
     """
     each = []
-    for delay in form.delay_s(z):
+    for delay in form.delay_s(theta_scaled):
         whole, share = divmod(float(delay) / form.dt_s, 1.0)
         at = np.clip(np.arange(command.shape[1]) - int(whole), 0, command.shape[1] - 1)
         now, before = command[:, at], command[:, np.maximum(at - 1, 0)]
@@ -80,10 +80,10 @@ def _delayed(form: SegmentModel, command: np.ndarray, z: np.ndarray) -> np.ndarr
     return lanes.reshape(*lanes.shape[:2], -1)
 
 
-def _spun_up(form: SegmentModel, commands: np.ndarray, z: np.ndarray) -> np.ndarray:
+def _spun_up(form: SegmentModel, commands: np.ndarray, theta_scaled: np.ndarray) -> np.ndarray:
     """Rotor thrusts (4, lanes) after commands (n, 4, lanes), begun where the first of them settles."""
     rotors = form.bind("rotors", commands.shape[2])
-    rotors.inputs["z"][:] = z
+    rotors.inputs["z"][:] = theta_scaled
     for k, command in enumerate(commands):
         rotors.inputs["command"][:] = command
         if k == 0:
@@ -94,15 +94,16 @@ def _spun_up(form: SegmentModel, commands: np.ndarray, z: np.ndarray) -> np.ndar
     return rotors.outputs["next"].copy()
 
 
-def remembered(form: SegmentModel, data: Segments, z: np.ndarray) -> np.ndarray:
-    """The effects' own states (M, C, S) at the segments' starts for scaled parameters z (P, C), along the
-    measured paths of their flights.
+def remembered(form: SegmentModel, data: Segments, theta_scaled: np.ndarray) -> np.ndarray:
+    """Return the effects' own states (M, C, S) at the segments' starts for theta_scaled (P, C).
+
+    Along the measured paths of their flights.
     """
     if not form.memory:
-        return np.empty((0, z.shape[1], len(data.flight)))
+        return np.empty((0, theta_scaled.shape[1], len(data.flight)))
     own = [i for name, rows in form.space.owners.items() if form.memory_of(name) for i in rows]
-    kinds, lane = np.unique(z[own], axis=1, return_inverse=True)
-    values = np.repeat(z[:, :1], kinds.shape[1], axis=1)
+    kinds, lane = np.unique(theta_scaled[own], axis=1, return_inverse=True)
+    values = np.repeat(theta_scaled[:, :1], kinds.shape[1], axis=1)
     values[own] = kinds
     flights, steps = data.paths.shape[:2]
     program = form.bind("memory", flights * kinds.shape[1])

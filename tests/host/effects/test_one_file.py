@@ -339,7 +339,7 @@ def test_measurement_that_separates_two_effects_is_the_one_that_either_states(
     flat[2] = -1.5
     hover = Manoeuvre(route="hover", total_time_s=6.0, slowed=False, flat=flat)
     said = {
-        pair: propose(form, result.diagnosis.best, *pair, [hover])
+        pair: propose(form, result.diagnosis.selected, *pair, [hover])
         for pair in (("motor-lag", "pose-age"), ("frame-tilt", "wind"), ("linear-drag", "wind"))
     }
     assert {pair: flight and flight.known_measurement for pair, flight in said.items()} == {

@@ -31,7 +31,7 @@ from trimtab.host.trace.residual.unexplained import (
     UnexplainedResidual,
 )
 from trimtab.host.trace.result import Named, Trace
-from trimtab.host.trace.search import Names, SearchResult, none_of
+from trimtab.host.trace.search import Names, SearchResult, null_probability_of
 from trimtab.host.trace.segment_fit.fit import SegmentFit
 from trimtab.host.trace.segment_fit.linearise import Basis
 from trimtab.host.trace.segment_fit.model import LOCALS, STATES
@@ -163,7 +163,7 @@ def build_fit(
     effects: Names = (),
     *,
     log_evidence: float = 0.0,
-    z: Sequence[float] = (),
+    theta_scaled: Sequence[float] = (),
     covariance: np.ndarray | None = None,
     lateral: float = 0.01,
     axial: float = 0.01,
@@ -172,21 +172,21 @@ def build_fit(
 ) -> SegmentFit:
     """Return a fit to one segment that leaves the given disturbance.
 
-    z (P,) and covariance (P, P) are scaled; `lateral` and `axial` in m/s^2, `angular` in rad/s^2.
+    theta_scaled (P,) and covariance (P, P) are scaled; `lateral` and `axial` in m/s^2, `angular` in rad/s^2.
     """
-    count, nuisances = len(z), LOCALS + 6
+    count, nuisances = len(theta_scaled), LOCALS + 6
     logs = {"lateral": lateral, "axial": axial, "torque": angular}
     return SegmentFit(
         effects=effects,
         log_evidence=log_evidence,
-        z=np.array(z, dtype=float),
+        theta_scaled=np.array(theta_scaled, dtype=float),
         local=np.zeros((1, LOCALS)),
         covariance=np.eye(count) if covariance is None else covariance,
         process=Process(**{f"log_{name}": float(2.0 * np.log(sigma)) for name, sigma in logs.items()}),
         lin=Linearisation(
             gram=np.zeros((1, 1 + count + nuisances, 1 + count + nuisances)),
             flight=np.zeros(1, dtype=int),
-            z=np.array(z, dtype=float),
+            theta_scaled=np.array(theta_scaled, dtype=float),
             local=np.zeros((1, LOCALS)),
         ),
         data=build_segments(rate_driven=rate_driven),
@@ -198,15 +198,15 @@ def build_closed_fit(
     effects: Names = (),
     *,
     log_evidence: float = 0.0,
-    z: Sequence[float] = (),
+    theta_scaled: Sequence[float] = (),
     covariance: np.ndarray | None = None,
     grams: np.ndarray | None = None,
 ) -> FlightFit:
-    """Return a fit to one whole flight; z (P,), covariance (P, P), grams (flights, 1 + P, 1 + P)."""
-    count = len(z)
+    """Return a fit to one whole flight; theta_scaled (P,), covariance (P, P), grams (1, 1 + P, 1 + P)."""
+    count = len(theta_scaled)
     return FlightFit(
         effects=effects,
-        z=np.array(z, dtype=float),
+        theta_scaled=np.array(theta_scaled, dtype=float),
         at=np.zeros(count),
         covariance=np.eye(count) if covariance is None else covariance,
         log_evidence=log_evidence,
@@ -217,54 +217,61 @@ def build_closed_fit(
 
 
 def build_search_result(
-    best: Any, *, sets: Mapping[Names, float] | None = None, weights: Mapping[Names, float] | None = None
+    selected: Any,
+    *,
+    log_evidence: Mapping[Names, float] | None = None,
+    posterior_weights: Mapping[Names, float] | None = None,
 ) -> SearchResult[Any]:
-    """Return what a search ends with; without `weights`, every one of the fitted `sets` may be kept."""
-    fitted = {best.effects: best.log_evidence} if sets is None else sets
-    weights = dict.fromkeys(fitted, 1.0) if weights is None else weights
-    return SearchResult(best=best, inclusion={}, weights=weights, sets=fitted)
+    """Return what a search ends with; without `posterior_weights` every fitted set may be selected."""
+    fitted = {selected.effects: selected.log_evidence} if log_evidence is None else log_evidence
+    posterior_weights = dict.fromkeys(fitted, 1.0) if posterior_weights is None else posterior_weights
+    return SearchResult(
+        selected=selected, inclusion_probability={}, posterior_weights=posterior_weights, log_evidence=fitted
+    )
 
 
 def build_diagnosis(
     kept: Names = (),
     *,
-    weights: Mapping[Names, float] | None = None,
-    inclusion: Mapping[str, float] | None = None,
-    stands_out: Mapping[str, float] | None = None,
-    best: SegmentFit | None = None,
+    posterior_weights: Mapping[Names, float] | None = None,
+    inclusion_probability: Mapping[str, float] | None = None,
+    detectability: Mapping[str, float] | None = None,
+    selected: SegmentFit | None = None,
     method: Method = "segments",
-    repeats: tuple[FlightRepeat | None, FlightRepeat | None] = (None, None),
+    repeatability: tuple[FlightRepeat | None, FlightRepeat | None] = (None, None),
 ) -> Diagnosis:
     """Return the diagnosis that keeps the effects `kept`, by default for sure."""
     return Diagnosis(
-        best=best or build_fit(kept),
-        nothing=build_fit(),
+        selected=selected or build_fit(kept),
+        null_fit=build_fit(),
         method=method,
-        inclusion=inclusion or {},
-        weights={kept: 1.0} if weights is None else weights,
-        sets={},
-        stands_out=stands_out or {},
-        repeats=repeats,
+        inclusion_probability=inclusion_probability or {},
+        posterior_weights={kept: 1.0} if posterior_weights is None else posterior_weights,
+        log_evidence={},
+        detectability=detectability or {},
+        repeatability=repeatability,
     )
 
 
 def weights_of_nothing(probability: float, other: Names = ("other",)) -> dict[Names, float]:
     """Return weights under which no effect is missing with this probability, to the bit."""
     weights = {(): probability, other: 1.0 - probability}
-    assert none_of(weights) == probability
+    assert null_probability_of(weights) == probability
     return weights
 
 
 def build_flight_repeat(
-    *, share: float = 0.0, z: float = 0.0, position_m: float = 0.0, size: int = 1000
+    *, share: float = 0.0, z_score: float = 0.0, position_m: float = 0.0, size: int = 1000
 ) -> FlightRepeat:
     """Return what whole flights repeat; by default nothing."""
-    return FlightRepeat(share=share, z=z, position_m=position_m, size=size)
+    return FlightRepeat(share=share, z_score=z_score, position_m=position_m, size=size)
 
 
-def build_channel(*, repeat: float = 0.0, z: float = 0.0, line: SpectralLine = NO_LINE) -> ChannelResidual:
+def build_channel(
+    *, repeat: float = 0.0, z_score: float = 0.0, line: SpectralLine = NO_LINE
+) -> ChannelResidual:
     """Return what a force (m/s^2) or torque (rad/s^2) holds; by default nothing."""
-    return ChannelResidual(repeat=repeat, z=z, line=line)
+    return ChannelResidual(repeat=repeat, z_score=z_score, line=line)
 
 
 def build_residual(

@@ -30,12 +30,12 @@ def test_a_fit_is_the_optimum_of_its_linearisation() -> None:
     fit = refit(form, data, ("thrust-gain",), nothing, iterations=1)
     white = evidence.whitened(fit.lin, fit.process, library.prior)
     step, covariance = evidence.bounded(
-        white.gram, fit.lin.z, library.prior.precision(fit.effects), library.bounds
+        white.gram, fit.lin.theta_scaled, library.prior.precision(fit.effects), library.bounds
     )
     assert (np.abs(step) / np.sqrt(np.diag(covariance))).max() > 1.0
-    np.testing.assert_allclose(fit.z, fit.lin.z + step)
+    np.testing.assert_allclose(fit.theta_scaled, fit.lin.theta_scaled + step)
 
-    again = at_parameters(form, nothing, fit.effects, fit.z, fit.covariance, 0.0)
+    again = at_parameters(form, nothing, fit.effects, fit.theta_scaled, fit.covariance, 0.0)
     white = evidence.whitened(again.lin, again.process, library.prior)
     moved = evidence.local_step(again.lin, white, library.prior, np.zeros(len(step)))
     np.testing.assert_allclose(again.local, again.lin.local + moved)

@@ -7,7 +7,7 @@ import pytest
 
 from tests.host.trace.builders import MASS, build_diagnosis, build_effect, build_parameter, build_space
 from trimtab.host.trace.parameters import ParameterSpace
-from trimtab.host.trace.selection import stands_out
+from trimtab.host.trace.selection import detectability
 
 ROTOR = build_effect("rotor", *(build_parameter(f"loss_{k}") for k in (1, 2, 3)), one_of=True)
 PAIR = build_effect("pair", build_parameter("x"), build_parameter("y"))
@@ -20,22 +20,22 @@ def gram_of(*columns: list[float]) -> np.ndarray:
 
 
 def sigma(space: ParameterSpace, gram: np.ndarray, tolerance: float) -> dict[str, float]:
-    return stands_out(space, gram, np.full(len(space.columns), tolerance**-2.0))
+    return detectability(space, gram, np.full(len(space.columns), tolerance**-2.0))
 
 
-def test_stands_out_of_an_effect_alone_is_the_length_of_its_slope() -> None:
+def test_detectability_of_an_effect_alone_is_the_length_of_its_slope() -> None:
     found = sigma(build_space("drag"), gram_of([3.0, 0.0, 4.0]), 0.1)
     assert found == pytest.approx({"drag": 5.0})
 
 
-def test_stands_out_counts_all_parameters_of_an_effect_together() -> None:
+def test_detectability_counts_all_parameters_of_an_effect_together() -> None:
     found = sigma(build_space(PAIR), gram_of([3.0, 0.0, 0.0], [0.0, 4.0, 0.0]), 0.1)
     assert found == pytest.approx({"pair": 5.0})
     opposite = sigma(build_space(PAIR), gram_of([3.0, 0.0, 0.0], [-3.0, 0.0, 0.0]), 0.1)
     assert opposite == pytest.approx({"pair": 0.0}, abs=1e-7)
 
 
-def test_stands_out_of_one_of_several_is_the_strongest_by_the_effects_name() -> None:
+def test_detectability_of_one_of_several_is_the_strongest_by_the_effects_name() -> None:
     found = sigma(build_space(ROTOR), gram_of([1.0, 0.0, 0.0], [0.0, 7.0, 0.0], [0.0, 0.0, 2.0]), 1e-9)
     assert found == pytest.approx({"rotor": 7.0})
 
@@ -48,18 +48,18 @@ def test_stands_out_of_one_of_several_is_the_strongest_by_the_effects_name() -> 
         pytest.param(1e6, 4.0, id="free"),
     ],
 )
-def test_stands_out_loses_what_another_parameter_may_take_up(tolerance: float, expected: float) -> None:
+def test_detectability_loses_what_another_parameter_may_take_up(tolerance: float, expected: float) -> None:
     space = build_space("drag", MASS)
     found = sigma(space, gram_of([3.0, 4.0], [3.0, 0.0]), tolerance)
     assert found == pytest.approx({"drag": expected}, rel=1e-4)  # the mass is no candidate
 
 
-def test_stands_out_of_many_effects_is_what_least_squares_leaves_of_each() -> None:
+def test_detectability_of_many_effects_is_what_least_squares_leaves_of_each() -> None:
     rng = np.random.default_rng(1)
     space = build_space("drag", PAIR, MASS, ROTOR, "lag")
     slopes, tolerances = rng.normal(size=(40, 8)), rng.uniform(0.05, 3.0, 8)
     stacked = np.column_stack([rng.normal(size=40), slopes])
-    found = stands_out(space, stacked.T @ stacked, tolerances**-2.0)
+    found = detectability(space, stacked.T @ stacked, tolerances**-2.0)
     expected = {}
     for candidate, mine in space.groups.items():
         rest = [i for i in range(8) if i not in mine]
@@ -72,17 +72,19 @@ def test_stands_out_of_many_effects_is_what_least_squares_leaves_of_each() -> No
     assert found == pytest.approx(expected)
 
 
-def test_stands_out_does_not_depend_on_the_residual() -> None:
+def test_detectability_does_not_depend_on_the_residual() -> None:
     space, gram = build_space("drag", "lag"), gram_of([1.0, 2.0, 0.0], [0.0, 1.0, 1.0])
     other = gram.copy()
     other[0], other[:, 0] = 9.0, 9.0
     assert sigma(space, gram, 0.5) == sigma(space, other, 0.5)
 
 
-def test_stands_out_without_candidates_is_empty() -> None:
+def test_detectability_without_candidates_is_empty() -> None:
     assert sigma(build_space(MASS), gram_of([1.0, 2.0]), 0.5) == {}
 
 
 def test_diagnosis_none_is_the_weight_of_the_empty_set() -> None:
-    assert build_diagnosis(weights={(): 1.0, ("drag",): 3.0}).none == pytest.approx(0.25)
-    assert build_diagnosis(weights={("drag",): 3.0}).none == 0.0
+    assert build_diagnosis(posterior_weights={(): 1.0, ("drag",): 3.0}).null_probability == pytest.approx(
+        0.25
+    )
+    assert build_diagnosis(posterior_weights={("drag",): 3.0}).null_probability == 0.0

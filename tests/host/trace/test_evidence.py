@@ -39,9 +39,11 @@ def dense() -> Dense:
     Z = 0.3 * rng.normal(size=(count, ROWS, 6 * BINS))
     A = np.concatenate([r[:, :, None], S, L, Z], axis=2)
     flight = np.array([0, 0, 1, 1])
-    z, local = np.array([0.3, -0.2, 0.1]), rng.normal(size=(2, K))
+    theta_scaled, local = np.array([0.3, -0.2, 0.1]), rng.normal(size=(2, K))
     gram = np.swapaxes(A, 1, 2) @ A
-    return Dense(r, S, L, Z, flight, Linearisation(gram=gram, flight=flight, z=z, local=local))
+    return Dense(
+        r, S, L, Z, flight, Linearisation(gram=gram, flight=flight, theta_scaled=theta_scaled, local=local)
+    )
 
 
 def stacked(d: Dense) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -55,7 +57,7 @@ def stacked(d: Dense) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         covariance[rows, rows] = np.eye(ROWS) + d.Z[i] @ q @ d.Z[i].T
         J[rows, :P] = d.S[i]
         J[rows, P + K * f : P + K * (f + 1)] = d.L[i]
-    at = np.concatenate([d.lin.z, d.lin.local.ravel()])
+    at = np.concatenate([d.lin.theta_scaled, d.lin.local.ravel()])
     return d.r.ravel(), J, covariance, at
 
 
@@ -73,7 +75,7 @@ def test_log_evidence_of_a_set_is_the_gaussian_marginal_likelihood_up_to_a_const
     expected += RULES.prior_log_odds * len(chosen)
     white = evidence.whitened(dense.lin, PROCESS, PRIOR)
     assert evidence.log_evidence(
-        white.gram, white.log_det, dense.lin.z, precision, len(chosen), FREE
+        white.gram, white.log_det, dense.lin.theta_scaled, precision, len(chosen), FREE
     ) == pytest.approx(expected, abs=1e-7)
 
 
@@ -84,7 +86,7 @@ def test_posterior_and_local_step_are_the_joint_ridge_solution(dense: Dense) -> 
     inner = J.T @ np.linalg.solve(covariance, J) + np.diag(ridge)
     expected = np.linalg.solve(inner, J.T @ np.linalg.solve(covariance, r) - ridge * at)
     white = evidence.whitened(dense.lin, PROCESS, PRIOR)
-    step, spread = evidence.posterior(white.gram, dense.lin.z, precision)
+    step, spread = evidence.posterior(white.gram, dense.lin.theta_scaled, precision)
     local = evidence.local_step(dense.lin, white, PRIOR, step)
     np.testing.assert_allclose(step, expected[:P], atol=1e-9)
     np.testing.assert_allclose(local.ravel(), expected[P:], atol=1e-9)
@@ -124,7 +126,7 @@ def test_slope_of_the_evidence_is_that_of_differences(dense: Dense) -> None:
     def value(logs: np.ndarray) -> float:
         process = Process(log_lateral=logs[0], log_axial=logs[1], log_torque=logs[2])
         white = evidence.whitened(dense.lin, process, PRIOR)
-        return evidence.log_evidence(white.gram, white.log_det, dense.lin.z, precision, 0, FREE)
+        return evidence.log_evidence(white.gram, white.log_det, dense.lin.theta_scaled, precision, 0, FREE)
 
     slope = evidence._evidence_and_slope(dense.lin, PROCESS, PRIOR, precision)[1]
     for i, step in enumerate(h * np.eye(3)):
@@ -143,7 +145,7 @@ def test_fit_process_finds_the_variances_the_data_were_made_with() -> None:
     lin = Linearisation(
         gram=np.swapaxes(A, 1, 2) @ A,
         flight=np.zeros(count, dtype=int),
-        z=np.zeros(P),
+        theta_scaled=np.zeros(P),
         local=np.zeros((1, K)),
     )
     start = Process(log_lateral=0.0, log_axial=0.0, log_torque=0.0)

@@ -52,11 +52,15 @@ def test_space_with_an_unheard_of_unknown_is_refused() -> None:
 def test_space_values_and_clipping_go_through_the_scales() -> None:
     found = space(VEHICLE, EFFECTS)
     index = found.groups["thrust-gain"][0]
-    z = np.zeros(len(found.columns))
-    z[index] = -1.0
-    assert found.values(z)[index] == pytest.approx(1.0 - EFFECTS["thrust-gain"].parameters[0].typical)
-    z[index] = -1e6
-    assert found.values(found.clipped(z))[index] == pytest.approx(EFFECTS["thrust-gain"].parameters[0].lower)
+    theta_scaled = np.zeros(len(found.columns))
+    theta_scaled[index] = -1.0
+    assert found.values(theta_scaled)[index] == pytest.approx(
+        1.0 - EFFECTS["thrust-gain"].parameters[0].typical
+    )
+    theta_scaled[index] = -1e6
+    assert found.values(found.clipped(theta_scaled))[index] == pytest.approx(
+        EFFECTS["thrust-gain"].parameters[0].lower
+    )
 
 
 def test_space_admits_one_rotor_lost_of_four() -> None:

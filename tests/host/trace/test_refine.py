@@ -44,12 +44,12 @@ def loop(library: ParameterSpace) -> Loop:
 
 
 def scaled(library: ParameterSpace, **values: float) -> np.ndarray:
-    z = np.zeros(len(library.columns))
+    theta_scaled = np.zeros(len(library.columns))
     for i, column in enumerate(library.columns):
         key = f"{column.owner}.{column.key}".replace("-", "_").replace(".", "__")
         if key in values:
-            z[i] = (values[key] - column.neutral) / column.scale
-    return z
+            theta_scaled[i] = (values[key] - column.neutral) / column.scale
+    return theta_scaled
 
 
 def coloured(rng: np.random.Generator, bins: int) -> np.ndarray:
@@ -61,12 +61,12 @@ def coloured(rng: np.random.Generator, bins: int) -> np.ndarray:
     return noise[50:]
 
 
-def simulated(loop: Loop, z: np.ndarray, seed: int) -> Loop:
+def simulated(loop: Loop, theta_scaled: np.ndarray, seed: int) -> Loop:
     """A loop whose recordings are phi's own at z, with coloured noise on top."""
     rng = np.random.default_rng(seed)
     recordings = [
         replace(recording, measured=predicted[0] + coloured(rng, recording.bins))
-        for recording, predicted in zip(loop.recordings, loop.predicted(z[:, None]), strict=True)
+        for recording, predicted in zip(loop.recordings, loop.predicted(theta_scaled[:, None]), strict=True)
     ]
     return Loop(recordings, loop.recordings[0].states.vehicle, loop.space)
 
@@ -77,7 +77,7 @@ def test_shipped_flights_show_what_their_world_holds(library: ParameterSpace) ->
     start = scaled(library, mocap_latency__latency_s=0.018, motor_lag__extra_s=0.012, thrust_gain__gain=0.95)
     whole = closed.closed_loop([FlightData.of(each) for each in flights], flights[0].vehicle, library, start)
     fit = refine.fit_loop(whole, PRESENT, start, closed.order_of(whole))
-    values, sd = library.values(fit.z), np.sqrt(np.diag(fit.covariance)) * library.scale
+    values, sd = library.values(fit.theta_scaled), np.sqrt(np.diag(fit.covariance)) * library.scale
     for i, column in enumerate(library.columns):
         if column.owner in truth:
             error = abs(values[i] - truth[column.owner][column.key])
@@ -100,9 +100,9 @@ def test_parameters_of_simulated_flights_lie_within_their_intervals(
     for seed in range(4):
         made = simulated(loop, true, seed)
         fit = refine.fit_loop(made, ("linear-drag", "motor-lag"), np.zeros(len(true)), 2)
-        deviation = (fit.z - true) / np.sqrt(np.diag(fit.covariance))
+        deviation = (fit.theta_scaled - true) / np.sqrt(np.diag(fit.covariance))
         squares += [deviation[i] ** 2 for name in ("linear-drag", "motor-lag") for i in library.groups[name]]
-        assert abs(fit.z[library.groups["motor-lag"][0]] * 0.015 - 0.01) < 0.002
+        assert abs(fit.theta_scaled[library.groups["motor-lag"][0]] * 0.015 - 0.01) < 0.002
     # 16 numbers of a chi-square with one degree of freedom each: beyond these once in a thousand.
     assert 0.2 < np.mean(squares) < 2.6
 
@@ -114,7 +114,7 @@ def test_a_payloads_line_gets_its_slope_where_a_payload_is(loop: Loop) -> None:
     library = space(vehicle, {name: effects[name] for name in ("slung-payload", "thrust-gain")})
     nowhere, there = scaled(library), scaled(library, slung_payload__ratio=0.05)
     whole, afresh = (Loop(loop.recordings, vehicle, library) for _ in range(2))
-    base = [[r[0] for r in whole.residuals(z[:, None])] for z in (nowhere, there)]
+    base = [[r[0] for r in whole.residuals(theta_scaled[:, None])] for theta_scaled in (nowhere, there)]
     (line,) = (i for i, column in enumerate(library.columns) if column.key == "length_m")
     assert not whole.slopes(nowhere, (), base[0])[0][line].any()
     wanted = afresh.slopes(there, (), base[1])[0][line]
@@ -179,9 +179,9 @@ def test_autoregression_is_recovered_and_leaves_white_innovations() -> None:
     assert np.abs((left[1:] * left[:-1]).mean(0)).max() < 0.06
 
 
-def test_honest_covariance_is_never_less_than_the_fits(library: ParameterSpace, loop: Loop) -> None:
+def test_inflated_covariance_is_never_less_than_the_fits(library: ParameterSpace, loop: Loop) -> None:
     fit = refine.fit_loop(loop, ("linear-drag",), np.zeros(len(library.columns)), 2)
-    covariance = uncertainty.honest_covariance(library, fit)
+    covariance = uncertainty.inflated_covariance(library, fit)
     assert (np.diag(covariance) >= np.diag(fit.covariance)).all()
     np.linalg.cholesky(covariance)
 

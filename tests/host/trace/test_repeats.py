@@ -12,7 +12,7 @@ from trimtab.host.trace.decision.findings import Code
 from trimtab.host.trace.decision.residual_rules import no_model_bounds, residual_bounds, residual_findings
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.loop import CHANNELS, Loop
-from trimtab.host.trace.flight_fit.repeatability import repeat
+from trimtab.host.trace.flight_fit.repeatability import repeatability_of
 from trimtab.host.trace.residual.unexplained import (
     NO_LINE,
     ChannelResidual,
@@ -34,7 +34,7 @@ class Left:
         self.left = [coloured(rng, count) + physics * common[i // 2][:count] for i, count in enumerate(bins)]
         self.known = [np.arange(count) > 7 for count in bins]
 
-    def residuals(self, z: np.ndarray) -> list[np.ndarray]:
+    def residuals(self, theta_scaled: np.ndarray) -> list[np.ndarray]:
         return [each[None] for each in self.left]
 
 
@@ -47,22 +47,22 @@ def coloured(rng: np.random.Generator, bins: int) -> np.ndarray:
 
 
 def found(left: Left) -> FlightRepeat:
-    result = repeat(cast(Loop, left), np.zeros(1), 2, TWINS)
+    result = repeatability_of(cast(Loop, left), np.zeros(1), 2, TWINS)
     assert result is not None
     return result
 
 
 def test_gusts_alone_repeat_by_chance_only():
     each = [found(Left(seed)) for seed in range(30)]
-    assert abs(np.mean([r.z for r in each])) < 0.6
-    assert 0.5 < np.std([r.z for r in each]) < 1.5
+    assert abs(np.mean([r.z_score for r in each])) < 0.6
+    assert 0.5 < np.std([r.z_score for r in each]) < 1.5
     assert max(r.share for r in each) < RULES.flight_repeat_share / 3
 
 
 @pytest.mark.parametrize("physics", [0.6, 2.0])
 def test_what_the_world_adds_to_both_is_found_with_its_power(physics: float):
     result = found(Left(3, physics))
-    assert result.z > 2 * RULES.repeat_z
+    assert result.z_score > 2 * RULES.repeat_z
     assert result.share == pytest.approx(physics**2, rel=0.3)
     assert result.position_m > 0.0
 
@@ -72,8 +72,8 @@ def test_twins_of_different_length_are_compared_as_far_as_both_go():
 
 
 def test_without_twins_or_with_moments_of_them_nothing_is_said():
-    assert repeat(cast(Loop, Left(0)), np.zeros(1), 2, []) is None
-    assert repeat(cast(Loop, Left(0, bins=(70, 70) * 4)), np.zeros(1), 2, TWINS) is None
+    assert repeatability_of(cast(Loop, Left(0)), np.zeros(1), 2, []) is None
+    assert repeatability_of(cast(Loop, Left(0, bins=(70, 70) * 4)), np.zeros(1), 2, TWINS) is None
 
 
 def test_whole_flights_overrule_what_segments_see_in_both_directions():
@@ -95,8 +95,8 @@ def test_a_small_part_of_what_was_explained_may_repeat():
 def by_segments(force: float) -> UnexplainedResidual:
     """What segments leave: a force, m/s^2, that repeats."""
     return UnexplainedResidual(
-        force=ChannelResidual(repeat=force, z=20.0 * force, line=NO_LINE),
-        torque=ChannelResidual(repeat=0.0, z=0.0, line=NO_LINE),
+        force=ChannelResidual(repeat=force, z_score=20.0 * force, line=NO_LINE),
+        torque=ChannelResidual(repeat=0.0, z_score=0.0, line=NO_LINE),
         pairs=4,
     )
 

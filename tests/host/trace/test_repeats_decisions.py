@@ -20,7 +20,11 @@ from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
 LONG = 200
 TWINS = [(0, 1)]
 FIT = build_closed_fit(
-    ("drag",), log_evidence=12.0, z=(1.0, 2.0), covariance=np.diag([4.0, 9.0]), grams=np.full((2, 3, 3), 6.0)
+    ("drag",),
+    log_evidence=12.0,
+    theta_scaled=(1.0, 2.0),
+    covariance=np.diag([4.0, 9.0]),
+    grams=np.full((2, 3, 3), 6.0),
 )
 AGAIN = np.array([1.5, 2.5]), np.diag([0.25, 0.5]), np.full((2, 3, 3), 7.0)
 """What the weighted fit returns: z, covariance and Grams."""
@@ -36,7 +40,7 @@ class ResidualsOnly:
         self.left = [(each + shared)[:count] for each, count in zip(noise, bins, strict=True)]
         self.known = [np.ones(count, dtype=bool) for count in bins]
 
-    def residuals(self, z: np.ndarray) -> list[np.ndarray]:
+    def residuals(self, theta_scaled: np.ndarray) -> list[np.ndarray]:
         return [each[None] for each in self.left]
 
 
@@ -50,10 +54,10 @@ def whitenings(monkeypatch: pytest.MonkeyPatch) -> list[Whitening]:
     used: list[Whitening] = []
 
     def weighted(
-        loop: Loop, white: Whitening, effects: Sequence[str], z: np.ndarray
+        loop: Loop, white: Whitening, effects: Sequence[str], theta_scaled: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         assert tuple(effects) == FIT.effects
-        np.testing.assert_array_equal(z, FIT.z)
+        np.testing.assert_array_equal(theta_scaled, FIT.theta_scaled)
         used.append(white)
         return AGAIN
 
@@ -63,7 +67,7 @@ def whitenings(monkeypatch: pytest.MonkeyPatch) -> list[Whitening]:
 
 def is_tempered(fit: FlightFit) -> bool:
     """Return whether the fit is FIT with residuals that count for 1/RULES.temper."""
-    np.testing.assert_array_equal(fit.z, FIT.z)
+    np.testing.assert_array_equal(fit.theta_scaled, FIT.theta_scaled)
     assert (fit.effects, fit.log_evidence) == (FIT.effects, FIT.log_evidence)
     return bool(
         np.allclose(fit.covariance, RULES.temper * FIT.covariance)
@@ -92,9 +96,9 @@ def test_in_turbulence_fits_once_more_where_twins_are_long_enough(
         assert is_tempered(found)
         assert found.whitening is FIT.whitening
         return
-    z, covariance, grams = AGAIN
-    np.testing.assert_array_equal(found.z, z)
-    np.testing.assert_array_equal(found.at, z)
+    theta_scaled, covariance, grams = AGAIN
+    np.testing.assert_array_equal(found.theta_scaled, theta_scaled)
+    np.testing.assert_array_equal(found.at, theta_scaled)
     np.testing.assert_array_equal(found.covariance, covariance)
     np.testing.assert_array_equal(found.grams, grams)
     assert found.whitening is whitenings[0]
@@ -120,7 +124,7 @@ def test_in_turbulence_whitens_by_what_twins_differ_in(whitenings: list[Whitenin
 
 
 def test_turbulence_takes_an_order_that_the_twins_can_pay_for() -> None:
-    white = turbulence(loop_of(), FIT.z, 4, TWINS)
+    white = turbulence(loop_of(), FIT.theta_scaled, 4, TWINS)
     assert white is not None
     assert white.order == 1
-    assert turbulence(loop_of(), FIT.z, 1, []) is None
+    assert turbulence(loop_of(), FIT.theta_scaled, 1, []) is None

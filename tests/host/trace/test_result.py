@@ -41,8 +41,8 @@ def test_hidden_are_the_subjects_of_findings_of_that_code_in_order() -> None:
     assert build_trace(LIBRARY, build_diagnosis(), findings=findings).hidden == ("lag", "drag")
 
 
-def test_hidden_without_findings_is_empty_whatever_stands_out() -> None:
-    assert build_trace(LIBRARY, build_diagnosis(stands_out={"lag": 0.0})).hidden == ()
+def test_hidden_without_findings_is_empty_whatever_the_detectability() -> None:
+    assert build_trace(LIBRARY, build_diagnosis(detectability={"lag": 0.0})).hidden == ()
 
 
 def test_all_findings_are_those_of_the_flights_then_exact_aliases_then_those_of_each_log() -> None:
@@ -95,11 +95,11 @@ def test_evidence_is_what_a_candidate_changes_of_the_kept_set(
     kept: Names, log_weights: dict[Names, float], expected: dict[str, float], scale: float
 ) -> None:
     weights = {names: scale * float(np.exp(value)) for names, value in log_weights.items()}
-    found = build_trace(LIBRARY, build_diagnosis(kept, weights=weights)).evidence
+    found = build_trace(LIBRARY, build_diagnosis(kept, posterior_weights=weights)).evidence
     assert found == pytest.approx(expected)
 
 
 def test_evidence_of_a_set_without_weight_is_finite() -> None:
     weights = {("lag",): 1.0, (): 0.0, ("gain", "lag"): 0.0}
-    found = build_trace(LIBRARY, build_diagnosis(("lag",), weights=weights)).evidence
+    found = build_trace(LIBRARY, build_diagnosis(("lag",), posterior_weights=weights)).evidence
     assert found == pytest.approx({"lag": -NEVER, "gain": NEVER})

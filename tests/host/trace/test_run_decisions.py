@@ -233,9 +233,9 @@ def test_abstention_is_judged_by_what_was_kept_unless_nothing_is_improbable(
 ) -> None:
     weights = weights_of_nothing(none, ("drag",))
     found = (
-        build_search_result(build_closed_fit(kept), weights=weights)
+        build_search_result(build_closed_fit(kept), posterior_weights=weights)
         if kind == "search"
-        else build_diagnosis(kept, weights=weights)
+        else build_diagnosis(kept, posterior_weights=weights)
     )
     assert is_judged(found) == judged
 
@@ -265,19 +265,19 @@ def without_faults(
     left: FlightRepeat | None,
 ) -> tuple[SearchResult[FlightFit], KnownLoopFitter]:
     """Return the search result where whole flights repeat by `left`, and the fitter that was used."""
-    monkeypatch.setattr(selection, "repeat", lambda loop, z, order, twins: left)
+    monkeypatch.setattr(selection, "repeatability_of", lambda loop, theta_scaled, order, twins: left)
     fitter = KnownLoopFitter(SWINGING)
     return without_form_faults(found, cast(FlightFitter, fitter), [(0, 1)]), fitter
 
 
 def nats(value: float) -> FlightRepeat:
     """Return what repeats of whole flights, worth so many nats."""
-    made = build_flight_repeat(share=value / 500.0, z=100.0, size=1000)
+    made = build_flight_repeat(share=value / 500.0, z_score=100.0, size=1000)
     assert made.log_evidence(RULES) == pytest.approx(value)
     return made
 
 
-NOT_SURE = build_flight_repeat(share=10.0, z=2.9, size=1000)
+NOT_SURE = build_flight_repeat(share=10.0, z_score=2.9, size=1000)
 
 
 @pytest.mark.parametrize(
@@ -295,12 +295,12 @@ NOT_SURE = build_flight_repeat(share=10.0, z=2.9, size=1000)
 def test_without_faults_a_swinging_effect_leaves_others_out_that_explain_little_of_what_repeats(
     monkeypatch: pytest.MonkeyPatch, gap: float, left: FlightRepeat | None, reduced: bool
 ) -> None:
-    found = build_search_result(BOTH, sets={BOTH.effects: 100.0, ("payload",): 100.0 - gap, (): -1e6})
+    found = build_search_result(BOTH, log_evidence={BOTH.effects: 100.0, ("payload",): 100.0 - gap, (): -1e6})
     kept, fitter = without_faults(monkeypatch, found, left)
     if reduced:
-        assert kept.best.effects == ("payload",)
+        assert kept.selected.effects == ("payload",)
         assert fitter.calls == [(("payload",), BOTH)]
-        assert (kept.sets, kept.weights) == (found.sets, found.weights)
+        assert (kept.log_evidence, kept.posterior_weights) == (found.log_evidence, found.posterior_weights)
     else:
         assert kept is found
         assert fitter.calls == []
@@ -308,19 +308,19 @@ def test_without_faults_a_swinging_effect_leaves_others_out_that_explain_little_
 
 def test_without_faults_of_a_set_that_does_not_swing_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     best = build_closed_fit(("drag", "gain"), log_evidence=100.0)
-    found = build_search_result(best, sets={best.effects: 100.0, ("drag",): 100.0})
+    found = build_search_result(best, log_evidence={best.effects: 100.0, ("drag",): 100.0})
     kept, fitter = without_faults(monkeypatch, found, nats(1e6))
     assert kept is found
     assert fitter.calls == []
 
 
 def test_without_faults_of_nothing_kept_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = build_search_result(build_closed_fit(), sets={(): 0.0, ("payload",): 50.0})
+    found = build_search_result(build_closed_fit(), log_evidence={(): 0.0, ("payload",): 50.0})
     assert without_faults(monkeypatch, found, nats(1e6))[0] is found
 
 
 def test_without_faults_another_set_of_the_same_size_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = build_search_result(BOTH, sets={BOTH.effects: 100.0, ("gain", "payload"): 101.0})
+    found = build_search_result(BOTH, log_evidence={BOTH.effects: 100.0, ("gain", "payload"): 101.0})
     assert without_faults(monkeypatch, found, nats(1e6))[0] is found
 
 
@@ -356,8 +356,8 @@ def named(
     aliases: Mapping[str, Mapping[str, float]] | None = None,
     space: ParameterSpace = NAMEABLE,
 ) -> Sequence[Any]:
-    best = build_fit(kept, z=Z, covariance=COVARIANCE)
-    diagnosis = build_diagnosis(kept, inclusion=INCLUSION, best=best)
+    best = build_fit(kept, theta_scaled=Z, covariance=COVARIANCE)
+    diagnosis = build_diagnosis(kept, inclusion_probability=INCLUSION, selected=best)
     return named_effects(space, diagnosis, aliases or {name: {} for name in kept})
 
 
@@ -488,7 +488,10 @@ def test_segment_disagreement_of_nothing_selected_is_empty(monkeypatch: pytest.M
     assert disagreement(monkeypatch, {(): 0.0}, ())[0] == {}
 
 
-AFTER, BEFORE = build_flight_repeat(share=0.1, z=4.0), build_flight_repeat(share=5.0, z=50.0)
+AFTER, BEFORE = (
+    build_flight_repeat(share=0.1, z_score=4.0),
+    build_flight_repeat(share=5.0, z_score=50.0),
+)
 ASKED = {"drag": 1.5}
 
 
@@ -502,7 +505,7 @@ def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
 
     monkeypatch.setattr(gathering, "unexplained_residual", residual)
     monkeypatch.setattr(gathering, "_remainder", lambda form, diagnosis: ("selected", None))
-    monkeypatch.setattr(gathering, "disturbance_left", lambda fit, z: "nothing")
+    monkeypatch.setattr(gathering, "disturbance_left", lambda fit, theta_scaled: "nothing")
     monkeypatch.setattr(gathering, "unknowns_only", lambda space, nothing: None)
     monkeypatch.setattr(gathering, "segment_disagreement_nats", lambda form, nothing, effects: ASKED)
 
@@ -516,12 +519,12 @@ def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     ) -> Any:
         diagnosis = build_diagnosis(
             selected,
-            weights={selected: 3.0, ("gain",): 1.0},
-            inclusion={"drag": 0.7},
-            stands_out={"lag": 2.0},
-            best=best or build_fit(selected),
+            posterior_weights={selected: 3.0, ("gain",): 1.0},
+            inclusion_probability={"drag": 0.7},
+            detectability={"lag": 2.0},
+            selected=best or build_fit(selected),
             method=method,
-            repeats=(AFTER, BEFORE),
+            repeatability=(AFTER, BEFORE),
         )
         form = cast(SegmentModel, SimpleNamespace(space=LIBRARY))
         return gather_evidence(form, diagnosis, twins, unknown, 12.0, 1.5)

@@ -26,7 +26,7 @@ class Known:
 
     effects: Names
     log_evidence: float
-    z: np.ndarray
+    theta_scaled: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class KnownFitter:
         return self.space.prior
 
     def fit(self, effects: Names, start: Known) -> Known:
-        z = np.zeros(len(self.space.columns))
+        theta_scaled = np.zeros(len(self.space.columns))
         for name in effects:
-            z[list(self.space.groups[name])] = self.size
-        return Known(effects, self.evidence[effects], z)
+            theta_scaled[list(self.space.groups[name])] = self.size
+        return Known(effects, self.evidence[effects], theta_scaled)
 
     def scorers(self, fit: Known) -> list[Callable[[Names], float]]:
         return [lambda names: self.believed[names]]
@@ -74,8 +74,8 @@ def test_what_is_far_more_probable_than_the_kept_set_is_fitted_too(library: Para
         believed={(): 0.0, DRAG: 3.0, GAIN: 10.0, BOTH: 40.0},
     )
     found = search(fitter, nothing(library))
-    assert found.best.effects == GAIN
-    assert BOTH in found.sets
+    assert found.selected.effects == GAIN
+    assert BOTH in found.log_evidence
 
 
 def test_what_the_linearisation_promises_in_vain_is_not_kept(library: ParameterSpace) -> None:
@@ -85,8 +85,8 @@ def test_what_the_linearisation_promises_in_vain_is_not_kept(library: ParameterS
         believed={(): 0.0, DRAG: 3.5, GAIN: 10.0, BOTH: 40.0},
     )
     found = search(fitter, nothing(library))
-    assert found.best.effects == ()
-    assert found.inclusion["thrust-gain"] < 0.1
+    assert found.selected.effects == ()
+    assert found.inclusion_probability["thrust-gain"] < 0.1
 
 
 def test_sets_that_only_their_bounds_hold_leave_none_however_much_they_promise(monkeypatch) -> None:
@@ -104,9 +104,9 @@ def test_sets_that_only_their_bounds_hold_leave_none_however_much_they_promise(m
         size=1e6,
     )
     found = search(fitter, nothing(library))
-    assert found.best.effects == ()
-    assert found.none == 1.0
-    assert set(found.inclusion.values()) == {0.0}
+    assert found.selected.effects == ()
+    assert found.null_probability == 1.0
+    assert set(found.inclusion_probability.values()) == {0.0}
 
 
 def test_a_kept_set_that_no_beam_visits_has_a_weight(library: ParameterSpace, monkeypatch) -> None:
@@ -118,5 +118,5 @@ def test_a_kept_set_that_no_beam_visits_has_a_weight(library: ParameterSpace, mo
         hidden=(BOTH,),
     )
     found = search(fitter, nothing(library))
-    assert found.best.effects == BOTH
-    assert found.inclusion["thrust-gain"] > 0.99
+    assert found.selected.effects == BOTH
+    assert found.inclusion_probability["thrust-gain"] > 0.99

@@ -24,13 +24,13 @@ from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import (
     Fitter,
     Names,
-    _borne,
+    _is_supported,
+    _most_parsimonious,
     _proposals,
-    _smallest,
-    likeliest,
-    none_of,
+    most_parsimonious,
+    most_probable,
+    null_probability_of,
     sizes,
-    smallest,
 )
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
@@ -65,8 +65,8 @@ def prior_only(space: ParameterSpace, spike: Sequence[float] | None = None) -> F
     ],
 )
 def test_smallest_of_the_sets_close_to_the_best_is_kept(gap: float, within: float, expected: Names) -> None:
-    found = build_search_result(BEST, sets={("a", "b"): 32.0, ("a",): 32.0 - gap, (): -100.0})
-    assert smallest(found, within) == expected
+    found = build_search_result(BEST, log_evidence={("a", "b"): 32.0, ("a",): 32.0 - gap, (): -100.0})
+    assert most_parsimonious(found, within) == expected
 
 
 @pytest.mark.parametrize(
@@ -81,15 +81,19 @@ def test_smallest_of_the_sets_close_to_the_best_is_kept(gap: float, within: floa
     ],
 )
 def test_smallest_of_several_is_the_most_probable(sets: dict[Names, float], expected: Names) -> None:
-    assert smallest(build_search_result(BEST, sets=sets), TIE_NATS) == expected
+    assert most_parsimonious(build_search_result(BEST, log_evidence=sets), TIE_NATS) == expected
 
 
 def test_smallest_asks_only_for_sets_that_may_be_kept() -> None:
     sets = {(): 0.0, ("a",): 8.0, ("a", "b"): 10.0, ("a", "c"): 50.0}
     weights = {("a", "b"): 1e-9, ("a",): 1e-9, ("b", "c"): 1.0}
-    assert smallest(build_search_result(BEST, sets=sets, weights=weights), TIE_NATS) == ("a",)
+    assert most_parsimonious(
+        build_search_result(BEST, log_evidence=sets, posterior_weights=weights), TIE_NATS
+    ) == ("a",)
     without = {("a", "b"): 1.0}
-    assert smallest(build_search_result(BEST, sets=sets, weights=without), 100.0) == ("a", "b")
+    assert most_parsimonious(
+        build_search_result(BEST, log_evidence=sets, posterior_weights=without), 100.0
+    ) == ("a", "b")
 
 
 @pytest.mark.parametrize(
@@ -107,7 +111,7 @@ def test_selected_set_is_the_smallest_that_is_not_far_less_probable(
     nats: dict[Names, float], expected: Names
 ) -> None:
     fits = {names: build_closed_fit(names, log_evidence=value) for names, value in nats.items()}
-    assert _smallest(fits).effects == expected
+    assert _most_parsimonious(fits).effects == expected
 
 
 WORTH = RULES.worth_fitting_nats
@@ -164,8 +168,8 @@ def test_proposals_are_the_best_set_and_the_best_neighbours(
         pytest.param({("b",): 0.5, ("a",): 0.5}, ("b",), id="equal-in-any-order"),
     ],
 )
-def test_likeliest_is_the_set_of_greatest_weight(weights: dict[Names, float], expected: Names) -> None:
-    assert likeliest(weights) == expected
+def test_most_probable_is_the_set_of_greatest_weight(weights: dict[Names, float], expected: Names) -> None:
+    assert most_probable(weights) == expected
 
 
 @pytest.mark.parametrize(
@@ -180,7 +184,7 @@ def test_likeliest_is_the_set_of_greatest_weight(weights: dict[Names, float], ex
 def test_none_of_weights_is_the_share_of_the_empty_set(
     weights: dict[Names, float], probability: float
 ) -> None:
-    assert none_of(weights) == pytest.approx(probability)
+    assert null_probability_of(weights) == pytest.approx(probability)
 
 
 LINE = build_effect("line", build_parameter("ratio"), build_parameter("length", strength=False))
@@ -192,7 +196,7 @@ SPIKE = (0.5, 0.01, 0.1, 0.2, 0.1, 0.4, 0.1)
 
 
 @pytest.mark.parametrize(
-    ("effects", "z", "expected"),
+    ("effects", "theta_scaled", "expected"),
     [
         pytest.param((), (9,) * 7, {}, id="no-effect"),
         pytest.param(("pair",), (0, 0, 0.3, 0.2, 0, 0, 0), {"pair": 3.0}, id="the-first-strength"),
@@ -206,9 +210,11 @@ SPIKE = (0.5, 0.01, 0.1, 0.2, 0.1, 0.4, 0.1)
     ],
 )
 def test_sizes_count_tolerances_by_the_greatest_strength(
-    effects: Names, z: Sequence[float], expected: dict[str, float]
+    effects: Names, theta_scaled: Sequence[float], expected: dict[str, float]
 ) -> None:
-    assert sizes(prior_only(SIZED, SPIKE), build_fit(effects, z=z)) == pytest.approx(expected)
+    assert sizes(prior_only(SIZED, SPIKE), build_fit(effects, theta_scaled=theta_scaled)) == pytest.approx(
+        expected
+    )
 
 
 BORNE = build_space("drag", build_effect("wind", requires_any=("drag", "lift")), "lift")
@@ -216,7 +222,7 @@ BORNE = build_space("drag", build_effect("wind", requires_any=("drag", "lift")),
 
 
 @pytest.mark.parametrize(
-    ("effects", "z", "expected"),
+    ("effects", "theta_scaled", "expected"),
     [
         pytest.param((), (0, 0, 0), True, id="no-effect"),
         pytest.param(("drag",), (0.1 * BELOW, 0, 0), False, id="within-tolerance"),
@@ -233,6 +239,6 @@ BORNE = build_space("drag", build_effect("wind", requires_any=("drag", "lift")),
     ],
 )
 def test_a_set_is_borne_where_every_effect_is_there(
-    effects: Names, z: Sequence[float], expected: bool
+    effects: Names, theta_scaled: Sequence[float], expected: bool
 ) -> None:
-    assert _borne(prior_only(BORNE), build_fit(effects, z=z)) == expected
+    assert _is_supported(prior_only(BORNE), build_fit(effects, theta_scaled=theta_scaled)) == expected

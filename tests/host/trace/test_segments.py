@@ -50,8 +50,8 @@ def make(command: np.ndarray, x0: np.ndarray) -> Segments:
     )
 
 
-def lanes(data: Segments, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return data.x0.T[:, None, :], z[:, None], np.zeros((model.LOCALS, 1, len(data.flight)))
+def lanes(data: Segments, theta_scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return data.x0.T[:, None, :], theta_scaled[:, None], np.zeros((model.LOCALS, 1, len(data.flight)))
 
 
 def test_roll_out_of_hover_at_a_velocity_moves_straight_on() -> None:
@@ -70,10 +70,10 @@ def test_roll_out_with_linear_drag_decays_exponentially() -> None:
     x0 = np.zeros((1, 12))
     x0[0, 3] = 2.0
     data = make(np.full((1, PRE + STEPS, 4), HOVER), x0)
-    z = np.zeros(len(SPACE.columns))
-    z[SPACE.groups["linear-drag"][0]] = 1.0
-    d = SPACE.values(z)[SPACE.groups["linear-drag"][0]]
-    position = rollout.roll_out(FORM, data, *lanes(data, z))
+    theta_scaled = np.zeros(len(SPACE.columns))
+    theta_scaled[SPACE.groups["linear-drag"][0]] = 1.0
+    d = SPACE.values(theta_scaled)[SPACE.groups["linear-drag"][0]]
+    position = rollout.roll_out(FORM, data, *lanes(data, theta_scaled))
     t = DT * np.arange(STEPS)
     np.testing.assert_allclose(position[:, 0, 0, 0], 2.0 / d * (1.0 - np.exp(-d * t)), atol=5e-6)
 
@@ -93,13 +93,13 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
     x0 = 0.2 * rng.normal(size=(2, 12))
     command = HOVER * (1.0 + 0.02 * rng.normal(size=(2, PRE + STEPS, 4)))
     data = make(command, x0)
-    z = 0.1 * rng.normal(size=len(SPACE.columns))
+    theta_scaled = 0.1 * rng.normal(size=len(SPACE.columns))
     local = np.zeros((1, model.LOCALS))
-    kept = linearise.basis(FORM, data, z, local)
+    kept = linearise.basis(FORM, data, theta_scaled, local)
 
     def residual(x0: np.ndarray, w: np.ndarray) -> np.ndarray:
         at = replace(data, x0=x0, w=w)
-        lane = (at.x0.T[:, None, :], z[:, None], np.zeros((model.LOCALS, 1, 2)))
+        lane = (at.x0.T[:, None, :], theta_scaled[:, None], np.zeros((model.LOCALS, 1, 2)))
         return rollout.residuals(at, rollout.roll_out(FORM, at, *lane))[0]
 
     h = 1e-4
@@ -119,10 +119,10 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
     rng = np.random.default_rng(8)
     truth = 0.2 * rng.normal(size=(3, 12))
     data = make(np.full((3, PRE + STEPS, 4), HOVER), truth)
-    z, local = np.zeros(len(SPACE.columns)), np.zeros((1, model.LOCALS))
+    theta_scaled, local = np.zeros(len(SPACE.columns)), np.zeros((1, model.LOCALS))
     attitude = data.attitude
     for _ in range(4):  # the predicted attitude is told as what the measured one must turn by
-        rolled = rollout.roll_out(FORM, replace(data, attitude=attitude), *lanes(data, z))
+        rolled = rollout.roll_out(FORM, replace(data, attitude=attitude), *lanes(data, theta_scaled))
         seen = np.transpose(rolled[:, :, 0], (2, 0, 1))
         turn = Rotation.from_rotvec(seen[..., 3:6].reshape(-1, 3)).as_matrix()
         attitude = (attitude.reshape(-1, 3, 3) @ turn).reshape(attitude.shape)
@@ -134,18 +134,18 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
         rate=seen[..., 6:9],
         force=seen[..., 9:],
     )
-    kept = linearise.basis(FORM, measured, z, local)
-    found = linearise.fitted_x0(FORM, measured, z, local, kept, iterations=5)
+    kept = linearise.basis(FORM, measured, theta_scaled, local)
+    found = linearise.fitted_x0(FORM, measured, theta_scaled, local, kept, iterations=5)
     np.testing.assert_allclose(found, truth, atol=1e-6)
 
 
 def lane_of(data: Segments, **values: float) -> np.ndarray:
     """Predicted measurements (H, 12) of the first segment with these parameters "effect__key"."""
-    z = np.zeros(len(SPACE.columns))
+    theta_scaled = np.zeros(len(SPACE.columns))
     for i, column in enumerate(SPACE.columns):
         name = f"{column.owner}__{column.key}".replace("-", "_")
-        z[i] = (values[name] - column.neutral) / column.scale if name in values else 0.0
-    return rollout.roll_out(FORM, data, *lanes(data, z))[:, :, 0, 0]
+        theta_scaled[i] = (values[name] - column.neutral) / column.scale if name in values else 0.0
+    return rollout.roll_out(FORM, data, *lanes(data, theta_scaled))[:, :, 0, 0]
 
 
 def test_delayed_commands_shift_the_answer_to_a_step() -> None:

@@ -61,9 +61,9 @@ def fit(form: SegmentModel) -> SegmentFit:
     flight = read_flight(DATA / "c1.mcap")
     data, _ = segments_of([FlightData.of(flight)], rate_driven=False)
     found = refit(form, data, ("com-offset",), None, iterations=2)
-    z = found.z.copy()
-    z[list(form.space.groups["com-offset"])] = 0.5
-    return replace(found, z=z)
+    theta_scaled = found.theta_scaled.copy()
+    theta_scaled[list(form.space.groups["com-offset"])] = 0.5
+    return replace(found, theta_scaled=theta_scaled)
 
 
 def columns_of(library: ParameterSpace, *effects: str) -> list[int]:
@@ -74,9 +74,11 @@ def test_separation_of_an_effect_alone_is_its_length(library: ParameterSpace) ->
     (gain, tilt) = columns_of(library, "thrust-gain", "frame-tilt")
     gram = np.zeros((len(library.columns),) * 2)
     gram[gain, gain], gram[tilt, tilt] = 25.0, 100.0
-    z = np.zeros(len(library.columns))
-    z[gain] = 2.0
-    assert separation(library, gram, ("thrust-gain",), z, "thrust-gain", "frame-tilt") == pytest.approx(10.0)
+    theta_scaled = np.zeros(len(library.columns))
+    theta_scaled[gain] = 2.0
+    assert separation(
+        library, gram, ("thrust-gain",), theta_scaled, "thrust-gain", "frame-tilt"
+    ) == pytest.approx(10.0)
 
 
 def test_separation_from_an_alias_of_the_same_shape_is_what_the_aliass_range_leaves(
@@ -85,9 +87,11 @@ def test_separation_from_an_alias_of_the_same_shape_is_what_the_aliass_range_lea
     gain, tilt = columns_of(library, "thrust-gain", "frame-tilt")
     shape = np.zeros(len(library.columns))
     shape[[gain, tilt]] = 50.0
-    z = np.zeros(len(library.columns))
-    z[gain] = 1.0
-    apart = separation(library, np.outer(shape, shape), ("thrust-gain",), z, "thrust-gain", "frame-tilt")
+    theta_scaled = np.zeros(len(library.columns))
+    theta_scaled[gain] = 1.0
+    apart = separation(
+        library, np.outer(shape, shape), ("thrust-gain",), theta_scaled, "thrust-gain", "frame-tilt"
+    )
     # Two parallel columns of length 50, the alias free within 2 typical sizes: 50 / sqrt(1 + 100^2).
     assert apart == pytest.approx(50.0 / np.sqrt(1.0 + 100.0**2))
 
@@ -96,10 +100,12 @@ def test_separation_leaves_the_other_effects_of_the_set_free(library: ParameterS
     gain, drag = columns_of(library, "thrust-gain", "linear-drag")
     shape = np.zeros(len(library.columns))
     shape[[gain, drag]] = 50.0
-    gram, z = np.outer(shape, shape), np.zeros(len(library.columns))
-    z[gain] = 1.0
-    alone = separation(library, gram, ("thrust-gain",), z, "thrust-gain", "frame-tilt")
-    beside = separation(library, gram, ("thrust-gain", "linear-drag"), z, "thrust-gain", "frame-tilt")
+    gram, theta_scaled = np.outer(shape, shape), np.zeros(len(library.columns))
+    theta_scaled[gain] = 1.0
+    alone = separation(library, gram, ("thrust-gain",), theta_scaled, "thrust-gain", "frame-tilt")
+    beside = separation(
+        library, gram, ("thrust-gain", "linear-drag"), theta_scaled, "thrust-gain", "frame-tilt"
+    )
     assert alone > 10.0
     assert beside < 1.0
 
@@ -127,19 +133,21 @@ def test_nominal_commands_do_not_leave_the_path_of_a_vehicle_that_is_off(
     over within a segment would look like information.
     """
     effect, alias = "com-offset", "torque-bias"
-    z = np.zeros(len(form.space.columns))
-    z[list(form.space.groups[effect])] = 1.0
+    theta_scaled = np.zeros(len(form.space.columns))
+    theta_scaled[list(form.space.groups[effect])] = 1.0
     at = [
-        separation(form.space, information(form, flat, point, INSTRUMENTS), (effect,), z, effect, alias)
+        separation(
+            form.space, information(form, flat, point, INSTRUMENTS), (effect,), theta_scaled, effect, alias
+        )
         for flat in (known["doublets"].flat,)
-        for point in (np.zeros(len(z)), z)
+        for point in (np.zeros(len(theta_scaled)), theta_scaled)
     ]
     assert at[1] == pytest.approx(at[0], rel=0.1)
 
 
 def test_flight_shorter_than_a_segment_tells_nothing(form: SegmentModel, known: dict[str, Manoeuvre]) -> None:
-    z = np.zeros(len(form.space.columns))
-    assert information(form, known["hover"].flat[:, :50], z, INSTRUMENTS) is None
+    theta_scaled = np.zeros(len(form.space.columns))
+    assert information(form, known["hover"].flat[:, :50], theta_scaled, INSTRUMENTS) is None
 
 
 def test_wind_and_tilt_without_accelerometer_part_by_motion_alone(
@@ -147,13 +155,13 @@ def test_wind_and_tilt_without_accelerometer_part_by_motion_alone(
 ) -> None:
     blind = replace(INSTRUMENTS, shares=np.array([1.0, 1.0, 0.0]))
     drag = list(form.space.groups["linear-drag"])
-    z = np.zeros(len(form.space.columns))
-    z[drag] = 1.0
+    theta_scaled = np.zeros(len(form.space.columns))
+    theta_scaled[drag] = 1.0
     sigma = {}
-    size = np.zeros(len(z))
+    size = np.zeros(len(theta_scaled))
     size[list(form.space.groups["wind"])] = 1.0
     for name, flown in known.items():
-        told = information(form, flown.flat, z, blind)
+        told = information(form, flown.flat, theta_scaled, blind)
         assert told is not None
         sigma[name] = separation(form.space, told, ("linear-drag",), size, "wind", "frame-tilt")
     # What hover shows is that so strong a wind would take a tilt of twice the typical size.
@@ -183,10 +191,10 @@ def test_alias_that_acts_through_an_effect_not_found_gets_it(
     """Without drag a wind does nothing, and a tilted frame would look as if nothing could be mistaken for
     it.
     """
-    z = fit.z.copy()
-    z[list(form.space.groups["frame-tilt"])] = 1.0
-    z[list(form.space.groups["linear-drag"])] = 0.0
-    tilted = replace(fit, effects=("frame-tilt",), z=z)
+    theta_scaled = fit.theta_scaled.copy()
+    theta_scaled[list(form.space.groups["frame-tilt"])] = 1.0
+    theta_scaled[list(form.space.groups["linear-drag"])] = 0.0
+    tilted = replace(fit, effects=("frame-tilt",), theta_scaled=theta_scaled)
     still = propose(form, tilted, "frame-tilt", "thrust-gain", [known["hover"]])
     windy = propose(form, tilted, "frame-tilt", "wind", [known["hover"]])
     assert still is not None

@@ -85,7 +85,7 @@ def test_residual_of_noise_gives_no_reason(seed: int, each: int) -> None:
 
 def test_repeat_score_of_gusts_that_grow_with_speed_is_a_standard_normal() -> None:
     gusty = np.tile(1.0 + 4.0 * np.sin(np.linspace(0, 3, SEGMENTS)) ** 2, FLIGHTS)[:, None, None]
-    scores = [unexplained_residual(noise(seed) * gusty, data(), PAIRS).force.z for seed in range(100)]
+    scores = [unexplained_residual(noise(seed) * gusty, data(), PAIRS).force.z_score for seed in range(100)]
     assert abs(np.mean(scores)) < 0.3
     assert 0.7 < np.std(scores) < 1.3
 
@@ -180,7 +180,7 @@ def test_effects_with_which_more_of_the_position_repeats_explain_nothing(
 ) -> None:
     quiet = unexplained_residual(noise(1), data(), PAIRS)
     one, nothing = (
-        replace(quiet, flights=FlightRepeat(share=0.05, z=5.0, position_m=position))
+        replace(quiet, flights=FlightRepeat(share=0.05, z_score=5.0, position_m=position))
         for position in (with_m, without_m)
     )
     assert codes_beside(one, nothing) == ([Code.FLIGHTS_WORSENED] if speaks else [])
@@ -189,4 +189,4 @@ def test_effects_with_which_more_of_the_position_repeats_explain_nothing(
 def test_residual_without_twins_says_so() -> None:
     found = unexplained_residual(noise(0), data(), [])
     assert found.pairs == 0
-    assert found.force.z == 0.0
+    assert found.force.z_score == 0.0

@@ -19,14 +19,16 @@ REPEAT_Z = RULES.repeat_z
 @pytest.mark.parametrize(
     ("repeat", "lower_share", "nats"),
     [
-        pytest.param(build_flight_repeat(share=0.5, z=0.0), 0.0, 0.0, id="nothing"),
-        pytest.param(build_flight_repeat(share=0.5, z=REPEAT_Z), 0.0, 0.0, id="z-at"),
-        pytest.param(build_flight_repeat(share=0.6, z=REPEAT_Z * ABOVE), 0.2, 300.0, id="z-just-above"),
-        pytest.param(build_flight_repeat(share=0.5, z=4.0), 0.25, 250.0, id="two-standard-errors-down"),
-        pytest.param(build_flight_repeat(share=0.5, z=40.0), 0.475, 250.0, id="well-known"),
-        pytest.param(build_flight_repeat(share=0.5, z=40.0, size=10), 0.475, 2.5, id="few-numbers"),
-        pytest.param(build_flight_repeat(share=0.5, z=40.0, position_m=9.0), 0.475, 250.0, id="any-position"),
-        pytest.param(build_flight_repeat(share=-0.5, z=-40.0), 0.0, 0.0, id="reversed"),
+        pytest.param(build_flight_repeat(share=0.5, z_score=0.0), 0.0, 0.0, id="nothing"),
+        pytest.param(build_flight_repeat(share=0.5, z_score=REPEAT_Z), 0.0, 0.0, id="z-at"),
+        pytest.param(build_flight_repeat(share=0.6, z_score=REPEAT_Z * ABOVE), 0.2, 300.0, id="z-just-above"),
+        pytest.param(build_flight_repeat(share=0.5, z_score=4.0), 0.25, 250.0, id="two-standard-errors-down"),
+        pytest.param(build_flight_repeat(share=0.5, z_score=40.0), 0.475, 250.0, id="well-known"),
+        pytest.param(build_flight_repeat(share=0.5, z_score=40.0, size=10), 0.475, 2.5, id="few-numbers"),
+        pytest.param(
+            build_flight_repeat(share=0.5, z_score=40.0, position_m=9.0), 0.475, 250.0, id="any-position"
+        ),
+        pytest.param(build_flight_repeat(share=-0.5, z_score=-40.0), 0.0, 0.0, id="reversed"),
     ],
 )
 def test_flight_repeat_counts_two_standard_errors_down_where_its_score_is_high(
@@ -37,13 +39,16 @@ def test_flight_repeat_counts_two_standard_errors_down_where_its_score_is_high(
 
 
 def test_flight_repeat_follows_the_rules_that_are_given() -> None:
-    repeat, stricter = build_flight_repeat(share=0.5, z=4.0), replace(RULES, repeat_z=4.0)
+    repeat, stricter = (
+        build_flight_repeat(share=0.5, z_score=4.0),
+        replace(RULES, repeat_z=4.0),
+    )
     assert (repeat.lower_share(stricter), repeat.log_evidence(stricter)) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(("share", "amplitude"), [(-0.5, 0.0), (0.0, 0.0), (0.25, 0.5), (4.0, 2.0)])
 def test_flight_repeat_amplitude_is_the_root_of_its_share(share: float, amplitude: float) -> None:
-    assert build_flight_repeat(share=share, z=10.0).amplitude == pytest.approx(amplitude)
+    assert build_flight_repeat(share=share, z_score=10.0).amplitude == pytest.approx(amplitude)
 
 
 COUNT, BINS, STEPS = 30, 6, 60
@@ -93,7 +98,7 @@ def test_residual_shows_in_its_own_channel_and_not_along_an_unknown_thrust(
     found = unexplained_residual(disturbance_in(axis), build_twins(), TWINS, axial=axial)
     for name in ("force", "torque"):
         one = getattr(found, name)
-        assert (one.z > RULES.repeat_z) == (name == channel)
+        assert (one.z_score > RULES.repeat_z) == (name == channel)
         assert (one.line.ratio > RULES.line_ratio) == (name == channel)
     assert found.pairs == 1
     assert found.flights is None
@@ -112,14 +117,14 @@ def test_residual_of_a_driven_rate_has_no_line_in_torque() -> None:
 def test_residual_counts_its_pairs_of_twins(twins: list[tuple[int, int]]) -> None:
     found = unexplained_residual(disturbance_in(0), build_twins(), twins)
     assert found.pairs == len(twins)
-    assert (found.force.z != 0.0) == bool(twins)
+    assert (found.force.z_score != 0.0) == bool(twins)
 
 
 def test_residual_score_is_scaled_by_what_chance_makes_of_other_times() -> None:
     """Noise alone has a score of order 1, whatever its size; what repeats raises it, not the noise."""
     rng = np.random.default_rng(11)
     scores = [
-        unexplained_residual(size * rng.normal(size=(2 * COUNT, BINS, 6)), build_twins(), TWINS).force.z
+        unexplained_residual(size * rng.normal(size=(2 * COUNT, BINS, 6)), build_twins(), TWINS).force.z_score
         for size in np.geomspace(1e-3, 1e3, 60)
     ]
     assert abs(np.mean(scores)) < 0.4  # three standard errors
@@ -131,7 +136,7 @@ def test_residual_score_of_noise_that_repeats_whole_grows_with_all_that_was_comp
     w = np.zeros((2 * COUNT, BINS, 6))
     w[:, :, :3] = np.tile(np.random.default_rng(7).normal(size=(COUNT, BINS, 3)), (2, 1, 1))
     found = unexplained_residual(w, build_twins(), TWINS).force
-    assert found.z == pytest.approx(np.sqrt(3 * BINS * COUNT), rel=0.15)
+    assert found.z_score == pytest.approx(np.sqrt(3 * BINS * COUNT), rel=0.15)
     # Per bin: three channels of unit variance.
     assert found.repeat == pytest.approx(np.sqrt(3.0), rel=0.1)
 
@@ -141,9 +146,9 @@ def test_residual_that_reverses_between_twins_has_a_negative_size_and_score() ->
     w[COUNT:] *= -1.0
     found = unexplained_residual(w, build_twins(), TWINS)
     assert found.force.repeat < 0.0
-    assert found.force.z < 0.0
+    assert found.force.z_score < 0.0
 
 
 def test_residual_of_twins_of_which_one_has_no_segments_repeats_nothing() -> None:
     found = unexplained_residual(disturbance_in(0), build_twins(), [(0, 2)])
-    assert (found.force.repeat, found.force.z) == (0.0, 0.0)
+    assert (found.force.repeat, found.force.z_score) == (0.0, 0.0)

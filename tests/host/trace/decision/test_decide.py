@@ -51,7 +51,7 @@ def verdict(selected: Names = (), **changes: Any) -> Verdict:
     return decide(build_evidence(selected, **changes)).verdict
 
 
-REPEATING = build_residual(force=build_channel(repeat=1.0, z=10.0))
+REPEATING = build_residual(force=build_channel(repeat=1.0, z_score=10.0))
 RINGING = build_residual(torque=build_channel(line=SpectralLine(ratio=20.0, hz=1.0, chance=0.0, rms=5.0)))
 ALONE = build_residual(pairs=0)
 """The residual of flights without twins: nothing is unexplained."""
@@ -434,7 +434,7 @@ def test_selected_effects_are_aliases_of_each_other_only_by_segments_or_without_
 
 def repeating(size: float) -> UnexplainedResidual:
     """Return a residual whose force repeats by `size` m/s^2."""
-    return build_residual(force=build_channel(repeat=size, z=10.0))
+    return build_residual(force=build_channel(repeat=size, z_score=10.0))
 
 
 @pytest.mark.parametrize(
@@ -483,7 +483,7 @@ def test_a_residual_without_any_effect_is_no_reason_where_the_effects_explain_it
 
 def test_effects_that_make_whole_flights_worse_are_outside_the_library() -> None:
     one, without = (
-        build_residual(flights=build_flight_repeat(share=0.05, z=5.0, position_m=position_m))
+        build_residual(flights=build_flight_repeat(share=0.05, z_score=5.0, position_m=position_m))
         for position_m in (0.12, 0.01)
     )
     decision = decide(build_evidence(("drag",), residual=one, residual_without=without))

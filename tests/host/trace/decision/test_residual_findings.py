@@ -35,7 +35,7 @@ def channel(
     name: str,
     *,
     size: float = 0.0,
-    z: float = 10.0,
+    z_score: float = 10.0,
     line: float = 1.0,
     chance: float = 1e-9,
     rms: float = 10.0,
@@ -43,12 +43,12 @@ def channel(
 ) -> dict[str, Any]:
     """Return one channel by name; `size` of what repeats and `rms` of the line are in floors."""
     found = SpectralLine(ratio=line, hz=hz, chance=chance, rms=rms * FLOOR[name])
-    return {name: build_channel(repeat=size * FLOOR[name], z=z, line=found)}
+    return {name: build_channel(repeat=size * FLOOR[name], z_score=z_score, line=found)}
 
 
-def repeating(name: str, size: float = 10.0, z: float = 10.0) -> dict[str, Any]:
+def repeating(name: str, size: float = 10.0, z_score: float = 10.0) -> dict[str, Any]:
     """Return a channel that repeats by `size` floors with the score z."""
-    return channel(name, size=size, z=z)
+    return channel(name, size=size, z_score=z_score)
 
 
 def ringing(name: str, line: float = 20.0, **changes: float) -> dict[str, Any]:
@@ -65,8 +65,8 @@ def codes_in(residual: UnexplainedResidual, bounds: ResidualBounds | None = None
     return [finding.code for finding in found_in(residual, bounds)]
 
 
-LOUD = build_flight_repeat(share=1.0, z=10.0, position_m=0.0471)
-CALM = build_flight_repeat(share=0.0, z=0.0, position_m=0.0)
+LOUD = build_flight_repeat(share=1.0, z_score=10.0, position_m=0.0471)
+CALM = build_flight_repeat(share=0.0, z_score=0.0, position_m=0.0)
 
 
 def test_no_model_bounds_are_the_rules_and_no_position() -> None:
@@ -87,7 +87,7 @@ def test_findings_of_nothing_unexplained_are_none() -> None:
 
 @pytest.mark.parametrize("name", CHANNELS)
 @pytest.mark.parametrize(
-    ("size", "z", "count"),
+    ("size", "z_score", "count"),
     [
         pytest.param(10.0, 10.0, 1, id="clear"),
         pytest.param(10.0, REPEAT_Z * BELOW, 0, id="z-just-below"),
@@ -101,8 +101,10 @@ def test_findings_of_nothing_unexplained_are_none() -> None:
         pytest.param(10.0, -10.0, 0, id="score-reversed"),
     ],
 )
-def test_what_repeats_in_segments_needs_score_and_size(name: str, size: float, z: float, count: int) -> None:
-    assert codes_in(build_residual(**repeating(name, size, z))) == [REPEATS[name]] * count
+def test_what_repeats_in_segments_needs_score_and_size(
+    name: str, size: float, z_score: float, count: int
+) -> None:
+    assert codes_in(build_residual(**repeating(name, size, z_score))) == [REPEATS[name]] * count
 
 
 @pytest.mark.parametrize("name", CHANNELS)
@@ -132,13 +134,13 @@ def test_a_line_needs_ratio_chance_and_size(
     ("residual", "expected", "mentioned"),
     [
         pytest.param(
-            {"force": build_channel(repeat=1.37, z=12.3)},
+            {"force": build_channel(repeat=1.37, z_score=12.3)},
             Finding(code=Code.FORCE_REPEATS, value=1.37, bound=0.06, unit="m/s^2", details={"z": 12.3}),
             ["force", "1.37", "12.3"],
             id="force",
         ),
         pytest.param(
-            {"torque": build_channel(repeat=4.56, z=12.3)},
+            {"torque": build_channel(repeat=4.56, z_score=12.3)},
             Finding(code=Code.TORQUE_REPEATS, value=4.56, bound=0.8, unit="rad/s^2", details={"z": 12.3}),
             ["angular", "4.56", "12.3"],
             id="torque",
@@ -157,7 +159,7 @@ def test_a_line_needs_ratio_chance_and_size(
         ),
         pytest.param(
             # At z = 10 a fifth is taken off the share.
-            {"flights": build_flight_repeat(share=1.44, z=10.0, position_m=0.0471)},
+            {"flights": build_flight_repeat(share=1.44, z_score=10.0, position_m=0.0471)},
             Finding(
                 code=Code.FLIGHTS_REPEAT,
                 value=1.44 * 0.8,
@@ -218,7 +220,7 @@ def test_both_channels_are_told_force_first_and_what_repeats_before_lines() -> N
 
 # At z = 40 a twentieth is taken off the share.
 @pytest.mark.parametrize(
-    ("share", "z", "count"),
+    ("share", "z_score", "count"),
     [
         pytest.param(REPEAT_SHARE / 0.95 * BELOW, 40.0, 0, id="share-just-below"),
         pytest.param(REPEAT_SHARE / 0.95 * ABOVE, 40.0, 1, id="share-just-above"),
@@ -227,8 +229,8 @@ def test_both_channels_are_told_force_first_and_what_repeats_before_lines() -> N
         pytest.param(1.1 * REPEAT_SHARE, 10.0, 0, id="not-two-standard-errors-above"),
     ],
 )
-def test_whole_flights_need_a_share_that_is_known_well(share: float, z: float, count: int) -> None:
-    residual = build_residual(flights=build_flight_repeat(share=share, z=z))
+def test_whole_flights_need_a_share_that_is_known_well(share: float, z_score: float, count: int) -> None:
+    residual = build_residual(flights=build_flight_repeat(share=share, z_score=z_score))
     assert codes_in(residual) == [Code.FLIGHTS_REPEAT] * count
 
 
