@@ -109,7 +109,7 @@ def residuals(before: Sequence[Errors], after: Sequence[Errors], floor_m: float 
             for errors, colour, label in ((b, BEFORE, "before"), (a, AFTER, "after")):
                 order = np.argsort(errors.t_s, kind="stable")
                 keep = order[_thin(len(order))]
-                norm = np.linalg.norm(errors.position, axis=1)
+                norm = np.linalg.norm(errors.p_error_ned, axis=1)
                 ax.plot(errors.t_s[keep], norm[keep] * 1e3, color=colour, label=label, linewidth=1.2)
             if floor_m is not None:
                 ax.axhline(floor_m * 1e3, color=FLOOR, linestyle="--", label="noise floor", linewidth=1.0)

@@ -35,9 +35,9 @@ def page(
     """
     pictures = []
     if result.before:
-        worst = int(np.argmax([np.linalg.norm(e.position, axis=1).mean() for e in result.before]))
+        worst = int(np.argmax([np.linalg.norm(e.p_error_ned, axis=1).mean() for e in result.before]))
         panels = [
-            (title, errors[worst].measured, np.linalg.norm(errors[worst].position, axis=1))
+            (title, errors[worst].p_measured_ned, np.linalg.norm(errors[worst].p_error_ned, axis=1))
             for title, errors in (("before", result.before), ("after", result.after))
         ]
         caption = (
@@ -77,7 +77,7 @@ def _table(result: Trace) -> list[dict[str, Any]]:
         ("after", result.after),
     )
     for label, errors in columns:
-        p = np.concatenate([e.position for e in errors])
+        p = np.concatenate([e.p_error_ned for e in errors])
         norm = np.linalg.norm(p, axis=1)
         rows.append(
             {
@@ -93,4 +93,4 @@ def _table(result: Trace) -> list[dict[str, Any]]:
 
 
 def _rms(errors: Errors) -> float:
-    return float(np.sqrt((errors.position**2).sum(1).mean())) * 1e3
+    return float(np.sqrt((errors.p_error_ned**2).sum(1).mean())) * 1e3

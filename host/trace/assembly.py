@@ -90,8 +90,8 @@ def model_of(
             matrix=tuple(tuple(float(x) for x in row) for row in 0.5 * (scaled + scaled.T)),
         )
     data, vehicle = diagnosis.selected.data, flights[0].vehicle
-    tilt = np.arccos(np.clip(data.attitude[:, :, 8], -1.0, 1.0))
-    speed = np.linalg.norm(np.diff(data.position, axis=1), axis=2) / data.dt_s
+    tilt = np.arccos(np.clip(data.R_ned_frd[:, :, 8], -1.0, 1.0))
+    speed = np.linalg.norm(np.diff(data.p_ned, axis=1), axis=2) / data.dt_s
     seen = data.pose_weight[:, 1:] * data.pose_weight[:, :-1] > 0
     thrust = nominal_thrust(vehicle, data.command, in_newton=data.in_newton)
     thrust = np.maximum(thrust.sum(-1), 0.0)

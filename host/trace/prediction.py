@@ -37,21 +37,24 @@ _ROLL_OUT_STEP_S = 0.005
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Prediction errors of one flight: times (n,) s, position (n, 3) m and velocity (n, 3) m/s, NED."""
+    """Prediction errors of one flight: at times t_s (n,).
+
+    p_error_ned (n, 3) m and v_error_ned (n, 3) m/s, measured less predicted; p_predicted_ned,
+    p_measured_ned."""
 
     flight: str
     reference_id: str | None
     t_s: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    predicted: np.ndarray
-    measured: np.ndarray
+    p_error_ned: np.ndarray
+    v_error_ned: np.ndarray
+    p_predicted_ned: np.ndarray
+    p_measured_ned: np.ndarray
 
 
 def rmse(errors: Sequence[Errors]) -> dict[str, float]:
     """Root mean square of the norm of the errors of all flights."""
-    p = np.concatenate([e.position for e in errors])
-    v = np.concatenate([e.velocity for e in errors])
+    p = np.concatenate([e.p_error_ned for e in errors])
+    v = np.concatenate([e.v_error_ned for e in errors])
     return {
         "position_rmse_m": float(np.sqrt((p**2).sum(1).mean())),
         "velocity_rmse_m_s": float(np.sqrt((v**2).sum(1).mean())),
@@ -77,7 +80,7 @@ def motion(data: FlightData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     x = (s.pose_s[near] - t[:, None]) / half_s
     powers = np.stack([np.ones_like(x), x, x * x], axis=2) * inside[:, :, None]
     normal = np.swapaxes(powers, 1, 2) @ powers
-    fit = np.linalg.solve(normal, np.swapaxes(powers, 1, 2) @ s.p[near])
+    fit = np.linalg.solve(normal, np.swapaxes(powers, 1, 2) @ s.p_ned[near])
     return t, fit[:, 0], fit[:, 1] / half_s
 
 
@@ -146,10 +149,10 @@ def _predict(data: Sequence[FlightData], model: Model | None, effects: Mapping[s
                 flight=flight.id,
                 reference_id=flight.reference_id,
                 t_s=t,
-                position=p - at[:, :3],
-                velocity=v - at[:, 3:6],
-                predicted=at[:, :3],
-                measured=p,
+                p_error_ned=p - at[:, :3],
+                v_error_ned=v - at[:, 3:6],
+                p_predicted_ned=at[:, :3],
+                p_measured_ned=p,
             )
         )
     return out
@@ -206,10 +209,10 @@ def predict_segments(
                 flight=each.flight.id,
                 reference_id=each.flight.reference_id,
                 t_s=ahead,
-                position=measured - predicted[mine],
-                velocity=velocity - speed[mine],
-                predicted=predicted[mine],
-                measured=measured,
+                p_error_ned=measured - predicted[mine],
+                v_error_ned=velocity - speed[mine],
+                p_predicted_ned=predicted[mine],
+                p_measured_ned=measured,
             )
         )
     return tuple(out)
@@ -242,7 +245,7 @@ def noise_floor(
     """
     whole = logs.drive == "reference" and logs.twins
     errors = predict_flights(logs.flights, model, effects) if whole else ()
-    squares: dict[str, list[np.ndarray]] = {"position": [], "velocity": []}
+    squares: dict[str, list[np.ndarray]] = {"p_error_ned": [], "v_error_ned": []}
     for a, b in logs.twins if errors else ():
         first, second = errors[a], errors[b]
         t = first.t_s[(first.t_s >= second.t_s[0]) & (first.t_s <= second.t_s[-1])]
@@ -251,4 +254,4 @@ def noise_floor(
                 x, y = (np.interp(t, e.t_s, getattr(e, kind)[:, i]) for e in (first, second))
                 found.append((x - y) ** 2)
     rms = {k: float(np.sqrt(1.5 * np.mean(np.concatenate(v)))) if v else None for k, v in squares.items()}
-    return {"position_rmse_m": rms["position"], "velocity_rmse_m_s": rms["velocity"]}
+    return {"position_rmse_m": rms["p_error_ned"], "velocity_rmse_m_s": rms["v_error_ned"]}

@@ -203,7 +203,7 @@ def what_got_worse(comparison: Comparison, result: Trace) -> list[str]:
         if worse:
             out.append(f"{flight.label}: {', '.join(worse)}.")
     for k, (b, a) in enumerate(zip(result.before, result.after, strict=True)):
-        before, after = (np.sqrt((e.position**2).mean(axis=0)) for e in (b, a))
+        before, after = (np.sqrt((e.p_error_ned**2).mean(axis=0)) for e in (b, a))
         worse = [
             f"{axis} {1e3 * before[i]:.1f} to {1e3 * after[i]:.1f} mm"
             for i, axis in enumerate(AXES)

@@ -35,6 +35,6 @@ def predicted_rmse_m(
     # A prediction is of what a late camera shows; where the vehicle is at that time is on the reference then.
     latency_s = float(mocap_latency_s(NUMPY, model.parts(effects)))
     t_us = np.rint(1e6 * (found.t_s - latency_s)).astype(np.int64)
-    error = found.predicted - reference_at(reference, t_us)[:, :3]
+    error = found.p_predicted_ned - reference_at(reference, t_us)[:, :3]
     rmse_m = float(np.sqrt((error**2).sum(axis=1).mean()))
     return rmse_m if np.isfinite(rmse_m) else np.inf

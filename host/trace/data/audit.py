@@ -152,7 +152,7 @@ def _jumps(flight: Flight, s: Signals) -> list[Stretch]:
 def _attitudes(s: Signals) -> list[Stretch]:
     """Attitudes that the model or its coordinates cannot hold."""
     keep = within(s.pose_s, s.span_s)
-    t, R = s.pose_s[keep], s.R[keep]
+    t, R = s.pose_s[keep], s.R_ned_frd[keep]
     singular = np.abs(R[:, 2, 0]) > np.sin(RULES.pitch_max_rad)
     tilted = (R[:, 2, 2] < np.cos(RULES.tilt_max_rad)) & ~singular
     return [

@@ -33,12 +33,12 @@ def ground_contact(data: FlightData) -> list[Stretch]:
     if without_inputs(flight) or not flying.any():
         return _impacts(data)
     spans = list(zip(low, high, strict=True))
-    down = np.array([np.median(s.p[a:b, 2]) for a, b in spans])
+    down = np.array([np.median(s.p_ned[a:b, 2]) for a, b in spans])
     thrust, force, speed = _carried(flight.vehicle, s, t, low, high)
     touching = np.zeros(len(t), dtype=bool)
-    still = np.array([np.ptp(s.p[a:b], axis=0).max() < RULES.still_m for a, b in spans])
+    still = np.array([np.ptp(s.p_ned[a:b], axis=0).max() < RULES.still_m for a, b in spans])
     if flight.kind == "flight":  # the log begins as it is armed, on the floor
-        touching = np.median(s.p[s.pose_s < s.pose_s[0] + 0.1, 2]) - down < RULES.clear_m
+        touching = np.median(s.p_ned[s.pose_s < s.pose_s[0] + 0.1, 2]) - down < RULES.clear_m
     elif (rest := still & (thrust < RULES.resting_thrust_g * GRAVITY)).any():
         touching = np.median(down[rest]) - down < RULES.clear_m
     height = down.max() - down
@@ -82,15 +82,15 @@ def _carried(
 
     thrust = means(s.input_s, each.sum(axis=1) / vehicle.mass_kg)
     curve = [
-        np.polynomial.polynomial.polyfit(s.pose_s[a:b] - s.pose_s[a], s.p[a:b], 2)
+        np.polynomial.polynomial.polyfit(s.pose_s[a:b] - s.pose_s[a], s.p_ned[a:b], 2)
         for a, b in zip(low, high, strict=True)
     ]
     speed = np.array([c[1, 2] + c[2, 2] * _WINDOW_S for c in curve])
-    if len(s.force):
-        force = -means(s.imu_s, s.force[:, 2])
+    if len(s.force_frd):
+        force = -means(s.imu_s, s.force_frd[:, 2])
     else:
         acceleration = np.array([2.0 * c[2] for c in curve])
-        axis = s.R[(low + high) // 2, :, 2]
+        axis = s.R_ned_frd[(low + high) // 2, :, 2]
         force = -np.einsum("ni,ni->n", axis, acceleration - np.array([0.0, 0.0, GRAVITY]))
     return thrust, force, speed
 
@@ -103,11 +103,11 @@ def _thrust(vehicle: Vehicle, command: np.ndarray) -> np.ndarray:
 def _impacts(data: FlightData) -> list[Stretch]:
     """Times at which the accelerometer shows what no rotor can give and no air makes."""
     s, vehicle = data.signals, data.flight.vehicle
-    if not len(s.force):
+    if not len(s.force_frd):
         return []
     strongest = 4.0 * vehicle.thrust_max_n / vehicle.mass_kg
     beyond = RULES.impact_g * GRAVITY
-    x, y, z = s.force.T
+    x, y, z = s.force_frd.T
     hit = (np.hypot(x, y) > beyond) | (z > beyond) | (z < -strongest - beyond)
     middle = s.imu_s.mean(axis=1)
     keep = within(middle, s.span_s)

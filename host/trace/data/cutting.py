@@ -61,9 +61,9 @@ def _paths(flights: Sequence[FlightData]) -> np.ndarray:
     for data in flights:
         s = data.signals
         t = np.arange(s.pose_s[0], s.pose_s[-1] + 0.5 * PATH_S, PATH_S)
-        p = np.column_stack([np.interp(t, s.pose_s, s.p[:, i]) for i in range(3)])
+        p = np.column_stack([np.interp(t, s.pose_s, s.p_ned[:, i]) for i in range(3)])
         at = np.minimum(np.searchsorted(s.pose_s, t), len(s.pose_s) - 1)
-        yaw, pitch, roll = Rotation.from_matrix(s.R[at]).as_euler("ZYX").T
+        yaw, pitch, roll = Rotation.from_matrix(s.R_ned_frd[at]).as_euler("ZYX").T
         v = np.gradient(p, PATH_S, axis=0)
         each.append(np.column_stack([p, v, roll, pitch, yaw, np.zeros((len(t), 3))]))
     longest = max(len(path) for path in each)
@@ -82,8 +82,8 @@ def _cut(
     grid = begin + DT_S * np.arange(-pre, count * steps + 1)
     command, covered = averaged(grid, s.input_s, s.command)
     nothing = np.zeros((len(grid) - 1, 3)), np.zeros(len(grid) - 1)
-    rate, rate_share = averaged(grid, s.imu_s, s.gyro) if len(s.gyro) else nothing
-    force, force_share = averaged(grid, s.imu_s, s.force) if len(s.force) else nothing
+    rate, rate_share = averaged(grid, s.imu_s, s.rate_frd) if len(s.rate_frd) else nothing
+    force, force_share = averaged(grid, s.imu_s, s.force_frd) if len(s.force_frd) else nothing
     ratio = np.interp(grid, s.voltage_s, s.voltage_ratio)
     nearest = np.round((s.pose_s - begin) / DT_S).astype(int) + pre
     distance = np.abs(s.pose_s - (begin + DT_S * (nearest - pre)))
@@ -114,24 +114,24 @@ def _cut(
         ):
             thin += 1
             continue
-        R = s.R[np.where(here, pick, 0)]
+        R = s.R_ned_frd[np.where(here, pick, 0)]
         found.append(
             {
                 "in_newton": s.in_newton,
                 "flight": np.array(index),
                 "start_s": np.array(start_s),
                 "x0": _initial(s, grid[a], rate[a] if rate_share[a] > 0.5 else None),
-                "position": s.p[np.where(here, pick, 0)],
-                "attitude": R.reshape(steps, 9),
+                "p_ned": s.p_ned[np.where(here, pick, 0)],
+                "R_ned_frd": R.reshape(steps, 9),
                 "shift_s": np.where(here, s.pose_s[np.where(here, pick, 0)] - grid[a : a + steps], 0.0),
                 "pose_weight": here.astype(float),
-                "rate": rate[a : a + steps],
+                "rate_frd": rate[a : a + steps],
                 "rate_weight": (rate_share[a : a + steps] > 0.5) * (0.0 if rate_driven else 1.0),
-                "force": force[a : a + steps],
+                "force_frd": force[a : a + steps],
                 "force_weight": (force_share[a : a + steps] > 0.5).astype(float),
                 "command": command[a - pre : a + steps],
                 "voltage_ratio": ratio[a : a + steps],
-                "w": np.zeros((round(segment_s / BIN_S), 6)),
+                "disturbance_frd": np.zeros((round(segment_s / BIN_S), 6)),
                 "path_start_s": np.array(grid[a] - s.pose_s[0]),
                 "sigma": sigma,
             }
@@ -159,10 +159,10 @@ def _initial(s: Signals, t: float, rate: np.ndarray | None) -> np.ndarray:
     near = np.flatnonzero(np.abs(s.pose_s - t) < 0.06)
     if len(near) < 4:
         near = np.argsort(np.abs(s.pose_s - t))[:4]
-    fit = np.polynomial.polynomial.polyfit(s.pose_s[near] - t, s.p[near], 2)
+    fit = np.polynomial.polynomial.polyfit(s.pose_s[near] - t, s.p_ned[near], 2)
     nearest = near[np.argmin(np.abs(s.pose_s[near] - t))]
     if rate is None:
-        turned = Rotation.from_matrix(s.R[nearest].T @ s.R[near]).as_rotvec()
+        turned = Rotation.from_matrix(s.R_ned_frd[nearest].T @ s.R_ned_frd[near]).as_rotvec()
         rate = np.polynomial.polynomial.polyfit(s.pose_s[near] - t, turned, 1)[1]
-    yaw, pitch, roll = Rotation.from_matrix(s.R[nearest]).as_euler("ZYX")
+    yaw, pitch, roll = Rotation.from_matrix(s.R_ned_frd[nearest]).as_euler("ZYX")
     return np.concatenate([fit[0], fit[1], [roll, pitch, yaw], rate])

@@ -18,39 +18,40 @@ PATH_S = 0.02
 class Segments:
     """S segments of H steps with what was measured and commanded in them.
 
-    flight (S,); start_s (S,) since arm; x0 (S, 12) p, v, Theta, rate; position (S, H, 3) NED; attitude (S,
-    H, 9) R_ned_frd; shift_s (S, H) time of the pose after its grid point; pose_weight and rate_weight (S, H)
-    0 or 1; rate and force (S, H, 3) FRD means over the step, force_weight (S, H); command (S, pre + H, 4)
-    motor command, or rotor thrust in N where `in_newton`; voltage_ratio (S, H). sigma (S, 4): position m,
-    attitude rad, body rate rad/s, specific force m/s^2. `rate_driven`: the measured body rate is an input
-    instead of the commanded torque, for logs that declare the torque unknown. w (S, bins, 6): disturbance the
-    roll-outs are linearised at, so that they stay near what was measured whatever the parameters lack. paths
-    (flights, n, 12): measured state of whole flights each PATH_S, from rest; path_start_s (S,) into them.
+    flight (S,); start_s (S,) since arm; x0 (S, 12) p, v, Theta, rate; p_ned (S, H, 3);
+    R_ned_frd (S, H, 9); shift_s (S, H) time of the pose after its grid point; pose_weight and rate_weight
+    (S, H) 0 or 1; rate_frd and force_frd (S, H, 3) means over the step, force_weight (S, H); command (S, pre
+    + H, 4) motor command, or rotor thrust in N where `in_newton`; voltage_ratio (S, H). sigma (S, 4):
+    position m, attitude rad, body rate rad/s, specific force m/s^2. `rate_driven`: the measured body rate is
+    an input instead of the commanded torque, for logs that declare the torque unknown. disturbance_frd (S,
+    bins, 6): that the roll-outs are linearised at, so that they stay near what was measured whatever the
+    parameters lack. paths (flights, n, 12): measured state of whole flights each PATH_S, from rest;
+    path_start_s (S,) into them.
     """
 
     dt_s: float
     flight: np.ndarray
     start_s: np.ndarray
     x0: np.ndarray
-    position: np.ndarray
-    attitude: np.ndarray
+    p_ned: np.ndarray
+    R_ned_frd: np.ndarray
     shift_s: np.ndarray
     pose_weight: np.ndarray
-    rate: np.ndarray
+    rate_frd: np.ndarray
     rate_weight: np.ndarray
-    force: np.ndarray
+    force_frd: np.ndarray
     force_weight: np.ndarray
     command: np.ndarray
     voltage_ratio: np.ndarray
     sigma: np.ndarray
-    w: np.ndarray
+    disturbance_frd: np.ndarray
     path_start_s: np.ndarray
     paths: np.ndarray
     in_newton: bool
     rate_driven: bool
 
     def __post_init__(self) -> None:
-        steps = self.position.shape[1]
+        steps = self.p_ned.shape[1]
         per_bin = BIN_S / self.dt_s
         if abs(per_bin - round(per_bin)) > 1e-9 or steps % round(per_bin):
             raise ValueError(f"{steps} steps of {self.dt_s} s do not fill whole bins of {BIN_S} s")
@@ -60,7 +61,7 @@ class Segments:
     @property
     def steps(self) -> int:
         """Steps H of a segment."""
-        return self.position.shape[1]
+        return self.p_ned.shape[1]
 
     @property
     def bins(self) -> int:
@@ -73,7 +74,7 @@ class Segments:
 
     def with_w(self, w: np.ndarray) -> Segments:
         """The same segments linearised at another disturbance (S, bins, 6)."""
-        return replace(self, w=w)
+        return replace(self, disturbance_frd=w)
 
     def take(self, index: Any) -> Segments:
         """The segments at `index` (slice, mask or integers)."""

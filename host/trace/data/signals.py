@@ -31,20 +31,21 @@ TOO_SLOW = frozenset({MOTOR_LAG, INERTIA, TORQUE})
 class Signals:
     """A flight's measurements and inputs on one clock, seconds since arm.
 
-    pose_s (n,), p (n, 3) NED, R (n, 3, 3) R_ned_frd; input_s (m, 2) begin and end of each command interval,
-    command (m, 4) as motor command or N; gyro and force (m', 3) FRD over imu_s (m', 2), empty where not
-    logged; voltage_s (k,), voltage_ratio (k,). span_s: the part of the flight used.
+    pose_s (n,), p_ned (n, 3), R_ned_frd (n, 3, 3); input_s (m, 2) begin and end of each command interval,
+    command (m, 4) as motor command or N; body rate rate_frd and specific force force_frd (m', 3), means over
+    imu_s (m', 2), empty where not logged; voltage_s (k,), voltage_ratio (k,). span_s: the part of the flight
+    used.
     """
 
     pose_s: np.ndarray
-    p: np.ndarray
-    R: np.ndarray
+    p_ned: np.ndarray
+    R_ned_frd: np.ndarray
     input_s: np.ndarray
     command: np.ndarray
     in_newton: bool
     imu_s: np.ndarray
-    gyro: np.ndarray
-    force: np.ndarray
+    rate_frd: np.ndarray
+    force_frd: np.ndarray
     voltage_s: np.ndarray
     voltage_ratio: np.ndarray
     span_s: tuple[float, float]
@@ -105,14 +106,14 @@ def signals(flight: Flight) -> Signals:
         raise TooLittleToTrace(Code.TOO_FEW_POSES, too_few_tracking_poses(flight.path))
     return Signals(
         pose_s=pose_s,
-        p=flight.mocap.p,
-        R=R,
+        p_ned=flight.mocap.p,
+        R_ned_frd=R,
         input_s=input_s,
         command=command,
         in_newton=in_newton,
         imu_s=imu_s,
-        gyro=gyro,
-        force=force,
+        rate_frd=gyro,
+        force_frd=force,
         voltage_s=voltage_s,
         voltage_ratio=voltage_ratio,
         span_s=span_s,
@@ -162,15 +163,15 @@ def noise(s: Signals) -> np.ndarray:
     differences.
     """
     inside = (s.pose_s >= s.span_s[0]) & (s.pose_s <= s.span_s[1])
-    turn = Rotation.from_matrix(s.R[inside])
+    turn = Rotation.from_matrix(s.R_ned_frd[inside])
     small = (turn[:-1].inv() * turn[1:]).as_rotvec()
     flying = (s.imu_s[:, 0] >= s.span_s[0]) & (s.imu_s[:, 1] <= s.span_s[1])
     spread = (
-        _robust(np.diff(s.p[inside], 3, axis=0)) / np.sqrt(20.0),
+        _robust(np.diff(s.p_ned[inside], 3, axis=0)) / np.sqrt(20.0),
         _robust(np.diff(small, 2, axis=0)) / np.sqrt(20.0),
         *(
             _robust(np.diff(x[flying], 3, axis=0)) / np.sqrt(20.0) if len(x) > 20 else 0.0
-            for x in (s.gyro, s.force)
+            for x in (s.rate_frd, s.force_frd)
         ),
     )
     floor = (

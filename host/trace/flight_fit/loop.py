@@ -231,7 +231,7 @@ def tracking_extent(flights: Sequence[FlightData]) -> tuple[float, float]:
 
 def _extent(s: Signals) -> float:
     inside = (s.pose_s >= s.span_s[0]) & (s.pose_s <= s.span_s[1])
-    return float(np.ptp(s.p[inside], axis=0).max())
+    return float(np.ptp(s.p_ned[inside], axis=0).max())
 
 
 def order_of(loop: Loop) -> int:

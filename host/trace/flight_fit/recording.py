@@ -56,8 +56,8 @@ def record(data: FlightData, states: States) -> Recording:
     t = s.pose_s - start
     inside = (t >= 0.0) & (t < bins * FLIGHT_BIN_S)
     pose_bin = bins_of_times(t[inside], bins)
-    angles = _euler(s.R[inside])
-    poses = np.column_stack([s.p[inside], angles])
+    angles = _euler(s.R_ned_frd[inside])
+    poses = np.column_stack([s.p_ned[inside], angles])
     count = np.bincount(pose_bin, minlength=bins)
     sums = np.column_stack([np.bincount(pose_bin, column, minlength=bins) for column in poses.T])
     samples = bins * PER_BIN + 1
@@ -75,7 +75,7 @@ def record(data: FlightData, states: States) -> Recording:
         measured=np.column_stack(
             [
                 sums / np.maximum(count, 1)[:, None],
-                shares @ s.gyro,
+                shares @ s.rate_frd,
                 between @ flight.control.rate_integral,
             ]
         ),

@@ -229,10 +229,10 @@ def _kept_on_path(form: SegmentModel, data: Segments, theta_scaled: np.ndarray) 
     per_bin = round(BIN_S / data.dt_s)
     for _ in range(_TURNS):
         predicted = rollout.roll_out(form, data, start, theta_scaled[:, None], local)[:, 6:9, 0]
-        short = data.rate - np.transpose(predicted, (2, 0, 1))
+        short = data.rate_frd - np.transpose(predicted, (2, 0, 1))
         inner = 0.5 * (short[:, per_bin - 1 : -1 : per_bin] + short[:, per_bin::per_bin])
         edges = np.concatenate([np.zeros_like(short[:, :1]), inner, short[:, -1:]], axis=1)
-        w = data.w.copy()
+        w = data.disturbance_frd.copy()
         w[:, :, 3:] += np.diff(edges, axis=1) / BIN_S
         data = data.with_w(w)
     return data
@@ -284,18 +284,18 @@ def _along(vehicle: Vehicle, flat: np.ndarray, instruments: Instruments) -> Segm
         flight=np.zeros(count, dtype=int),
         start_s=a * DT_S,
         x0=np.column_stack([flat[0:3, a].T, flat[3:6, a].T, rpy[a], rate[a]]),
-        position=flat[0:3].T[take],
-        attitude=R[take],
+        p_ned=flat[0:3].T[take],
+        R_ned_frd=R[take],
         shift_s=np.zeros(n),
         pose_weight=np.full(n, pose),
-        rate=rate[take],
+        rate_frd=rate[take],
         rate_weight=np.full(n, gyro),
-        force=np.zeros((*n, 3)),
+        force_frd=np.zeros((*n, 3)),
         force_weight=np.full(n, accelerometer),
         command=command[long],
         voltage_ratio=start + slope * DT_S * take,
         sigma=np.repeat(instruments.sigma[None], count, axis=0),
-        w=np.zeros((count, round(SEGMENT_S / BIN_S), 6)),
+        disturbance_frd=np.zeros((count, round(SEGMENT_S / BIN_S), 6)),
         path_start_s=a * DT_S,
         paths=np.column_stack([flat[0:3].T, flat[3:6].T, rpy, rate])[None, :: round(PATH_S / DT_S)],
         in_newton=instruments.in_newton,

@@ -57,7 +57,7 @@ def bins_of(w: np.ndarray, data: Segments, references: Sequence[str | None], veh
     names = [name or f"flight {index}" for index, name in enumerate(references)]
     number = {name: k for k, name in enumerate(dict.fromkeys(names))}
     seen = data.pose_weight > 0
-    p, R = _filled(data.position, seen), _filled(data.attitude, seen)
+    p, R = _filled(data.p_ned, seen), _filled(data.R_ned_frd, seen)
     c1, c2 = vehicle.thrust_curve
     command = data.command[:, -data.steps :]
     rotors = command if data.in_newton else vehicle.thrust_max_n * command * (c1 + c2 * command)
@@ -72,7 +72,7 @@ def bins_of(w: np.ndarray, data: Segments, references: Sequence[str | None], veh
         R=R.reshape(count, bins, per_bin, 9)[:, :, middle].reshape(-1, 3, 3),
         p=means(p),
         v=means(np.gradient(p, data.dt_s, axis=1)),
-        rate=means(data.rate),
+        rate=means(data.rate_frd),
         rotors=means(rotors) / vehicle.mass_kg,
     )
 

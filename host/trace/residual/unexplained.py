@@ -103,8 +103,8 @@ def unexplained_residual(
     """
     flight, start_s = data.flight, data.start_s
     per_bin = data.steps // w.shape[1]
-    speed = np.gradient(data.position, data.dt_s, axis=1)
-    turned = data.rate if data.rate_weight.any() else speed
+    speed = np.gradient(data.p_ned, data.dt_s, axis=1)
+    turned = data.rate_frd if data.rate_weight.any() else speed
     motions = [each.reshape(len(w), w.shape[1], per_bin, 3).mean(2) for each in (speed, turned)]
     channels = (slice(0, 3 if axial else 2), slice(3, 6))
     residuals = []

@@ -136,7 +136,7 @@ def measured_turn(form: SegmentModel, data: Segments) -> np.ndarray:
     target = nominal_thrust(vehicle, data.command, in_newton=data.in_newton)
     thrust = target[:, 0]
     modelled = np.empty((len(data.flight), data.steps, 3))
-    measured, weight = data.rate.copy(), data.rate_weight.copy()
+    measured, weight = data.rate_frd.copy(), data.rate_weight.copy()
     for i in np.flatnonzero(~weight.any(axis=1)).tolist():
         measured[i], weight[i] = _turning(data, i), 1.0
     j = np.array(vehicle.inertia_kg_m2)
@@ -159,7 +159,7 @@ def _turning(data: Segments, i: int) -> np.ndarray:
     at = np.flatnonzero(data.pose_weight[i])
     apart = min(TURN_STEPS, len(at) - 1)
     first, last = at[:-apart], at[apart:]
-    R = data.attitude[i].reshape(-1, 3, 3)
+    R = data.R_ned_frd[i].reshape(-1, 3, 3)
     turned = Rotation.from_matrix(np.swapaxes(R[first], 1, 2) @ R[last]).as_rotvec()
     rate = turned / ((last - first) * data.dt_s)[:, None]
     middle = 0.5 * (first + last)
@@ -216,7 +216,9 @@ def linearise(
         lanes.theta_scaled = points
         A = lanes.jacobian(form, part, bins=False)
         columns = kept.columns[chunk]
-        A[:, 0] += np.einsum("szn,sz->sn", kept.bins[chunk], part.w.reshape(len(part.w), -1))
+        A[:, 0] += np.einsum(
+            "szn,sz->sn", kept.bins[chunk], part.disturbance_frd.reshape(len(part.disturbance_frd), -1)
+        )
         gram[chunk, :first, :first] = A @ np.swapaxes(A, 1, 2)
         gram[chunk, :first, first:] = A @ np.swapaxes(columns, 1, 2)
     form.space.check_finite(np.einsum("sii->i", gram[:, :first, :first]))

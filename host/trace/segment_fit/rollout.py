@@ -48,12 +48,12 @@ def roll_out(
     w = inputs["w"].reshape(6, lanes, count)
     for k in range(data.steps):
         index = k // per_bin
-        w[:] = data.w[:, index].T[:, None]
+        w[:] = data.disturbance_frd[:, index].T[:, None]
         if bins is not None:
             w += bins[index][:, :, None]
         inputs["command"][:] = commands[pre + k]
-        load("attitude", data.attitude[:, k])
-        load("rate", data.rate[:, k])
+        load("attitude", data.R_ned_frd[:, k])
+        load("rate", data.rate_frd[:, k])
         load("voltage", data.voltage_ratio[:, k])
         load("t_s", data.start_s + k * data.dt_s)
         load("shift_s", data.shift_s[:, k])
@@ -138,7 +138,7 @@ def remembered(form: SegmentModel, data: Segments, theta_scaled: np.ndarray) -> 
 def residuals(data: Segments, predicted: np.ndarray) -> np.ndarray:
     """Measured minus predicted in units of their sigma, (C, S, 12 H), for `roll_out`'s (H, 12, C, S)."""
     steps, _, lanes, segments = predicted.shape
-    measured = np.concatenate([data.position, np.zeros_like(data.position), data.rate, data.force], axis=2)
+    measured = np.concatenate([data.p_ned, np.zeros_like(data.p_ned), data.rate_frd, data.force_frd], axis=2)
     weights = (data.pose_weight, data.pose_weight, data.rate_weight, data.force_weight)
     scale = np.stack([w / data.sigma[:, i : i + 1] for i, w in enumerate(weights)], axis=2)
     out = measured - np.transpose(predicted, (2, 3, 0, 1))

@@ -105,8 +105,8 @@ def _series(vehicle: Vehicle, space: ParameterSpace, flights: Sequence[Flight]) 
     for flight in range(len(flights)):
         mine = np.flatnonzero(data.flight == flight)
         mine = mine[np.argsort(data.start_s[mine])]
-        force = (data.force[mine] - out[0][mine][..., :3]).reshape(-1, 3)
-        rate = np.gradient(data.rate[mine].reshape(-1, 3), DT_S, axis=0) - turning[mine].reshape(-1, 3)
+        force = (data.force_frd[mine] - out[0][mine][..., :3]).reshape(-1, 3)
+        rate = np.gradient(data.rate_frd[mine].reshape(-1, 3), DT_S, axis=0) - turning[mine].reshape(-1, 3)
         rest = np.concatenate([force, rate], axis=1)
         terms = np.moveaxis(slopes[:, mine].reshape(count, -1, 6), 0, 2)
         found.append(np.concatenate([rest[:, :, None], terms], axis=2) / _SCALE[:, None])

@@ -57,7 +57,7 @@ def test_signals_of_poses_alone_take_hover_thrust_and_the_poses_body_rate(tmp_pa
     found = signals(flight)
     assert found.in_newton
     assert found.command.sum() == pytest.approx(VEHICLE.mass_kg * 9.81, rel=1e-3)
-    np.testing.assert_allclose(found.gyro, np.tile([0.0, 0.0, 0.4], (len(found.gyro), 1)), atol=1e-6)
+    np.testing.assert_allclose(found.rate_frd, np.tile([0.0, 0.0, 0.4], (len(found.rate_frd), 1)), atol=1e-6)
     assert {"thrust", "torque"} <= unknowns([flight])
 
 

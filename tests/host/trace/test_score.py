@@ -51,8 +51,8 @@ def test_predictions_know_nothing_of_what_is_measured_later(tmp_path: Path) -> N
     other = errors_of(flight(tmp_path / "b.mcap", turned_from_s=10.0))
     earlier = one.t_s < 9.0
     assert earlier.sum() > 100
-    np.testing.assert_array_equal(one.predicted[earlier], other.predicted[earlier])
-    assert np.abs(one.predicted[~earlier] - other.predicted[~earlier]).max() > 1e-3
+    np.testing.assert_array_equal(one.p_predicted_ned[earlier], other.p_predicted_ned[earlier])
+    assert np.abs(one.p_predicted_ned[~earlier] - other.p_predicted_ned[~earlier]).max() > 1e-3
 
 
 def test_predictions_begin_behind_the_part_that_nuisances_are_fitted_to(tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_predicted_and_measured_positions_are_of_the_same_time(tmp_path: Path) -
     # Poses 13 ms apart fall between the grid's 10 ms: at 0.5 m/s half a step would show as millimetres.
     found = errors_of(flight(tmp_path / "odd.mcap", every_us=13_000))
     north = 0.5 * np.sin(found.t_s)
-    np.testing.assert_allclose(found.measured[:, 0], north, atol=2e-4)
+    np.testing.assert_allclose(found.p_measured_ned[:, 0], north, atol=2e-4)
 
 
 def test_a_held_out_flight_too_short_to_predict_is_refused_by_name(tmp_path: Path) -> None:

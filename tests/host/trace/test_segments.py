@@ -31,18 +31,18 @@ def make(command: np.ndarray, x0: np.ndarray) -> Segments:
         flight=np.zeros(count, dtype=int),
         start_s=np.zeros(count),
         x0=x0,
-        position=np.zeros((*n, 3)),
-        attitude=np.tile(np.eye(3).ravel(), (*n, 1)),
+        p_ned=np.zeros((*n, 3)),
+        R_ned_frd=np.tile(np.eye(3).ravel(), (*n, 1)),
         shift_s=np.zeros(n),
         pose_weight=np.ones(n),
-        rate=np.zeros((*n, 3)),
+        rate_frd=np.zeros((*n, 3)),
         rate_weight=np.ones(n),
-        force=np.zeros((*n, 3)),
+        force_frd=np.zeros((*n, 3)),
         force_weight=np.ones(n),
         command=command,
         voltage_ratio=np.ones(n),
         sigma=np.ones((count, 4)),
-        w=np.zeros((count, 6, 6)),
+        disturbance_frd=np.zeros((count, 6, 6)),
         path_start_s=np.zeros(count),
         paths=x0[:1, None].repeat(2, axis=1),
         in_newton=False,
@@ -98,7 +98,7 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
     kept = linearise.basis(FORM, data, theta_scaled, local)
 
     def residual(x0: np.ndarray, w: np.ndarray) -> np.ndarray:
-        at = replace(data, x0=x0, w=w)
+        at = replace(data, x0=x0, disturbance_frd=w)
         lane = (at.x0.T[:, None, :], theta_scaled[:, None], np.zeros((model.LOCALS, 1, 2)))
         return rollout.residuals(at, rollout.roll_out(FORM, at, *lane))[0]
 
@@ -107,7 +107,7 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
         up, down = x0.copy(), x0.copy()
         up[:, column] += h
         down[:, column] -= h
-        slope = (residual(down, data.w) - residual(up, data.w)) / (2 * h)
+        slope = (residual(down, data.disturbance_frd) - residual(up, data.disturbance_frd)) / (2 * h)
         np.testing.assert_allclose(kept.x[:, column], slope, atol=2e-4 * max(1.0, np.abs(slope).max()))
     w = np.zeros((2, 6, 6))
     w[:, 2, 4] = h
@@ -120,19 +120,19 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
     truth = 0.2 * rng.normal(size=(3, 12))
     data = make(np.full((3, PRE + STEPS, 4), HOVER), truth)
     theta_scaled, local = np.zeros(len(SPACE.columns)), np.zeros((1, model.LOCALS))
-    attitude = data.attitude
+    attitude = data.R_ned_frd
     for _ in range(4):  # the predicted attitude is told as what the measured one must turn by
-        rolled = rollout.roll_out(FORM, replace(data, attitude=attitude), *lanes(data, theta_scaled))
+        rolled = rollout.roll_out(FORM, replace(data, R_ned_frd=attitude), *lanes(data, theta_scaled))
         seen = np.transpose(rolled[:, :, 0], (2, 0, 1))
         turn = Rotation.from_rotvec(seen[..., 3:6].reshape(-1, 3)).as_matrix()
         attitude = (attitude.reshape(-1, 3, 3) @ turn).reshape(attitude.shape)
     measured = replace(
         data,
         x0=truth + 0.02 * rng.normal(size=truth.shape),
-        position=seen[..., :3],
-        attitude=attitude,
-        rate=seen[..., 6:9],
-        force=seen[..., 9:],
+        p_ned=seen[..., :3],
+        R_ned_frd=attitude,
+        rate_frd=seen[..., 6:9],
+        force_frd=seen[..., 9:],
     )
     kept = linearise.basis(FORM, measured, theta_scaled, local)
     found = linearise.fitted_x0(FORM, measured, theta_scaled, local, kept, iterations=5)
@@ -188,7 +188,7 @@ def test_measured_turn_reads_a_constant_torque_off_the_gyro() -> None:
     ramp = 3.0 * DT * (np.arange(STEPS) + 0.5)
     rate = np.zeros((1, STEPS, 3))
     rate[0, :, 1] = ramp
-    w = linearise.measured_turn(FORM, replace(data, rate=rate))
+    w = linearise.measured_turn(FORM, replace(data, rate_frd=rate))
     np.testing.assert_allclose(w[0, :, 4], 3.0, atol=1e-9)
     np.testing.assert_allclose(w[0, :, [0, 1, 2]], 0.0)
 
@@ -200,7 +200,7 @@ def test_measured_turn_without_a_gyro_reads_the_torque_off_the_poses() -> None:
     seen = np.ones((1, STEPS))
     seen[0, 23:26] = 0.0
     turned[0, 23:26] = 0.0
-    deaf = replace(data, attitude=turned, pose_weight=seen, rate_weight=np.zeros((1, STEPS)))
+    deaf = replace(data, R_ned_frd=turned, pose_weight=seen, rate_weight=np.zeros((1, STEPS)))
     w = linearise.measured_turn(FORM, deaf)
     np.testing.assert_allclose(w[0, 1:5, 4], 3.0, atol=1e-6)
     np.testing.assert_allclose(w[0, [0, 5], 4], 3.0, atol=1.2)  # no pose lies beyond a segment's ends

@@ -320,10 +320,10 @@ def build_errors(position_m: float) -> Errors:
         flight="a",
         reference_id=None,
         t_s=np.arange(3.0),
-        position=off,
-        velocity=off,
-        predicted=off,
-        measured=off,
+        p_error_ned=off,
+        v_error_ned=off,
+        p_predicted_ned=off,
+        p_measured_ned=off,
     )
 
 

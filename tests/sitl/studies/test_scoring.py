@@ -384,7 +384,7 @@ def test_still_air_is_the_same_world_without_what_is_chance(flown: Flown) -> Non
     gusty, still = (folder / name for name in ("flights", STILL))
     assert sorted(p.stem for p in still.glob("*.mcap")) == ["climbs", "quick"]
     logs = [gusty / "climbs-1.mcap", gusty / "climbs-2.mcap", still / "climbs.mcap"]
-    rough = [np.diff(signals(read_flight(log)).p[1000:1100], n=2, axis=0).std() for log in logs]
+    rough = [np.diff(signals(read_flight(log)).p_ned[1000:1100], n=2, axis=0).std() for log in logs]
     assert rough[2] < 0.2 * min(rough[:2])
     assert not list(folder.glob("*/*.truth.json"))
 

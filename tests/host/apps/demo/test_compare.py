@@ -123,8 +123,8 @@ def test_what_got_worse_tells_predictions_by_flight_and_axis(planned: Planned) -
     before, after = np.full((4, 3), 0.02), np.full((4, 3), 0.001)
     after[:, 2] = 0.03
     trace: Any = SimpleNamespace(
-        before=[SimpleNamespace(position=before, flight="aa")],
-        after=[SimpleNamespace(position=after, flight="aa")],
+        before=[SimpleNamespace(p_error_ned=before, flight="aa")],
+        after=[SimpleNamespace(p_error_ned=after, flight="aa")],
     )
     comparison = Comparison(first=(made(planned, "first", 0.05),), latency_s=0.0, **NOTHING)
     assert what_got_worse(comparison, trace) == [
