@@ -67,7 +67,7 @@ def build_twins(*, rate_driven: bool = False) -> Segments:
         rate_frd=np.zeros((n, STEPS, 3)),
         rate_weight=np.ones((n, STEPS)),
         command=np.zeros((n, STEPS + 5, 4)),
-        w=np.zeros((n, BINS, 6)),
+        disturbance_frd=np.zeros((n, BINS, 6)),
     )
 
 
