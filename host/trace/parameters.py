@@ -18,6 +18,7 @@ from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import Effect, Parameter
 from trimtab.host.effects.effect import LOOP_DISCREPANCY
 from trimtab.host.effects.unknowns import MOUNTING_TILT, THRUST_CURVE, TORQUE, UNKNOWN
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.vehicle import Vehicle
 
@@ -178,9 +179,10 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
             )
             for key, scale, bound in _THRUST_CURVE
         ]  # fmt: skip
-    mounting = 0.1 if MOUNTING_TILT in unknown else 0.001
-    torque = 0.02 if TORQUE in unknown else 0.3
-    accelerometer = 0.5 if MOUNTING_TILT in unknown else 0.05
+    tilted = MOUNTING_TILT in unknown
+    mounting = RULES.free_mounting_sigma_rad if tilted else RULES.mounting_sigma_rad
+    torque = RULES.gyro_bias_sigma_rad_s if TORQUE in unknown else RULES.torque_sigma_rad_s2
+    accelerometer = RULES.free_force_bias_sigma_m_s2 if tilted else RULES.force_bias_sigma_m_s2
     whole = ParameterSpace(
         columns=tuple(columns),
         effects=dict(effects),

@@ -151,7 +151,7 @@ def _point(x: Mapping[str, float]) -> str:
         f"{way} ({x['north_m']:.2f}, {x['east_m']:.2f}, {x['down_m']:.2f}), "
         f"{abs(x['per_s2']):.2g} m/s^2 a metre"
     )
-    return text + (f" beyond {x['slack_m']:.2g} m" if x["slack_m"] > 0.1 else "")
+    return text + (f" beyond {x['slack_m']:.2g} m" if x["slack_m"] > RULES.shown_slack_m else "")
 
 
 def _place(x: Mapping[str, float]) -> str:

@@ -43,7 +43,7 @@ def ground_contact(data: FlightData) -> list[Stretch]:
         touching = np.median(down[rest]) - down < RULES.clear_m
     height = down.max() - down
     ratio = force / np.maximum(thrust, 0.1)
-    powered = thrust > 0.5 * np.nanmedian(thrust[flying])
+    powered = thrust > RULES.powered_share * np.nanmedian(thrust[flying])
     free = ratio[powered & (height > RULES.free_height_m)]
     if len(free) <= 5:
         free = np.sort(ratio[powered])[: powered.sum() // 2 + 1]
@@ -77,7 +77,9 @@ def _carried(
         area = np.r_[0.0, np.cumsum(mean[:, 0] * share * np.diff(edges))]
         length = weight[last] - weight[first]
         return np.where(
-            length > 0.5 * _WINDOW_S, (area[last] - area[first]) / np.maximum(length, 1e-9), np.nan
+            length > RULES.min_coverage * _WINDOW_S,
+            (area[last] - area[first]) / np.maximum(length, 1e-9),
+            np.nan,
         )
 
     thrust = means(s.input_s, each.sum(axis=1) / vehicle.mass_kg)

@@ -106,7 +106,7 @@ def _cut(
             continue
         pick = at[a : a + steps]
         here = pick >= 0
-        fed = covered[a - pre : a + steps] > 0.5
+        fed = covered[a - pre : a + steps] > RULES.min_coverage
         if (
             here.mean() < fewest
             or fed.mean() < 1 - RULES.missing_share
@@ -120,15 +120,16 @@ def _cut(
                 "in_newton": s.in_newton,
                 "flight": np.array(index),
                 "start_s": np.array(start_s),
-                "x0": _initial(s, grid[a], rate[a] if rate_share[a] > 0.5 else None),
+                "x0": _initial(s, grid[a], rate[a] if rate_share[a] > RULES.min_coverage else None),
                 "p_ned": s.p_ned[np.where(here, pick, 0)],
                 "R_ned_frd": R.reshape(steps, 9),
                 "shift_s": np.where(here, s.pose_s[np.where(here, pick, 0)] - grid[a : a + steps], 0.0),
                 "pose_weight": here.astype(float),
                 "rate_frd": rate[a : a + steps],
-                "rate_weight": (rate_share[a : a + steps] > 0.5) * (0.0 if rate_driven else 1.0),
+                "rate_weight": (rate_share[a : a + steps] > RULES.min_coverage)
+                * (0.0 if rate_driven else 1.0),
                 "force_frd": force[a : a + steps],
-                "force_weight": (force_share[a : a + steps] > 0.5).astype(float),
+                "force_weight": (force_share[a : a + steps] > RULES.min_coverage).astype(float),
                 "command": command[a - pre : a + steps],
                 "voltage_ratio": ratio[a : a + steps],
                 "disturbance_frd": np.zeros((round(segment_s / BIN_S), 6)),

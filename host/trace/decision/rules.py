@@ -99,6 +99,9 @@ class Rules:
         "which it needs a cause.",
         MEASURED,
     )
+    repeat_standard_errors: float = _rule(
+        2.0, "standard errors", "How far below its estimate a repeatable power is taken to be."
+    )
     flight_form_amplitude: float = _rule(
         0.2, "1", "Share of the repeatable amplitude without any effect that may remain: no form is exact."
     )
@@ -145,6 +148,22 @@ class Rules:
     attitude_sigma_floor_rad: float = _rule(3e-3, "rad", "The same for the attitude.")
     rate_sigma_floor_rad_s: float = _rule(5e-3, "rad/s", "The same for the body rate.")
     force_sigma_floor_m_s2: float = _rule(0.02, "m/s^2", "The same for the specific force.")
+    mounting_sigma_rad: float = _rule(
+        0.001, "rad", "Prior standard deviation of the markers' mounting tilt, of one flight."
+    )
+    free_mounting_sigma_rad: float = _rule(0.1, "rad", "The same where the log declares the tilt unknown.")
+    torque_sigma_rad_s2: float = _rule(
+        0.3, "rad/s^2", "Prior standard deviation of a flight's own constant angular acceleration."
+    )
+    gyro_bias_sigma_rad_s: float = _rule(
+        0.02, "rad/s", "Prior standard deviation of a flight's own gyro bias, where the torque is unknown."
+    )
+    force_bias_sigma_m_s2: float = _rule(
+        0.05, "m/s^2", "Prior standard deviation of a flight's own accelerometer bias."
+    )
+    free_force_bias_sigma_m_s2: float = _rule(
+        0.5, "m/s^2", "The same where the log declares the mounting tilt unknown."
+    )
     min_segments: int = _rule(5, "segments", "Fewest usable segments that are traced.")
     min_poses: int = _rule(100, "poses", "Fewest poses of a log.")
     min_tracking_poses: int = _rule(10, "poses", "Fewest poses in the tracking phase of a log.")
@@ -159,6 +178,9 @@ class Rules:
     )
     missing_share: float = _rule(
         0.4, "1", "A segment that misses more of its commands or poses than this is left out."
+    )
+    min_coverage: float = _rule(
+        0.5, "1", "Share of a step or window that must hold data for its mean to count."
     )
     calibration_share: float = _rule(
         0.25,
@@ -198,6 +220,9 @@ class Rules:
         1.3, "1", "Specific force over rotor thrust, relative to free flight, above which the floor carries."
     )
     level_speed_m_s: float = _rule(0.15, "m/s", "Vertical speed below which a vehicle does not fall.")
+    powered_share: float = _rule(
+        0.5, "1", "Share of the median rotor thrust in flight above which the rotors carry the vehicle."
+    )
     impact_g: float = _rule(
         2.0, "g", "Specific force beyond what the rotors give above which something hit the vehicle."
     )
@@ -226,6 +251,7 @@ class Rules:
     leading_share: float = _rule(
         0.35, "1", "Slopes that do at least this share of the strongest are reported."
     )
+    shown_slack_m: float = _rule(0.1, "m", "Free length of a tether above which the description mentions it.")
     one_heading: float = _rule(
         0.995, "1", "Mean resultant length of the heading above which all was flown in one heading."
     )

@@ -9,6 +9,7 @@ from scipy.sparse import csr_array
 
 from trimtab.host.models.states import States
 from trimtab.host.trace.data.signals import FlightData
+from trimtab.host.trace.decision.rules import RULES
 
 SAMPLE_S = 0.02
 
@@ -79,7 +80,7 @@ def record(data: FlightData, states: States) -> Recording:
                 between @ flight.control.rate_integral,
             ]
         ),
-        known=(count > 0) & (covered > 0.5 * FLIGHT_BIN_S) & ~late,
+        known=(count > 0) & (covered > RULES.min_coverage * FLIGHT_BIN_S) & ~late,
         rates=shares @ _interval_means(s.imu_s - start, samples),
         integrals=between @ interpolation(frames_s, samples),
     )

@@ -70,8 +70,10 @@ class FlightRepeat:
         return float(np.sqrt(max(self.share, 0.0)))
 
     def lower_share(self, rules: Rules) -> float:
-        """Return the share two standard errors down, 0 where nothing repeats."""
-        return self.share * (1.0 - 2.0 / self.z_score) if self.z_score > rules.repeat_z else 0.0
+        """Return the share `repeat_standard_errors` down, 0 where nothing repeats."""
+        if self.z_score <= rules.repeat_z:
+            return 0.0
+        return self.share * (1.0 - rules.repeat_standard_errors / self.z_score)
 
     def log_evidence(self, rules: Rules) -> float:
         """Return the log evidence in nats that a model without fault would gain, 0 where nothing repeats."""
