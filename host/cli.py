@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from trimtab.host.base import output
-from trimtab.host.base.errors import BUG, INTERRUPTED
+from trimtab.host.base.errors import BUG, INTERRUPTED, TrimtabError
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -99,11 +99,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Whoever read our output has gone, as in `trimtab ls | head`: leave quietly.
         _silence_stdout()
         return 0
+    except TrimtabError as error:
+        return _fail(words, str(error) or type(error).__name__, error.exit_code, error.details)
     except Exception as error:
-        code = getattr(error, "exit_code", None)
-        if isinstance(code, int):
-            told = getattr(error, "told", {})
-            return _fail(words, str(error) or type(error).__name__, code, told)
         if isinstance(error, OSError) and error.filename is not None:
             return _fail(words, f"{error.filename}: {error.strerror}, check the file and its folder", 2)
         from trimtab.host.base.artefacts import NO_ROOM
@@ -140,13 +138,13 @@ def _verb_of(words: Sequence[str]) -> str:
     return f"{words[0]} " if words and words[0] in known else ""
 
 
-def _fail(words: Sequence[str], message: str, code: int, told: Mapping[str, Any] | None = None) -> int:
-    """`code`, after telling the message on stderr, and as JSON, `told` with it, if asked for and not said."""
+def _fail(words: Sequence[str], message: str, code: int, details: Mapping[str, Any] | None = None) -> int:
+    """Return `code` after the message went to stderr and, with `--json`, with `details` to stdout."""
     for line in message.splitlines():
         output.warn(line)
     try:
         if "--json" in words and not output.emitted():
-            output.emit({"error": message, "exit_code": code, **(told or {})}, True)
+            output.emit({"error": message, "exit_code": code, **(details or {})}, True)
         sys.stdout.flush()
     except OSError:  # it is stdout that takes nothing
         _silence_stdout()

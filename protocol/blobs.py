@@ -40,9 +40,7 @@ class Kind(IntEnum):
 
 
 class BlobError(ValueError):
-    """The bytes or values make no blob; the message names the field."""
-
-    exit_code = 2
+    """Report bytes or values that make no blob; the message names the field."""
 
 
 class Node(NamedTuple):

@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from trimtab.host.base.errors import TrimtabError
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.telemetry import TICK_US
 
@@ -24,7 +25,7 @@ _PARTS = (("p_ned", 3), ("v_ned", 3), ("q_ned_frd", 4), ("rate_frd", 3), ("speci
 _UNIT_TOLERANCE = 1e-3
 
 
-class ForeignPlantError(RuntimeError):
+class ForeignPlantError(TrimtabError, RuntimeError):
     """A foreign plant cannot be loaded, raised, or returned what no vehicle can do; names the plant."""
 
     exit_code = 2

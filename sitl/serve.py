@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Protocol
 from urllib.parse import urlsplit
 
+from trimtab.host.base.errors import TrimtabError
 from trimtab.protocol.uwb import MAGIC, OVERHEAD_BYTES, SIGNATURE_BYTES
 
 _READ_BYTES = 4096
@@ -28,7 +29,7 @@ _STEP_US = 2000
 _LATE_US = 20_000  # behind by more than this counts as an overrun and moves the clock
 
 
-class ServeError(RuntimeError):
+class ServeError(TrimtabError, RuntimeError):
     """A port or URL cannot be served."""
 
     exit_code = 2

@@ -1,7 +1,7 @@
-"""Problems that a user can do something about, each with the exit code of its kind.
+"""Errors that a user can do something about, each with the exit code of its kind.
 
-The message is one line: what is wrong and what to do. Packages that may not import this module have
-exceptions of their own with an attribute `exit_code`; the command line treats them alike.
+The message says in one line what is wrong and what to do. Every such error of the host and the simulator
+derives from `TrimtabError`; each package defines its own beside the code that raises it.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ INTERRUPTED = 130
 
 
 class TrimtabError(Exception):
-    """A problem with an exit code; its text is shown as it is. With `--json` its `told` stands beside it."""
+    """An error with an exit code. Its text is shown as it is; with `--json`, `details` join the object."""
 
     exit_code: int = 1
-    told: Mapping[str, Any] = MappingProxyType({})
+    details: Mapping[str, Any] = MappingProxyType({})
 
 
 class GateMissed(TrimtabError):
@@ -61,3 +61,7 @@ class SolverError(TrimtabError):
     """A solver gave up; the text says in which state."""
 
     exit_code = 4
+
+
+SESSION_ERRORS = (FlightFailed, LinkError, Refused, UsageError)
+"""What a session with a vehicle ends with on purpose; anything else that happens in flight lands it first."""

@@ -20,13 +20,15 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from trimtab.host.base.errors import TrimtabError
+
 FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared")
 ENGINES = ("auto", "vm", "c")
 ENGINE_VARIABLE = "TRIMTAB_ENGINE"
 _SECONDS = 300
 
 
-class CodegenError(Exception):
+class CodegenError(TrimtabError):
     """What was asked for cannot be compiled or run here; one line that says why and what to do."""
 
     exit_code = 2

@@ -8,13 +8,14 @@ import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
 
+from trimtab.host.base.errors import TrimtabError
 from trimtab.host.effects import flat_imports
 from trimtab.host.effects.effect import Effect
 
 _NOT_EFFECTS = {"__init__", "effect", "registry", "feedforward", "flat_imports", "unknowns"}
 
 
-class EffectError(ValueError):
+class EffectError(TrimtabError, ValueError):
     """An effect file that cannot be used, or an effect name nobody defines."""
 
     exit_code = 2

@@ -7,6 +7,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from trimtab.host.base.errors import TrimtabError
+
 Unknown = Literal[
     "thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency"
 ]
@@ -44,7 +46,7 @@ READABLE = 1e30
 _COMMAND_SLACK = 1e-3
 
 
-class ImportFormatError(ValueError):
+class ImportFormatError(TrimtabError, ValueError):
     """A foreign log that is not what its reader expects; the message names the file, the field and the
     remedy.
     """

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.base.errors import FlightFailed, LinkError, Refused, TrimtabError, UsageError
+from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, LinkError, Refused, UsageError
 from trimtab.host.link.client import NEVER_US, Client
 from trimtab.host.link.clock import CameraClock
 from trimtab.host.link.recorder import Recorder
@@ -276,7 +276,7 @@ class FlightDirector:
                     yield from self._start()
                 status = yield FollowFlight(self._follow, None if land else self._swap)
                 break
-            except TrimtabError:
+            except SESSION_ERRORS:
                 raise
             except Interrupted:
                 self._note(ON_REQUEST)

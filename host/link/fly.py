@@ -6,7 +6,7 @@ import contextlib
 import gc
 from collections.abc import Callable, Iterator
 
-from trimtab.host.base.errors import FlightFailed, TrimtabError
+from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, TrimtabError
 from trimtab.host.link.drivers import DriveStatistics, Interrupts, run_lockstep, run_port
 from trimtab.host.link.flight import FlightDirector, FlightOrder
 from trimtab.host.link.ports import Cameras, open_port
@@ -81,7 +81,7 @@ def fly_port(
     ):
         try:
             driven = run_port(director.session, line, cameras, interrupt=director.interrupt)
-        except TrimtabError as error:
+        except SESSION_ERRORS as error:
             raise _with_log(error, director, order) from error
         finally:
             director.close()
@@ -107,7 +107,7 @@ def _settled_heap() -> Iterator[None]:
 def _conclude(director: FlightDirector, order: FlightOrder, driven: DriveStatistics) -> FlightResult:
     """The result of a session that is done, or its error."""
     error = director.session.error
-    if isinstance(error, TrimtabError):
+    if isinstance(error, SESSION_ERRORS):
         raise _with_log(error, director, order)
     if error is not None and not (isinstance(error, KeyboardInterrupt) and director.log_open):
         raise error
@@ -142,5 +142,5 @@ def _with_log(error: TrimtabError, director: FlightDirector, order: FlightOrder)
     if not director.log_open:
         return error
     found = type(error)(f"{error}; the log up to there is {order.log_path}")
-    found.told = {"log": str(order.log_path)}
+    found.details = {"log": str(order.log_path)}
     return found

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from trimtab.host.base.errors import TrimtabError
 
-class LogError(Exception):
+
+class LogError(TrimtabError):
     """A log that cannot be read or written; the message says which file, what is wrong and what to do."""
 
     exit_code = 5
 
 
-class TooLittleData(ValueError):
+class TooLittleData(TrimtabError, ValueError):
     """A log lacks what its flight is rebuilt from, or the logs are too little to judge; the message says
     what.
     """

@@ -20,8 +20,8 @@ the answer (`findings` with `--json`): its code, the value, and the bound it was
 one effect, such as its tolerance, stands on the [effect](effects.md).
 
 Source says where a value comes from. *Chosen*: a definition or a judgement, without a measurement behind it.
-*Measured*: measured in simulated worlds by versions before this table. No command repeats that measurement
-yet.
+*Measured*: measured in simulated worlds that hold no effect; `trimtab study calibrate` repeats the
+measurement. [Studies](studies.md#calibrate) has the last one.
 
 | rule | value | unit | meaning | source |
 |---|---|---|---|---|

@@ -44,7 +44,7 @@ def run(
     """Trace `flights` to the effects that their model lacks, and score the answer on `held_out`.
 
     A next flight is chosen from `manoeuvres` where the data cannot decide. With `network`, one learns what is
-    left of a cause outside the library. Raises LogsRefused and TooLittleToTrace.
+    left of a cause outside the library. Raises LogsRefused and LogsRefused.
     """
     logs = read_logs(flights, held_out, vehicle)
     report("reading segments")

@@ -13,8 +13,10 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
+from trimtab.host.base.errors import TrimtabError
 
-class ConfigurationError(ValueError):
+
+class ConfigurationError(TrimtabError, ValueError):
     """A file from a user says something wrong; `problems` holds one line for each thing to mend."""
 
     exit_code = 2

@@ -37,7 +37,7 @@ def command(
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.base.progress import Progress
-    from trimtab.host.base.workspace import open_workspace
+    from trimtab.host.workspace import open_workspace
 
     if seed < 0:
         raise UsageError(f"--seed {seed} is negative, give 0 or more")

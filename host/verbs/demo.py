@@ -37,10 +37,10 @@ def command(
     from trimtab.host.apps.demo.session import WORLD, DemoOrder, run_demo
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
-    from trimtab.host.base.workspace import open_workspace
     from trimtab.host.effects import load_effects
     from trimtab.host.trace.words import result_lines
     from trimtab.host.verbs.trace import manoeuvres
+    from trimtab.host.workspace import open_workspace
 
     begin_s = time.perf_counter()
     if seed < 0:

@@ -90,12 +90,12 @@ def command(
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say, warn
     from trimtab.host.base.progress import Progress
-    from trimtab.host.base.workspace import open_workspace
     from trimtab.host.link.blob_files import model_of, read_feedforward, read_reference
     from trimtab.host.link.drivers import Interrupts
     from trimtab.host.link.flight import ON_REQUEST, FlightOrder
     from trimtab.host.link.fly import FlightEnded, FlightInterrupted
     from trimtab.host.link.swap import swap_time_us
+    from trimtab.host.workspace import open_workspace
 
     if (port is None) != (mocap is None):
         raise UsageError("--port and --mocap go together: poses reach the vehicle through this host only")

@@ -37,10 +37,10 @@ def command(
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
-    from trimtab.host.base.workspace import open_workspace
     from trimtab.host.imports.profiles import read
     from trimtab.host.imports.write import write
     from trimtab.host.log import partial_path, read_flight
+    from trimtab.host.workspace import open_workspace
 
     artefacts.check_log(output, force)
     if (profile == "csv") != (columns is not None):

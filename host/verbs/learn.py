@@ -78,12 +78,12 @@ def command(
     from trimtab.host.base.errors import GateMissed, UsageError
     from trimtab.host.base.output import emit, say, warn
     from trimtab.host.base.progress import Progress
-    from trimtab.host.base.workspace import open_workspace
     from trimtab.host.effects import load_effects
     from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, Settings, learn
     from trimtab.host.log import read_flight
     from trimtab.host.models.file import SUFFIX, read_model, write_model
     from trimtab.host.models.network import Layout
+    from trimtab.host.workspace import open_workspace
     from trimtab.protocol.blobs import HIDDEN_MAX, WIDTH_MAX
 
     if not logs:

@@ -79,7 +79,6 @@ def command(
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.base.progress import Progress
-    from trimtab.host.base.workspace import open_workspace
     from trimtab.host.effects import load_effects
     from trimtab.host.models.file import read_model
     from trimtab.host.plan import plan as make_plan
@@ -89,6 +88,7 @@ def command(
     from trimtab.host.plan.table import from_reference
     from trimtab.host.route import route_file
     from trimtab.host.verbs import plan_pareto
+    from trimtab.host.workspace import open_workspace
 
     if pareto and (model is None or stretch):
         raise UsageError("--pareto needs --model, and goes without --stretch")

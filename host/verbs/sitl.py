@@ -64,8 +64,8 @@ def command(
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
-    from trimtab.host.base.workspace import open_workspace
     from trimtab.host.link.vehicle import vehicle_class
+    from trimtab.host.workspace import open_workspace
 
     if min(world_seed, flight) < 0:
         raise UsageError("seeds and flight indices are not negative")

@@ -26,17 +26,17 @@ def command(
     workspace: WorkspaceFolder = None,
     json: Json = False,
 ) -> None:
-    """Run a study; one that was cut short goes on where it was.
+    """Run a study. An interrupted study resumes.
 
     Parameters
     ----------
     name
-        Study to run: blind (tracing in sealed worlds), link (uploads over lossy air, interrupted ones, fuzz),
-        paper-learning, paper-planning (the paper's sections).
+        Study to run: blind (tracing in sealed worlds), calibrate (measured rules of tracing), link (uploads
+        over lossy air, interrupted uploads, fuzz), paper-learning, paper-planning (the paper's sections).
     seed
         Worlds, flights and first weights are drawn from it.
     worlds
-        How many; blind: 30, in full size 538; those of the paper: 5.
+        How many worlds; blind: 30 (538 in full size), calibrate: 20, those of the paper: 5.
     jobs
         Processes at a time; one for each core by default.
     quick
@@ -47,8 +47,7 @@ def command(
         blind: TOML file with groups of flights that somebody flew: traced beside the worlds, with the error
         on those held out.
     output
-        Folder for state and report, study-NAME-SEED in the workspace by default. What is there is gone on
-        with.
+        Folder for state and report, by default study-NAME-SEED in the workspace.
     """
     import os
 
@@ -56,9 +55,9 @@ def command(
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, json_text, say
     from trimtab.host.base.progress import Progress
-    from trimtab.host.base.workspace import open_workspace
     from trimtab.host.report.studies import REPORTS
     from trimtab.host.studies import find_study, options_of
+    from trimtab.host.workspace import open_workspace
 
     study = find_study(name)
     if seed < 0:

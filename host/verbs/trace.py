@@ -11,9 +11,9 @@ from cyclopts import Parameter
 from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
 
 if TYPE_CHECKING:
-    from trimtab.host.base.workspace import Workspace
     from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre
     from trimtab.host.vehicle import Vehicle
+    from trimtab.host.workspace import Workspace
 
 MODEL_NAME = "trace.model.toml"
 REPORT_NAME = "trace.html"
@@ -50,12 +50,12 @@ def command(
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, json_text, say
     from trimtab.host.base.progress import Progress
-    from trimtab.host.base.workspace import open_workspace
     from trimtab.host.effects import load_effects
     from trimtab.host.log import read_flight
     from trimtab.host.trace.answer import to_json
     from trimtab.host.trace.run import run
     from trimtab.host.trace.words import result_lines
+    from trimtab.host.workspace import open_workspace
 
     if not logs:
         raise UsageError("no log given, name one or more flight logs")

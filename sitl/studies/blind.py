@@ -6,20 +6,19 @@ where it was. One process, this one, writes the ledger; the work is done by othe
 
 from __future__ import annotations
 
-import fcntl
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import wait as wait_for_any
 from pathlib import Path
 from typing import Any
 
+from trimtab.host.base.pieces import alone_in, claim
 from trimtab.host.vehicle import load_vehicle
-from trimtab.sitl.studies.files import Ledger, StudyError, read_json, sha256_of, write_json
+from trimtab.sitl.studies.files import Ledger, read_json, sha256_of
 from trimtab.sitl.studies.flights import (
     BLIND,
     SCORE,
@@ -38,7 +37,7 @@ from trimtab.sitl.studies.table import baseline_table, failure, lines, real_tabl
 from trimtab.sitl.studies.thin import copier_of, plan_thin_references, programme_of
 from trimtab.sitl.studies.worlds import PlannedWorld, plan_worlds
 
-LEDGER, ORDER = "ledger.json", "study.json"
+LEDGER = "ledger.json"
 Report = Callable[[float, float, str], None]
 """Called with what is done, what there is to do, and a word on the last thing done."""
 
@@ -84,10 +83,10 @@ def run(
     groups = [] if real is None else read_groups(real)
     folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
-    with _alone(folder):
+    with alone_in(folder):
         references = plan_references(folder, vehicle, programme)
         plan_thin_references(folder, vehicle, programme)
-        _same_order(folder, {
+        claim(folder, {
             "study": "blind",
             "seed": seed,
             "worlds": worlds,
@@ -202,31 +201,6 @@ def _scores(task: Task) -> dict[str, Any]:
     others = task.folder / BASELINES
     asked = task.with_baselines and others.is_file()
     return {**read_json(task.folder / SCORE), "baselines": read_json(others) if asked else None}
-
-
-def _same_order(folder: Path, order: Mapping[str, Any]) -> None:
-    """Nothing comes back; the folder's study is this one. Raises StudyError where it is another."""
-    path = folder / ORDER
-    if not path.is_file():
-        write_json(path, order)
-        return
-    before = read_json(path)
-    different = [key for key in order if before.get(key) != order[key]]
-    if different:
-        raise StudyError(
-            f"{folder}: holds a study with another {', '.join(different)}; choose another folder with -o"
-        )
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Holds the folder for one process. Raises StudyError where another one has it."""
-    with (folder / "lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise StudyError(f"{folder}: a study runs there already") from None
-        yield
 
 
 def _end_with_parent() -> None:

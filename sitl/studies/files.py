@@ -9,8 +9,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from trimtab.host.base.errors import TrimtabError
 
-class StudyError(Exception):
+
+class StudyError(TrimtabError):
     """A study that cannot go on as asked; its text says why and what to do."""
 
     exit_code = 2

@@ -7,15 +7,15 @@ Every part leaves a file in the folder, so a study that was cut short goes on wh
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from trimtab.host.base.pieces import Piece, run_pieces
 from trimtab.host.vehicle import load_vehicle
-from trimtab.sitl.studies.files import StudyError, read_json, write_json, write_whole
+from trimtab.sitl.studies.files import StudyError, write_whole
 from trimtab.sitl.studies.fuzz.run import run_fuzz
 from trimtab.sitl.studies.upload_blob import reference_blob
 from trimtab.sitl.studies.upload_cuts import INTERRUPTIONS, interrupt
@@ -27,7 +27,7 @@ from trimtab.sitl.studies.uploads import CHANNELS, bound_s, figures, time_upload
 NAME = "link"
 RUNS, FLIGHTS, TRIALS, FUZZ_INPUTS = 200, 10, 1_000, 100_000
 QUICK_RUNS, QUICK_FLIGHTS, QUICK_TRIALS, QUICK_FUZZ_INPUTS = 8, 1, 4, 2_000
-ORDER, PARTS, PICTURE = "study.json", "parts", "upload.svg"
+PICTURE = "upload.svg"
 _RUNS_A_PART, _FLIGHTS_A_PART, _TRIALS_A_PART, _INPUTS_A_PART = 25, 2, 10, 10_000
 _TARGETS = {
     "upload": "mean <= 0.62 s, p99 <= 1.0 s",
@@ -84,13 +84,18 @@ def run(
     if load_vehicle(vehicle).id != load_vehicle("research").id:
         raise StudyError(f"--vehicle {vehicle}: the link is studied with research, leave it out")
     folder = folder.absolute()
-    (folder / PARTS).mkdir(parents=True, exist_ok=True)
-    _same_order(folder, {"study": NAME, "seed": seed, "quick": quick})
     if quick:
         parts = list(_parts(QUICK_RUNS, QUICK_FLIGHTS, QUICK_TRIALS, QUICK_FUZZ_INPUTS))
     else:
         parts = list(_parts(RUNS, FLIGHTS, TRIALS, FUZZ_INPUTS))
-    found = _work(parts, folder, seed, jobs, report)
+    pieces = [
+        Piece(name=part.name, kind=part.kind, arguments=asdict(part), weight=part.weight) for part in parts
+    ]
+    order = {"study": NAME, "seed": seed, "quick": quick}
+    results = run_pieces(
+        pieces, partial(_do, seed=seed), folder=folder, order=order, jobs=jobs, report=report
+    )
+    found = _rows(parts, results)
     write_whole(folder / PICTURE, picture().encode())
     return {**summary({"seed": seed, "quick": quick, "folder": str(folder)}, found), "scores": found}
 
@@ -112,31 +117,17 @@ def _parts(runs: int, flights: int, trials: int, inputs: int) -> Iterator[Part]:
         yield Part(kind="fuzz", first=first, count=count, weight=1e-3 * count)
 
 
-def _work(
-    parts: Sequence[Part], folder: Path, seed: int, jobs: int, report: Report
-) -> dict[str, list[dict[str, Any]]]:
-    """Rows of all parts, by channel or kind, in order; parts whose files are there are not done again."""
-    files = {part: folder / PARTS / f"{part.name}.json" for part in parts}
-    total = sum(part.weight for part in parts)
-    waiting = [part for part in parts if not files[part].is_file()]
-    done = total - sum(part.weight for part in waiting)
-    report(done, total, "")
-    if waiting:
-        with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-            running = {pool.submit(do, part, seed): part for part in waiting}
-            try:
-                for future in as_completed(running):
-                    part = running[future]
-                    write_json(files[part], {"rows": future.result()})
-                    done += part.weight
-                    report(done, total, part.name)
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
-    found: dict[str, list[dict[str, Any]]] = {}
+def _rows(parts: Sequence[Part], results: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """Return the rows of all parts, by channel or kind, in order."""
+    rows: dict[str, list[dict[str, Any]]] = {}
     for part in parts:
-        found.setdefault(part.channel or part.kind, []).extend(read_json(files[part])["rows"])
-    return found
+        rows.setdefault(part.channel or part.kind, []).extend(results[part.name]["result"])
+    return rows
+
+
+def _do(piece: Piece, folder: str, *, seed: int) -> list[dict[str, Any]]:
+    """Return the rows of a piece."""
+    return do(Part(**piece.arguments), seed)
 
 
 def do(part: Part, seed: int) -> list[dict[str, Any]]:
@@ -263,13 +254,6 @@ def _lines(tables: Mapping[str, Sequence[Row]]) -> Iterator[str]:
         columns = {key: [key, *(row[key] for row in rows)] for key in rows[0]}
         padded = [[cell.ljust(max(map(len, cells))) for cell in cells] for cells in columns.values()]
         yield from ("  " + "  ".join(row).rstrip() for row in zip(*padded, strict=True))
-
-
-def _same_order(folder: Path, order: Mapping[str, Any]) -> None:
-    path = folder / ORDER
-    if path.is_file() and read_json(path) != order:
-        raise StudyError(f"{folder}: holds another study, choose another folder with -o")
-    write_json(path, order)
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from trimtab.host.trace.data.audit import Audit, audit
 from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
 from trimtab.host.trace.data.signals import FlightData, Signals, averaged, noise, pose_interval_s
-from trimtab.host.trace.decision.findings import Code, Finding, TooLittleToTrace
+from trimtab.host.trace.decision.findings import Code, Finding, LogsRefused
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.sentences import MIXED_INPUTS, too_few_segments
 
@@ -28,7 +28,7 @@ def segments_of(
     """Return all usable segments of the flights, of one vehicle, and what was left out of each.
 
     rate_driven: the measured body rate drives the attitude, since the torque is unknown. Raises
-    TooLittleToTrace when too few segments are left.
+    LogsRefused when too few segments are left.
     """
     parts, audits = [], []
     for index, data in enumerate(flights):
@@ -36,9 +36,9 @@ def segments_of(
         audits.append(audit)
         parts += part
     if len(parts) < RULES.min_segments:
-        raise TooLittleToTrace(Code.TOO_FEW_SEGMENTS, _refusal(audits, len(parts), segment_s))
+        raise LogsRefused(Code.TOO_FEW_SEGMENTS, _refusal(audits, len(parts), segment_s))
     if len({bool(p["in_newton"]) for p in parts}) > 1:
-        raise TooLittleToTrace(Code.MIXED_INPUTS, MIXED_INPUTS)
+        raise LogsRefused(Code.MIXED_INPUTS, MIXED_INPUTS)
     arrays = {key: np.stack([p[key] for p in parts]) for key in parts[0] if key != "in_newton"}
     in_newton = bool(parts[0]["in_newton"])
     paths = _paths(flights)

@@ -37,7 +37,7 @@ def read_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Ve
     """Return the data of all flights, of one vehicle.
 
     Raises LogsRefused for a mixture, a log given twice or a held-out reference that was used, and
-    TooLittleToTrace for a log without poses or tracking phase.
+    LogsRefused for a log without poses or tracking phase.
     """
     first = vehicle or flights[0].vehicle
     by_id: dict[str, FlightData] = {}

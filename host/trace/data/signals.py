@@ -15,7 +15,7 @@ from trimtab.host.effects.effect import Signal
 from trimtab.host.effects.unknowns import INERTIA, MOTOR_LAG, THRUST, TORQUE
 from trimtab.host.log import Flight
 from trimtab.host.models.states import battery_of
-from trimtab.host.trace.decision.findings import Code, TooLittleToTrace
+from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.sentences import no_tracking, too_few_poses, too_few_tracking_poses
 from trimtab.host.vehicle import Vehicle
@@ -60,7 +60,7 @@ class FlightData:
 
     @classmethod
     def of(cls, flight: Flight) -> FlightData:
-        """Return the data of `flight`. Raises TooLittleToTrace as `signals` does."""
+        """Return the data of `flight`. Raises LogsRefused as `signals` does."""
         return cls(flight=flight, signals=signals(flight))
 
 
@@ -71,7 +71,7 @@ def signals(flight: Flight) -> Signals:
     the nuisances; where torque is unknown and no gyro was logged, the body rate is that of the poses.
     """
     if flight.mocap is None or len(flight.mocap) < RULES.min_poses:
-        raise TooLittleToTrace(Code.TOO_FEW_POSES, too_few_poses(flight.path))
+        raise LogsRefused(Code.TOO_FEW_POSES, too_few_poses(flight.path))
     vehicle = flight.vehicle
     pose_s = flight.mocap.t_us * 1e-6
     R = Rotation.from_quat(flight.mocap.q[:, [1, 2, 3, 0]]).as_matrix()
@@ -100,10 +100,10 @@ def signals(flight: Flight) -> Signals:
         imu_s, gyro = _turned(pose_s, R)
     voltage_s, voltage_ratio = battery_of(flight)
     if flight.tracking is None:
-        raise TooLittleToTrace(Code.NO_TRACKING, no_tracking(flight.path))
+        raise LogsRefused(Code.NO_TRACKING, no_tracking(flight.path))
     span_s = (flight.tracking[0] * 1e-6, flight.tracking[1] * 1e-6)
     if np.count_nonzero((pose_s >= span_s[0]) & (pose_s <= span_s[1])) < RULES.min_tracking_poses:
-        raise TooLittleToTrace(Code.TOO_FEW_POSES, too_few_tracking_poses(flight.path))
+        raise LogsRefused(Code.TOO_FEW_POSES, too_few_tracking_poses(flight.path))
     return Signals(
         pose_s=pose_s,
         p_ned=flight.mocap.p,

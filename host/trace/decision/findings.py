@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import Any
 
 from trimtab.host.base.errors import UsageError
-from trimtab.host.log.errors import TooLittleData
 
 
 class Verdict(StrEnum):
@@ -146,16 +145,8 @@ class Finding:
 
 
 class LogsRefused(UsageError):
-    """Logs that cannot be traced together. The JSON of the error holds `code`."""
+    """Report logs that cannot be traced, alone or together. The JSON of the error holds `code`."""
 
     def __init__(self, code: Code, message: str) -> None:
         super().__init__(message)
-        self.told = {"code": str(code)}
-
-
-class TooLittleToTrace(TooLittleData):
-    """Logs that hold too little to be traced. The JSON of the error holds `code`."""
-
-    def __init__(self, code: Code, message: str) -> None:
-        super().__init__(message)
-        self.told = {"code": str(code)}
+        self.details = {"code": str(code)}

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
 MEASURED = "measured"
-"""Measured in simulated worlds by versions before this table. No command repeats the measurement yet."""
+"""Measured in simulated worlds without effects; `trimtab study calibrate` repeats the measurement."""
 CHOSEN = "chosen"
 """A definition or a judgement. No measurement stands behind it."""
 

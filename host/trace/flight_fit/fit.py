@@ -55,10 +55,10 @@ class FlightFit:
     error_m: float
 
 
-def _grams(
+def whitened_grams(
     white: Whitening, loop: Loop, base: Sequence[np.ndarray], slopes: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """(flights, 1 + P, 1 + P) of the whitened [residual | slopes]."""
+    """Return the Grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes]."""
     grams = []
     for recording, r, s in zip(loop.recordings, base, slopes, strict=True):
         columns = whitened(white, np.concatenate([r[None], s]), recording.known)
@@ -81,7 +81,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], theta_scaled: np.ndarray, order
         for _ in range(3):
             left = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
             white = autoregression(left, loop.known, order)
-            grams = _grams(white, loop, base, slopes)
+            grams = whitened_grams(white, loop, base, slopes)
             step, covariance = evidence.bounded(grams.sum(0), theta_scaled, precision, space.bounds)
         small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < LOOP_SETTLED
         if small or iteration == _ITERATIONS - 1:
@@ -253,7 +253,7 @@ def weighted(
         grams = (
             count
             / RULES.temper
-            * _grams(white, loop, base, loop.slopes(theta_scaled, effects, base, afresh=turn < 2))
+            * whitened_grams(white, loop, base, loop.slopes(theta_scaled, effects, base, afresh=turn < 2))
         )
         away = theta_scaled - centre
         limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)

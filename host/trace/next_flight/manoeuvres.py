@@ -11,7 +11,7 @@ import numpy as np
 from trimtab.host.base.errors import TrimtabError
 from trimtab.host.models.reference import flat_outputs
 from trimtab.host.trace.data.cutting import DT_S
-from trimtab.host.vehicle import ConfigurationError, Vehicle
+from trimtab.host.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from trimtab.host.route import Route
@@ -43,7 +43,7 @@ def manoeuvre(name: str, route: Route, vehicle: Vehicle) -> Manoeuvre | None:
     for pace in PACES:
         try:
             planned = plan(route, vehicle, kind="min-snap", total_time_s=pace * route.duration_s)
-        except (TrimtabError, ConfigurationError):
+        except TrimtabError:
             continue
         t_s = np.arange(0.0, planned.duration_s, DT_S)
         return Manoeuvre(

@@ -13,7 +13,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from trimtab.host.base.errors import TrimtabError
+from trimtab.host.base.errors import SESSION_ERRORS
 from trimtab.host.link.client import Client
 from trimtab.host.link.clock import CameraClock
 from trimtab.host.link.recorder import Recorder
@@ -112,7 +112,7 @@ def _script(source: Source, situation: int) -> Script:
         )[k % 7]()
         try:
             yield task
-        except TrimtabError:
+        except SESSION_ERRORS:
             continue
 
 

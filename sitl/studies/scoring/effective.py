@@ -77,8 +77,8 @@ def effective(
     """
     candidates = {name: _candidate(space, name, drawn[name]) for name in drawn if name in space.effects}
     names = tuple(sorted(candidates.values()))
-    centre = _off_by(space, deviations)
-    z = centre + _off_by(
+    centre = deviations_scaled(space, deviations)
+    z = centre + deviations_scaled(
         space, {f"{n}.{k}": v for n in candidates for k, v in _away(space, n, drawn[n]).items()}
     )
     flown = closed_loop([FlightData.of(flight) for flight in flights], vehicle, space, z)
@@ -105,14 +105,14 @@ def _away(space: ParameterSpace, name: str, values: Mapping[str, float]) -> dict
     return {column.key: values.get(column.key, column.neutral) - column.neutral for column in columns}
 
 
-def _off_by(space: ParameterSpace, away: Mapping[str, float]) -> np.ndarray:
-    """Scaled parameters (P,) of what is off neutral, by "effect.parameter"."""
+def deviations_scaled(space: ParameterSpace, away: Mapping[str, float]) -> np.ndarray:
+    """Return the scaled parameters (P,) of what is off neutral, by "effect.parameter"."""
     return np.array([away.get(f"{c.owner}.{c.key}", 0.0) / c.scale for c in space.columns])
 
 
 def off_by(space: ParameterSpace, deviations: Mapping[str, float]) -> Values:
     """Values by owner and key of a world without effects, with what the build is off by."""
-    return _values(space, _off_by(space, deviations))
+    return _values(space, deviations_scaled(space, deviations))
 
 
 def _values(space: ParameterSpace, z: np.ndarray) -> Values:

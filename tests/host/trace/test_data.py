@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from trimtab.host.log import Battery, Mocap, RecordedInputs, read_flight, write_imported
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.signals import FlightData, averaged, signals, unknowns
-from trimtab.host.trace.decision.findings import Code, TooLittleToTrace
+from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
@@ -73,9 +73,9 @@ def test_signals_of_a_reference_alone_are_those_of_poses_alone(tmp_path: Path) -
 
 def test_segments_of_a_short_log_are_too_little(tmp_path: Path) -> None:
     flight = read_flight(log(tmp_path / "short.mcap", seconds=2.0))
-    with pytest.raises(TooLittleToTrace, match=r"^short\.mcap: only \d usable segments") as refusal:
+    with pytest.raises(LogsRefused, match=r"^short\.mcap: only \d usable segments") as refusal:
         segments_of([FlightData.of(flight)], rate_driven=True)
-    assert refusal.value.told == {"code": Code.TOO_FEW_SEGMENTS}
+    assert refusal.value.details == {"code": Code.TOO_FEW_SEGMENTS}
 
 
 def test_segments_leave_out_a_gap_and_say_so(tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_segments_of_slow_poses_count_what_their_rate_gives(tmp_path: Path) -> N
 
 def test_too_little_data_says_what_was_left_out(tmp_path: Path) -> None:
     flight = read_flight(log(tmp_path / "holes.mcap", holes=True))
-    with pytest.raises(TooLittleToTrace, match=r"holes\.mcap: \d+ segments with gaps"):
+    with pytest.raises(LogsRefused, match=r"holes\.mcap: \d+ segments with gaps"):
         segments_of([FlightData.of(flight)], rate_driven=True)
 
 

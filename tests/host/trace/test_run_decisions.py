@@ -32,7 +32,7 @@ from trimtab.host.trace import gathering, selection, words
 from trimtab.host.trace.assembly import named_effects
 from trimtab.host.trace.data.logs import observable_effects, read_logs
 from trimtab.host.trace.decision.decide import segment_disagreement
-from trimtab.host.trace.decision.findings import Code, LogsRefused, TooLittleToTrace
+from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import FlightFit, FlightFitter
 from trimtab.host.trace.gathering import gather_evidence, segment_disagreement_nats
@@ -76,7 +76,7 @@ def test_read_logs_against_a_given_vehicle_is_that_vehicle() -> None:
     assert read_logs([flight], [], OTHER).vehicle is OTHER
     with pytest.raises(LogsRefused, match=r"one\.mcap.*mass_kg") as caught:
         read_logs([flight], [], VEHICLE)
-    assert caught.value.told == {"code": Code.MIXED_VEHICLES}
+    assert caught.value.details == {"code": Code.MIXED_VEHICLES}
 
 
 BARE = {"poses": 99}
@@ -150,7 +150,7 @@ def test_read_logs_that_do_not_belong_together_are_refused_with_a_code(
 ) -> None:
     with pytest.raises(LogsRefused) as caught:
         read_logs(flights, held_out, None)
-    assert caught.value.told == {"code": code}
+    assert caught.value.details == {"code": code}
     assert str(caught.value).startswith(f"{log}.mcap")
     assert mentioned in str(caught.value)
 
@@ -177,9 +177,9 @@ def test_read_logs_that_do_not_belong_together_are_refused_with_a_code(
 def test_read_logs_without_poses_or_tracking_is_too_little_data(
     flights: list[Any], held_out: list[Any], log: str, code: Code
 ) -> None:
-    with pytest.raises(TooLittleToTrace) as caught:
+    with pytest.raises(LogsRefused) as caught:
         read_logs(flights, held_out, None)
-    assert caught.value.told == {"code": code}
+    assert caught.value.details == {"code": code}
     assert str(caught.value).startswith(f"{log}.mcap")
 
 

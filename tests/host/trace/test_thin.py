@@ -18,7 +18,7 @@ from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight
 from trimtab.host.trace import words
 from trimtab.host.trace.answer import to_json
-from trimtab.host.trace.decision.findings import Code, LogsRefused, TooLittleToTrace
+from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.run import run
 from trimtab.host.trace.sentences import sentence
@@ -92,11 +92,9 @@ def test_one_thin_flight_says_what_it_lacks_and_names_nothing_absent(
 
 
 def test_less_than_three_seconds_are_refused_with_what_to_do() -> None:
-    with pytest.raises(
-        TooLittleToTrace, match=r"usable segments of 0\.6 s; fly longer or log more"
-    ) as refusal:
+    with pytest.raises(LogsRefused, match=r"usable segments of 0\.6 s; fly longer or log more") as refusal:
         run([short(read_flight(DATA / "a1.mcap"), 2.4)], [], load_effects())
-    assert refusal.value.told == {"code": Code.TOO_FEW_SEGMENTS}
+    assert refusal.value.details == {"code": Code.TOO_FEW_SEGMENTS}
 
 
 def test_flights_of_two_vehicles_are_refused() -> None:
@@ -104,7 +102,7 @@ def test_flights_of_two_vehicles_are_refused() -> None:
     heavier = replace(other, vehicle=other.vehicle.model_copy(update={"mass_kg": 0.8}))
     with pytest.raises(LogsRefused, match="trace each vehicle's logs apart") as refusal:
         run([one, heavier], [], load_effects())
-    assert refusal.value.told == {"code": Code.MIXED_VEHICLES}
+    assert refusal.value.details == {"code": Code.MIXED_VEHICLES}
 
 
 def hovered(folder: Path, world: str, seed: int) -> Flight:

@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+from trimtab.host.base.errors import UsageError
+from trimtab.host.base.pieces import alone_in
 from trimtab.sitl.studies import blind
 from trimtab.sitl.studies.files import Ledger, SealBroken, StudyError, read_json, sha256_of
 from trimtab.sitl.studies.flights import SCORE, TRUTH, VERDICT, Programme, fly_and_seal, plan_references
@@ -45,6 +47,8 @@ KEYS = set(
 RUN = """
 import json, sys
 from pathlib import Path
+from trimtab.host.base.errors import UsageError
+from trimtab.host.base.pieces import alone_in
 from trimtab.sitl.studies import blind
 from trimtab.sitl.studies.flights import Programme
 
@@ -183,8 +187,8 @@ def test_world_is_flown_and_sealed_once(tmp_path: Path, short_programme: Program
 
 def test_folder_in_use_is_refused(tmp_path: Path, short_programme: Programme) -> None:
     with (
-        blind._alone(tmp_path),
-        pytest.raises(StudyError, match="runs there already"),
-        blind._alone(tmp_path),
+        alone_in(tmp_path),
+        pytest.raises(UsageError, match="runs there already"),
+        alone_in(tmp_path),
     ):
         pass

@@ -8,11 +8,11 @@ from xml.etree import ElementTree
 
 import pytest
 
+from trimtab.host.base.errors import UsageError
 from trimtab.host.link import swap
 from trimtab.protocol.blobs import Kind, Reference
 from trimtab.protocol.upload import UploadSender
 from trimtab.sitl.studies import link, upload_flight, upload_picture
-from trimtab.sitl.studies.files import StudyError
 from trimtab.sitl.studies.upload_blob import reference_blob
 from trimtab.sitl.studies.upload_cuts import INTERRUPTIONS, interrupt
 from trimtab.sitl.studies.upload_peers import StopAndWait, peer_s
@@ -142,7 +142,7 @@ def test_quick_study_ends_with_the_figures_and_goes_on_where_it_was(
     assert (tmp_path / "upload.svg").is_file()
     monkeypatch.setattr(link, "do", lambda part, seed: pytest.fail("done before"))
     assert link.run(seed=SEED, **order)["answer"] == answer
-    with pytest.raises(StudyError, match="another study"):
+    with pytest.raises(UsageError, match="another seed"):
         link.run(seed=SEED + 1, **order)
 
 

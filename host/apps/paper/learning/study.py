@@ -12,7 +12,8 @@ from trimtab.host.apps.paper.learning.flights import Flights, make_flights
 from trimtab.host.apps.paper.learning.measure import acceleration_error
 from trimtab.host.apps.paper.learning.methods import BODY, CLOSED, LONG, REGRESSORS, SHORT, WORLD, learn_exact
 from trimtab.host.apps.paper.learning.summary import summary
-from trimtab.host.apps.paper.pieces import Piece, study_of
+from trimtab.host.apps.paper.section import study_of
+from trimtab.host.base.pieces import Piece
 from trimtab.host.vehicle import load_vehicle
 
 NAME = "paper-learning"

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.apps.paper.pieces import Piece, study_of
 from trimtab.host.apps.paper.planning import compare
 from trimtab.host.apps.paper.planning.summary import summary
+from trimtab.host.apps.paper.section import study_of
+from trimtab.host.base.pieces import Piece
 from trimtab.host.vehicle import load_vehicle
 
 NAME = "paper-planning"

@@ -9,7 +9,7 @@ import pytest
 
 from trimtab.host.apps.paper.learning import noise, study, summary, transfer
 from trimtab.host.apps.paper.learning.study import QUICK, Scope, plan
-from trimtab.host.apps.paper.pieces import Piece
+from trimtab.host.base.pieces import Piece
 from trimtab.host.cli import main
 
 full = pytest.mark.full

@@ -7,14 +7,12 @@ from dataclasses import FrozenInstanceError
 import pytest
 
 from trimtab.host.base.errors import UsageError
-from trimtab.host.log.errors import TooLittleData
 from trimtab.host.trace.decision.findings import (
     DOUBTS,
     UNEXPLAINED,
     Code,
     Finding,
     LogsRefused,
-    TooLittleToTrace,
     Verdict,
 )
 
@@ -58,14 +56,11 @@ def test_finding_cannot_be_changed() -> None:
         finding.value = 1.0  # pyright: ignore[reportAttributeAccessIssue]
 
 
-@pytest.mark.parametrize(
-    ("refusal", "kind"), [(LogsRefused, UsageError), (TooLittleToTrace, TooLittleData)], ids=["logs", "data"]
-)
-def test_refusal_tells_its_code_and_its_message(refusal: type, kind: type) -> None:
-    error = refusal(Code.NO_TRACKING, "no tracking phase")
-    assert isinstance(error, kind)
+def test_refusal_tells_its_code_and_its_message() -> None:
+    error = LogsRefused(Code.NO_TRACKING, "no tracking phase")
+    assert isinstance(error, UsageError)
     assert str(error) == "no tracking phase"
-    assert error.told == {"code": "no-tracking"}
+    assert error.details == {"code": "no-tracking"}
 
 
 def test_codes_are_the_names_that_the_json_documents() -> None:

@@ -10,14 +10,14 @@ import pytest
 
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.base.errors import UsageError
-from trimtab.host.base.workspace import open_workspace
 from trimtab.host.cli import main
 from trimtab.host.effects import Context, load_effects
 from trimtab.host.models.file import write_model
 from trimtab.host.models.model import Model
 from trimtab.host.vehicle import load_vehicle
+from trimtab.host.workspace import open_workspace
 
-DOCS = Path(__file__).parents[3] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_workspace_finds_own_and_shipped_files(tmp_path: Path) -> None:

@@ -1,0 +1,28 @@
+"""The page of the study that calibrates the measured rules of tracing: its table."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from trimtab.host.report.figures import Figure
+from trimtab.host.report.html import render, script_data
+
+
+def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
+    """Return no pictures: three numbers need none."""
+    return {}
+
+
+def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
+    """Return the HTML of the study's report: one file that opens offline."""
+    answer = outcome["answer"]
+    return render(
+        "tables.html.j2",
+        title=f"Calibration of the rules of tracing: {answer['worlds']} worlds, seed {answer['seed']}",
+        tables=outcome["tables"],
+        figures=list(drawn.values()),
+        provenance=json.dumps(dict(provenance), indent=1, default=str),
+        data=script_data(answer),
+    )

@@ -1,0 +1,111 @@
+"""What flights of a world without effects measure for the rules of tracing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from trimtab.host.effects import load_effects
+from trimtab.host.log import read_flight
+from trimtab.host.trace import evidence
+from trimtab.host.trace.data.logs import read_logs
+from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.flight_fit.fit import fit_loop, prior_of, whitened_grams
+from trimtab.host.trace.flight_fit.loop import Loop, closed_loop, order_of
+from trimtab.host.trace.flight_fit.repeatability import repeatability_of, turbulence
+from trimtab.host.trace.flight_fit.whitening import Whitening, whitened
+from trimtab.host.trace.parameters import ParameterSpace, space
+from trimtab.host.vehicle import Vehicle
+from trimtab.sitl.studies.scoring.effective import deviations_scaled
+
+Twins = Sequence[tuple[int, int]]
+
+
+class Measured(NamedTuple):
+    """Numbers of one world.
+
+    repeat_share: repeatable power of whole flights over turbulence and noise, some standard errors down.
+    slope_power: mean power of twin differences along the whitened slopes; 1 where the innovations are white.
+    error_power: mean square error of the estimates over the variance that the fit tells, chance and the
+    forms' own errors together.
+    """
+
+    repeat_share: float
+    slope_power: float
+    error_power: float
+
+
+def rules_in_force() -> dict[str, float]:
+    """Return the measured rules, in the order of `Measured`."""
+    return {
+        "flight_repeat_share": RULES.flight_repeat_share,
+        "temper": RULES.temper,
+        "min_widening": RULES.min_widening,
+    }
+
+
+def measure(paths: Sequence[Path], vehicle: Vehicle, deviations: Mapping[str, float]) -> Measured:
+    """Return what the logs of one world measure; every reference is flown twice.
+
+    `deviations`: what the build is off by, by "effect.parameter".
+    """
+    logs = read_logs([read_flight(path) for path in paths], [], vehicle)
+    chosen = space(vehicle, load_effects())
+    loop = closed_loop(logs.flights, vehicle, chosen, np.zeros(len(chosen.columns)))
+    order = order_of(loop)
+    theta_scaled = fit_loop(loop, (), np.zeros(len(chosen.columns)), order).theta_scaled
+    repeats = repeatability_of(loop, theta_scaled, order, logs.twins)
+    white = turbulence(loop, theta_scaled, order, logs.twins)
+    if repeats is None or white is None:
+        raise ValueError("no reference was flown twice")
+    residuals = [each[0] for each in loop.residuals(theta_scaled[:, None])]
+    slopes = loop.slopes(theta_scaled, (), residuals, afresh=True)
+    true = deviations_scaled(chosen, deviations)
+    grams = whitened_grams(white, loop, residuals, slopes) / RULES.temper
+    return Measured(
+        repeat_share=repeats.lower_share(RULES),
+        slope_power=_slope_power(loop, white, residuals, slopes, logs.twins),
+        error_power=_error_power(chosen, grams.sum(0), theta_scaled, true),
+    )
+
+
+def _slope_power(
+    loop: Loop,
+    white: Whitening,
+    residuals: Sequence[np.ndarray],
+    slopes: Sequence[np.ndarray],
+    twins: Twins,
+) -> float:
+    """Return the mean over twins and parameters of (S e)^2 / |S|^2, e the twins' difference over sqrt(2)."""
+    powers = []
+    for a, b in twins:
+        bins = min(len(residuals[a]), len(residuals[b]))
+        known = loop.known[a][:bins] & loop.known[b][:bins]
+        difference = (residuals[a][:bins] - residuals[b][:bins]) / np.sqrt(2.0)
+        columns = whitened(white, np.concatenate([difference[None], slopes[a][:, :bins]]), known)
+        e, S = columns[0], columns[1:]
+        squares = (S**2).sum(1)
+        shown = squares > 0.0
+        powers.append((S[shown] @ e) ** 2 / squares[shown])
+    return float(np.concatenate(powers).mean())
+
+
+def _error_power(
+    chosen: ParameterSpace, gram: np.ndarray, theta_scaled: np.ndarray, true: np.ndarray
+) -> float:
+    """Return the mean square error of the estimates over the variance that the fit tells.
+
+    Each candidate is selected alone. gram (1 + P, 1 + P) of all flights, linearised at theta_scaled (P,);
+    true (P,): what the build is off by.
+    """
+    squares = []
+    for candidate in chosen.candidates:
+        precision = prior_of(chosen).precision((candidate,))
+        mine = list(chosen.groups[candidate])
+        step, covariance = evidence.posterior(gram, theta_scaled, precision)
+        error = (theta_scaled + step - true)[mine]
+        squares.append(error**2 / np.diag(covariance)[mine])
+    return float(np.concatenate(squares).mean())
