@@ -157,7 +157,7 @@ class Codec:
         return messages
 
     def _count_gap(self, source: int, last: int, number: int) -> None:
-        """Nothing comes back; a number out of turn is a gap before it, a late message or a repeated one."""
+        """Count a number out of turn: a gap before it, a late message or a repeated one."""
         missing = self._missing.setdefault(source, set())
         ahead = (number - last) & 0xFF
         if ahead >= _LATE or ahead == 0:

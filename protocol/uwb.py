@@ -180,7 +180,7 @@ class Assembler:
         return None
 
     def expire(self, now_us: int) -> None:
-        """Nothing comes back; gives up what has waited too long."""
+        """Give up what has waited too long."""
         for number in [n for n, (begun_us, _) in self._kept.items() if now_us - begun_us >= PIECES_WAIT_US]:
             self._forget(number)
 

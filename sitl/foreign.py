@@ -44,12 +44,12 @@ class ForeignPlant:
         self.sensed = memoryview(bytearray(56)).cast("d")
 
     def reset(self, p_ned: Sequence[float], q_ned_frd: Sequence[float]) -> None:
-        """Nothing comes back; the plant is put at rest at a pose."""
+        """Put the plant at rest at a pose."""
         self._guard("reset", tuple(p_ned), tuple(q_ned_frd))
         self._take()
 
     def step(self, motor_command: Sequence[float]) -> None:
-        """Nothing comes back; one millisecond passes with the commands held."""
+        """Advance by one millisecond with the commands held."""
         self._guard("step", tuple(motor_command), TICK_US)
         self._take()
 

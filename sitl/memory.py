@@ -36,7 +36,7 @@ def open_memory(path: Path, vehicle: Vehicle) -> ReferenceStore:
 
 
 def _make(path: Path) -> None:
-    """Nothing comes back; a new memory is there, whole from the first moment. Raises FileExistsError."""
+    """Make a new memory, whole from the first moment. Raises FileExistsError."""
     if os.path.lexists(path):
         raise FileExistsError
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")

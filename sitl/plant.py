@@ -78,7 +78,7 @@ class Plant:
         self._at = self._end = 0
 
     def reset(self, p_ned: Sequence[float], q_ned_frd: Sequence[float]) -> None:
-        """Nothing comes back; the origin is put at rest at a pose, rotors stopped, turbulence as usual.
+        """Put the origin at rest at a pose, rotors stopped, turbulence as usual.
 
         At z_ned = 0 the feet stand on the floor.
         """
@@ -108,7 +108,7 @@ class Plant:
         self.sensed[:] = memoryview(array("d", [0.0, 0.0, 0.0, 0.0, 0.0, -GRAVITY_M_S2, self._full_v]))
 
     def step(self, motor_command: Sequence[float]) -> None:
-        """Nothing comes back; one millisecond passes with the commands, 0..1 a rotor, held."""
+        """Advance by one millisecond with the commands, 0..1 a rotor, held."""
         at = self._at
         if at == self._end and not self._calm:
             self._draw_noise()

@@ -129,14 +129,14 @@ class RadioChannel:
         return self._down.counts
 
     def wake(self, now_us: int, *, ground: bool) -> None:
-        """Nothing comes back; a radio may have something to send from now on."""
+        """Wake the channel: a radio may have something to send."""
         (self._up if ground else self._down).may_have = True
         soonest_us = self._slot_us if self._slot_us > now_us else now_us
         if soonest_us < self.due_us:
             self.due_us = soonest_us
 
     def tick(self, now_us: int) -> None:
-        """Nothing comes back; frames due are delivered, a slot due is given away."""
+        """Deliver the frames that are due and give away a due slot."""
         air = self._air
         while air and air[0][0] <= now_us:
             _, _, direction, frame = heapq.heappop(air)

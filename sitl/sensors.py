@@ -96,7 +96,7 @@ class Mocap:
         self.due_us = self._exposure_due_us
 
     def tick(self, now_us: int, pose: Sequence[float], rate_frd: Sequence[float]) -> None:
-        """Nothing comes back; takes the exposure due and lets poses arrive.
+        """Take the exposure that is due and let poses arrive.
 
         `pose` is p_ned, v_ned, q_ned_frd of the vehicle at `now_us`; within the tick it moves on evenly.
         """

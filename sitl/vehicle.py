@@ -147,7 +147,7 @@ class SimulatedVehicle:
         return self._host_port.read(self.now_us) if self.now_us >= self._host_port.due_us else b""
 
     def serial_write(self, data: bytes) -> None:
-        """Nothing comes back; bytes go out on the host's serial port, as far as its buffer holds them."""
+        """Send bytes on the host's serial port, as far as its buffer holds them."""
         for start in range(0, len(data), HOST_TX_BYTES):
             self._host_port.write(data[start : start + HOST_TX_BYTES], self.now_us)
 
@@ -162,7 +162,7 @@ class SimulatedVehicle:
         ]
 
     def power_cycle(self, flight: int) -> None:
-        """Nothing comes back; the vehicle stands at its start at time 0, for another flight.
+        """Put the vehicle at its start at time 0, for another flight.
 
         Queues are empty and generators fresh; blobs and parameters on board are kept.
         """
@@ -170,7 +170,7 @@ class SimulatedVehicle:
         self._power_up(flight)
 
     def close(self) -> None:
-        """Nothing comes back; the memory's file, if any, is closed."""
+        """Close the memory's file, if any."""
         self.store.flash.close()
 
     def serve(
@@ -203,7 +203,7 @@ class SimulatedVehicle:
         }
 
     def watch_air(self, told: Callable[[int, bytes], None]) -> None:
-        """Nothing comes back; until the next power cycle `told` hears of every frame that leaves a radio."""
+        """Call `told` for every frame that leaves a radio, until the next power cycle."""
         self._channel.watch = told
 
     # Inside.
@@ -291,7 +291,7 @@ class SimulatedVehicle:
     # Measuring where the time goes.
 
     def start_profile(self) -> None:
-        """Nothing comes back; from now on, and over power cycles, `profile` knows the time of each part."""
+        """Start to measure the time of each part in `profile`, also over power cycles."""
         timers = self._timers = self._timers or {}
         self._step = _timed(self._step_owner.step, "plant", timers)
         self._flight_tick = _timed(self._flight_mcu.tick, "flight processor", timers)

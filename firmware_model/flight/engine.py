@@ -63,7 +63,7 @@ class FloatEngine:
         self.outputs = {block.name: memoryview(array("d", bytes(8 * block.size))) for block in outputs}
 
     def __call__(self) -> None:
-        """Nothing comes back; the output blocks hold the step's result.
+        """Compute one step from the input blocks into the output blocks.
 
         Raises ValueError where the step's result has other blocks or sizes than stated.
         """

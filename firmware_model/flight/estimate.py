@@ -36,7 +36,7 @@ class Estimate:
         self._feedforward = inputs["feedforward"]
 
     def begin(self) -> None:
-        """Nothing comes back; nothing is known yet."""
+        """Reset the estimate: nothing is known yet."""
         for k, value in enumerate(law.initial_memory()):
             self._memory[k] = value
 

@@ -26,30 +26,30 @@ class FeedForwardInput:
         self.clear()
 
     def clear(self) -> None:
-        """Nothing comes back; no feed-forward acts."""
+        """Turn the feed-forward off."""
         self._fill(self._block, law.NEUTRAL)
         self._fill(self._accel, (0.0, 0.0, 0.0))
         self._hidden = self._weights = ()
 
     def load(self, blob: FeedForward) -> None:
-        """Nothing comes back; this feed-forward acts."""
+        """Put this feed-forward in force."""
         self.clear()
         if blob.block is not None:
             self._fill(self._block, blob.block)
         self._hidden, self._weights = blob.layers, blob.weights
 
     def hold(self, accel_ned: Sequence[float]) -> None:
-        """Nothing comes back; this residual acceleration (m/s^2) takes the network's place until `resume`."""
+        """Replace the network by this residual acceleration (m/s^2) until `resume`."""
         self._held = True
         self._fill(self._accel, accel_ned)
 
     def resume(self) -> None:
-        """Nothing comes back; the network acts again."""
+        """Let the network act again."""
         self._held = False
         self._fill(self._accel, (0.0, 0.0, 0.0))
 
     def update(self, reference: Sequence[float]) -> None:
-        """Nothing comes back; the network has seen this reference (p, v, a, j in NED, yaw, yaw rate)."""
+        """Evaluate the network on this reference (p, v, a, j in NED, yaw, yaw rate)."""
         if self._hidden and not self._held:
             R, _ = flat_attitude(FLOAT, reference[6:9], reference[12])
             rpy = matrix_to_euler(FLOAT, R)

@@ -142,7 +142,7 @@ class Flight:
         return refusal
 
     def setpoint(self, target: Target, now_us: int) -> None:
-        """Nothing comes back; the target is followed at once, or when setpoints are asked to be followed."""
+        """Follow the target at once, or as soon as the mode follows setpoints."""
         self._offboard.offer(target, now_us)
         if self.state is State.OFFBOARD:
             self.watch.setpoint_us = now_us
@@ -157,16 +157,16 @@ class Flight:
         return self._estimate.offer(time_us, p, q, now_us, flying=flying, aloft=aloft)
 
     def host_heard(self, now_us: int) -> None:
-        """Nothing comes back; the host has said something."""
+        """Record that a host message arrived."""
         self.watch.host_us = now_us
 
     def configure(self) -> None:
-        """Nothing comes back; the law and the failsafes take over the parameters as they are now."""
+        """Configure the law and the failsafes from the present parameters."""
         self._law_parameters[:] = memoryview(self.parameters.vector)
         self.watch.configure(self.parameters)
 
     def swap(self, reference: Track, at_us: int) -> None:
-        """Nothing comes back; `reference` is tracked from here on, its time 0 is `at_us`, which has come."""
+        """Track `reference` from now on; its time 0 is `at_us`, which has come."""
         self.reference, self.tracking_us, self.changed = reference, at_us, True
         self._player.start(reference, at_us)
         self._tell(_INFO, "reference swapped")
@@ -174,7 +174,7 @@ class Flight:
     # The tick.
 
     def tick(self, now_us: int, gyro: Sequence[float], force: Sequence[float]) -> None:
-        """Nothing comes back; the engine has run once on these samples (FRD), outputs hold the commands."""
+        """Run the engine once on these samples (FRD); its outputs hold the commands."""
         player = self._player
         if now_us >= player.switch_us and player.switch(now_us):
             self._track_ended(now_us)
@@ -197,7 +197,7 @@ class Flight:
                 self.saturated_ticks += 1
 
     def look(self, now_us: int, battery_v: float) -> None:
-        """Nothing comes back; once every LOOK_TICKS, after the tick: readiness, failsafes, touchdown."""
+        """Check readiness, failsafes and touchdown; called every LOOK_TICKS, after the tick."""
         state = self.state
         if self._flying:
             self.feedforward.update(self.outputs["reference"])

@@ -40,16 +40,16 @@ class Offboard:
         return now_us - self.heard_us <= self._parameters.us("FS_OFFB_S")
 
     def offer(self, target: Target, now_us: int) -> None:
-        """Nothing comes back; this is the newest setpoint."""
+        """Make this the newest setpoint."""
         self.target, self.heard_us = target, now_us
 
     def release(self) -> None:
-        """Nothing comes back; the reference is followed again."""
+        """Follow the reference again."""
         self.followed = None
         self._fill(NO_OFFBOARD)
 
     def drive(self, target: AttitudeTarget) -> None:
-        """Nothing comes back; the law commands this attitude or rate and this thrust, within its limits."""
+        """Command this attitude or rate and this thrust, within the law's limits."""
         values = self._parameters
         thrust = 4.0 * values["THRUST_MAX"] * target.thrust
         least = values["THRUST_FLOOR"] * values["MASS"] * GRAVITY

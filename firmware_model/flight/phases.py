@@ -127,7 +127,7 @@ class Phases:
     # On the floor and off it.
 
     def rest(self, now_us: int) -> None:
-        """Nothing comes back; rotors off, nothing to follow."""
+        """Stop the rotors; there is nothing to follow."""
         self._armed[0] = 0.0
         self._weights[0] = self._weights[1] = 1.0
         self._blind_until_us = NEVER_US
@@ -135,11 +135,11 @@ class Phases:
         self.player.rest(track.hold(self._place(), 0.0, 1_000_000), now_us)
 
     def climb_to(self, reference: track.Track, now_us: int) -> None:
-        """Nothing comes back; it takes off to the reference's first node and hovers there."""
+        """Take off to the reference's first node and hover there."""
         self._climb(reference.start_ned, reference.start_yaw, now_us)
 
     def rise(self, height_m: float | None, now_us: int) -> None:
-        """Nothing comes back; it takes off to this height above the floor, TAKEOFF_HEIGHT for None."""
+        """Take off to this height above the floor, by default TAKEOFF_HEIGHT."""
         p, most = self._place(), self.headroom
         height = self._parameters["TAKEOFF_HEIGHT"] if height_m is None else height_m
         if height > most:
@@ -161,7 +161,7 @@ class Phases:
         self.player.start(climb, now_us)
 
     def lift_off(self, now_us: int) -> None:
-        """Nothing comes back; the rotors turn, the reference rests where it stands."""
+        """Start the rotors; the reference rests at the present position."""
         p = self._place()
         self._leave_floor(p)
         self.player.start(track.hold(p, self._yaw(), track.ENDLESS_US), now_us)
@@ -175,7 +175,7 @@ class Phases:
     # In the air.
 
     def go_to_start(self, reference: track.Track, present: Present, now_us: int) -> None:
-        """Nothing comes back; it goes to the reference's first node and hovers; from the floor up first."""
+        """Go to the reference's first node and hover; from the floor, climb first."""
         values = self._parameters
         way = track.transit(
             *present,
@@ -190,19 +190,19 @@ class Phases:
         self.player.start(way, now_us)
 
     def hold_end(self, reference: track.Track, now_us: int) -> None:
-        """Nothing comes back; it stays at the end of the reference for HOLD_S."""
+        """Stay at the end of the reference for HOLD_S."""
         hold_us = max(TICK_US, track.seconds_us(self._parameters["HOLD_S"]))
         self.player.start(track.hold(reference.end_ned, reference.end_yaw, hold_us), now_us)
 
     def stop(self, present: Present, now_us: int, hold_s: float | None = None) -> None:
-        """Nothing comes back; it stops and stays, until told otherwise or for `hold_s`."""
+        """Stop and stay, for `hold_s` or until another command."""
         hold_us = track.ENDLESS_US if hold_s is None else max(TICK_US, track.seconds_us(hold_s))
         deceleration = self._parameters["LAND_DECEL"]
         way = track.stop(*present, deceleration=deceleration, room=self._room(), hold_us=hold_us)
         self.player.start(way, now_us)
 
     def follow(self, now_us: int) -> None:
-        """Nothing comes back; the newest setpoint is what is flown from now on."""
+        """Follow the newest setpoint from now on."""
         offboard = self.offboard
         target = offboard.target
         if not isinstance(target, PositionTarget):
@@ -227,7 +227,7 @@ class Phases:
     # Down.
 
     def land(self, present: Present, now_us: int) -> None:
-        """Nothing comes back; it stops and goes straight down."""
+        """Stop and descend vertically."""
         values = self._parameters
         descent = track.land(
             *present,
@@ -239,7 +239,7 @@ class Phases:
         self.player.start(descent, now_us)
 
     def descend_level(self, yaw: float, thrust_ratio: float, now_us: int) -> None:
-        """Nothing comes back; it keeps attitude and sink rate, without position feedback.
+        """Hold attitude and sink rate without position feedback.
 
         thrust_ratio: real over nominal thrust, as it was while position was known.
         """
@@ -261,7 +261,7 @@ class Phases:
         self.player.start(descent, now_us)
 
     def go_blind(self, thrust_ratio: float, now_us: int) -> None:
-        """Nothing comes back; velocity is followed no longer once dead reckoning is worth nothing.
+        """Stop following the velocity once dead reckoning is worth nothing.
 
         thrust_ratio: real over nominal thrust, as it was in the descent so far.
         """
@@ -274,7 +274,7 @@ class Phases:
         self._feedforward.hold((0.0, 0.0, GRAVITY / thrust_ratio - GRAVITY))
 
     def fall(self, now_us: int) -> None:
-        """Nothing comes back; rotors off in the air."""
+        """Stop the rotors in the air."""
         self._armed[0] = 0.0
         self.player.start(track.hold((0.0, 0.0, 0.0), 0.0, FALL_US), now_us)
 

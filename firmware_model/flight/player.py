@@ -29,14 +29,14 @@ class Player:
         self._next_yaw = 0
 
     def start(self, track: Track, now_us: int) -> None:
-        """Nothing comes back; the track's time 0 is now."""
+        """Start the track: its time 0 is now."""
         self._track = track
         self._start_us = now_us
         self._next_piece = self._next_yaw = 0
         self.switch(now_us)
 
     def rest(self, track: Track, now_us: int) -> None:
-        """Nothing comes back; the track's first piece is in the inputs and time no longer ends it."""
+        """Load the track's first piece and hold it: time no longer ends it."""
         self.start(track, now_us)
         self.switch_us = NEVER_US
 

@@ -68,7 +68,7 @@ class PoseInput:
         return oldest_us
 
     def show(self, pose: Pose, before_us: int, now_us: int) -> None:
-        """Nothing comes back; the law corrects its estimate by this pose, until `hide`."""
+        """Let the law correct its estimate by this pose, until `hide`."""
         time_us, p, q = pose
         if now_us - before_us > self._oldest_us:
             self._oldest_us = now_us - before_us
@@ -79,5 +79,5 @@ class PoseInput:
         self._new[0] = 1.0
 
     def hide(self) -> None:
-        """Nothing comes back; the law predicts only."""
+        """Let the law predict only."""
         self._new[0] = 0.0

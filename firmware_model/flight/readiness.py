@@ -95,11 +95,11 @@ class Rest:
         self._felt: Sequence[float] = ()
 
     def begin(self, now_us: int) -> None:
-        """Nothing comes back; nothing is known yet."""
+        """Start the calibration."""
         self.still, self._since_us, self._felt = False, now_us, ()
 
     def look(self, now_us: int, speed: float, force_ned: Sequence[float]) -> None:
-        """Nothing comes back. speed: estimated, m/s. force_ned: a sample of this tick, by the estimate."""
+        """Take the estimated speed (m/s) and this tick's specific force (NED, by the estimate)."""
         if speed > REST_SPEED or not abs(math.hypot(*force_ned) - GRAVITY) < REST_FORCE:
             self._since_us = now_us
         self.still = now_us - self._since_us >= REST_US

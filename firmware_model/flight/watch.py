@@ -96,7 +96,7 @@ class Watch:
         self.configure(parameters)
 
     def configure(self, parameters: ParameterValues) -> None:
-        """Nothing comes back; times and bounds are read anew."""
+        """Read times and bounds from the parameters."""
         self._timeouts = tuple(
             (row, parameters.us(row.timeout) if row.lasting else 0)
             for row in CONDITIONS
@@ -114,15 +114,15 @@ class Watch:
         self._late = deque(self._late, maxlen=round(parameters["FS_LOOP_MAX"]))
 
     def start(self, now_us: int) -> None:
-        """Nothing comes back; whatever comes from now on counts from now."""
+        """Start all counters now."""
         self._level_us = self._aloft_us = now_us
 
     def late(self, now_us: int) -> None:
-        """Nothing comes back; the tick at `now_us` came late."""
+        """Record that the tick at `now_us` came late."""
         self._late.append(now_us)
 
     def see(self, now_us: int, seen: Seen) -> None:
-        """Nothing comes back; this is how things are now."""
+        """Record the present state of the vehicle."""
         if seen.cos_tilt >= self._cos_tilt:
             self._level_us = now_us
         if seen.age_us is None or seen.age_us <= self._age_us:
@@ -170,7 +170,7 @@ class Watch:
         return stopped or height < FLOOR_HEIGHT
 
     def aloft(self, *, force: float, thrust: float, share: float = _ALOFT_SHARE) -> None:
-        """Nothing comes back; in level flight this force went with this thrust, over mass (m/s^2, up).
+        """Record force and thrust over mass (m/s^2, up) of level flight.
 
         thrust: what the rotors give by their nominal lag; what is commanded is ahead of the force.
         """

@@ -134,7 +134,7 @@ class FlightMcu:
     def tick(
         self, now_us: int, gyro: Sequence[float], specific_force: Sequence[float], battery_v: float
     ) -> None:
-        """Nothing comes back; one tick has passed, `motor_command` is what the rotors get until the next.
+        """Run one tick; `motor_command` is what the rotors get until the next.
 
         Args:
             now_us: time since power-up. gyro (rad/s), specific_force (m/s^2): FRD.
@@ -273,7 +273,7 @@ class FlightMcu:
             self._load(event.kind)  # in flight it has been taken over already
 
     def _limits_changed(self) -> None:
-        """Nothing comes back; what is live and what is staged are judged anew."""
+        """Check the live and the staged blobs again."""
         self._load(Kind.REFERENCE)
         now_us = self._last_us
         self._services.take(self._upload.limits_changed(now_us), now_us)

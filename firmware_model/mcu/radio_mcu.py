@@ -94,7 +94,7 @@ class RadioMcu:
         return frame
 
     def air_receive(self, frame: bytes, now_us: int) -> None:
-        """Nothing comes back; its messages wait for the next tick, or are lost where the buffer is full."""
+        """Queue the frame's messages for the next tick; drop them if the buffer is full."""
         self.frames_received += 1
         if frame.startswith(_PIECE):
             message = self._assembler.receive(frame, now_us)

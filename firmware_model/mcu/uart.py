@@ -144,7 +144,7 @@ class UartPort:
 
 
 def connect(a: UartPort, b: UartPort) -> None:
-    """Nothing comes back; joins two ports by a line each way.
+    """Join two ports by a line each way.
 
     Raises ValueError where either port is already connected.
     """

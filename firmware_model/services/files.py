@@ -116,7 +116,7 @@ class BlobFiles:
         return False
 
     def broken(self, path: str, held: int, size: int) -> None:
-        """Nothing comes back; says that a file was closed with bytes missing."""
+        """Report a file that was closed with bytes missing."""
         name = path.rpartition("/")[2]
         self._text(_WARNING, f"{name} refused: {size - held} of {size} bytes missing")
 

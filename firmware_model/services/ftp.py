@@ -78,7 +78,7 @@ class FtpServer:
         }
 
     def receive(self, message: m.FileTransfer, now_us: int) -> None:
-        """Nothing comes back; the request is answered to who asked."""
+        """Answer the request to its sender."""
         payload = bytes(message.payload)
         asked = Packet.decode(payload)
         if asked.opcode in (Opcode.ACK, Opcode.NAK):
@@ -106,7 +106,7 @@ class FtpServer:
             self._answer(key, answer)
 
     def look(self, now_us: int) -> None:
-        """Nothing comes back; bursts go on, sessions that nobody uses any more end."""
+        """Continue bursts and end idle sessions."""
         if not self._sessions:
             return
         for key in [k for k, s in self._sessions.items() if now_us - s.heard_us >= IDLE_US]:

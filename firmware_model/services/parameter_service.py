@@ -46,7 +46,7 @@ class ParameterService:
         self._listing: deque[int] = deque()
 
     def look(self) -> None:
-        """Nothing comes back; sends the next entries of a list that was asked for."""
+        """Send the next entries of a requested list."""
         for _ in range(min(VALUES_PER_LOOK, len(self._listing))):
             self._send_value(self._listing.popleft())
 

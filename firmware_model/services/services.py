@@ -130,7 +130,7 @@ class Services:
         }
 
     def receive(self, message: Message, now_us: int) -> None:
-        """Nothing comes back; the message has been handled if it is for this vehicle and of a known kind."""
+        """Handle the message if it addresses this vehicle and its kind is known."""
         if message.get_srcSystem() == m.VEHICLE[0]:
             return
         target = getattr(message, "target_system", 0)
@@ -143,7 +143,7 @@ class Services:
             handler(message, now_us)
 
     def look(self, now_us: int) -> None:
-        """Nothing comes back; sends what is due: list entries, upload reports."""
+        """Send what is due: list entries and upload reports."""
         self._parameter_service.look()
         self.streams.look(now_us)
         self._ftp.look(now_us)
@@ -152,12 +152,12 @@ class Services:
             self.take(self._upload.advance(now_us), now_us)
 
     def text(self, severity: int, text: str) -> None:
-        """Nothing comes back; people read `text`, in lines of 50 bytes."""
+        """Send `text` to people, in lines of 50 bytes."""
         for line in textwrap.wrap(text, TEXT_BYTES):
             self._send(m.StatusText(severity, line.encode("ascii", errors="replace")))
 
     def take(self, events: list[ReceiverEvent], now_us: int) -> None:
-        """Nothing comes back; the upload's events are passed on and its answers sent."""
+        """Pass on the upload's events and send its answers."""
         for event in events:
             self._on_upload(event)
         for answer in self._upload.send(now_us):

@@ -38,7 +38,7 @@ class SetpointService:
         self._told: set[str] = set()
 
     def position(self, message: m.SetPositionTarget, now_us: int) -> None:
-        """Nothing comes back; SET_POSITION_TARGET_LOCAL_NED is followed or refused."""
+        """Follow or refuse SET_POSITION_TARGET_LOCAL_NED."""
         mask, frame = message.type_mask, message.coordinate_frame
         numbers = (
             message.x, message.y, message.z, message.vx, message.vy, message.vz,
@@ -68,7 +68,7 @@ class SetpointService:
             self._take(target, now_us)
 
     def attitude(self, message: m.SetAttitudeTarget, now_us: int) -> None:
-        """Nothing comes back; SET_ATTITUDE_TARGET is followed or refused."""
+        """Follow or refuse SET_ATTITUDE_TARGET."""
         mask = message.type_mask
         rates = (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
         ignored = sum(bool(mask & bit) << k for k, bit in enumerate(_RATES))

@@ -108,12 +108,12 @@ class Streams:
         }
 
     def heartbeat(self, message: m.Heartbeat, now_us: int) -> None:
-        """Nothing comes back; a station other than Trimtab's host has been heard, if it is one."""
+        """Note the heartbeat of a station other than Trimtab's host."""
         if not m.is_vehicle(message) and not m.is_own_host(message):
             self._heard(now_us)
 
     def data_stream(self, message: m.RequestDataStream, now_us: int) -> None:
-        """Nothing comes back; a group of messages comes at a rate in Hz from now on, or no more."""
+        """Start a group of messages at a rate in Hz, or stop it."""
         everything = message.req_stream_id == mavlink.MAV_DATA_STREAM_ALL
         numbers = sum(GROUPS.values(), ()) if everything else GROUPS.get(message.req_stream_id, ())
         rate = message.req_message_rate if message.start_stop else 0
@@ -122,7 +122,7 @@ class Streams:
         self._heard(now_us)
 
     def look(self, now_us: int) -> None:
-        """Nothing comes back; sends what is due, and where home is once it has moved."""
+        """Send what is due, and the home position after it moved."""
         home = self._flight.home_ned
         moved, self._home = home is not self._home, home
         if now_us < self._next_us and not moved:

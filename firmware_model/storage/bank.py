@@ -86,7 +86,7 @@ class Bank:
         return SLOTS - len(list(self._written_slots()))
 
     def append(self, record: Record) -> None:
-        """Nothing comes back; the record is the newest. Raises ValueError where the log is full."""
+        """Append the newest record. Raises ValueError if the log is full."""
         free = self.slots_free()
         if not free:
             raise ValueError("the log of the bank is full")
@@ -104,17 +104,17 @@ class Bank:
     # The blob.
 
     def forget(self) -> None:
-        """Nothing comes back; the log is empty, and with it the bank."""
+        """Empty the log, and with it the bank."""
         self._flash.erase(self._log, SECTOR_BYTES)
 
     def erase(self, size: int) -> None:
-        """Nothing comes back; there is room for a blob of `size` bytes. The log goes first."""
+        """Make room for a blob of `size` bytes. The log is erased first."""
         self.forget()
         self._flash.erase(self._marks, _CRC.size * chunk_count(size))
         self._flash.erase(self._data, size)
 
     def put(self, blob: Record, index: int, chunk: bytes) -> None:
-        """Nothing comes back; the chunk is kept, then marked."""
+        """Store the chunk, then mark it."""
         self._flash.program(self._data + index * CHUNK_BYTES, chunk)
         self._flash.program(self._marks + index * _CRC.size, _mark(blob, chunk))
 

@@ -43,7 +43,7 @@ class Flash:
         return cls(bytearray(ERASED) * size)
 
     def cut_after(self, count: int) -> None:
-        """Nothing comes back; power fails once `count` more bytes are written: PowerCut from then on."""
+        """Let power fail after `count` more bytes are written; PowerCut from then on."""
         self._left = count
 
     def read(self, start: int, size: int) -> bytes:
@@ -55,7 +55,7 @@ class Flash:
         return self.image[start : start + size] == ERASED * size
 
     def program(self, start: int, data: bytes) -> None:
-        """Nothing comes back; bits that are 0 in `data` are 0 from `start` on.
+        """Clear the bits from `start` on that are 0 in `data`.
 
         Raises ValueError beyond the end, PowerCut where power fails on the way.
         """
@@ -71,7 +71,7 @@ class Flash:
         self._write(start, new)
 
     def erase(self, start: int, size: int) -> None:
-        """Nothing comes back; the sectors from `start` on that hold `size` bytes are erased, one by one.
+        """Erase, one by one, the sectors from `start` on that hold `size` bytes.
 
         Raises ValueError where `start` begins no sector or beyond the end, PowerCut where power fails.
         """
@@ -85,7 +85,7 @@ class Flash:
                 raise PowerCut
 
     def close(self) -> None:
-        """Nothing comes back; the file behind it, if any, is closed."""
+        """Close the file behind the flash, if any."""
         if self._file is not None:
             os.close(self._file)
             self._file = None

@@ -52,7 +52,7 @@ class Settings:
         return {} if self._kept is None else dict(self._kept.values)
 
     def keep(self, vehicle_id: bytes, values: Mapping[str, float]) -> None:
-        """Nothing comes back; these are in force, or those before where power fails.
+        """Put these values in force; after a power failure the values before may be.
 
         Raises ValueError for more values than there is room for.
         """
@@ -67,7 +67,7 @@ class Settings:
         self._kept = _Kept(sequence, sector, vehicle_id, dict(values))
 
     def change(self, name: str, value: float) -> None:
-        """Nothing comes back; one of the values is in force, the others stay. Raises as `keep` does."""
+        """Change one value and keep the others. Raises as `keep` does."""
         if self._kept is not None and self._kept.values.get(name) != value:
             self.keep(self._kept.vehicle_id, {**self._kept.values, name: value})
 

@@ -114,12 +114,12 @@ class ReferenceStore:
         return blob
 
     def discard(self, kind: int) -> None:
-        """Nothing comes back; what was gathered or staged is forgotten, what is live stays."""
+        """Forget what was gathered or staged; keep what is live."""
         if kind in self._open:
             self._open.pop(kind)[0].forget()
 
     def clear(self, kind: int) -> None:
-        """Nothing comes back; neither live nor staged blob of this kind is left."""
+        """Remove both the live and the staged blob of this kind."""
         self._open.pop(kind, None)
         live = self._live(kind)
         for bank in sorted(self._banks[kind], key=lambda bank: live is not None and bank is live[0]):
@@ -135,7 +135,7 @@ class ReferenceStore:
         return Incoming(record.kind, record.size, record.digest, bank.held(record))
 
     def begin(self, kind: int, size: int, digest: bytes) -> None:
-        """Nothing comes back; what was gathered of this kind is gone, and there is room for another blob.
+        """Drop what was gathered of this kind and make room for another blob.
 
         Raises ValueError where the blob is empty or larger than a bank.
         """
@@ -149,7 +149,7 @@ class ReferenceStore:
         self._open[kind] = bank, self._append(bank, record, Step.BEGUN)
 
     def put(self, kind: int, index: int, chunk: bytes) -> None:
-        """Nothing comes back; this chunk of the blob that was begun is here, also after a power cut."""
+        """Store this chunk of the blob that was begun, so that it survives a power cut."""
         bank, record = self._open[kind]
         bank.put(record, index, chunk)
 
@@ -192,7 +192,7 @@ class ReferenceStore:
                 self._open[kind] = bank, last
 
     def _format(self) -> None:
-        """Nothing comes back; the memory is blank but for its beginning, which is written last."""
+        """Blank the memory except for its header, which is written last."""
         flash = self.flash
         if not flash.blank_at(0, len(flash.image)):
             self.faults.append("memory damaged and erased: nothing is live")

@@ -72,7 +72,7 @@ class CompiledEngine:
             self._buffer.set_res(index, view)  # pyright: ignore[reportCallIssue]
 
     def __call__(self) -> None:
-        """Nothing comes back; `outputs` holds the function's value at `inputs`."""
+        """Evaluate the function at `inputs` into `outputs`."""
         self._trigger()
 
     def __reduce__(self) -> Any:

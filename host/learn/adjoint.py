@@ -39,7 +39,7 @@ class Gradient:
 
 
 def check_step(phi: Phi, step_s: float) -> None:
-    """Nothing comes back. Raises ValueError where one RK4 step of step_s is not stable."""
+    """Raise ValueError if one RK4 step of step_s is not stable."""
     if phi.substeps(step_s) > 1:
         raise ValueError(f"a step of {step_s} s is too long for this model: RK4 needs {phi.substeps(step_s)}")
 

@@ -128,7 +128,7 @@ class ClockSync:
         self._recent.append((up, down))
 
     def _begin_anew(self, *ways: LeastDelay) -> None:
-        """Nothing comes back; the other clock jumped, what these ways were compared by is forgotten."""
+        """Forget what these ways were compared by: the other clock jumped."""
         self.steps += 1
         self._recent.clear()
         for way in ways:

@@ -112,7 +112,7 @@ class Swap:
         self._answers = 0
 
     def status(self, client: Client, message: m.FcStatus, now_us: int) -> None:
-        """Nothing comes back; once the first reference is flown, sending begins."""
+        """Begin to send once the first reference is flown."""
         tracking = message.state == m.mavlink.TRIMTAB_STATE_TRACKING
         if self._sender is None and tracking and message.reference_tick != m.NO_TICK:
             tick = (message.reference_tick + self._at_us // TICK_US) & 0xFFFF_FFFF
@@ -122,13 +122,13 @@ class Swap:
             self._pump(client, now_us)
 
     def receive(self, client: Client, message: Message, now_us: int) -> None:
-        """Nothing comes back; takes the vehicle's answers."""
+        """Take the vehicle's answers."""
         if self._sender is not None and self._sender.receive(message, now_us):
             self._answers += not self._end_us
             self._pump(client, now_us)
 
     def advance(self, client: Client, now_us: int) -> None:
-        """Nothing comes back; takes note of the time."""
+        """Act on the time that has passed."""
         if self._sender is not None:
             self._sender.advance(now_us)
             self._pump(client, now_us)

@@ -29,7 +29,7 @@ class Hangar:
 
 
 def check_options(world: str | None, world_seed: int, output: Path | None, *, pareto: bool) -> None:
-    """Nothing comes back. Raises UsageError for options of a flown trade that do not go together."""
+    """Refuse options of a flown trade that do not go together. Raises UsageError."""
     from trimtab.host.base.errors import UsageError
 
     if world is not None and not pareto:

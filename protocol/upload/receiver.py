@@ -184,7 +184,7 @@ class UploadReceiver:
         return self._take_events()
 
     def call_off(self, now_us: int) -> None:
-        """Nothing comes back; what was to take over stays staged."""
+        """Call off an agreed swap; the reference stays staged."""
         self._do(Event.CALLED_OFF, self._blob, now_us)
 
     def limits_changed(self, now_us: int) -> list[ReceiverEvent]:
@@ -403,7 +403,7 @@ class UploadReceiver:
     # Helpers.
 
     def _resume(self, incoming: Incoming | None) -> None:
-        """Nothing comes back; the upload that the store holds is in hand, and nothing is said of it yet."""
+        """Resume the upload that the store holds, without a report yet."""
         for kind in Kind:
             if incoming is None or kind != incoming.kind:
                 self._store.discard(kind)

@@ -43,7 +43,7 @@ class Reports:
     # When.
 
     def hear(self, now_us: int) -> None:
-        """Nothing comes back; a message about the blob in hand has come."""
+        """Note that a message about the current blob arrived."""
         self.heard_us = now_us
         self._reminders = 0
         self._remind_us = now_us + REMIND_US[0]
@@ -53,7 +53,7 @@ class Reports:
         return at_us - self.heard_us < self._silence_us
 
     def soon(self, missing: int, now_us: int) -> None:
-        """Nothing comes back; a chunk has come, so many are missing: a report is due in a while."""
+        """Schedule a report: a chunk arrived and `missing` are still missing."""
         last = missing <= LAST_CHUNKS
         self._unreported += 1
         if self._unreported >= (LAST_REPORT_CHUNKS if last else REPORT_CHUNKS):
@@ -81,22 +81,22 @@ class Reports:
         return min(deadlines, default=None)
 
     def reported(self) -> None:
-        """Nothing comes back; no report is due for the chunks so far."""
+        """Clear the report that was due for the chunks so far."""
         self._report_us = None
         self._unreported = 0
 
     def remind(self, now_us: int) -> None:
-        """Nothing comes back; the report of now is repeated where nothing is heard."""
+        """Schedule a repetition of the present report in case nothing arrives."""
         self._remind_us = now_us + min(REMIND_US[0] << min(self._reminders, 8), REMIND_US[1])
 
     def fall_silent(self, now_us: int) -> None:
-        """Nothing comes back; nobody waits for reports of the blob in hand."""
+        """Stop reporting on the current blob: nobody waits for it."""
         self.heard_us = now_us - self._silence_us
         self._report_us = None
         self._out.clear()
 
     def forget(self) -> None:
-        """Nothing comes back; there is no blob in hand any more."""
+        """Forget the current blob."""
         self._base = self._unreported = 0
         self._report_us = None
 
@@ -105,7 +105,7 @@ class Reports:
     def answer(
         self, tag: int, state: UploadState, result: UploadResult, *, kind: int, held: int, have: bytearray
     ) -> None:
-        """Nothing comes back; UPLOAD_STATUS waits. `have`: a byte for each chunk in hand, 1 if held."""
+        """Queue UPLOAD_STATUS. `have`: a byte for each chunk of the current blob, 1 if held."""
         base, bitmap = 0, bytes(64)
         if state in STATES[1:]:
             while self._base < len(have) and have[self._base]:
@@ -116,7 +116,7 @@ class Reports:
         self._out.append(m.UploadStatus(tag, base, held, state, result, kind, self.query, bitmap))
 
     def verdict(self, digest: bytes, verdict: Verdict) -> None:
-        """Nothing comes back; UPLOAD_VERDICT on the blob of this digest waits."""
+        """Queue UPLOAD_VERDICT on the blob of this digest."""
         self._out.append(
             m.UploadVerdict(
                 verdict.value,

@@ -191,7 +191,7 @@ class UploadSender:
         return True
 
     def advance(self, now_us: int) -> None:
-        """Nothing comes back; asks again where an answer is overdue, gives up where patience ends."""
+        """Ask again where an answer is overdue, and give up at the end of the patience."""
         if self.over or self._active_us is None:
             return
         if now_us - self._progress_us >= self._patience_us:
@@ -228,7 +228,7 @@ class UploadSender:
         return deadline_us
 
     def cancel(self, now_us: int) -> None:
-        """Nothing comes back; the upload ends as failed and the vehicle is told to discard what it has."""
+        """End the upload as failed and tell the vehicle to discard what it has."""
         self._do(Event.CANCEL, None, now_us)
 
     # Which event an answer is.
@@ -366,7 +366,7 @@ class UploadSender:
         return m.UploadChunk(self._tag, index, self._target, data)
 
     def _pace(self, now_us: int, intervals: int) -> None:
-        """Nothing comes back; the next chunk leaves so many intervals later, a late one does not delay it."""
+        """Schedule the next chunk `intervals` later; a late chunk does not delay it."""
         started_us = max(self._chunk_us, now_us - self._interval_us)
         self._chunk_us = started_us + intervals * self._interval_us
 

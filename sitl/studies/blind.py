@@ -135,7 +135,7 @@ def run(
 
 
 def _work(tasks: list[Task], ledger: Ledger, jobs: int, report: Report) -> None:
-    """Nothing comes back; every task has its score. What was scored before is checked and left alone."""
+    """Score every task. What was scored before is checked and left alone."""
     to_fly: list[Task] = []
     to_judge: list[Task] = []
     done = 0.0
@@ -204,7 +204,7 @@ def _scores(task: Task) -> dict[str, Any]:
 
 
 def _end_with_parent() -> None:
-    """Nothing comes back; from now on this process ends when the one that started it does."""
+    """End this process when the one that started it ends."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return

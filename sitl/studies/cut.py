@@ -34,7 +34,7 @@ _TOLD_AGAIN = ("format", "kind", "time_unit", "vehicle_id", "vehicle_name", "ref
 
 
 def without_gyro(log: Path, target: Path) -> None:
-    """Nothing comes back; `target` holds poses, motor commands, specific force and battery voltage.
+    """Write poses, motor commands, specific force and battery voltage to `target`.
 
     Commands stand for the interval that follows their time; they are the flight's own means over it.
     """
@@ -48,7 +48,7 @@ def without_gyro(log: Path, target: Path) -> None:
 
 
 def sampled(log: Path, target: Path) -> None:
-    """Nothing comes back; `target` holds motor commands as they were at instants of 100 Hz in place of means.
+    """Write motor commands as sampled at 100 Hz to `target`, in place of means.
 
     Beside them poses, gyro, specific force and battery voltage.
     """
@@ -63,7 +63,7 @@ def sampled(log: Path, target: Path) -> None:
 
 
 def without_reference(log: Path, target: Path) -> None:
-    """Nothing comes back; `target` is the flight log without its reference and the law's parameters."""
+    """Write the flight log to `target` without its reference and the law's parameters."""
     found = scan_closed(log)
     flight = to_flight(found)
     told = {key: value for key, value in found.metadata[PROVENANCE].items() if key not in _TOLD_AGAIN}
@@ -97,7 +97,7 @@ def _since_arming(track: _Rows, t_us: np.ndarray) -> _Rows:
 
 
 def _write(flight: Flight, target: Path, inputs: RecordedInputs, imu: RecordedImu) -> None:
-    """Nothing comes back; the log of these inputs and sensors as an import writes it."""
+    """Write the log of these inputs and sensors as an import does."""
     assert flight.mocap is not None
     battery = flight.battery
     write_imported(

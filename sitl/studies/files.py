@@ -25,7 +25,7 @@ class SealBroken(StudyError):
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Nothing comes back; the file appears complete under its name, or the old one stays."""
+    """Write the file whole: it appears complete under its name, or the old one stays."""
     partial = path.with_name(f"{path.name}.{os.getpid()}.part")
     with partial.open("wb") as file:
         file.write(content)
@@ -35,7 +35,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Nothing comes back; `content` as a whole file, keys sorted. Raises ValueError on NaN or infinity."""
+    """Write `content` as a whole file, keys sorted. Raises ValueError on NaN or infinity."""
     write_whole(path, (json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n").encode())
 
 
@@ -60,7 +60,7 @@ class Ledger:
         self._hashes: dict[str, str] = read_json(path) if path.is_file() else {}
 
     def record(self, world: str, digest: str) -> None:
-        """Nothing comes back; the hash is on disk. Raises SealBroken where another one is recorded."""
+        """Write the hash to disk. Raises SealBroken if another one is recorded."""
         if world in self._hashes:
             self.check(world, digest)
             return
@@ -68,7 +68,7 @@ class Ledger:
         self._hashes[world] = digest
 
     def check(self, world: str, digest: str) -> None:
-        """Nothing comes back. Raises SealBroken where no hash was recorded or another one."""
+        """Raise SealBroken if no hash was recorded, or another one."""
         known = self._hashes.get(world)
         if known is None:
             raise SealBroken(f"world {world}: no hash of its truth was recorded before it was traced")

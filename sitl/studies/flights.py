@@ -79,7 +79,7 @@ def plan_references(folder: Path, vehicle: str, programme: Programme) -> Path:
 
 
 def plan_route(folder: Path, name: str, route: str, vehicle: str) -> None:
-    """Nothing comes back; `folder` holds the reference `name` of a route, planned where it was not there yet.
+    """Plan the reference `name` of a route in `folder` if it is not there yet.
 
     Raises StudyError where it cannot be planned.
     """
@@ -135,7 +135,7 @@ def fly_and_seal(
 
 
 def _fly(world: PlannedWorld, file: str, reference: Path, index: int, vehicle: str, log: Path) -> None:
-    """Nothing comes back; the flight of a world's `file` is logged, if it was not, with its truth beside it.
+    """Fly and log a world's `file`, unless it was logged, with its truth beside it.
 
     `reference` is without its suffix. Raises StudyError where it cannot be flown.
     """
@@ -157,7 +157,7 @@ def _beside(log: Path) -> Path:
 
 
 def trace(folder: Path, programme: Programme, copy: Callable[[Path, Path], object] = shutil.copyfile) -> None:
-    """Nothing comes back; the verdict on the world's logs is a file in `folder`, made once.
+    """Write the verdict on the world's logs to a file in `folder`, once.
 
     The command line sees a folder that holds what `copy` makes of each log and nothing else.
     """

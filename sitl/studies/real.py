@@ -109,7 +109,7 @@ def _verdict(group: Group, folder: Path) -> dict[str, Any]:
 
 
 def _bring_in(group: Group, path: str, folder: Path) -> None:
-    """Nothing comes back; the log is a flight log of the project's own in `folder`."""
+    """Import the log into `folder` as a flight log of the project's own."""
     target = f"{Path(path).stem}.mcap"
     if group.profile is None:
         shutil.copyfile(path, folder / target)

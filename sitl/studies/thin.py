@@ -76,7 +76,7 @@ def copier_of(case: str | None) -> Callable[[Path, Path], object]:
 
 
 def plan_thin_references(folder: Path, vehicle: str, whole: Programme) -> None:
-    """Nothing comes back; the references that only thin worlds fly are beside the study's own.
+    """Plan the references that only thin worlds fly, beside the study's own.
 
     Those of the second vehicle have its vehicle file beside them. Raises StudyError where one cannot be
     planned.

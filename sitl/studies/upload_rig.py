@@ -51,7 +51,7 @@ class AtRest:
         self._memory, self._memory_out = self.inputs["memory"], self.outputs["memory"]
 
     def __call__(self) -> None:
-        """Nothing comes back; the memory goes through."""
+        """Pass the memory through."""
         self._memory_out[:] = self._memory
 
 
@@ -98,7 +98,7 @@ class VehicleEnd:
         return due_us if due_us > self._on_us else self._on_us
 
     def reset(self, now_us: int) -> None:
-        """Nothing comes back; power is lost, and what the store does not hold is gone."""
+        """Cut the power: what the store does not hold is lost."""
         self.resets += 1
         self.store = ReferenceStore(Flash(self.store.flash.image))
         self._on_us = now_us + OFF_US
@@ -115,7 +115,7 @@ class VehicleEnd:
         return self.radio.air_send(now_us) if now_us >= self._on_us else None
 
     def air_receive(self, frame: bytes, now_us: int) -> None:
-        """Nothing comes back; the frame is in the radio, or nowhere while there is no power."""
+        """Pass the frame to the radio; without power it is lost."""
         if now_us >= self._on_us:
             self.radio.air_receive(frame, now_us)
 
@@ -190,7 +190,7 @@ class UploadRig:
         self.start_host()
 
     def start_host(self) -> None:
-        """Nothing comes back; a host that knows nothing but the blob begins, or at a kill the next one."""
+        """Start a host that knows only the blob; after a kill, the next one."""
         self.sender = self._make_sender(self.blob)
         self._codec = Codec(*HOST)
         self._deadline_us = max(self.now_us, self.begin_us)
@@ -201,12 +201,12 @@ class UploadRig:
         return self.vehicle.store.live(Kind.REFERENCE)
 
     def run(self, until_us: int) -> None:
-        """Nothing comes back; time has gone on to `until_us`, or to the upload's end."""
+        """Advance to `until_us` or to the end of the upload."""
         while self.now_us < until_us and not self.sender.over:
             self.step(until_us)
 
     def step(self, until_us: int) -> None:
-        """Nothing comes back; time has gone on to the next instant at which something happens."""
+        """Advance to the next instant at which something happens."""
         host_us = min(self._deadline_us, self._port.due_us)
         due_us = min(self.channel.due_us, self.ground.due_us, self.vehicle.due_us, host_us)
         due_us = -(-max(due_us, self.now_us + TICK_US) // TICK_US) * TICK_US

@@ -137,7 +137,7 @@ def test_flight_whose_processor_fails_it_ends_by_the_row(
 
 
 def seen_first(simulated: Any, state: State, act: Callable[[Any, int], None]) -> None:
-    """Nothing comes back; once the vehicle is in `state`, `act` gets the flight and the time, once."""
+    """Call `act` with the flight and the time, once, when the vehicle is in `state`."""
     run, waiting = simulated.run_until, [act]
 
     def watch(t_us: int) -> int:

@@ -37,7 +37,7 @@ class Airfield:
     session: Mapping[str, str]
 
     def check(self) -> None:
-        """Nothing comes back. Raises ConfigurationError where there is no such world."""
+        """Raise ConfigurationError if there is no such world."""
         vehicle_class().create(self.vehicle, world=self.world, world_seed=self.world_seed).close()
 
     def power_up(self, reference: Reference, flight: int) -> Any:

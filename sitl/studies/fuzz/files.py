@@ -40,7 +40,7 @@ class BlobTarget:
         self.valid = 0
 
     def give(self, data: bytes) -> None:
-        """Nothing comes back; the blob was refused, or read, judged and made a track."""
+        """Read the blob: it is refused, or judged and made a track."""
         for kind in (1, 2):
             check_blob(kind, data, parameters=self._parameters, vehicle_id=self._vehicle_id)
         try:
@@ -71,11 +71,11 @@ class _InFolder:
         self.valid = 0
 
     def close(self) -> None:
-        """Nothing comes back; the files are gone."""
+        """Remove the files."""
         self._folder.cleanup()
 
     def read(self, act: Callable[[], Any], *documented: type[Exception]) -> None:
-        """Nothing comes back; `act` gave something, or raised one of the errors documented."""
+        """Call `act`, which returns or raises one of the documented errors."""
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
@@ -90,7 +90,7 @@ class LogTarget(_InFolder):
     """Flight logs: read, and recovered."""
 
     def give(self, data: bytes) -> None:
-        """Nothing comes back; the log was read or refused, recovered or not."""
+        """Read the log and recover it; each may refuse."""
         path = self.folder / "flight.mcap"
         path.write_bytes(data)
         self.read(lambda: read_flight(path), LogError)
@@ -106,7 +106,7 @@ class TextTarget(_InFolder):
     """TOML files; an input begins with a line that says what it is."""
 
     def give(self, data: bytes) -> None:
-        """Nothing comes back; the file was read or refused."""
+        """Read the file, or refuse it."""
         what, _, content = data.partition(b"\n")
         name = what.decode()
         path = self.folder / f"a{_SUFFIX[name]}"

@@ -64,12 +64,12 @@ class HostTarget:
         a.listener = Recorder(self._log, a.client, a.camera, reference, 0)
 
     def close(self) -> None:
-        """Nothing comes back; the log is closed and gone."""
+        """Close and remove the log."""
         self._log.close()
         self._folder.cleanup()
 
     def give(self, data: bytes | tuple[bytes, ...]) -> None:
-        """Nothing comes back; one step with `data` at the port or in datagrams."""
+        """Advance one step with `data` at the port or in datagrams."""
         a, b = self._sessions
         self.now_us += STEP_US
         if isinstance(data, tuple):

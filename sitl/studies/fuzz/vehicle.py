@@ -216,7 +216,7 @@ class VehicleTarget:
     # One input.
 
     def give(self, data: bytes) -> None:
-        """Nothing comes back; `data` has arrived within one tick, and what may not change has not."""
+        """Deliver `data` within one tick and check what may not change."""
         data = data[:LONGEST]
         found = valid_messages(data + FLUSH)
         self.valid += len(found)
@@ -329,7 +329,7 @@ class RadioTarget:
         self._pieces: dict[int, list[bytes]] = {}
 
     def give(self, data: bytes) -> None:
-        """Nothing comes back; the bytes went through the air and into the host's port."""
+        """Send the bytes through the air into the host's port."""
         self._port.write(data, self.now_us)
         found = valid_messages(self._tail + data)
         self.valid += len(found)
