@@ -97,7 +97,6 @@ class Rules:
         "1",
         "Repeatable power of whole flights, over turbulence and noise and two standard errors down, above "
         "which it needs a cause.",
-        MEASURED,
     )
     repeat_standard_errors: float = _rule(
         2.0, "standard errors", "How far below its estimate a repeatable power is taken to be."
