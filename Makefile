@@ -59,8 +59,8 @@ generate: $(READY_ALL)
 	$(PYTHON) -m trimtab.protocol.generate
 
 docs: $(READY)
-	$(PYTHON) -m trimtab.host.report.effects_page docs/effects.md
-	$(PYTHON) -m trimtab.host.report.manoeuvres_page docs/manoeuvres.md
-	$(PYTHON) -m trimtab.host.report.rules_page docs/tracing-rules.md
-	$(PYTHON) -m trimtab.firmware_model.failsafe_page docs/failsafes.md
-	$(PYTHON) -m trimtab.sitl.studies.upload_picture docs/upload.svg
+	$(PYTHON) docs/generators/effects.py docs/reference/effects.md
+	$(PYTHON) docs/generators/manoeuvres.py docs/reference/manoeuvres.md
+	$(PYTHON) docs/generators/rules.py docs/reference/tracing-rules.md
+	$(PYTHON) docs/generators/failsafes.py docs/reference/failsafes.md
+	$(PYTHON) -m trimtab.sitl.studies.upload_picture docs/concepts/upload.svg

@@ -65,7 +65,7 @@ class ResidualModel:
     adjusted: those of the effects that only moved within their tolerance. They are part of every prediction,
     but give no plan something to avoid: what they change of thrust, mass and torque counts as known. So do,
     beside a network or a drag, all effects without specific force, unless `count_loads`: counted beside a
-    drag, they made no plan fly closer (docs/planning.md).
+    drag, they made no plan fly closer (docs/guide/planning.md).
     """
 
     parts: tuple[Part, ...] = ()

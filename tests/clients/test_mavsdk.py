@@ -1,4 +1,4 @@
-"""MAVSDK: the session that docs/clients.md shows, and what its telemetry, actions and offboard need."""
+"""MAVSDK: the session that docs/guide/clients.md shows, and what its telemetry, actions and offboard need."""
 
 from __future__ import annotations
 

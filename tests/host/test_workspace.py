@@ -47,10 +47,12 @@ def test_missing_workspace_is_refused(tmp_path: Path) -> None:
 
 @pytest.fixture
 def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of docs/workspace.md, as the current one: its effect, the route page's route, a vehicle."""
-    page = (DOCS / "workspace.md").read_text(encoding="utf-8")
+    """Return the folder of docs/guide/workspace.md: its effect, the route page's route, a vehicle."""
+    page = (DOCS / "guide" / "workspace.md").read_text(encoding="utf-8")
     (effect,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
-    (route,) = re.findall(r"```toml\n(.*?)```", (DOCS / "route-file.md").read_text(), flags=re.DOTALL)
+    (route,) = re.findall(
+        r"```toml\n(.*?)```", (DOCS / "reference" / "route-file.md").read_text(), flags=re.DOTALL
+    )
     mine = load_vehicle("research").replace(name="mine", mass_kg=0.76).to_toml()
     files = {"effects/elastic_tether.py": effect, "routes/window.toml": route, "vehicles/mine.toml": mine}
     for name, text in files.items():

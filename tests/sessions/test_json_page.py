@@ -1,4 +1,4 @@
-"""docs/json.md names every key that the verbs really print, and no other."""
+"""docs/reference/json.md names every key that the verbs really print, and no other."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from trimtab.sitl.studies.uploads import CHANNELS
 
 ROOT = Path(__file__).parent.parent.parent
 MADE = ROOT / "tests" / "data"
-PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reference" / "json.md").read_text(encoding="utf-8")
 Steps = tuple[str, ...]
 
 

@@ -39,7 +39,7 @@ REAL_GROUPS = (
     ("crazyflie-usd", ("log153",), ("log148",)),
     ("crazyflie-usd", ("log148",), ("log153",)),
 )
-"""Profile, logs and held-out logs, as in docs/imports.md."""
+"""Profile, logs and held-out logs, as in docs/guide/imports.md."""
 
 
 def chosen_worlds() -> list[PlannedWorld]:

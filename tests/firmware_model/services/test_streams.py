@@ -15,7 +15,7 @@ STATION = (245, 190)
 SET, GET, REQUEST = 511, 510, 512
 KINDS = {number: mavlink.mavlink_map[number] for number in STREAMS}
 STATUS_SHARE = 50 * 116
-"""Bytes a second that the air budget of docs/link.md leaves for status."""
+"""Bytes a second that the air budget of docs/concepts/link.md leaves for status."""
 
 
 def beat():

@@ -14,6 +14,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from generators.effects import page
 
 from trimtab.host.apps.demo.compare import latency_of
 from trimtab.host.effects import Effect, EffectError, ExactAlias, Parameter, load_effects, number
@@ -22,7 +23,6 @@ from trimtab.host.effects.unknowns import POSE_LATENCY, THRUST, UNKNOWN
 from trimtab.host.log import Battery, Mocap, RecordedImu, read_flight, write_imported
 from trimtab.host.log.tracks import Flight
 from trimtab.host.models.model import Model
-from trimtab.host.report.effects_page import page
 from trimtab.host.trace import words
 from trimtab.host.trace.data.signals import departure, has_signals
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias, exact_aliases

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from generators.manoeuvres import INSTRUMENTS
 
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
-from trimtab.host.report.manoeuvres_page import INSTRUMENTS
 from trimtab.host.route import load_route
 from trimtab.host.trace import words
 from trimtab.host.trace.data.cutting import segments_of

@@ -1,6 +1,6 @@
-"""The page on modes, failsafes and arming checks, docs/failsafes.md, made from the tables themselves.
+"""Make docs/reference/failsafes.md, on modes, failsafes and arming checks, from the tables themselves.
 
-`python -m trimtab.firmware_model.failsafe_page FILE` writes it; a test holds the page against the code.
+`python docs/generators/failsafes.py FILE` writes it; a test holds the page against the code.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The page on manoeuvres, docs/manoeuvres.md, made from the shipped routes and what they separate.
+"""The page on manoeuvres, docs/reference/manoeuvres.md, made from the shipped routes and what they separate.
 
-`python -m trimtab.host.report.manoeuvres_page FILE` writes it; a test holds the page against the code.
+`python docs/generators/manoeuvres.py FILE` writes it; a test holds the page against the code.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ _HEAD = """# Manoeuvres
 <!-- Made by `make docs` from host/routes; change it there. -->
 
 Routes that tell effects apart. `trimtab plan NAME` plans them; where logs cannot decide between two effects,
-[`trimtab trace`](tracing.md) chooses among them, and among the workspace's own routes, those that the vehicle
-can fly within its limits and geofence.
+[`trimtab trace`](../guide/tracing.md) chooses among them, and among the workspace's own routes, those that the
+vehicle can fly within its limits and geofence.
 
 | route | time | what for |
 |---|---|---|

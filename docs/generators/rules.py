@@ -1,6 +1,6 @@
-"""The page on the thresholds of tracing, docs/tracing-rules.md, made from the rules themselves.
+"""The page on the thresholds of tracing, docs/reference/tracing-rules.md, made from the rules themselves.
 
-`python -m trimtab.host.report.rules_page FILE` writes it; a test holds the page against the code.
+`python docs/generators/rules.py FILE` writes it; a test holds the page against the code.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ one effect, such as its tolerance, stands on the [effect](effects.md).
 
 Source says where a value comes from. *Chosen*: a definition or a judgement, without a measurement behind it.
 *Measured*: measured in simulated worlds that hold no effect; `trimtab study calibrate` repeats the
-measurement. [Studies](studies.md#calibrate) has the last one.
+measurement. [Studies](../studies/studies.md#calibrate) has the last one.
 
 | rule | value | unit | meaning | source |
 |---|---|---|---|---|

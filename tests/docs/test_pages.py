@@ -25,8 +25,8 @@ from trimtab.host.route import (
 from trimtab.host.route.files import RouteFile
 from trimtab.host.vehicle import Battery, Gains, Limits, Rotor, Vehicle, load_vehicle
 
-ROOT = Path(__file__).parent.parent
-PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
 
 
 @pytest.mark.parametrize(
@@ -38,13 +38,13 @@ PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").glob
     ],
 )
 def test_page_names_every_key(page: str, models: tuple[type[BaseModel], ...]) -> None:
-    text = (ROOT / "docs" / page).read_text()
+    text = (ROOT / "docs" / "reference" / page).read_text()
     keys = {name for model in models for name in model.model_fields}
     assert sorted(key for key in keys if not re.search(rf"[`\[]{key}[`\]]", text)) == []
 
 
 def test_route_pages_example_is_a_good_route() -> None:
-    page = (ROOT / "docs" / "route-file.md").read_text()
+    page = (ROOT / "docs" / "reference" / "route-file.md").read_text()
     (example,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
     limits = check_route(parse_route(example, "example"), load_vehicle("research"))
     assert limits.speed_max_m_s == 3.0
@@ -76,7 +76,7 @@ def test_options_of_every_page_exist(capsys: pytest.CaptureFixture[str]) -> None
 def test_drawing_places_rotors_as_the_research_vehicle_has_them() -> None:
     # Up on the page is forward, right is right; the body's centre is drawn at (250, 250).
     svg = "{http://www.w3.org/2000/svg}"
-    tree = ElementTree.parse(ROOT / "docs" / "conventions.svg")
+    tree = ElementTree.parse(ROOT / "docs" / "concepts" / "conventions.svg")
     drawn: dict[tuple[bool, bool], list[str]] = {}
     for text in tree.iter(f"{svg}text"):
         x, y = float(text.get("x", 0)) - 250, 250 - float(text.get("y", 0))

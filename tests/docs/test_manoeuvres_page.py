@@ -6,10 +6,9 @@ import re
 from pathlib import Path
 
 import pytest
+from generators.manoeuvres import PAIRS, page
 
-from trimtab.host.report.manoeuvres_page import PAIRS, page
-
-DOCS = Path(__file__).parent.parent.parent.parent / "docs"
+DOCS = Path(__file__).parents[2] / "docs" / "reference"
 NUMBER = re.compile(r"(?<= )\d+\.\d(?= \|)")
 Sigmas = dict[str, dict[str, float]]
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from generators import effects, failsafes, rules
 from google.protobuf.message import Message
 
-from trimtab.firmware_model import failsafe_page
 from trimtab.firmware_model.services.files import FILES
 from trimtab.firmware_model.services.ftp import IDLE_US, SESSIONS_MAX
 from trimtab.firmware_model.services.streams import STATION_US, STREAMS
@@ -24,10 +24,8 @@ from trimtab.host.link.client import TIMESYNC_FIRST_US, TIMESYNC_US
 from trimtab.host.link.flight import SILENCE_US
 from trimtab.host.link.tasks import PATIENCE_US
 from trimtab.host.log import FLIGHT_TOPICS, IMPORTED_TOPICS
-from trimtab.host.report import rules_page
-from trimtab.host.report.effects_page import page
-from trimtab.host.trace.decision import rules
 from trimtab.host.trace.decision.findings import Verdict
+from trimtab.host.trace.decision.rules import table as table_of_rules
 from trimtab.host.vehicle.strict_toml import Strict
 from trimtab.protocol.generated import flight_pb2
 from trimtab.protocol.generated.frames import MESSAGES
@@ -36,11 +34,12 @@ from trimtab.protocol.upload import CHUNK_BYTES, SenderState
 from trimtab.protocol.uwb import FRAME_BYTES
 from trimtab.sitl.world import RadioSettings, SerialSettings, TimingSettings
 
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def text_of(name: str) -> str:
-    return (DOCS / name).read_text(encoding="utf-8")
+    (page,) = DOCS.rglob(name)
+    return page.read_text(encoding="utf-8")
 
 
 def table(text: str, heading: str) -> list[list[str]]:
@@ -52,15 +51,15 @@ def table(text: str, heading: str) -> list[list[str]]:
 
 
 def test_effects_page_is_the_one_the_code_makes() -> None:
-    assert text_of("effects.md") == page(load_effects()), "run `make docs`"
+    assert text_of("effects.md") == effects.page(load_effects()), "run `make docs`"
 
 
 def test_rules_page_is_the_one_the_code_makes() -> None:
-    assert text_of("tracing-rules.md") == rules_page.page(rules.table()), "run `make docs`"
+    assert text_of("tracing-rules.md") == rules.page(table_of_rules()), "run `make docs`"
 
 
 def test_failsafes_page_is_the_one_the_code_makes() -> None:
-    assert text_of("failsafes.md") == failsafe_page.page(), "run `make docs`"
+    assert text_of("failsafes.md") == failsafes.page(), "run `make docs`"
 
 
 def test_imports_page_names_every_profile_and_every_unknown() -> None:

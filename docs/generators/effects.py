@@ -1,6 +1,6 @@
-"""The page on the candidate effects, docs/effects.md, made from the effects themselves.
+"""The page on the candidate effects, docs/reference/effects.md, made from the effects themselves.
 
-`python -m trimtab.host.report.effects_page FILE` writes it; a test holds the page against the code.
+`python docs/generators/effects.py FILE` writes it; a test holds the page against the code.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ What `trimtab trace` may name. Each candidate is one file in `host/effects`; a w
   `trace` lists them with their probabilities. Where no flight can, a measurement may.
 - Of two effects that fit every flight **exactly alike**, `trace` names what flights do show of them, and what
   tells them apart. An **adjustment** is in every model within its tolerance and never named by itself.
-- What a log declares [unknown](imports.md#what-is-declared-unknown) **replaces** an effect, which leaves the
-  model, or leaves it **free**: it is then fitted to every flight and not named.
+- What a log declares [unknown](../guide/imports.md#what-is-declared-unknown) **replaces** an effect, which
+  leaves the model, or leaves it **free**: it is then fitted to every flight and not named.
 - What **closing the loop** means ends each section: what the model gains, what a new plan does about it, and
   what the law on board does where it can.
 """
