@@ -70,8 +70,8 @@ _HEAD = """# Manoeuvres
 <!-- Made by `make docs` from host/routes; change it there. -->
 
 Routes that tell effects apart. `trimtab plan NAME` plans them; where logs cannot decide between two effects,
-[`trimtab trace`](../guide/tracing.md) chooses among them, and among the workspace's own routes, those that the
-vehicle can fly within its limits and geofence.
+[`trimtab trace`](../guide/tracing.md) chooses among them, and among the workspace's own routes, those that
+the vehicle can fly within its limits and geofence.
 
 | route | time | what for |
 |---|---|---|
