@@ -45,6 +45,7 @@ lint: style types
 
 style: $(READY_ALL)
 	$(PYTHON) -m ruff check .
+	$(PYTHON) -m ruff format --check .
 
 types: $(READY_ALL)
 	$(PYTHON) -m pyright

@@ -59,7 +59,7 @@ def _version() -> str:
 
 
 def build_app() -> App:
-    """The cyclopts application; no verb's module is imported."""
+    """Return the cyclopts application; no verb's module is imported."""
     from cyclopts import App, Parameter
 
     app = App(
@@ -77,7 +77,7 @@ def build_app() -> App:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """The exit code of one run. Errors are one line each on stderr; for a bug it names a file.
+    """Return the exit code of one run. Errors are one line each on stderr; for a bug it names a file.
 
     Without `argv` it is the process's: what is slow is imported where Ctrl-C is one line already, and once
     the run has ended Ctrl-C is ignored.
@@ -117,7 +117,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    """The exit code of the verb that `words` name."""
+    """Return the exit code of the verb that `words` name."""
     from cyclopts import CycloptsError
 
     try:
@@ -133,7 +133,7 @@ def _run(words: list[str]) -> int:
 
 
 def _verb_of(words: Sequence[str]) -> str:
-    """The verb in `words` with a blank behind it, or nothing."""
+    """Return the verb in `words` with a blank behind it, or nothing."""
     known = {verb.name for verb in VERBS}
     return f"{words[0]} " if words and words[0] in known else ""
 
@@ -152,7 +152,7 @@ def _fail(words: Sequence[str], message: str, code: int, details: Mapping[str, A
 
 
 def _silence_stdout() -> None:
-    """Sends what stdout still holds nowhere, so that the interpreter's end does not stumble over it."""
+    """Send what stdout still holds nowhere, so that the interpreter's end does not stumble over it."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

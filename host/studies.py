@@ -26,8 +26,8 @@ class Study(Protocol):
         report: Callable[[float, float, str], None],
         **options: Any,
     ) -> Mapping[str, Any]:
-        """The outcome as plain data: `answer` (the machine's object, with `study`), `lines` (for people),
-        `scores` (everything), and what its page shows.
+        """Return the outcome as plain data: `answer` (the machine's object, with `study`), `lines` (for
+        people), `scores` (everything), and what its page shows.
 
         folder: state and results, gone on with where they are there. report: called with what is done, what
         there is to do, and a word.
@@ -49,7 +49,7 @@ def options_of(study: Study, asked: Mapping[str, Any], flags: Mapping[str, str],
 
 
 def find_study(name: str) -> Study:
-    """The study registered under `name`. Raises UsageError where there is none."""
+    """Return the study registered under `name`. Raises UsageError where there is none."""
     found = {point.name: point for point in entry_points(group=GROUP)}
     if name not in found:
         known = ", ".join(sorted(found)) or "none is installed, run `make venv`"

@@ -24,13 +24,13 @@ class Workspace:
     root: Path
 
     def vehicle(self, name_or_path: str | Path) -> Vehicle:
-        """The vehicle of a name or path. Raises ConfigurationError."""
+        """Return the vehicle of a name or path. Raises ConfigurationError."""
         from trimtab.host.vehicle import load_vehicle
 
         return load_vehicle(name_or_path, self.root)
 
     def route(self, name_or_path: str | Path, vehicle: Vehicle | None = None) -> Route:
-        """The route of a name (`random:SEED` too) or path, with `vehicle` for more complete errors.
+        """Return the route of a name (`random:SEED` too) or path, with `vehicle` for more complete errors.
 
         Raises ConfigurationError.
         """
@@ -45,7 +45,7 @@ class Workspace:
 
 
 def open_workspace(folder: str | Path | None = None) -> Workspace:
-    """The workspace of `folder`, the current one where None. Raises UsageError where there is none.
+    """Return the workspace of `folder`, the current one where None. Raises UsageError where there is none.
 
     None of its folders need be there; one of their names that is a file's is refused too.
     """

@@ -133,7 +133,7 @@ class Reference:
         _check_increasing("yaws", [yaw.t_us for yaw in yaws])
 
     def to_bytes(self) -> bytes:
-        """The blob: `HEADER_BYTES + 52 nodes + 12 yaws` bytes."""
+        """Return the blob: `HEADER_BYTES + 52 nodes + 12 yaws` bytes."""
         flags = self._FREE_ENDS if self.free_ends else 0
         counts = (len(self.nodes), len(self.yaws))
         head = _pack_header(self.KIND, flags, self.vehicle_id, self.origin_ned, counts)
@@ -143,7 +143,10 @@ class Reference:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Reference:
-        """The reference in `data`. Raises BlobError, and nothing else, naming the field that is wrong."""
+        """Return the reference in `data`.
+
+        Raises BlobError, and nothing else, naming the field that is wrong.
+        """
         head = _unpack_header(data, cls.KIND)
         if head.flags & ~cls._FREE_ENDS:
             raise BlobError(f"flags: {head.flags:#06x} has bits unknown to version {VERSION}")
@@ -168,14 +171,14 @@ class Reference:
         return self.nodes[-1].t_us
 
     def nodes_ned(self) -> tuple[Node, ...]:
-        """The nodes with the origin added to their positions, in double."""
+        """Return the nodes with the origin added to their positions, in double."""
         n, e, d = self.origin_ned
         return tuple(
             Node(t, (state[0] + n, state[1] + e, state[2] + d, *state[3:])) for t, state in self.nodes
         )
 
     def yaw_nodes(self) -> tuple[YawNode, ...]:
-        """The yaw nodes, at least one: yaw 0 where the blob has none."""
+        """Return the yaw nodes, at least one: yaw 0 where the blob has none."""
         return self.yaws or (YawNode(0, 0.0, 0.0),)
 
 
@@ -222,7 +225,7 @@ class FeedForward:
         object.__setattr__(self, "weights", _singles("weights", self.weights, names))
 
     def to_bytes(self) -> bytes:
-        """The blob."""
+        """Return the blob."""
         block = self.block or ()
         flags = (self._BLOCK if block else 0) | (self._NETWORK if self.layers else 0)
         counts = (len(block), len(self.weights))
@@ -233,7 +236,10 @@ class FeedForward:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> FeedForward:
-        """The feed-forward in `data`. Raises BlobError, and nothing else, naming the field that is wrong."""
+        """Return the feed-forward in `data`.
+
+        Raises BlobError, and nothing else, naming the field that is wrong.
+        """
         head = _unpack_header(data, cls.KIND)
         if head.flags & ~(cls._BLOCK | cls._NETWORK):
             raise BlobError(f"flags: {head.flags:#06x} has bits unknown to version {VERSION}")
@@ -267,12 +273,12 @@ Blob = Reference | FeedForward
 
 
 def from_bytes(data: bytes) -> Blob:
-    """The blob in `data`, of whichever kind its header says. Raises BlobError."""
+    """Return the blob in `data`, of whichever kind its header says. Raises BlobError."""
     return FeedForward.from_bytes(data) if kind_of(data) is Kind.FEEDFORWARD else Reference.from_bytes(data)
 
 
 def kind_of(data: bytes) -> Kind:
-    """The kind that the header states. Raises BlobError where there is no such header."""
+    """Return the kind that the header states. Raises BlobError where there is no such header."""
     if data[:4] != MAGIC:
         raise BlobError(f"magic: {bytes(data[:4])!r} is not {MAGIC!r}")
     if len(data) < 5 or data[4] not in tuple(Kind):
@@ -340,7 +346,10 @@ def _check_increasing(name: str, times: Sequence[int]) -> None:
 
 
 def _floats(name: str, values: Iterable[float], size: int) -> tuple[float, ...]:
-    """The values as finite floats. Raises BlobError with their number or the one that is not finite."""
+    """Return the values as finite floats.
+
+    Raises BlobError with their number or the one that is not finite.
+    """
     floats = tuple(map(float, values))
     if len(floats) != size:
         raise BlobError(f"{name}: has {len(floats)} numbers, not {size}")
@@ -351,7 +360,7 @@ def _floats(name: str, values: Iterable[float], size: int) -> tuple[float, ...]:
 
 
 def _singles(name: str, values: Iterable[float], names: Sequence[str]) -> tuple[float, ...]:
-    """The values rounded to float32. Raises BlobError naming the one that has no finite float32."""
+    """Return the values rounded to float32. Raises BlobError naming the one that has no finite float32."""
     floats = tuple(map(float, values))
     if len(floats) != len(names):
         raise BlobError(f"{name}: has {len(floats)} numbers, not {len(names)}")
@@ -375,7 +384,7 @@ def _block_names() -> tuple[str, ...]:
 
 
 def _weight_count(layers: tuple[int, ...]) -> int:
-    """Number of weights of a network with these hidden widths, 0 for none. Raises BlobError."""
+    """Return number of weights of a network with these hidden widths, 0 for none. Raises BlobError."""
     if not layers:
         return 0
     if len(layers) > HIDDEN_MAX or not all(isinstance(n, int) and 1 <= n <= WIDTH_MAX for n in layers):

@@ -90,14 +90,20 @@ _LAYOUTS: dict[int, _Layout] = {number: _layout(kind) for number, kind in mavlin
 class Codec:
     """One end of a link: numbers what it sends, decodes what arrives, counts what was lost.
 
-    Args:
-        system, component: MAVLink address put on what is sent (`messages.HOST` and others).
+    Parameters
+    ----------
+    system, component
+        MAVLink address put on what is sent (`messages.HOST` and others).
 
-    Attributes:
-        sent, received: messages.
-        lost: messages that never came, by the gaps in their senders' numbers; what was overtaken on the way
-            counts as lost until it arrives.
-        repeated: messages that came twice; both are decoded.
+    Attributes
+    ----------
+    sent, received
+        messages.
+    lost
+        messages that never came, by the gaps in their senders' numbers; what was overtaken on the way
+        counts as lost until it arrives.
+    repeated
+        messages that came twice; both are decoded.
     """
 
     def __init__(self, system: int, component: int) -> None:
@@ -125,7 +131,7 @@ class Codec:
         return self._splitter.bad_checksums
 
     def encode(self, message: Message) -> bytes:
-        """The message as bytes, numbered on. Raises ValueError where a field does not fit."""
+        """Return the message as bytes, numbered on. Raises ValueError where a field does not fit."""
         packing = _PACKINGS[type(message)]
         try:
             payload = packing.payload(message).rstrip(b"\0") or b"\0"
@@ -138,7 +144,7 @@ class Codec:
         return _MAGIC + body + crc.to_bytes(2, "little")
 
     def decode(self, data: bytes) -> list[Message]:
-        """The messages that `data` completes, oldest first. Never raises, whatever the bytes are.
+        """Return the messages that `data` completes, oldest first. Never raises, whatever the bytes are.
 
         A float field may hold anything a float32 can, NaN included.
         """
@@ -175,7 +181,9 @@ class Codec:
 
 
 def decode_message(frame: bytes) -> Message:
-    """The message in `frame`, a whole one as a `StreamSplitter` gives it: the checksum is not looked at."""
+    """Return the message in `frame`, a whole one as a `StreamSplitter` gives it: the checksum is not looked
+    at.
+    """
     layout = _LAYOUTS[frame[7] | frame[8] << 8 | frame[9] << 16]
     length = frame[1]
     payload = frame[HEADER_BYTES : HEADER_BYTES + length]

@@ -61,7 +61,7 @@ class Packet:
 
     @classmethod
     def decode(cls, payload: bytes) -> Packet:
-        """The packet in a payload of any length: what is missing counts as zeros."""
+        """Return the packet in a payload of any length: what is missing counts as zeros."""
         payload = bytes(payload).ljust(PAYLOAD_BYTES, b"\0")
         number, session, opcode, size, request, complete, _, offset = _HEADER.unpack_from(payload)
         return cls(
@@ -76,7 +76,7 @@ class Packet:
         )
 
     def encode(self) -> bytes:
-        """The payload, of full length. Raises ValueError where the data is too long."""
+        """Return the payload, of full length. Raises ValueError where the data is too long."""
         if len(self.data) > DATA_BYTES:
             raise ValueError(f"{len(self.data)} bytes do not fit, at most {DATA_BYTES} do")
         head = _HEADER.pack(
@@ -93,5 +93,5 @@ class Packet:
 
 
 def crc32(data: bytes) -> int:
-    """The checksum of CALC_FILE_CRC32: initial value 0, nothing inverted at the end."""
+    """Return the checksum of CALC_FILE_CRC32: initial value 0, nothing inverted at the end."""
     return zlib.crc32(data, 0xFFFF_FFFF) ^ 0xFFFF_FFFF

@@ -31,7 +31,7 @@ MESSAGES: dict[int, tuple[str, int, int]] = {{
 
 
 def generate(folder: Path = GENERATED) -> list[Path]:
-    """The files written into `folder`, sorted by name; the same bytes on every run."""
+    """Return the files written into `folder`, sorted by name; the same bytes on every run."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "__init__.py").write_text(_INIT, encoding="utf-8")
     _write_dialect(folder)

@@ -104,7 +104,7 @@ class UploadResult(IntEnum):
 
 
 def vehicle_heartbeat(state: int, *, armed: bool, failsafe: bool = False) -> Heartbeat:
-    """The heartbeat of a Trimtab vehicle in `state` (TRIMTAB_STATE, 0..255)."""
+    """Return the heartbeat of a Trimtab vehicle in `state` (TRIMTAB_STATE, 0..255)."""
     mode = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
     if failsafe:
         status = mavlink.MAV_STATE_CRITICAL
@@ -117,7 +117,7 @@ def vehicle_heartbeat(state: int, *, armed: bool, failsafe: bool = False) -> Hea
 
 
 def host_heartbeat() -> Heartbeat:
-    """The heartbeat of a ground station."""
+    """Return the heartbeat of a ground station."""
     mode, status = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mavlink.MAV_STATE_ACTIVE
     return Heartbeat(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, mode, _MARK << 24, status, 3)
 

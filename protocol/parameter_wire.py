@@ -19,7 +19,9 @@ def type_of(row: Parameter | None) -> int:
 
 
 def encode(value: float, kind: int) -> float:
-    """What goes into param_value. Raises ValueError where an int32 is asked for and `value` is none."""
+    """Return what goes into param_value. Raises ValueError where an int32 is asked for and `value` is
+    none.
+    """
     if kind != INT32:
         return value
     try:
@@ -31,7 +33,7 @@ def encode(value: float, kind: int) -> float:
 
 
 def decode(raw: float, kind: int) -> float:
-    """The value that a param_value of this type stands for. Raises ValueError for any other type."""
+    """Return the value that a param_value of this type stands for. Raises ValueError for any other type."""
     if kind == INT32:
         return float(_INT.unpack(_FLOAT.pack(raw))[0])
     if kind == REAL32:

@@ -193,7 +193,8 @@ DEFAULTS: Mapping[str, float] = MappingProxyType({row.name: row.default for row 
 
 
 def complete(values: Mapping[str, float]) -> dict[str, float]:
-    """A value for every parameter in the table's order, rounded to float32: `values`, defaults elsewhere.
+    """Return a value for every parameter in the table's order, rounded to float32: `values`, defaults
+    elsewhere.
 
     Raises ValueError where a name is not in the table or a value is not allowed.
     """
@@ -206,7 +207,7 @@ def complete(values: Mapping[str, float]) -> dict[str, float]:
 def differences(
     expected: Mapping[str, float], on_board: Mapping[str, float]
 ) -> dict[str, tuple[float, float]]:
-    """(expected, on board) of each parameter of `expected` that differs after rounding to float32.
+    """Return (expected, on board) of each parameter of `expected` that differs after rounding to float32.
 
     A parameter that is not on board counts as NaN there.
     """

@@ -37,30 +37,34 @@ _MASK = _MODULUS - 1
 
 
 def encode_sum(counts: float) -> int:
-    """The running sum as it is sent: its floor modulo 2^32."""
+    """Return the running sum as it is sent: its floor modulo 2^32."""
     return math.floor(counts) & _MASK
 
 
 def difference(later: int, earlier: int) -> int:
-    """Counts from `earlier` to `later`, signed: -2^31 to 2^31 - 1."""
+    """Return counts from `earlier` to `later`, signed: -2^31 to 2^31 - 1."""
     return ((later - earlier + _HALF) & _MASK) - _HALF
 
 
 def encode_quaternion(q: Sequence[float]) -> tuple[int, int, int, int]:
-    """A unit quaternion as FC_ESTIMATE carries it; each part is off by at most half a step of 1/32767."""
+    """Return a unit quaternion as FC_ESTIMATE carries it; each part is off by at most half a step of
+    1/32767.
+    """
     w, x, y, z = (max(-QUATERNION_SCALE, min(QUATERNION_SCALE, round(QUATERNION_SCALE * part))) for part in q)
     return (w, x, y, z)
 
 
 def decode_quaternion(q: Sequence[int]) -> tuple[float, float, float, float]:
-    """The unit quaternion in FC_ESTIMATE, w first; the identity where all parts are 0."""
+    """Return the unit quaternion in FC_ESTIMATE, w first; the identity where all parts are 0."""
     w, x, y, z = q
     norm = math.sqrt(w * w + x * x + y * y + z * z)
     return (w / norm, x / norm, y / norm, z / norm) if norm else (1.0, 0.0, 0.0, 0.0)
 
 
 def whole_tick(tick: int, now: int) -> int:
-    """The tick nearest to `now` of which a message has the last 32 bits; they begin anew after 49.7 days."""
+    """Return the tick nearest to `now` of which a message has the last 32 bits; they begin anew after 49.7
+    days.
+    """
     return now + difference(tick, now)
 
 
@@ -156,7 +160,9 @@ class IntervalDecoder:
         self._before = 0
 
     def push(self, message: FcControl) -> ControlInterval | None:
-        """The interval that this message ends; None for a first message, an invalid, late or repeated one."""
+        """Return the interval that this message ends; None for a first message, an invalid, late or repeated
+        one.
+        """
         last = self._last
         if last is None:
             self._begin(message)

@@ -77,7 +77,7 @@ class StreamSplitter:
         return len(self._pending)
 
     def feed(self, data: bytes, *, last: bool = False) -> list[bytes]:
-        """The messages that `data` completes, oldest first, each exactly as it was in the stream.
+        """Return the messages that `data` completes, oldest first, each exactly as it was in the stream.
 
         After the `last` bytes nothing is waited for: what has begun and not ended is no message, and may
         have one inside.
@@ -124,12 +124,14 @@ class StreamSplitter:
 
 
 def split(data: bytes) -> list[bytes]:
-    """The messages in `data` alone, a datagram: what began in it and did not end is none."""
+    """Return the messages in `data` alone, a datagram: what began in it and did not end is none."""
     return StreamSplitter().feed(data, last=True)
 
 
 def cut(message: bytes, number: int, frame_bytes: int = FRAME_BYTES) -> list[bytes]:
-    """The frames of a message longer than one, in order; `number` sets it apart from its neighbours."""
+    """Return the frames of a message longer than one, in order; `number` sets it apart from its
+    neighbours.
+    """
     step = frame_bytes - PIECE_HEADER_BYTES
     count = -(-len(message) // step)
     return [
@@ -141,8 +143,10 @@ def cut(message: bytes, number: int, frame_bytes: int = FRAME_BYTES) -> list[byt
 class Assembler:
     """Puts pieces together, in whatever order and however often they come. A message comes out once or never.
 
-    Attributes:
-        broken: messages given up, since construction: pieces missing, or a checksum that does not fit.
+    Attributes
+    ----------
+    broken
+        messages given up, since construction: pieces missing, or a checksum that does not fit.
     """
 
     def __init__(self) -> None:
@@ -151,7 +155,7 @@ class Assembler:
         self._kept: dict[int, tuple[int, list[bytes] | None]] = {}
 
     def receive(self, frame: bytes, now_us: int) -> bytes | None:
-        """The message that a frame with a piece completes, None while others are missing."""
+        """Return the message that a frame with a piece completes, None while others are missing."""
         if len(frame) <= PIECE_HEADER_BYTES:
             return None
         number, index, count = frame[1], frame[2] >> 4, frame[2] & 0x0F
@@ -238,10 +242,14 @@ class FramePacker:
     A message longer than a frame goes out in pieces, a frame each, when nothing more urgent waits; what is
     more urgent goes between them.
 
-    Args:
-        poses: poses that may wait; with 1 a frame holds the newest, with 2 two travel together.
-        capacity: room of each queue in bytes.
-        frame_bytes: what a frame holds, at least FRAME_LEAST.
+    Parameters
+    ----------
+    poses
+        poses that may wait; with 1 a frame holds the newest, with 2 two travel together.
+    capacity
+        room of each queue in bytes.
+    frame_bytes
+        what a frame holds, at least FRAME_LEAST.
 
     `waiting` is how many messages wait. Other attributes, all counts since construction:
         refused: messages dropped for lack of room, control telemetry included.
@@ -279,7 +287,7 @@ class FramePacker:
         return bool(self._poses)
 
     def offer(self, message: bytes) -> bool:
-        """True where the whole message was queued, False where it was dropped and counted."""
+        """Return true where the whole message was queued, False where it was dropped and counted."""
         size = len(message)
         number = message[7] | message[8] << 8 | message[9] << 16
         if number == _POSE and size <= self._frame_bytes:
@@ -307,7 +315,7 @@ class FramePacker:
         return True
 
     def take(self) -> bytes | None:
-        """The next frame, None where nothing waits."""
+        """Return the next frame, None where nothing waits."""
         if not self.waiting:
             return None
         parts: list[bytes] = []
@@ -331,7 +339,7 @@ class FramePacker:
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def _take_piece(self, priority: int) -> bytes:
-        """The next piece of the first message of a queue."""
+        """Return the next piece of the first message of a queue."""
         queue, pieces = self._queues[priority], self._pieces[priority]
         if not pieces:
             pieces.extend(cut(queue[0], self._cut, self._frame_bytes))

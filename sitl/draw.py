@@ -39,7 +39,7 @@ class World:
     timing: TimingSettings
 
     def value(self, kind: str, key: str) -> float:
-        """A number as the plant has it: the effect's, else neutral with the build's deviation."""
+        """Return a number as the plant has it: the effect's, else neutral with the build's deviation."""
         if kind in self.effects:
             return self.effects[kind][key]
         quantity = next(q for q in KINDS[kind].quantities if q.key == key)
@@ -48,7 +48,7 @@ class World:
 
 
 def draw_world(name: str, file: WorldFile, seed: int, vehicle: Vehicle) -> World:
-    """The world of a file and a seed for this vehicle: nothing else enters."""
+    """Return the world of a file and a seed for this vehicle: nothing else enters."""
     effects = dict(file.stated)
     if file.draw is not None:
         for kind in _draw_kinds(file.draw, frozenset(effects), seed):
@@ -68,7 +68,7 @@ def draw_world(name: str, file: WorldFile, seed: int, vehicle: Vehicle) -> World
 
 
 def _draw_kinds(draw: Draw, stated: frozenset[str], seed: int) -> list[str]:
-    """The kinds present: a uniform choice among the sets in which wind has a drag to act through."""
+    """Return the kinds present: a uniform choice among the sets in which wind has a drag to act through."""
     rng = world_generator(seed, Purpose.KINDS)
     drags = set(DRAG)
     needs_drag = not stated & drags
@@ -80,7 +80,8 @@ def _draw_kinds(draw: Draw, stated: frozenset[str], seed: int) -> list[str]:
 
 
 def _draw_sizes(kind: Kind, draw: Draw, seed: int) -> dict[str, float]:
-    """The numbers of one kind: log-uniform multiples of the typical size, turned, mirrored or one alone.
+    """Return the numbers of one kind: log-uniform multiples of the typical size, turned, mirrored or one
+    alone.
 
     Places, directions and lengths come evenly from intervals of their own.
     """
@@ -110,7 +111,9 @@ def _bounded(quantity: Quantity, factor: float) -> float:
 
 
 def _draw_deviations(vehicle: Vehicle, seed: int) -> dict[tuple[str, str], float]:
-    """What the build is off by, one normal draw a number with the vehicle file's sigma, else the default."""
+    """Return what the build is off by, one normal draw a number with the vehicle file's sigma, else the
+    default.
+    """
     rng = world_generator(seed, Purpose.TOLERANCES)
     deviations = {}
     for kind in KINDS.values():

@@ -89,7 +89,7 @@ class ForeignPlant:
 
 
 def load_foreign_plant(spec: str, vehicle: Vehicle, options: Mapping[str, Any], seed: int) -> ForeignPlant:
-    """The plant that `path.py:Class` names. Raises ForeignPlantError where it cannot be built."""
+    """Return the plant that `path.py:Class` names. Raises ForeignPlantError where it cannot be built."""
     file, _, class_name = spec.rpartition(":")
     path = Path(file)
     if not file or not class_name:
@@ -116,7 +116,7 @@ def load_foreign_plant(spec: str, vehicle: Vehicle, options: Mapping[str, Any], 
 
 
 def read_plant_options(path: str | Path | None) -> dict[str, Any]:
-    """The options of a `--plant-options` file, none without one. Raises ForeignPlantError."""
+    """Return the options of a `--plant-options` file, none without one. Raises ForeignPlantError."""
     if path is None:
         return {}
     try:

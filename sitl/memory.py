@@ -15,7 +15,7 @@ from trimtab.host.vehicle import ConfigurationError, Vehicle
 
 
 def open_memory(path: Path, vehicle: Vehicle) -> ReferenceStore:
-    """The memory in the file, made where there is none; it has every write at once, and nobody else.
+    """Return the memory in the file, made where there is none; it has every write at once, and nobody else.
 
     Raises ConfigurationError where the file cannot be opened or made, is no memory, in use, or another
     vehicle's.

@@ -146,7 +146,7 @@ def _traced(parts: frozenset[str]) -> Any:
 
 
 def plant_engine(parts: frozenset[str] = PARTS) -> CompiledEngine:
-    """The tick of a world with these of `plant_model.PARTS`, with memory of its own.
+    """Return the tick of a world with these of `plant_model.PARTS`, with memory of its own.
 
     Compiled or not as `trimtab.host.codegen` chooses.
     """
@@ -154,7 +154,10 @@ def plant_engine(parts: frozenset[str] = PARTS) -> CompiledEngine:
 
 
 def pack(layout: Sequence[Block], values: Mapping[str, Sequence[float]]) -> memoryview:
-    """The numbers of `values` as one vector in the order of `layout`. Raises ValueError for a wrong size."""
+    """Return the numbers of `values` as one vector in the order of `layout`.
+
+    Raises ValueError for a wrong size.
+    """
     for name, size in layout:
         if len(values[name]) != size:
             raise ValueError(f"{name} holds {len(values[name])} numbers, not {size}")

@@ -27,7 +27,7 @@ _MOMENTUM_SPREAD = (0.0015, -0.001, 0.001, -0.0015)  # of each rotor's angular m
 
 
 def plant_parameters(vehicle: Vehicle, world: World) -> dict[str, list[float]]:
-    """The plant's constants by the names of `plant_model.PARAMETERS`, from vehicle file and world."""
+    """Return the plant's constants by the names of `plant_model.PARAMETERS`, from vehicle file and world."""
     value = world.value
     mass = vehicle.mass_kg * value("mass", "factor")
     com, inertia = _mass_properties(vehicle, world)
@@ -153,7 +153,7 @@ def _hover_inflow(vehicle: Vehicle) -> float:
 
 
 def _swing(length_m: float) -> float:
-    """A pendulum's own frequency, rad/s."""
+    """Return a pendulum's own frequency, rad/s."""
     return math.sqrt(GRAVITY_M_S2 / length_m)
 
 

@@ -193,7 +193,7 @@ class _Body(NamedTuple):
     com: Vector
 
 
-def _accelerations(
+def _accelerations(  # noqa: C901 - one expression; its order of operations is part of every flight's bytes
     ops: Any,
     P: Mapping[str, Any],
     body: _Body,
@@ -319,7 +319,9 @@ def _battery(ops: Any, P: Mapping[str, Any], speeds: Vector, charge: Scalar) -> 
 
 
 def _gust(P: Mapping[str, Any], gust: Vector, noise: Vector) -> list[Scalar]:
-    """The next state of the turbulence: six independent Ornstein-Uhlenbeck processes, held over the tick."""
+    """Return the next state of the turbulence: six independent Ornstein-Uhlenbeck processes, held over the
+    tick.
+    """
     keep, force, torque = P["gust"]
     added = (force, force, force, torque, torque, torque)
     return [keep * g + s * n for g, s, n in zip(gust, added, noise, strict=True)]

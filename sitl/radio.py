@@ -46,11 +46,16 @@ class DirectionCounts:
 class BurstLoss:
     """A Gilbert-Elliott chain, advanced once a frame: a bad spell loses full frames, a good one none.
 
-    Args:
-        loss: share of full frames lost in the long run.
-        burst_frames: mean number of frames in a bad spell.
-        short_risk: chance of a very short frame to be lost in a bad spell.
-        draw: the next uniform number in 0..1.
+    Parameters
+    ----------
+    loss
+        share of full frames lost in the long run.
+    burst_frames
+        mean number of frames in a bad spell.
+    short_risk
+        chance of a very short frame to be lost in a bad spell.
+    draw
+        the next uniform number in 0..1.
     """
 
     def __init__(
@@ -91,8 +96,10 @@ class RadioChannel:
     something new to send is announced by `wake`. `watch`, where set, is told when a frame leaves, and its
     bytes.
 
-    Args:
-        ground, vehicle: the two radios. up_rng, down_rng: chance of ground to vehicle and back.
+    Parameters
+    ----------
+    ground, vehicle
+        the two radios. up_rng, down_rng: chance of ground to vehicle and back.
     """
 
     def __init__(
@@ -150,7 +157,7 @@ class RadioChannel:
         self.due_us = air[0][0] if air and air[0][0] < due_us else due_us
 
     def _give_slot(self, now_us: int) -> None:
-        """The slot goes to the side whose turn it is, else to the other; the turn then passes on.
+        """Give the slot to the side whose turn it is, else to the other; the turn then passes on.
 
         A pose goes ahead of the other side's turn, which stays its turn: so a pose waits for one slot at
         most. No two slots in succession go out of turn, so that the other side has every third at least.
@@ -199,7 +206,7 @@ class RadioChannel:
 
 
 def _flip(frame: bytes, draw: Callable[[], float]) -> bytes:
-    """The frame with one to a few bits turned over."""
+    """Return the frame with one to a few bits turned over."""
     damaged = bytearray(frame)
     for _ in range(1 + int(draw() * _FLIPS_MAX)):
         bit = int(draw() * 8 * len(damaged))

@@ -73,5 +73,5 @@ def ground_gain(ops: Any, P: Mapping[str, Any], height: Scalar, upright: Scalar)
 
 
 def _dead(ops: Any, u: Scalar, centre: Scalar, width: Scalar) -> Scalar:
-    """A command as the motor takes it: within `width` of `centre` all are the same."""
+    """Return a command as the motor takes it: within `width` of `centre` all are the same."""
     return ops.where(ops.fabs(u - centre) < width, centre, u)

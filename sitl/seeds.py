@@ -32,12 +32,12 @@ _WORLD, _FLIGHT = 0, 1
 
 
 def world_generator(world_seed: int, purpose: Purpose, index: int = 0) -> np.random.Generator:
-    """A generator for drawing the world; `index` parts kinds that must not shift each other."""
+    """Return a generator for drawing the world; `index` parts kinds that must not shift each other."""
     return _generator(world_seed, (_WORLD, purpose, index))
 
 
 def flight_generator(world_seed: int, flight: int, purpose: Purpose) -> np.random.Generator:
-    """A generator for one purpose of one flight."""
+    """Return a generator for one purpose of one flight."""
     return _generator(world_seed, (_FLIGHT, flight, purpose))
 
 

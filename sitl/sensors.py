@@ -26,8 +26,10 @@ _STAMP_JITTER = (
 class Imu:
     """Noise and bias of gyro, accelerometer and voltage, seven numbers a tick.
 
-    Args:
-        settings: standard deviations. rng: the flight's generator; the biases are its first draws.
+    Parameters
+    ----------
+    settings
+        standard deviations. rng: the flight's generator; the biases are its first draws.
     """
 
     def __init__(self, settings: ImuSettings, rng: np.random.Generator) -> None:
@@ -41,7 +43,7 @@ class Imu:
         self.bias = bias * rng.standard_normal(7)
 
     def errors(self) -> Iterator[tuple[float, ...]]:
-        """The errors of one tick after the other, without end: gyro 3, specific force 3, voltage 1.
+        """Yield the errors of one tick after the other, without end: gyro 3, specific force 3, voltage 1.
 
         Drawn in blocks, each used last row first.
         """
@@ -67,9 +69,12 @@ class Mocap:
     the origin. `due_us` is when the camera next has work; `ready` holds the poses
     nobody has read.
 
-    Args:
-        settings: rate, noise, delay, gaps. latency_s: undeclared age of a pose at its stamp.
-        rng: the flight's generator. tilt: turn of what is seen about north and east, rad.
+    Parameters
+    ----------
+    settings
+        rate, noise, delay, gaps. latency_s: undeclared age of a pose at its stamp.
+    rng
+        the flight's generator. tilt: turn of what is seen about north and east, rad.
     """
 
     def __init__(
@@ -109,7 +114,7 @@ class Mocap:
         self.due_us = min(self._exposure_due_us, arrival)
 
     def read(self) -> list[Pose]:
-        """The poses that have arrived since the last call, oldest first."""
+        """Return the poses that have arrived since the last call, oldest first."""
         ready, self.ready = self.ready, []
         return ready
 
@@ -148,7 +153,7 @@ class Mocap:
 
 
 def _turned(q: Sequence[float], turn: Sequence[float]) -> tuple[float, float, float, float]:
-    """Unit quaternion q followed by a small rotation vector in the body, w first."""
+    """Return unit quaternion q followed by a small rotation vector in the body, w first."""
     w, x, y, z = q
     a, b, c = (0.5 * angle for angle in turn)
     scale = 1.0 / math.sqrt(1.0 + a * a + b * b + c * c)

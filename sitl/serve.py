@@ -80,13 +80,19 @@ def serve(
 ) -> ServeStatistics:
     """Statistics once `stop` turned true: the vehicle ran against the wall clock, bytes through the port.
 
-    Args:
-        port: "pty" (one client), "tcp:HOST:PORT" (listens, several at a time) or "udp:HOST:PORT" (listens,
+    Parameters
+    ----------
+    port
+        "pty" (one client), "tcp:HOST:PORT" (listens, several at a time) or "udp:HOST:PORT" (listens,
         answers everybody who spoke within the last 10 s).
-        stop: asked every few milliseconds.
-        mocap: udp://HOST:PORT that gets one datagram a pose; None: nobody gets them.
-        realtime: False runs as fast as the machine allows.
-        ready: called once with the address to open.
+    stop
+        asked every few milliseconds.
+    mocap
+        udp://HOST:PORT that gets one datagram a pose; None: nobody gets them.
+    realtime
+        False runs as fast as the machine allows.
+    ready
+        called once with the address to open.
 
     Raises ServeError where port or mocap cannot be opened.
     """
@@ -124,7 +130,7 @@ def _loop(
 
 
 def open_port(spec: str) -> Port:
-    """The port a specification names. Raises ServeError where it is malformed or taken."""
+    """Return the port a specification names. Raises ServeError where it is malformed or taken."""
     if spec == "pty":
         return _Pty()
     scheme, _, rest = spec.partition(":")

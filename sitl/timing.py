@@ -47,7 +47,7 @@ class TickTimes:
         return result
 
     def read(self, now_us: int) -> LoopTimes:
-        """What the ticks before `now_us` took, since the last call."""
+        """Return what the ticks before `now_us` took, since the last call."""
         if now_us >= self.due_us:
             self.missed(now_us)
         self._fold(now_us)
@@ -78,7 +78,7 @@ class TickTimes:
         self.due_us = self._missed[-1] if self._missed else start_us + _BLOCK_US
 
     def _miss(self, from_us: int) -> None:
-        """Marks the ticks of this block from one on that fall into work under way; they are run after it."""
+        """Mark the ticks of this block from one on that fall into work under way; they are run after it."""
         end_us = -(-self._busy_until_us // TICK_US) * TICK_US
         for t_us in range(from_us, min(end_us, self._start_us + _BLOCK_US), TICK_US):
             k = (t_us - self._start_us) // TICK_US
@@ -86,7 +86,7 @@ class TickTimes:
             self._work[k], self._late[k] = 0.0, end_us - t_us
 
     def _fold(self, until_us: int) -> None:
-        """Adds the ticks of this block before `until_us` that were not read yet."""
+        """Add the ticks of this block before `until_us` that were not read yet."""
         first = (max(self._read_us, self._start_us) - self._start_us) // TICK_US
         last = (until_us - self._start_us) // TICK_US
         if last <= first:

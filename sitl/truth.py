@@ -9,7 +9,7 @@ from trimtab.sitl.seeds import session_uid
 
 
 def truth_record(world: World, flight: int, *, plant: str | None = None) -> dict[str, Any]:
-    """The truth as plain data: the session's uid, world and seed, effects and deviations.
+    """Return the truth as plain data: the session's uid, world and seed, effects and deviations.
 
     `plant` names a foreign plant, whose physics only its author knows; the world's effects then do not act.
     """

@@ -19,7 +19,7 @@ def rotation(q: Vector) -> list[Scalar]:
 
 
 def quaternion_rate(q: Vector, w: Vector) -> list[Scalar]:
-    """Derivative of a quaternion q_ned_frd under a body rate in FRD."""
+    """Return derivative of a quaternion q_ned_frd under a body rate in FRD."""
     a, b, c, d = q
     x, y, z = w
     return [
@@ -31,7 +31,7 @@ def quaternion_rate(q: Vector, w: Vector) -> list[Scalar]:
 
 
 def unit(ops: Any, q: Vector) -> list[Scalar]:
-    """A quaternion brought back to unit length."""
+    """Return a quaternion brought back to unit length."""
     scale = 1 / ops.sqrt(dot(q, q))
     return [scale * c for c in q]
 
@@ -42,12 +42,12 @@ def ahead(y: Vector, slope: Vector, h: float) -> list[Scalar]:
 
 
 def into_world(R: Vector, u: Vector) -> list[Scalar]:
-    """A vector in FRD, seen in NED."""
+    """Return a vector in FRD, seen in NED."""
     return [R[3 * i] * u[0] + R[3 * i + 1] * u[1] + R[3 * i + 2] * u[2] for i in range(3)]
 
 
 def into_body(R: Vector, u: Vector) -> list[Scalar]:
-    """A vector in NED, seen in FRD."""
+    """Return a vector in NED, seen in FRD."""
     return [R[i] * u[0] + R[3 + i] * u[1] + R[6 + i] * u[2] for i in range(3)]
 
 

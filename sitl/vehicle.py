@@ -85,15 +85,22 @@ class SimulatedVehicle:
         radio: Mapping[str, Any] | None = None,
         memory: Path | None = None,
     ) -> Self:
-        """A vehicle in a world, powered up for a flight.
+        """Return a vehicle in a world, powered up for a flight.
 
-        Args:
-            vehicle: the vehicle file. world: name or path of a world, `empty` where not given.
-            world_seed, flight: seeds, not negative; the world comes from the first alone.
-            plant: a foreign plant in place of a world, as path.py:Class. plant_options: path of its TOML.
-            start_ned, start_yaw: where it stands, m and rad; z 0 is the floor.
-            radio: settings that override the world's, by the keys of its `[radio]` table.
-            memory: file of the memory that outlives power cuts; it lasts as long as the object without.
+        Parameters
+        ----------
+        vehicle
+            the vehicle file. world: name or path of a world, `empty` where not given.
+        world_seed, flight
+            seeds, not negative; the world comes from the first alone.
+        plant
+            a foreign plant in place of a world, as path.py:Class. plant_options: path of its TOML.
+        start_ned, start_yaw
+            where it stands, m and rad; z 0 is the floor.
+        radio
+            settings that override the world's, by the keys of its `[radio]` table.
+        memory
+            file of the memory that outlives power cuts; it lasts as long as the object without.
 
         Raises ConfigurationError or ForeignPlantError (exit code 2).
         """
@@ -124,7 +131,8 @@ class SimulatedVehicle:
     # What the host sees.
 
     def run_until(self, t_us: int) -> int:
-        """The time now: `t_us` or, where bytes or poses wait for the host, earlier; at least a tick later.
+        """Return the time now: `t_us` or, where bytes or poses wait for the host, earlier; at least a tick
+        later.
 
         Raises ForeignPlantError where a foreign plant fails.
         """
@@ -186,7 +194,7 @@ class SimulatedVehicle:
         return serve(self, port=port, stop=stop, mocap=mocap, realtime=realtime, ready=ready)
 
     def truth(self) -> dict[str, Any]:
-        """What the session hides: world, seed, drawn values, uid. For checks only."""
+        """Return what the session hides: world, seed, drawn values, uid. For checks only."""
         plant = self._step_owner.name if isinstance(self._step_owner, ForeignPlant) else None
         return truth_record(self._setting.world, self._flight, plant=plant)
 
@@ -196,7 +204,7 @@ class SimulatedVehicle:
         return x, y, z
 
     def radio_counts(self) -> dict[str, dict[str, int]]:
-        """What happened to the frames in the air, by direction."""
+        """Return what happened to the frames in the air, by direction."""
         return {
             "up": dataclasses.asdict(self._channel.up),
             "down": dataclasses.asdict(self._channel.down),
@@ -310,12 +318,12 @@ class SimulatedVehicle:
 
 @lru_cache(maxsize=1)
 def traced_law() -> Any:
-    """The law as a symbolic function, traced once for all vehicles of the process."""
+    """Return the law as a symbolic function, traced once for all vehicles of the process."""
     return sx_function(law.step, law.INPUTS, law.OUTPUTS, "flight")
 
 
 def _timed(function: Callable[..., Any], part: str, timers: dict[str, int]) -> Callable[..., Any]:
-    """The function, with the time of each call added to `timers[part]`."""
+    """Return the function, with the time of each call added to `timers[part]`."""
     timers.setdefault(part, 0)
 
     def timed(*arguments: Any) -> Any:

@@ -185,7 +185,7 @@ class Draw(Strict):
 
 
 def _effect_tables() -> type[Strict]:
-    """A model with one optional table a kind, every number of it mandatory and bounded."""
+    """Return a model with one optional table a kind, every number of it mandatory and bounded."""
     tables: dict[str, Any] = {}
     for name, kind in KINDS.items():
         fields: dict[str, Any] = {
@@ -245,7 +245,7 @@ class WorldFile(Strict):
 
 
 def _stated(effects: Effects) -> dict[str, dict[str, float]]:
-    """The effects that have a table, with their values, by name."""
+    """Return the effects that have a table, with their values, by name."""
     tables = ((name, getattr(effects, name.replace("-", "_"))) for name in KINDS)
     return {name: table.model_dump() for name, table in tables if table is not None}
 

@@ -47,7 +47,7 @@ _LAW_NONE = "not compensable on board"
 
 
 def page(effects: Mapping[str, Effect]) -> str:
-    """The page as Markdown: what the words mean, a table of parameters, a section for each effect."""
+    """Return the page as Markdown: what the words mean, a table of parameters, a section for each effect."""
     rows = [
         f"| `{effect.name}` | `{p.key}` | {p.unit} | {p.neutral:g} | {p.typical:g} | {p.tolerance:g} "
         f"| {p.discrepancy:g}, {p.loop_discrepancy:g} | {p.lower:g} to {p.upper:g} | {p.description} |"

@@ -123,7 +123,7 @@ it would lead through the fence or below {lowest:g} m, it brakes up to twice as 
 
 
 def page() -> str:
-    """The page as Markdown."""
+    """Return the page as Markdown."""
     ranks = " < ".join(_words(action.name) for action in Action)
     return "".join(
         (

@@ -116,7 +116,7 @@ def sigmas(vehicle: Vehicle, known: Mapping[str, Manoeuvre]) -> dict[str, tuple[
 
 
 def page() -> str:
-    """The page as Markdown: the shipped routes with their purpose, and what each separates."""
+    """Return the page as Markdown: the shipped routes with their purpose, and what each separates."""
     vehicle = load_vehicle("research")
     routes = {name: load_route(name) for name in list_routes()}
     known = {each.route: each for each in manoeuvres(routes, vehicle)}

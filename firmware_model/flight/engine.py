@@ -37,17 +37,21 @@ class Engine(Protocol):
 
 
 def doubles(blocks: Mapping[str, memoryview]) -> Mapping[str, memoryview[float]]:
-    """The same blocks, seen as what they hold."""
+    """Return the same blocks, seen as what they hold."""
     return cast("Mapping[str, memoryview[float]]", blocks)
 
 
 class FloatEngine:
     """An Engine that evaluates `step(ops, inputs) -> outputs` with the operations given, value by value.
 
-    Args:
-        step: maps a dict of sequences, one an input block, to a dict of sequences, one an output block.
-        ops: operations the step is evaluated with, `trimtab.firmware_model.law.ops.FLOAT` as a rule.
-        inputs, outputs: blocks of the step.
+    Parameters
+    ----------
+    step
+        maps a dict of sequences, one an input block, to a dict of sequences, one an output block.
+    ops
+        operations the step is evaluated with, `trimtab.firmware_model.law.ops.FLOAT` as a rule.
+    inputs, outputs
+        blocks of the step.
     """
 
     def __init__(

@@ -105,6 +105,6 @@ class Estimate:
         return not (near and along >= length * math.cos(0.5 * turn))
 
     def _set(self, p: Sequence[float], q: Sequence[float]) -> None:
-        """The estimate is this pose, at rest; the gyro bias stays."""
+        """Set the estimate to this pose, at rest; the gyro bias stays."""
         for k, value in enumerate((*p, 0.0, 0.0, 0.0, *q)):
             self._memory[k] = value

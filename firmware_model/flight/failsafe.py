@@ -183,5 +183,7 @@ BY_EVENT: dict[Event, Condition] = {row.event: row for row in CONDITIONS}
 
 
 def escalate(current: Action, condition: Condition) -> Action:
-    """The action to take when `condition` strikes while `current` is under way: the higher of the two."""
+    """Return the action to take when `condition` strikes while `current` is under way: the higher of the
+    two.
+    """
     return max(current, condition.action)

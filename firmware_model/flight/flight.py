@@ -51,8 +51,10 @@ what it is for.
 class Flight:
     """One power-up of the flight processor.
 
-    Args:
-        engine: `law.step` as an engine. parameters: values on board.
+    Parameters
+    ----------
+    engine
+        `law.step` as an engine. parameters: values on board.
 
     `reference` is the track to fly, None for none; `feedforward` the law's feed-forward. Both may be replaced
     in standby, the reference also by `swap` while it is tracked. `changed` is set whenever state or failsafe
@@ -219,6 +221,10 @@ class Flight:
             return
         for condition in holding:
             self._strike(condition, now_us)
+        self._look_at_state(now_us)
+
+    def _look_at_state(self, now_us: int) -> None:
+        """Disarm an idle vehicle, notice touchdown, and learn in the air what the thrust is worth."""
         if self.state is State.ARMED and now_us - self.state_us > self.parameters.us("IDLE_S"):
             self._tell(_INFO, "disarmed: nothing started")
             self.command(Event.IDLED, now_us)
@@ -258,18 +264,9 @@ class Flight:
         present = phases.present(now_us)
         self._offboard.release()
         if state is State.STANDBY:
-            self.action = Action.NONE
-            self._rest.begin(now_us)
-            self.feedforward.resume()
-            phases.rest(now_us)
-            if before is not State.BOOT:
-                self._tell(_INFO, "disarmed")
+            self._stand_by(before, now_us)
         elif state is State.ARMED:
-            self.failsafe = Failsafe.NONE
-            self.tracking_us = None
-            self._tell(_INFO, "armed")
-            if self.reference is None:
-                self._tell(_WARNING, "no live reference: start will be refused")
+            self._arm()
         elif state is State.TAKEOFF:
             self._climb_end = Event.CLIMBED if event is Event.START else Event.RISEN
             self._climb(before, present, height_m, now_us)
@@ -277,11 +274,7 @@ class Flight:
             self.tracking_us = now_us
             self._player.start(self.reference, now_us)
         elif state is State.HOLD:
-            if event is Event.REFERENCE_ENDED and self.reference is not None:
-                phases.hold_end(self.reference, now_us)
-            else:
-                lost = event is Event.SETPOINTS_LOST
-                phases.stop(present, now_us, self.parameters["FS_OFFB_HOLD_S"] if lost else None)
+            self._hold(event, present, now_us)
         elif state is State.OFFBOARD:
             if before is State.ARMED:
                 phases.lift_off(now_us)
@@ -290,6 +283,31 @@ class Flight:
             phases.follow(now_us)
         elif state is State.LANDING:
             phases.land(present, now_us)
+
+    def _stand_by(self, before: State, now_us: int) -> None:
+        """Stop the rotors and begin to calibrate at rest."""
+        self.action = Action.NONE
+        self._rest.begin(now_us)
+        self.feedforward.resume()
+        self._phases.rest(now_us)
+        if before is not State.BOOT:
+            self._tell(_INFO, "disarmed")
+
+    def _arm(self) -> None:
+        """Forget the last flight."""
+        self.failsafe = Failsafe.NONE
+        self.tracking_us = None
+        self._tell(_INFO, "armed")
+        if self.reference is None:
+            self._tell(_WARNING, "no live reference: start will be refused")
+
+    def _hold(self, event: Event, present: Present, now_us: int) -> None:
+        """Hold at the end of the reference, or stop here; for a time where setpoints were lost."""
+        if event is Event.REFERENCE_ENDED and self.reference is not None:
+            self._phases.hold_end(self.reference, now_us)
+            return
+        lost = event is Event.SETPOINTS_LOST
+        self._phases.stop(present, now_us, self.parameters["FS_OFFB_HOLD_S"] if lost else None)
 
     def _climb(self, before: State, present: Present, height_m: float | None, now_us: int) -> None:
         """To a height or to the first node of the reference, from the floor or in the air."""
@@ -306,7 +324,7 @@ class Flight:
     # Trouble, touchdown, readiness.
 
     def _strike(self, condition: Condition, now_us: int) -> None:
-        """The condition's event goes to the supervisor; its action is taken if it outranks what is done."""
+        """Send the condition's event to the supervisor, and act if its action outranks the present one."""
         if self.state is State.FAILSAFE and condition.action <= self.action:
             return
         outcome = update(self.state, condition.event)

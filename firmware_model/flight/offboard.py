@@ -62,7 +62,7 @@ class Offboard:
         self._fill((1.0, max(thrust, least), *rate, weight, *q))
 
     def bounds(self, floor: float) -> Bounds:
-        """What positions and velocities are kept within, above a floor at this height (m, down)."""
+        """Return what positions and velocities are kept within, above a floor at this height (m, down)."""
         values = self._parameters
         low = (values["FENCE_N_MIN"], values["FENCE_E_MIN"], values["FENCE_D_MIN"])
         bottom = max(low[2], min(values["FENCE_D_MAX"], floor - LOWEST))

@@ -38,7 +38,7 @@ class ParameterValues(Mapping[str, float]):
         return len(self._values)
 
     def set(self, name: str, value: float) -> float:
-        """The value now on board, `value` rounded to float32.
+        """Return the value now on board, `value` rounded to float32.
 
         Raises KeyError for an unknown name, ValueError where the value is refused; nothing has changed then.
         """
@@ -54,7 +54,7 @@ class ParameterValues(Mapping[str, float]):
         return rounded
 
     def us(self, name: str) -> int:
-        """A parameter in seconds as whole microseconds."""
+        """Return a parameter in seconds as whole microseconds."""
         return round(1e6 * self._values[name])
 
 

@@ -48,8 +48,10 @@ _REST = (0.0,) * 9
 class Phases:
     """Keeps the engine's blocks that say what is followed, and whether the rotors turn.
 
-    Args:
-        inputs, outputs: the engine's blocks. parameters: values on board. feedforward: the law's. tell: is
+    Parameters
+    ----------
+    inputs, outputs
+        the engine's blocks. parameters: values on board. feedforward: the law's. tell: is
         told what people should read of a setpoint or a take-off that is bounded.
 
     `player` plays what is followed, `offboard` has the newest setpoint. `floor` (m, down) and `home_ned`: of
@@ -90,7 +92,7 @@ class Phases:
 
     @property
     def headroom(self) -> float:
-        """m from the vehicle up to the ceiling of the flight volume."""
+        """Return the distance in m from the vehicle up to the ceiling of the flight volume."""
         return self._memory[2] - self._parameters["FENCE_D_MIN"]
 
     @property
@@ -110,7 +112,7 @@ class Phases:
         return track.SINK if self.blind else values["VEL_D_D"] * values["FS_SINK_SPEED"]
 
     def present(self, now_us: int) -> Present:
-        """The reference now; the vehicle's own state where attitude is commanded."""
+        """Return the reference now; the vehicle's own state where attitude is commanded."""
         if not self.offboard.direct:
             reference = self.player.reference(now_us)
             return reference[:12], (reference[12], reference[13])
@@ -167,7 +169,7 @@ class Phases:
         self.player.start(track.hold(p, self._yaw(), track.ENDLESS_US), now_us)
 
     def _leave_floor(self, p: track.Vector) -> None:
-        """The rotors turn, and here is home."""
+        """Start the rotors; home is here."""
         self.floor, self.home_ned = p[2], p
         self._weights[0] = self._weights[1] = 1.0
         self._armed[0] = 1.0
@@ -270,7 +272,7 @@ class Phases:
             self._make_up(thrust_ratio)
 
     def _make_up(self, thrust_ratio: float) -> None:
-        """What thrust has been worth so far replaces the feedback that made up for it."""
+        """Replace the feedback that made up for thrust by what thrust has been worth."""
         self._feedforward.hold((0.0, 0.0, GRAVITY / thrust_ratio - GRAVITY))
 
     def fall(self, now_us: int) -> None:

@@ -13,8 +13,10 @@ class Player:
     A tick compares its time with `switch_us`, calls `switch` where that has come, and writes the time inside
     the pieces, `piece[0] = (now_us - piece_us) * 1e-6` and likewise for yaw. That is all it costs.
 
-    Args:
-        piece, yaw: the engine's input blocks.
+    Parameters
+    ----------
+    piece, yaw
+        the engine's input blocks.
     """
 
     def __init__(self, piece: memoryview[float], yaw: memoryview[float]) -> None:

@@ -54,7 +54,7 @@ class PoseInput:
         return True
 
     def take(self) -> tuple[Pose, int | None]:
-        """The oldest that waits, and the time of measurement of the one before it."""
+        """Return the oldest that waits, and the time of measurement of the one before it."""
         pose = self.waiting.popleft()
         before, self.measured_us = self.measured_us, pose[0]
         self.used += 1

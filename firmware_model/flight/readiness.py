@@ -55,9 +55,12 @@ class GyroCalibration:
     ) -> bool:
         """Whether this look completed the calibration.
 
-        Args:
-            gyro, force: samples of this tick, FRD. sums: the law's gyro sums, in counts, up to this tick.
-            most: greatest bias (rad/s) that is believed.
+        Parameters
+        ----------
+        gyro, force
+            samples of this tick, FRD. sums: the law's gyro sums, in counts, up to this tick.
+        most
+            greatest bias (rad/s) that is believed.
         """
         if self.bias is not None:
             return False
@@ -178,7 +181,7 @@ def reasons(facts: Facts) -> list[str]:
 
 
 def contradiction(parameters: Mapping[str, float]) -> str | None:
-    """What parameters that are allowed one by one do not allow together, None where all is well."""
+    """Return what parameters that are allowed one by one do not allow together, None where all is well."""
     if parameters["BAT_EMPTY_V"] >= parameters["BAT_FULL_V"]:
         return "BAT_EMPTY_V not below BAT_FULL_V"
     if 4.0 * parameters["THRUST_MAX"] * parameters["LIM_THR_HI"] <= parameters["MASS"] * GRAVITY:

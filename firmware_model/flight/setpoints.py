@@ -100,7 +100,7 @@ class Bounds:
 
 
 def turned(target: PositionTarget, yaw: float) -> PositionTarget:
-    """The same in NED for a vehicle that heads this way."""
+    """Return the same in NED for a vehicle that heads this way."""
     if not target.ahead:
         return target
     c, s = math.cos(yaw), math.sin(yaw)
@@ -114,7 +114,9 @@ def turned(target: PositionTarget, yaw: float) -> PositionTarget:
 
 
 def upwards(target: PositionTarget, state: Node) -> PositionTarget:
-    """What is left of a target in NED where the vehicle may only rise from here (p, v, a, j): the height."""
+    """Return what is left of a target in NED where the vehicle may only rise from here (p, v, a, j): the
+    height.
+    """
     return replace(
         target,
         p=(state[0], state[1], target.p[2]),
@@ -124,7 +126,8 @@ def upwards(target: PositionTarget, state: Node) -> PositionTarget:
 
 
 def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) -> tuple[Track, bool]:
-    """The track from the reference state (p, v, a, j) to the target and on, and whether bounds changed it.
+    """Return the track from the reference state (p, v, a, j) to the target and on, and whether bounds
+    changed it.
 
     It has no end of its own. `target.ahead` is for whoever knows the heading: here it must be False.
     """
@@ -164,7 +167,7 @@ def _nodes(aims: Axes, asked: Vector, accel: Vector, state: Node, bounds: Bounds
 def _beginnings(
     state: Node, bounds: Bounds
 ) -> Iterator[tuple[list[tuple[int, Node]], list[tuple[int, Node]]]]:
-    """What is flown in any case, and the nodes behind it that a way to the setpoint goes on from."""
+    """Yield what is flown in any case, and the nodes behind it that a way to the setpoint goes on from."""
     yield [], [(0, state)]
     yield [], [(0, state), (seconds_us(EASE_S), eased(state, EASE_S))]
     stop = braked(state, bounds.accel, bounds.room)
@@ -204,7 +207,9 @@ def _length_s(aims: Axes, velocity: Vector, state: Node, bounds: Bounds) -> floa
 
 
 def _end(aims: Axes, velocity: Vector, accel: Vector, state: Node, length_s: float, bounds: Bounds) -> Node:
-    """The node at the end of a piece: the aims have moved on as the setpoint says, within the bounds."""
+    """Return the node at the end of a piece: the aims have moved on as the setpoint says, within the
+    bounds.
+    """
     size = math.hypot(*accel)
     most = min(1.0, bounds.accel / size) if size else 1.0
     a = [most * x for x in accel]

@@ -218,7 +218,7 @@ FLYING = frozenset(State) - {State.BOOT, State.STANDBY, State.ARMED}
 
 
 def _checked(rows: Mapping[State, Mapping[Event, State | str]]) -> Mapping[tuple[State, Event], Outcome]:
-    """The table by (state, event), after its own identities have been checked."""
+    """Return the table by (state, event), after its own identities have been checked."""
     table: dict[tuple[State, Event], Outcome] = {}
     for state in State:
         for event in Event:
@@ -241,5 +241,7 @@ TRANSITIONS = _checked(_ROWS)
 
 
 def update(state: State, event: Event) -> Outcome:
-    """The outcome of `event` in `state`: the next state, or the same state with the reason of the refusal."""
+    """Return the outcome of `event` in `state`: the next state, or the same state with the reason of the
+    refusal.
+    """
     return TRANSITIONS[state, event]

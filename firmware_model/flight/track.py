@@ -106,7 +106,8 @@ def track(
     nodes: Sequence[tuple[int, Node]],
     yaw_nodes: Sequence[tuple[int, float, float]],
 ) -> Track:
-    """A Track through nodes (t_us, 12 values) and yaw nodes (t_us, yaw, rate); both times start anywhere.
+    """Return a Track through nodes (t_us, 12 values) and yaw nodes (t_us, yaw, rate); both times start
+    anywhere.
 
     The track lasts as long as the nodes do. Before its first and after its last node yaw is held.
     """
@@ -295,7 +296,9 @@ def samples(nodes: Sequence[tuple[int, Node]], count: int) -> Iterator[tuple[Vec
 
 
 def eased(state: Node, dt_s: float) -> Node:
-    """The node `dt_s` on at which acceleration and jerk are gone; the speed is what they made of it."""
+    """Return the node `dt_s` on at which acceleration and jerk are gone; the speed is what they made of
+    it.
+    """
     v = [state[3 + i] + dt_s * state[6 + i] / 2.0 + dt_s**2 * state[9 + i] / 12.0 for i in range(3)]
     velocity: Vector = (v[0], v[1], v[2])
     return (*coast(state, velocity, dt_s), *velocity, *_ZERO, *_ZERO)
@@ -315,12 +318,12 @@ def braked(state: Node, deceleration: float, room: Room, still: float = 1e-9) ->
 
 
 def _along(state: Node, axes: Sequence[int]) -> Node:
-    """The state's share of these axes, 0 for the others."""
+    """Return the state's share of these axes, 0 for the others."""
     return tuple(x if k % 3 in axes else 0.0 for k, x in enumerate(state))
 
 
 def _within(state: Node, deceleration: float, room: Room, axes: Sequence[int]) -> list[tuple[int, Node]]:
-    """The gentlest stop that stays in the room along these axes, or no further out than it begins."""
+    """Return the gentlest stop that stays in the room along these axes, or no further out than it begins."""
     if not any(state[3:]):
         return [(0, state)]
     allowed = room.beyond(state, axes) + 1e-6

@@ -59,7 +59,7 @@ def check_blob(
 
 
 def battery_verdict(parameters: ParameterValues, battery_v: float) -> Verdict | None:
-    """The refusal of any reference where the battery is as good as empty, else None; also where 0 V or
+    """Return the refusal of any reference where the battery is as good as empty, else None; also where 0 V or
     NaN says that it has not been measured.
     """
     bound = parameters["BAT_EMPTY_V"] + BATTERY_LOW_CELL_V * parameters["BAT_CELLS"]

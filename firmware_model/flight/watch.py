@@ -40,7 +40,7 @@ Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
 
 def fence(parameters: Mapping[str, float], margin_m: float = 0.0) -> Box:
-    """The flight volume, larger by a margin on every side."""
+    """Return the flight volume, larger by a margin on every side."""
     n, e, d = (
         (parameters[f"FENCE_{axis}_MIN"] - margin_m, parameters[f"FENCE_{axis}_MAX"] + margin_m)
         for axis in "NED"
@@ -147,7 +147,7 @@ class Watch:
             self._charged_us = now_us
 
     def holding(self) -> list[Condition]:
-        """The conditions that held at the last look, by the table's order."""
+        """Return the conditions that held at the last look, by the table's order."""
         late, now_us = self._late, self._look_us
         overrun = len(late) == late.maxlen and now_us - late[0] <= self._late_us
         since = {

@@ -29,7 +29,7 @@ def allocation_matrix(
 
 
 def invert4(m16: Sequence[float]) -> tuple[float, ...]:
-    """The inverse of a 4 x 4 matrix, row-major, by elimination with row pivots (floats only).
+    """Return the inverse of a 4 x 4 matrix, row-major, by elimination with row pivots (floats only).
 
     Raises ValueError where the matrix is singular to working precision.
     """
@@ -51,7 +51,7 @@ def invert4(m16: Sequence[float]) -> tuple[float, ...]:
 
 
 def allocation_table(inverse16: Sequence[float]) -> tuple[float, ...]:
-    """The constants of `allocate`, from C^-1 (16, row-major; floats only).
+    """Return the constants of `allocate`, from C^-1 (16, row-major; floats only).
 
     Four each, rotor by rotor: its share of the collective thrust; 1 over that; its part in roll, pitch and
     yaw torque, over its share. Then two weights for each pair of rotors, see `_lowest_above`. A rotor without
@@ -75,10 +75,14 @@ def allocate(
     collective thrust, shifted up or down as little as needed; last, roll and pitch torque, scaled together.
     Where rotors do not share thrust equally, roll and pitch are scaled somewhat before they must be.
 
-    Args:
-        table: `allocation_table` of the rotors.
-        collective_n, torque3: what is wanted; N and N m about x, y, z of FRD.
-        t_min, t_max: N, not negative.
+    Parameters
+    ----------
+    table
+        `allocation_table` of the rotors.
+    collective_n, torque3
+        what is wanted; N and N m about x, y, z of FRD.
+    t_min, t_max
+        N, not negative.
     """
     share, per, roll, pitch, yaw = (table[4 * k : 4 * k + 4] for k in range(5))
 
@@ -117,7 +121,8 @@ def allocate(
 
 
 def _lowest_above(ops: Ops, lines: Vector, fall: Vector, weights: Vector) -> Scalar:
-    """The lowest point, for k in 0..1, that is above the four lines `lines_i - k fall_i`; it must not be < 0.
+    """Return the lowest point, for k in 0..1, that is above the four lines `lines_i - k fall_i`; it must not
+    be < 0.
 
     It is the end of one of them or where a falling one meets a rising one: rotors that turn opposite ways.
     Their weighted mean is level, so it is that height; pairs that turn alike have weights 0 and do not count.

@@ -167,7 +167,8 @@ def check_reference(
     origin: Sequence[float] = (0.0, 0.0, 0.0),
     ends_at_rest: bool = True,
 ) -> Verdict:
-    """The verdict on the reference through `nodes` (NED, positions relative to `origin`) and `yaw_nodes`.
+    """Return the verdict on the reference through `nodes` (NED, positions relative to `origin`) and
+    `yaw_nodes`.
 
     Nodes are judged as stored: first t_us 0, strictly increasing, finite. With `ends_at_rest` (the default)
     both ends are at rest and at least `limits.end_height_m` above the floor. Nothing lies below the floor
@@ -195,7 +196,7 @@ def _refused(
     text: str,
     at_us: float | None = None,
 ) -> Verdict:
-    """A refusal: of the node at t_us, or of the piece after it at the time at_us."""
+    """Return a refusal: of the node at t_us, or of the piece after it at the time at_us."""
     message = f"node {node} at {t_us * 1e-6:.3f} s: {text}"
     if at_us is not None:
         message += f", at {at_us * 1e-6:.3f} s"
@@ -214,7 +215,7 @@ def _refused(
 def _structure(
     nodes: Sequence[Node], yaw_nodes: Sequence[YawNode], origin: Sequence[float]
 ) -> Verdict | None:
-    """The refusal of what is no reference at all, or None."""
+    """Return the refusal of what is no reference at all, or None."""
     if len(nodes) < 2 or len(yaw_nodes) < 1:
         text = f"{len(nodes)} nodes and {len(yaw_nodes)} yaw nodes, at least 2 and 1 are needed"
         return _refused(Reason.TOO_FEW_NODES, len(nodes), 0, "nodes", float(len(nodes)), 2.0, text)
@@ -240,7 +241,10 @@ def _structure(
 def check_ends(
     nodes: Sequence[Node], limits: Limits, origin: Sequence[float], *, ends: Sequence[int]
 ) -> Verdict | None:
-    """The refusal of a start or end that is not at rest or too low, or None. ends: which nodes are judged."""
+    """Return the refusal of a start or end that is not at rest or too low, or None.
+
+    ends: which nodes are judged.
+    """
     for node in ends:
         t_us, state = nodes[node]
         end = "start" if node == 0 else "end"
@@ -259,7 +263,7 @@ def check_ends(
 
 
 def _holds(nodes: Sequence[Node], yaw_nodes: Sequence[YawNode], ends_at_rest: bool) -> Verdict | None:
-    """The refusal of a yaw rate that jumps, or None.
+    """Return the refusal of a yaw rate that jumps, or None.
 
     Yaw is held outside its nodes, and before and after a flight whose ends are at rest.
     """
@@ -283,7 +287,7 @@ def _holds(nodes: Sequence[Node], yaw_nodes: Sequence[YawNode], ends_at_rest: bo
 
 
 def _smooth(nodes: Sequence[Node]) -> Verdict | None:
-    """The refusal of the node that fits its neighbours least, or None where every node fits."""
+    """Return the refusal of the node that fits its neighbours least, or None where every node fits."""
     worst = worst_misfit(nodes)
     if worst is None or worst.value <= worst.bound:
         return None
@@ -315,7 +319,7 @@ def _scan(
     samples_per_piece: int,
     origin: Sequence[float],
 ) -> Verdict:
-    """The verdict of every sample along the flight: the first violation, and the least margins."""
+    """Return the verdict of every sample along the flight: the first violation, and the least margins."""
     margins = dict.fromkeys(_REASONS, math.inf)
     first: Verdict | None = None
     body = Body(model.mass_kg, model.inertia_kg_m2)

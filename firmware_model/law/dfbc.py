@@ -69,7 +69,8 @@ def control(
     ff_jerk: Vector = (0.0, 0.0, 0.0),
     attitude_offset: Vector = (0.0, 0.0),
 ) -> tuple[Scalar, Vector, Vector, Vector]:
-    """Collective thrust (N), torque (N m), commanded body rate (rad/s), the integral's derivative (rad/s^3).
+    """Return collective thrust (N), torque (N m), commanded body rate (rad/s), the integral's derivative
+    (rad/s^3).
 
     Both loops, one after the other; see `outer_loop` and `rate_loop` for what they take.
     """
@@ -93,14 +94,19 @@ def outer_loop(
     ff_jerk: Vector = (0.0, 0.0, 0.0),
     attitude_offset: Vector = (0.0, 0.0),
 ) -> tuple[Scalar, Vector]:
-    """Collective thrust (N) and commanded body rate (rad/s) that follow the reference.
+    """Return collective thrust (N) and commanded body rate (rad/s) that follow the reference.
 
-    Args:
-        p, v: NED. R: R_ned_frd, 9 scalars.
-        ff_accel, ff_jerk: predicted residual acceleration, with the observed one added, and the predicted
-            one's derivative, NED.
-        weights: of position and of velocity feedback.
-        attitude_offset: roll and pitch that the measured attitude shows where thrust points as it should.
+    Parameters
+    ----------
+    p, v
+        NED. R: R_ned_frd, 9 scalars.
+    ff_accel, ff_jerk
+        predicted residual acceleration, with the observed one added, and the predicted
+        one's derivative, NED.
+    weights
+        of position and of velocity feedback.
+    attitude_offset
+        roll and pitch that the measured attitude shows where thrust points as it should.
     """
     feedback = [
         weights[0] * gains.position[i] * (ref.p[i] - p[i])

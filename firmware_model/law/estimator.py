@@ -48,7 +48,8 @@ class Estimate(NamedTuple):
 def predict(
     ops: Ops, est: Estimate, gyro: Vector, specific_force: Vector, dt: Scalar
 ) -> tuple[Estimate, Vector, Vector, Vector]:
-    """The estimate `dt` later, the body rate (FRD), the acceleration (NED) and R_ned_frd (9) of that moment.
+    """Return the estimate `dt` later, the body rate (FRD), the acceleration (NED) and R_ned_frd (9) of that
+    moment.
 
     `gyro` and `specific_force` (FRD) are the samples of the later moment, held over `dt`.
     """
@@ -74,7 +75,7 @@ def correct(
     dt_s_since_last: Scalar,
     gains: EstimatorGains,
 ) -> Estimate:
-    """The estimate drawn towards a pose measured `age_s` ago; unchanged where `dt_s_since_last` is 0.
+    """Return the estimate drawn towards a pose measured `age_s` ago; unchanged where `dt_s_since_last` is 0.
 
     Position is compared `age_s` back, p - v age + a age^2 / 2 (exact for constant acceleration); attitude by
     turning the measured one forward by exp(rate age). The sign of either quaternion does not matter. What

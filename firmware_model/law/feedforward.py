@@ -93,7 +93,7 @@ def network(ops: Ops, weights: Vector, layers: Sequence[int], v: Vector, rpy: Ve
 
 
 def _layer(weights: Vector, at: int, width: int, values: Sequence[Scalar]) -> tuple[list[Scalar], int]:
-    """The layer's sums, and where the next layer's weights begin."""
+    """Return the layer's sums, and where the next layer's weights begin."""
     out = []
     for _ in range(width):
         total = weights[at + len(values)]

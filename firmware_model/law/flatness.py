@@ -41,7 +41,7 @@ class Heading(NamedTuple):
 
 
 def heading(ops: Ops, f: Vector, yaw: Scalar) -> Heading:
-    """The geometry of specific force f (NED, f = g e3 - a) at this yaw."""
+    """Return the geometry of specific force f (NED, f = g e3 - a) at this yaw."""
     c, s = ops.cos(yaw), ops.sin(yaw)
     fx, fy, fz = c * f[0] + s * f[1], c * f[1] - s * f[0], f[2]
     square = fx * fx + fz * fz
@@ -139,7 +139,7 @@ def flat_full(
 
 
 def _turned(at: Heading, v: Vector) -> tuple[Scalar, Scalar, Scalar]:
-    """A NED vector in the heading frame."""
+    """Return a NED vector in the heading frame."""
     return at.cos * v[0] + at.sin * v[1], at.cos * v[1] - at.sin * v[0], v[2]
 
 

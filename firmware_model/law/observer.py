@@ -26,7 +26,7 @@ GREATEST = 5.0
 
 
 def disturbance_seen(v_dot: Vector, R: Vector, thrust_n: Scalar, mass_kg: Scalar) -> list[Scalar]:
-    """What accelerates beyond gravity and nominal thrust (m/s^2, NED), d_hat's target.
+    """Return what accelerates beyond gravity and nominal thrust (m/s^2, NED), d_hat's target.
 
     v_dot: change of the estimated velocity (m/s^2, NED); R: R_ned_frd as estimated, 9 scalars.
     """
@@ -48,5 +48,5 @@ def bounded(ops: Ops, d_hat: Vector) -> list[Scalar]:
 
 
 def lagged_thrust(thrust_n: Scalar, commanded_n: Scalar, lag_s: Scalar, dt: Scalar) -> Scalar:
-    """Collective thrust (N) `dt` later with this command held over it, behind a lag of `lag_s`."""
+    """Return collective thrust (N) `dt` later with this command held over it, behind a lag of `lag_s`."""
     return thrust_n + dt / (lag_s + 0.5 * dt) * (commanded_n - thrust_n)

@@ -74,17 +74,17 @@ class FloatOps:
 
     @staticmethod
     def where(condition: Any, a: Any, b: Any) -> Any:
-        """`a` where the condition holds, else `b`."""
+        """Return `a` where the condition holds, else `b`."""
         return a if condition else b
 
     @staticmethod
     def minimum(a: Any, b: Any) -> Any:
-        """The lesser of two."""
+        """Return the lesser of two."""
         return a if a < b else b
 
     @staticmethod
     def maximum(a: Any, b: Any) -> Any:
-        """The greater of two."""
+        """Return the greater of two."""
         return a if a > b else b
 
     @staticmethod
@@ -94,7 +94,7 @@ class FloatOps:
 
     @staticmethod
     def floor(x: Any) -> float:
-        """The greatest whole number not above `x`, as a float."""
+        """Return the greatest whole number not above `x`, as a float."""
         return float(math.floor(x))
 
 

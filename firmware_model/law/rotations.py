@@ -24,7 +24,7 @@ def quat_to_matrix(ops: Ops, q: Vector) -> tuple[Scalar, ...]:
 
 
 def quat_multiply(q: Vector, r: Vector) -> tuple[Scalar, ...]:
-    """The Hamilton product q r: q_a_c = q_a_b q_b_c."""
+    """Return the Hamilton product q r: q_a_c = q_a_b q_b_c."""
     qw, qx, qy, qz = q
     rw, rx, ry, rz = r
     return (
@@ -36,7 +36,7 @@ def quat_multiply(q: Vector, r: Vector) -> tuple[Scalar, ...]:
 
 
 def quat_conjugate(q: Vector) -> tuple[Scalar, ...]:
-    """The inverse rotation of a unit quaternion."""
+    """Return the inverse rotation of a unit quaternion."""
     return (q[0], -q[1], -q[2], -q[3])
 
 
@@ -48,7 +48,7 @@ def quat_normalize(ops: Ops, q: Vector) -> tuple[Scalar, ...]:
 
 
 def quat_exp(ops: Ops, rotvec: Vector) -> tuple[Scalar, ...]:
-    """The unit quaternion that turns by the rotation vector (axis times angle, rad)."""
+    """Return the unit quaternion that turns by the rotation vector (axis times angle, rad)."""
     x, y, z = rotvec
     # The addition keeps the quotient and its derivatives finite at 0; elsewhere it is below rounding.
     angle = ops.sqrt(x * x + y * y + z * z + 1e-20)
@@ -120,12 +120,12 @@ def mat_t_vec(R: Vector, v: Vector) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def cross(a: Vector, b: Vector) -> tuple[Scalar, Scalar, Scalar]:
-    """a x b."""
+    """Return a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def dot(a: Vector, b: Vector) -> Scalar:
-    """a . b, of three scalars each."""
+    """Return a . b, of three scalars each."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 

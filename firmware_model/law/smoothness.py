@@ -49,14 +49,18 @@ class Misfit(NamedTuple):
 
 
 def jumps(before: Sequence[float], after: Sequence[float]) -> tuple[float, ...]:
-    """What two states (p, v, a, j, yaw, yaw rate) differ by, in the order of JUMPS, but for whole turns."""
+    """Return what two states (p, v, a, j, yaw, yaw rate) differ by, in the order of JUMPS, but for whole
+    turns.
+    """
     moves = [math.dist(before[k : k + 3], after[k : k + 3]) for k in (0, 3, 6, 9)]
     turn = math.remainder(after[12] - before[12], 2.0 * math.pi)
     return (*moves, abs(turn), abs(after[13] - before[13]))
 
 
 def jump_text(found: Sequence[float]) -> tuple[str, float, float] | None:
-    """The first of these `jumps` beyond its bound, for people, with value and bound; None where all pass."""
+    """Return the first of these `jumps` beyond its bound, for people, with value and bound; None where all
+    pass.
+    """
     for value, (quantity, bound, unit) in zip(found, JUMPS, strict=True):
         if not value <= bound:
             return f"{quantity} jumps by {value:.3g} at the swap, above {bound:.3g} {unit}", value, bound
@@ -64,7 +68,8 @@ def jump_text(found: Sequence[float]) -> tuple[str, float, float] | None:
 
 
 def worst_misfit(nodes: Sequence[tuple[int, Sequence[float]]]) -> Misfit | None:
-    """The worst misfit against its bound among the nodes (t_us, p, v, a, j), or None where two are all.
+    """Return the worst misfit against its bound among the nodes (t_us, p, v, a, j), or None where two are
+    all.
 
     The ends have one neighbour each and are not compared: what they hold shows at the node beside them.
     """

@@ -130,7 +130,7 @@ OUTPUTS: tuple[Block, ...] = (
 
 
 def parameter_vector(table: Mapping[str, float]) -> tuple[float, ...]:
-    """The block `parameters` for a table that has the names of `SOURCES`.
+    """Return the block `parameters` for a table that has the names of `SOURCES`.
 
     Raises KeyError for a missing name and ValueError for rotors that cannot produce every torque.
     """
@@ -143,7 +143,7 @@ def parameter_vector(table: Mapping[str, float]) -> tuple[float, ...]:
 def initial_memory(
     p: Sequence[float] = (0.0, 0.0, 0.0), q: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
 ) -> tuple[float, ...]:
-    """The block `memory` of a vehicle at rest at pose p (NED), q_ned_frd."""
+    """Return the block `memory` of a vehicle at rest at pose p (NED), q_ned_frd."""
     memory = [0.0] * MEMORY_SIZE
     memory[EST_P], memory[EST_Q] = p, q
     return tuple(memory)
@@ -155,7 +155,7 @@ def body(parameters: Vector) -> Body:
 
 
 def gains(parameters: Vector) -> Gains:
-    """The controller's gains out of the block `parameters`."""
+    """Return the controller's gains out of the block `parameters`."""
     start = _AT["POS_P_N"]
     triples = [parameters[start + 3 * k : start + 3 * k + 3] for k in range(6)]
     return Gains(
@@ -172,7 +172,7 @@ def integral_limit(parameters: Vector) -> Vector:
 
 
 def estimator_gains(parameters: Vector) -> EstimatorGains:
-    """The estimator's gains out of the block `parameters`."""
+    """Return the estimator's gains out of the block `parameters`."""
     start = _AT["EST_POS"]
     return EstimatorGains(*parameters[start : start + 4])
 
@@ -212,7 +212,7 @@ def feedforward_terms(ops: Ops, block: Vector, ref: Reference, ff_accel_ned: Vec
 
 
 def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
-    """The output blocks of one tick; inputs must be finite.
+    """Return the output blocks of one tick; inputs must be finite.
 
     `mocap_new`, `armed`, `observing` and the first value of `offboard` are 0 or 1. Where `observing`
     is 0 the observer's estimate stays as it is.
@@ -297,7 +297,9 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
 def _offboard(
     ops: Ops, k: Gains, block: Vector, R: Vector, collective: Scalar, rate_cmd: Vector
 ) -> tuple[Scalar, list[Scalar]]:
-    """Collective thrust and body rate: as the block commands where it is switched on, else as given."""
+    """Return collective thrust and body rate: as the block commands where it is switched on, else as
+    given.
+    """
     direct = block[0] > 0.5
     error = attitude_error(quat_to_matrix(ops, block[6:10]), R)
     asked = [w - block[5] * gain * e for w, gain, e in zip(block[2:5], k.attitude, error, strict=True)]

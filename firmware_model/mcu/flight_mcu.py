@@ -46,16 +46,25 @@ CATCH_UP_TICKS = 20
 class FlightMcu:
     """One power-up of the flight processor. A power cycle is a new one with the same store.
 
-    Args:
-        engine: `law.step` as an engine; it is this processor's alone.
-        parameters: values by the names of protocol's table, defaults where missing; what was set before and
-            is in the store goes first.
-        store: non-volatile memory.
-        uid: of this power-up, at most 18 bytes; AUTOPILOT_VERSION.uid2, little-endian.
-        vehicle_id: 6 bytes, id of the vehicle file that the parameters come from.
-        baud, rx_bytes, tx_bytes, chunk_bytes, idle_us: the line to the radio processor.
-        loop_times: what the cycle counter has measured of the ticks before a time since the last call.
-        check: says whether a blob may be used, as `verdict.check_blob` does.
+    Parameters
+    ----------
+    engine
+        `law.step` as an engine; it is this processor's alone.
+    parameters
+        values by the names of protocol's table, defaults where missing; what was set before and
+        is in the store goes first.
+    store
+        non-volatile memory.
+    uid
+        of this power-up, at most 18 bytes; AUTOPILOT_VERSION.uid2, little-endian.
+    vehicle_id
+        6 bytes, id of the vehicle file that the parameters come from.
+    baud, rx_bytes, tx_bytes, chunk_bytes, idle_us
+        the line to the radio processor.
+    loop_times
+        what the cycle counter has measured of the ticks before a time since the last call.
+    check
+        says whether a blob may be used, as `verdict.check_blob` does.
 
     `motor_command` is a view of four numbers in 0..1, fixed for life, new after each tick. `late_ticks`
     counts the ticks that began later than one tick after the one before.
@@ -136,8 +145,10 @@ class FlightMcu:
     ) -> None:
         """Run one tick; `motor_command` is what the rotors get until the next.
 
-        Args:
-            now_us: time since power-up. gyro (rad/s), specific_force (m/s^2): FRD.
+        Parameters
+        ----------
+        now_us
+            time since power-up. gyro (rad/s), specific_force (m/s^2): FRD.
         """
         if now_us >= self.uart.due_us:
             self._receive(now_us)
@@ -209,7 +220,7 @@ class FlightMcu:
             self._services.text(mavlink.MAV_SEVERITY_WARNING, text)
 
     def _catch_up(self, now_us: int, gyro: Sequence[float], specific_force: Sequence[float]) -> None:
-        """Runs the ticks that were missed, with what is sensed now: the law's step is always one tick."""
+        """Run the ticks that were missed, with what is sensed now: the law's step is always one tick."""
         self.late_ticks += 1
         self.flight.watch.late(now_us)
         first_us = max(self._last_us + TICK_US, now_us - CATCH_UP_TICKS * TICK_US)
@@ -225,7 +236,7 @@ class FlightMcu:
             self.unsendable += 1
 
     def _flush(self, now_us: int) -> None:
-        """What is queued goes on the line: as a whole where there is room, else as many messages as fit."""
+        """Send what is queued: whole where there is room, else as many messages as fit."""
         out, self._out = self._out, []
         data = b"".join(out)
         if len(data) <= self.uart.tx_free(now_us):
@@ -304,7 +315,7 @@ class FlightMcu:
         return agreement
 
     def _swap(self, now_us: int) -> None:
-        """The agreed tick has come: the track changes and what is staged becomes live."""
+        """Change the track at the agreed tick and make the staged reference live."""
         at_us, following = self._swap_us, self._following
         if self.flight.state is not State.TRACKING or following is None or self._upload.at_tick is None:
             self._call_off(now_us)
@@ -320,7 +331,7 @@ class FlightMcu:
         self.flight.changed = True
 
     def _load(self, kind: int) -> None:
-        """What is live of this kind becomes what is flown, if it (still) passes the check."""
+        """Fly the live blob of this kind if it (still) passes the check."""
         data = self._store.live(kind)
         verdict = None if data is None else self._check(kind, data)
         if verdict is not None and not verdict.ok:

@@ -25,11 +25,16 @@ _PIECE = bytes([PIECE])
 class RadioMcu:
     """One radio. Both its sides see bytes; they move from one to the other in its own tick, and only there.
 
-    Args:
-        address: system and component on RADIO_STATS, `messages.VEHICLE_RADIO` or `messages.HOST_RADIO`.
-        poses: poses that may wait for a slot; 2 where they come at 200 Hz.
-        baud, rx_bytes, tx_bytes, chunk_bytes, idle_us: the serial line.
-        frame_bytes: what a radio frame holds.
+    Parameters
+    ----------
+    address
+        system and component on RADIO_STATS, `messages.VEHICLE_RADIO` or `messages.HOST_RADIO`.
+    poses
+        poses that may wait for a slot; 2 where they come at 200 Hz.
+    baud, rx_bytes, tx_bytes, chunk_bytes, idle_us
+        the serial line.
+    frame_bytes
+        what a radio frame holds.
 
     `due_us` is when the next tick has something to do, the sooner of the line's `uart.due_us` and of
     `own_due_us`; ticks before may be left out.
@@ -87,7 +92,9 @@ class RadioMcu:
         return packer.waiting > 0
 
     def air_send(self, now_us: int) -> bytes | None:
-        """The next frame for the air: whole messages, or a piece of a long one; None where nothing waits."""
+        """Return the next frame for the air: whole messages, or a piece of a long one; None where nothing
+        waits.
+        """
         frame = self.packer.take()
         if frame is not None:
             self.frames_sent += 1

@@ -26,12 +26,18 @@ class UartPort:
     DMA: the line has gone idle, or a chunk is full. A processor that compares its clock with `due_us` needs
     no other polling.
 
-    Args:
-        baud: bits a second of the transmitter.
-        rx_bytes: size of the receive buffer.
-        tx_bytes: size of the transmit buffer.
-        chunk_bytes: bytes that raise the interrupt; half the receive buffer where not given.
-        idle_us: how long a quiet line takes to count as idle.
+    Parameters
+    ----------
+    baud
+        bits a second of the transmitter.
+    rx_bytes
+        size of the receive buffer.
+    tx_bytes
+        size of the transmit buffer.
+    chunk_bytes
+        bytes that raise the interrupt; half the receive buffer where not given.
+    idle_us
+        how long a quiet line takes to count as idle.
     """
 
     def __init__(
@@ -57,7 +63,8 @@ class UartPort:
         self._buffer = b""
 
     def write(self, data: bytes, now_us: int) -> bool:
-        """True where all of `data` was queued for the line; False where the transmit buffer had no room.
+        """Return true where all of `data` was queued for the line; False where the transmit buffer had no
+        room.
 
         An unconnected port sends into the air: the bytes take their time and are gone.
         """
@@ -123,7 +130,7 @@ class UartPort:
             self._taken = 0
 
     def _plan_due(self) -> None:
-        """Sets `due_us` to when the burst now on the line has ended and it is idle, or a chunk has come."""
+        """Set `due_us` to when the burst now on the line has ended and it is idle, or a chunk has come."""
         peer = self._peer
         if self._buffer or peer is None or not self._incoming:
             self.due_us = 0 if self._buffer else NEVER_US

@@ -36,10 +36,13 @@ _MODES: dict[tuple[float, float | None], Event] = {
 class Commands:
     """Handlers of COMMAND_LONG and COMMAND_INT.
 
-    Args:
-        send: puts a message on the line. text: tells people. requests: what can be asked for by
+    Parameters
+    ----------
+    send
+        puts a message on the line. text: tells people. requests: what can be asked for by
         MAV_CMD_REQUEST_MESSAGE, by message id. on_upload: is told what a commit brought about. more: commands
-        that are carried out elsewhere: MAV_RESULT from a command and the time.
+    that are carried out elsewhere
+        MAV_RESULT from a command and the time.
     """
 
     def __init__(
@@ -74,7 +77,7 @@ class Commands:
         }
 
     def long(self, message: m.CommandLong, now_us: int) -> None:
-        """The command has been carried out or refused, and is acknowledged."""
+        """Carry the command out or refuse it, and acknowledge it."""
         act = self._commands.get(message.command)
         result = _UNSUPPORTED if act is None else act(message, now_us)
         self._send(m.CommandAck(message.command, result, 0, 0, *m.sender_of(message)))

@@ -53,8 +53,10 @@ _WHY = {
 class BlobFiles:
     """Reads and writes by path.
 
-    Args:
-        text: tells people. on_upload: is told what writing and removing brought about.
+    Parameters
+    ----------
+    text
+        tells people. on_upload: is told what writing and removing brought about.
     """
 
     def __init__(
@@ -73,11 +75,11 @@ class BlobFiles:
 
     @staticmethod
     def find(path: str) -> File | None:
-        """The file of this path, None where there never is one."""
+        """Return the file of this path, None where there never is one."""
         return FILES.get(path.lstrip("/"))
 
     def entries(self, path: str) -> list[Entry] | None:
-        """What the folder holds, None where it is no folder."""
+        """Return what the folder holds, None where it is no folder."""
         folder = path.strip("/")
         if folder == "":
             return [Entry(name=name, size=None) for name in FOLDERS]

@@ -51,8 +51,10 @@ class _Answered:
 class FtpServer:
     """Answers requests.
 
-    Args:
-        files: what there is. send: puts a message on the line.
+    Parameters
+    ----------
+    files
+        what there is. send: puts a message on the line.
     """
 
     def __init__(self, files: BlobFiles, *, send: Callable[[m.Message], None]) -> None:
@@ -235,7 +237,9 @@ class FtpServer:
         return None
 
     def _next_of_burst(self, session: _Session, asked: Packet) -> Packet:
-        """The packet that answers `asked`; the session's burst is then at the one behind it, or over."""
+        """Return the packet that answers `asked`; the session's burst is then at the one behind it, or
+        over.
+        """
         data = bytes(session.data[asked.offset : asked.offset + min(asked.size, DATA_BYTES)])
         end = asked.offset + len(data)
         last = end >= len(session.data)
@@ -252,7 +256,7 @@ class FtpServer:
 
 
 def _path(asked: Packet) -> str:
-    """The path in a request; bytes that are no text make one that no file has."""
+    """Return the path in a request; bytes that are no text make one that no file has."""
     return asked.data.partition(b"\0")[0].decode("ascii", errors="replace")
 
 

@@ -22,9 +22,12 @@ _TYPE_NAMES = {True: "INT32", False: "REAL32"}
 class ParameterService:
     """Handlers of PARAM_ messages.
 
-    Args:
-        send: puts a message on the line. text: tells people. keep: gets the name and value of what was set.
-        on_limits: is called where what references are checked by has changed.
+    Parameters
+    ----------
+    send
+        puts a message on the line. text: tells people. keep: gets the name and value of what was set.
+    on_limits
+        is called where what references are checked by has changed.
     """
 
     def __init__(

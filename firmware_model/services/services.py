@@ -59,10 +59,13 @@ class Identity:
 class Services:
     """Handlers of what arrives.
 
-    Args:
-        send: puts a message on the line. on_upload: is told what became of uploads; on_limits: that what
+    Parameters
+    ----------
+    send
+        puts a message on the line. on_upload: is told what became of uploads; on_limits: that what
         references are checked by has changed. keep: gets the name and value of a parameter that was set.
-        status: the present FC_STATUS. battery_v: the battery's present voltage. store: blobs on board.
+    status
+        the present FC_STATUS. battery_v: the battery's present voltage. store: blobs on board.
 
     `streams` is the telemetry for other stations than Trimtab's host.
     """

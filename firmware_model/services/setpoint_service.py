@@ -28,8 +28,10 @@ NOT_FINITE = "setpoint: numbers that are not finite are left out"
 class SetpointService:
     """Handlers of setpoint messages; what is wrong with them is told once each.
 
-    Args:
-        take: follows a target. text: tells people (severity, text).
+    Parameters
+    ----------
+    take
+        follows a target. text: tells people (severity, text).
     """
 
     def __init__(self, *, take: Callable[[Target, int], None], text: Callable[[int, str], None]) -> None:
@@ -91,7 +93,7 @@ class SetpointService:
             self._take(target, now_us)
 
     def _given(self, numbers: Sequence[float], ignored: int) -> list[float | None]:
-        """The numbers, None where the mask's bit is set or where they are not finite."""
+        """Return the numbers, None where the mask's bit is set or where they are not finite."""
         found: list[float | None] = []
         for k, number in enumerate(numbers):
             wanted = not ignored >> k & 1

@@ -75,8 +75,10 @@ GROUPS: Mapping[int, tuple[int, ...]] = {
 class Streams:
     """Sends stock telemetry while other stations than Trimtab's host are heard.
 
-    Args:
-        send: puts a message on the line. battery_v: its present voltage.
+    Parameters
+    ----------
+    send
+        puts a message on the line. battery_v: its present voltage.
 
     `slowed` are the intervals (us) of own messages that were made longer, by message id.
     """
@@ -96,11 +98,11 @@ class Streams:
         self._home: tuple[float, float, float] | None = None  # as it was told last
 
     def requests(self) -> dict[int, Callable[[int], Message]]:
-        """What MAV_CMD_REQUEST_MESSAGE may ask for here, by message id."""
+        """Return what MAV_CMD_REQUEST_MESSAGE may ask for here, by message id."""
         return {number: lambda now_us, number=number: self._make(number, now_us) for number in STREAMS}
 
     def commands(self) -> dict[int, Callable[[m.CommandLong, int], int]]:
-        """The commands that are answered here: MAV_RESULT from a command and the time."""
+        """Return the commands that are answered here: MAV_RESULT from a command and the time."""
         return {
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
             mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
@@ -176,7 +178,7 @@ class Streams:
         return STREAMS[number].make(self._flight, now_us, self._battery_v())
 
     def _ask(self, number: int, interval_us: int) -> None:
-        """The interval (us) from now on, as far as it may be chosen; 0 for the default, -1 for none."""
+        """Set the interval (us) as far as it may be chosen; 0 for the default, -1 for none."""
         self._due_us.pop(number, None)
         if number in OWN:
             if interval_us == 0 or 0 < interval_us <= OWN[number]:

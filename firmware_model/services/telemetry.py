@@ -52,7 +52,7 @@ class OnBoard(NamedTuple):
 
 
 def at_rate(flight: Flight, now_us: int) -> Iterator[Message]:
-    """The messages at 100 Hz of this tick, in the order in which they leave.
+    """Yield the messages at 100 Hz of this tick, in the order in which they leave.
 
     The observer's comes behind the estimate, whose frame has room for it, and before the control message, so
     that a host has both when the latter arrives. Raises ValueError or OverflowError where something is not

@@ -61,7 +61,7 @@ class Bank:
     # The log.
 
     def records(self) -> list[Record]:
-        """The valid records, oldest first."""
+        """Return the valid records, oldest first."""
         found = []
         for start in self._written_slots():
             raw = self._flash.read(start, _RECORD.size + _CRC.size)
@@ -74,7 +74,7 @@ class Bank:
         return found
 
     def last(self) -> Record | None:
-        """The newest valid record."""
+        """Return the newest valid record."""
         return next(reversed(self.records()), None)
 
     def unreadable(self) -> bool:
@@ -82,7 +82,7 @@ class Bank:
         return not self.records() and not self._flash.blank_at(self._log, SECTOR_BYTES)
 
     def slots_free(self) -> int:
-        """Records that the log still has room for."""
+        """Return records that the log still has room for."""
         return SLOTS - len(list(self._written_slots()))
 
     def append(self, record: Record) -> None:
@@ -129,11 +129,11 @@ class Bank:
         return held
 
     def data(self, blob: Record) -> bytes:
-        """What stands where the blob should, whole or not."""
+        """Return what stands where the blob should, whole or not."""
         return self._flash.read(self._data, blob.size)
 
     def whole(self, blob: Record) -> bytes | None:
-        """The blob, None where its bytes do not make its digest."""
+        """Return the blob, None where its bytes do not make its digest."""
         data = self.data(blob)
         return data if hashlib.sha256(data).digest() == blob.digest else None
 

@@ -20,13 +20,18 @@ class PowerCut(Exception):
 class Flash:
     """Flash of a whole number of sectors.
 
-    Args:
-        image: what it holds; changed in place.
-        file: descriptor of a file with the same content, which gets every write at once, so that a killed
-            process leaves exactly what it had written. None: the memory lasts as long as the object.
+    Parameters
+    ----------
+    image
+        what it holds; changed in place.
+    file
+        descriptor of a file with the same content, which gets every write at once, so that a killed
+        process leaves exactly what it had written. None: the memory lasts as long as the object.
 
-    Attributes:
-        written: bytes erased and programmed since construction.
+    Attributes
+    ----------
+    written
+        bytes erased and programmed since construction.
     """
 
     def __init__(self, image: bytearray, file: int | None = None) -> None:
@@ -47,7 +52,7 @@ class Flash:
         self._left = count
 
     def read(self, start: int, size: int) -> bytes:
-        """The `size` bytes from `start` on."""
+        """Return the `size` bytes from `start` on."""
         return bytes(self.image[start : start + size])
 
     def blank_at(self, start: int, size: int) -> bool:

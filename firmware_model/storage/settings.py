@@ -30,8 +30,10 @@ class _Kept(NamedTuple):
 class Settings:
     """What is kept from `start` on.
 
-    Attributes:
-        damaged: whether something was written there that makes no sense.
+    Attributes
+    ----------
+    damaged
+        whether something was written there that makes no sense.
     """
 
     def __init__(self, flash: Flash, start: int) -> None:

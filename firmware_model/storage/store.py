@@ -29,16 +29,22 @@ def memory_bytes(bank_bytes: int = BLOB_BYTES_MAX) -> int:
 class ReferenceStore:
     """Live and staged blobs and uploads in progress, by kind (`blobs.Kind`), and parameters that were set.
 
-    Args:
-        flash: the memory, of `memory_bytes(bank_bytes)`; a blank one where not given. One that does not
-            begin with MAGIC is made blank.
-        bank_bytes: size of one bank.
+    Parameters
+    ----------
+    flash
+        the memory, of `memory_bytes(bank_bytes)`; a blank one where not given. One that does not
+        begin with MAGIC is made blank.
+    bank_bytes
+        size of one bank.
 
     Every method that writes raises PowerCut where power fails.
 
-    Attributes:
-        faults: what was found damaged, a line for people each.
-        settings: parameters that were set.
+    Attributes
+    ----------
+    faults
+        what was found damaged, a line for people each.
+    settings
+        parameters that were set.
     """
 
     def __init__(self, flash: Flash | None = None, *, bank_bytes: int = BLOB_BYTES_MAX) -> None:
@@ -99,7 +105,7 @@ class ReferenceStore:
         return digest.hex()
 
     def commit(self, kind: int) -> bytes:
-        """The blob that has become live: the staged one, read back and checked against its digest.
+        """Return the blob that has become live: the staged one, read back and checked against its digest.
 
         Raises ValueError where nothing is staged or the bank no longer holds what was staged.
         """
@@ -128,7 +134,7 @@ class ReferenceStore:
     # An upload in progress.
 
     def incoming(self) -> Incoming | None:
-        """The newest blob that is gathered or staged, with the chunks that are here; None for none."""
+        """Return the newest blob that is gathered or staged, with the chunks that are here; None for none."""
         if not self._open:
             return None
         bank, record = max(self._open.values(), key=lambda opened: opened[1].sequence)
@@ -154,14 +160,14 @@ class ReferenceStore:
         bank.put(record, index, chunk)
 
     def gathered(self, kind: int) -> bytes:
-        """The bytes of the blob that was begun, as they stand in memory, whole or not."""
+        """Return the bytes of the blob that was begun, as they stand in memory, whole or not."""
         bank, record = self._open[kind]
         return bank.data(record)
 
     # Inside.
 
     def _live(self, kind: int) -> tuple[Bank, bytes] | None:
-        """The bank with the newest committed blob that is whole, and that blob."""
+        """Return the bank with the newest committed blob that is whole, and that blob."""
         lives = [(bank.last(), bank) for bank in self._banks[kind]]
         committed = [(last, bank) for last, bank in lives if last is not None and last.step is Step.LIVE]
         for record, bank in sorted(committed, key=lambda live: -live[0].sequence):

@@ -78,7 +78,7 @@ def check_folder(path: str | Path, names: Sequence[str], force: bool = False) ->
 
 
 def _check_parent(path: Path) -> None:
-    """Raises UsageError where nothing can be made beside `path`."""
+    """Raise UsageError where nothing can be made beside `path`."""
     if not path.parent.is_dir():
         raise UsageError(f"{path}: its folder does not exist, make it or choose another name")
     if not os.access(path.parent, os.W_OK | os.X_OK, effective_ids=True):
@@ -87,7 +87,7 @@ def _check_parent(path: Path) -> None:
 
 @contextlib.contextmanager
 def open_atomic(path: str | Path, force: bool = False) -> Iterator[BinaryIO]:
-    """A binary file that appears under `path` when the block ends, and never where the block raises.
+    """Yield a binary file that appears under `path` when the block ends, and never where the block raises.
 
     Until then it is `path`.part. Raises UsageError as `check_output` does, OSError with the file's name where
     it cannot be written.
@@ -108,7 +108,7 @@ def open_atomic(path: str | Path, force: bool = False) -> Iterator[BinaryIO]:
 
 
 def write_atomic(path: str | Path, content: bytes | str, force: bool = False) -> Path:
-    """The path written: the whole content under its final name, or nothing. Raises UsageError."""
+    """Return the path written: the whole content under its final name, or nothing. Raises UsageError."""
     with open_atomic(path, force) as file:
         file.write(content.encode() if isinstance(content, str) else content)
     return Path(path)
@@ -154,7 +154,7 @@ def without_options(words: Sequence[str], with_value: Sequence[str], flags: Sequ
 
 
 def public_command(argv: Sequence[str] | None = None) -> str:
-    """The command line without what the seal forbids and without absolute paths.
+    """Return the command line without what the seal forbids and without absolute paths.
 
     World, plant, their options and seeds are left out, for `demo` its seed too; a path keeps its last part.
     """
@@ -187,5 +187,5 @@ def provenance(
 
 
 def _without_folder(word: str) -> str:
-    """The last part of an absolute path, any other word as it is."""
+    """Return the last part of an absolute path, any other word as it is."""
     return Path(word).name if os.path.isabs(word) and len(word) > 1 else word

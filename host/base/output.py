@@ -38,7 +38,7 @@ def prepare() -> None:
 
 
 def json_text(result: Mapping[str, Any]) -> str:
-    """`result` as one line of JSON. Numpy scalars and arrays become numbers and lists, paths texts.
+    """Return `result` as one line of JSON. Numpy scalars and arrays become numbers and lists, paths texts.
 
     Absent is None: raises ValueError on NaN or infinity.
     """
@@ -77,7 +77,7 @@ def emitted() -> bool:
 
 
 def _plain(value: Any) -> Any:
-    """A value that json does not know as one it knows."""
+    """Return a value that json does not know as one it knows."""
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, Mapping):

@@ -48,7 +48,7 @@ class Compiler:
 
 
 def engine_choice(engine: str | None = None) -> str:
-    """ "auto", "vm" or "c": as asked, else by the environment's TRIMTAB_ENGINE, else "auto".
+    """Return "auto", "vm" or "c": as asked, else by the environment's TRIMTAB_ENGINE, else "auto".
 
     Raises CodegenError for another word.
     """
@@ -60,7 +60,7 @@ def engine_choice(engine: str | None = None) -> str:
 
 
 def find_compiler() -> Compiler | None:
-    """The first of cc, gcc, clang on PATH, else the `ziglang` package's, else None."""
+    """Return the first of cc, gcc, clang on PATH, else the `ziglang` package's, else None."""
     for name in ("cc", "gcc", "clang"):
         path = shutil.which(name)
         if path is not None:
@@ -73,7 +73,8 @@ def find_compiler() -> Compiler | None:
 
 
 def wanted_compiler(engine: str | None = None) -> Compiler | None:
-    """The compiler to use where `engine`, or the environment, leaves the choice or asks for C; else None.
+    """Return the compiler to use where `engine`, or the environment, leaves the choice or asks for C; else
+    None.
 
     Raises CodegenError where C is asked for and there is no compiler.
     """
@@ -100,7 +101,7 @@ def shared_library(
 
 
 def flags(*, native: bool) -> tuple[str, ...]:
-    """What the compiler is told; `native`: to use all that this machine has."""
+    """Return what the compiler is told; `native`: to use all that this machine has."""
     if not native:
         return FLAGS
     x86 = platform.machine().lower() in ("x86_64", "amd64", "i686")
@@ -109,7 +110,7 @@ def flags(*, native: bool) -> tuple[str, ...]:
 
 @cache
 def _processor() -> str:
-    """What tells this machine's instructions from another's."""
+    """Return what tells this machine's instructions from another's."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -128,14 +129,14 @@ def library_path(source: str, compiler: Compiler, *, native: bool = False) -> Pa
 
 @cache
 def _temporary() -> Path:
-    """A directory of this process alone, gone at its end: where no cache can be kept."""
+    """Return a directory of this process alone, gone at its end: where no cache can be kept."""
     path = Path(tempfile.mkdtemp(prefix="trimtab-"))
     atexit.register(shutil.rmtree, path, ignore_errors=True)
     return path
 
 
 def cache_directory() -> Path:
-    """The directory of compiled libraries: XDG_CACHE_HOME or ~/.cache, then trimtab/codegen."""
+    """Return the directory of compiled libraries: XDG_CACHE_HOME or ~/.cache, then trimtab/codegen."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     try:
         root = Path(base) if os.path.isabs(base) else Path.home() / ".cache"

@@ -83,7 +83,8 @@ class CompiledEngine:
 def sx_function(
     fn: BlockFunction, inputs: Sequence[BlockLike], outputs: Sequence[BlockLike], name: str
 ) -> ca.Function:
-    """The casadi.Function of `fn` traced with SX scalars: one column vector a block, in the blocks' order.
+    """Return the casadi.Function of `fn` traced with SX scalars: one column vector a block, in the blocks'
+    order.
 
     Raises ValueError where `fn` returns other blocks or sizes than stated.
     """
@@ -108,14 +109,14 @@ def sx_function(
 
 
 def c_source(function: ca.Function) -> str:
-    """The function as C, callable by its name."""
+    """Return the function as C, callable by its name."""
     generator = ca.CodeGenerator(f"{function.name()}.c", {"with_header": False})
     generator.add(function)
     return generator.dump()
 
 
 def compile_function(function: ca.Function, *, engine: str | None = None) -> tuple[ca.Function, str]:
-    """The same function and "c" where it could be compiled, else `function` itself and "vm".
+    """Return the same function and "c" where it could be compiled, else `function` itself and "vm".
 
     Raises CodegenError where "c" is asked for and there is no compiler, or it fails.
     """
@@ -148,7 +149,8 @@ def function_engine(
     *,
     engine: str | None = None,
 ) -> CompiledEngine:
-    """An engine for a casadi.Function of dense vectors: arguments and results are the blocks, in order.
+    """Return an engine for a casadi.Function of dense vectors: arguments and results are the blocks, in
+    order.
 
     Raises ValueError where the sizes differ, CodegenError as `compile_function` does.
     """
@@ -168,7 +170,7 @@ def compile_blocks(
     *,
     engine: str | None = None,
 ) -> CompiledEngine:
-    """An engine for `fn(ops, inputs) -> outputs`, traced once with SX scalars.
+    """Return an engine for `fn(ops, inputs) -> outputs`, traced once with SX scalars.
 
     `name` is a C identifier. Raises ValueError where `fn` returns other blocks, CodegenError as
     `compile_function`.

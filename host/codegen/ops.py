@@ -27,7 +27,7 @@ class CasadiOps:
 
     @staticmethod
     def where(condition: Any, a: Any, b: Any) -> Any:
-        """`a` where the condition holds, else `b`; both are part of the expression."""
+        """Return `a` where the condition holds, else `b`; both are part of the expression."""
         if isinstance(condition, bool | np.bool_ | int | float):
             return a if condition else b
         return ca.if_else(condition, a, b)

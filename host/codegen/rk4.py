@@ -97,7 +97,8 @@ class RungeKutta:
 
 
 def runge_kutta(function: ca.Function) -> RungeKutta | None:
-    """The slope function (x, drive, constants...) -> xdot of dense columns in C; None where that cannot be.
+    """Return the slope function (x, drive, constants...) -> xdot of dense columns in C; None where that
+    cannot be.
 
     Raises CodegenError as `compile_function` does.
     """

@@ -118,7 +118,9 @@ def simd_library(source: str, compiler: Compiler) -> str:
 
 
 def lanes_of(rows: np.ndarray) -> np.ndarray:
-    """(groups, ..., LANES), aligned, of rows (n, ...): lanes innermost, the first row in what is left."""
+    """Return (groups, ..., LANES), aligned, of rows (n, ...): lanes innermost, the first row in what is
+    left.
+    """
     groups = -(-len(rows) // LANES)
     index = np.zeros(groups * LANES, dtype=int)
     index[: len(rows)] = np.arange(len(rows))
@@ -129,7 +131,7 @@ def lanes_of(rows: np.ndarray) -> np.ndarray:
 
 
 def rows_of(lanes: np.ndarray, count: int) -> np.ndarray:
-    """The first `count` rows (count, ...) of what `lanes_of` made."""
+    """Return the first `count` rows (count, ...) of what `lanes_of` made."""
     rows = np.moveaxis(lanes, -1, 1)
     return rows.reshape(-1, *rows.shape[2:])[:count]
 

@@ -338,6 +338,10 @@ class Effect:
         self._check_unknowns()
         if self.family not in get_args(Family):
             raise ValueError(f"effect {self.name}: family {self.family!r} is none of {get_args(Family)}")
+        self._check_signals()
+
+    def _check_signals(self) -> None:
+        """Raise ValueError for a needed signal that is none, or a bound that is no size."""
         for signal, least in self.needs_signals.items():
             if signal not in get_args(Signal):
                 raise ValueError(

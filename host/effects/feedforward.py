@@ -11,7 +11,7 @@ Contributions = dict[str, Any]
 
 
 def neutral_contributions() -> Contributions:
-    """The block that changes nothing: gain 1, the rest 0."""
+    """Return the block that changes nothing: gain 1, the rest 0."""
     return {
         "gain": 1.0,
         "bias_ned": (0.0, 0.0, 0.0),
@@ -25,7 +25,7 @@ def neutral_contributions() -> Contributions:
 def compose_feedforward(
     effects: Iterable[tuple[Effect, Sequence[float]]], voltage_ratio: float = 1.0
 ) -> Contributions:
-    """The block's numbers for all effects together: gains multiply, the rest adds.
+    """Return the block's numbers for all effects together: gains multiply, the rest adds.
 
     An effect without `to_feedforward` contributes nothing. Wind enters as the drag it causes at rest and
     level, bias_ned = (d + c |w|) w with d the mean of the horizontal linear coefficients: the block has no

@@ -19,9 +19,9 @@ def _start(ops, theta, ctx):
 
 
 def _line(ops, theta, ctx):
-    """The line's direction from vehicle to payload, NED (3,), by how much the payload is too near (m), how
-    fast it goes away along the line (m/s) and across it (3,), and the tension over the payload's mass, none
-    where the line is slack.
+    """Return the line's direction from vehicle to payload, NED (3,), by how much the payload is too near
+    (m), how fast it goes away along the line (m/s) and across it (3,), and the tension over the payload's
+    mass, none where the line is slack.
     """
     ratio, length, _ = theta
     x, y, z = (s - p for s, p in zip(ctx.memory[:3], ctx.p_ned, strict=True))

@@ -7,7 +7,7 @@ from trimtab.host.effects.unknowns import THRUST
 
 
 def _losses(ops, theta, ctx):
-    """What each rotor loses per m/s of axial speed, over the vehicle's mass."""
+    """Return what each rotor loses per m/s of axial speed, over the vehicle's mass."""
     scale = 0.25 * theta[0] / (ctx.hover_n + _FLOOR_N) ** 0.5
     return [scale * ops.sqrt(ops.maximum(thrust, 0.0) + _FLOOR_N) for thrust in ctx.thrust]
 

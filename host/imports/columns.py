@@ -78,7 +78,7 @@ class ColumnMap(Strict):
 
 
 def read_map(path: Path | str) -> ColumnMap:
-    """The column map in a TOML file. Raises ConfigurationError (exit code 2) with every problem."""
+    """Return the column map in a TOML file. Raises ConfigurationError (exit code 2) with every problem."""
     path = Path(path)
     data = parse_toml(read_text(path), path.name)
     problems = [f"{path.name}: {problem}" for problem in _contradictions(data)]
@@ -94,7 +94,7 @@ def read_map(path: Path | str) -> ColumnMap:
 
 
 def _contradictions(data: Mapping[str, Any]) -> list[str]:
-    """What keys that are there or not there say about each other, a line each."""
+    """Return what keys that are there or not there say about each other, a line each."""
     there = set(data)
     found = []
     if ("quaternion" in there) == ("euler" in there):
@@ -121,7 +121,7 @@ def _contradictions(data: Mapping[str, Any]) -> list[str]:
 
 
 def read(path: Path | str, columns: Path | str) -> Recording:
-    """The flight of a CSV file as the column map reads it.
+    """Return the flight of a CSV file as the column map reads it.
 
     Raises ConfigurationError for the map (exit code 2) and ImportFormatError for the log.
     """
@@ -181,7 +181,7 @@ def read(path: Path | str, columns: Path | str) -> Recording:
 
 
 def _turn(chosen: ColumnMap, stack: Any, source: str) -> tuple[np.ndarray, Rotation]:
-    """The attitude as the file has it, (n, 4) or (n, 3), and as turns from body to world axes."""
+    """Return the attitude as the file has it, (n, 4) or (n, 3), and as turns from body to world axes."""
     if chosen.euler is not None:
         angles = stack(chosen.euler)
         return angles, turn_from_euler(angles, degrees=chosen.euler_unit == "deg")

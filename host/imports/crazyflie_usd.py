@@ -59,7 +59,9 @@ class Event:
 
 
 def read(path: Path | str) -> Recording:
-    """The flight of a uSD log. Raises ImportFormatError naming the file, what is wrong and what to do."""
+    """Return the flight of a uSD log. Raises ImportFormatError naming the file, what is wrong and what to
+    do.
+    """
     path = Path(path)
     try:
         data = path.read_bytes()
@@ -102,7 +104,9 @@ def read(path: Path | str) -> Recording:
 
 
 def _with_all(events: tuple[Event, ...], name: str) -> Event:
-    """The event type that holds every variable needed; letters' case differs between firmware versions."""
+    """Return the event type that holds every variable needed; letters' case differs between firmware
+    versions.
+    """
 
     def lacks(event: Event) -> list[str]:
         there = {column.lower() for column in event.columns}
@@ -120,7 +124,7 @@ def _with_all(events: tuple[Event, ...], name: str) -> Event:
 
 
 def decode(data: bytes, name: str) -> tuple[Event, ...]:
-    """The records of a uSD log by event type, one or more.
+    """Return the records of a uSD log by event type, one or more.
 
     Raises ImportFormatError for anything that is not a whole log: wrong mark, cut short, wrong check sum.
     """
@@ -191,7 +195,7 @@ def _decode(data: bytes, name: str) -> tuple[Event, ...]:
 
 
 def _string(data: bytes, offset: int) -> tuple[str, int]:
-    """The NUL-terminated text at `offset` and the offset behind it."""
+    """Return the NUL-terminated text at `offset` and the offset behind it."""
     end = data.find(b"\0", offset)
     if end < 0:
         raise IndexError("a text without its end")

@@ -41,7 +41,7 @@ def q_ned_frd(turn: Rotation, world: World, body: Body) -> np.ndarray:
 
 
 def turn_from_quaternion(q: np.ndarray, *, scalar_first: bool) -> Rotation:
-    """The turns of quaternions (n, 4). Raises ValueError naming the row of one whose norm is not 1."""
+    """Return the turns of quaternions (n, 4). Raises ValueError naming the row of one whose norm is not 1."""
     with np.errstate(over="ignore"):
         norm = np.sqrt((q * q).sum(axis=1))
     wrong = np.flatnonzero(~(np.abs(norm - 1.0) < 0.02))
@@ -51,5 +51,5 @@ def turn_from_quaternion(q: np.ndarray, *, scalar_first: bool) -> Rotation:
 
 
 def turn_from_euler(rpy: np.ndarray, *, degrees: bool = False) -> Rotation:
-    """The turns Rz(yaw) Ry(pitch) Rx(roll) of angles (n, 3) in the order roll, pitch, yaw."""
+    """Return the turns Rz(yaw) Ry(pitch) Rx(roll) of angles (n, 3) in the order roll, pitch, yaw."""
     return Rotation.from_euler("ZYX", rpy[:, ::-1], degrees=degrees)

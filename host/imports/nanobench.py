@@ -40,7 +40,10 @@ COLUMNS = ("t", *_POSITION, *_QUATERNION, *_MOTORS, *_GYRO, *_ACCELEROMETER, _BA
 
 
 def read(path: Path | str) -> Recording:
-    """The flight of a NanoBench CSV file. Raises ImportFormatError naming the file, column and line."""
+    """Return the flight of a NanoBench CSV file.
+
+    Raises ImportFormatError naming the file, column and line.
+    """
     path = Path(path)
     rows = table(path, COLUMNS)
     t_us = since_first_us(rows["t"], 1e6, path.name)

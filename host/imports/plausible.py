@@ -25,7 +25,7 @@ _MOVING = {"rate": 0.15, "acceleration": 0.4}
 
 
 def check(recording: Recording, span_us: tuple[int, int]) -> None:
-    """Raises ImportFormatError with every contradiction within the time in the air."""
+    """Raise ImportFormatError with every contradiction within the time in the air."""
     begin_s, end_s = span_us[0] * 1e-6, span_us[1] * 1e-6
     pose_s = recording.pose_us * 1e-6
     t_s = np.arange(begin_s, end_s - 1e-9, _STEP_S)
@@ -59,7 +59,7 @@ def _rates(recording: Recording, pose_s: np.ndarray, t_s: np.ndarray) -> list[st
 
 
 def _forces(recording: Recording, pose_s: np.ndarray, t_s: np.ndarray) -> list[str]:
-    """The accelerometer's mean in the world against weight: over a flight, velocity hardly changes."""
+    """Return the accelerometer's mean in the world against weight: over a flight, velocity hardly changes."""
     if recording.specific_force is None or recording.imu_us is None:
         return []
     imu_s = recording.imu_us * 1e-6

@@ -10,7 +10,7 @@ PROFILES = ("nanobench", "crazyflie-usd", "csv")
 
 
 def read(profile: str, path: Path, columns: Path | None = None) -> Recording:
-    """The recording at `path` as the profile reads it; `columns` is the column map, for csv only.
+    """Return the recording at `path` as the profile reads it; `columns` is the column map, for csv only.
 
     Raises ImportFormatError (exit code 5) for the log, ConfigurationError (2) for the map, and ValueError
     for a profile that does not exist or a map that goes with none.

@@ -13,7 +13,7 @@ from trimtab.host.imports.recording import READABLE, ImportFormatError
 
 
 def table(path: Path, needed: Sequence[str]) -> dict[str, np.ndarray]:
-    """The needed columns of a CSV file by name, finite numbers all.
+    """Return the needed columns of a CSV file by name, finite numbers all.
 
     Empty lines are passed over, blanks around names and a byte order mark too. Raises ImportFormatError
     naming the file and every missing column, or the first line and column without a number below 1e30.

@@ -62,7 +62,7 @@ def write(
 
 
 def _as_declared(vehicle: Vehicle, r: Recording) -> Vehicle:
-    """The vehicle with the mass that the recording declares, and what that is worth."""
+    """Return the vehicle with the mass that the recording declares, and what that is worth."""
     if r.mass_kg is None:
         return vehicle
     sigma = min(DECLARED_MASS_SIGMA, vehicle.tolerance("mass", "factor", DECLARED_MASS_SIGMA))
@@ -74,7 +74,9 @@ def _as_declared(vehicle: Vehicle, r: Recording) -> Vehicle:
 
 
 def _inputs(r: Recording, vehicle: Vehicle) -> RecordedInputs | None:
-    """The recorded inputs at the highest level there is, motors in the vehicle's order; None without any."""
+    """Return the recorded inputs at the highest level there is, motors in the vehicle's order; None without
+    any.
+    """
     t_us = r.input_us if r.input_us is not None else r.reference_us
     if t_us is None:
         return None

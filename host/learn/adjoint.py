@@ -74,7 +74,7 @@ class Rollouts:
         return self._rolled(segments, x0, xi)[:, : segments.count]
 
     def _rolled(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
-        """The same of the whole batch, filled up with the first segment."""
+        """Return the same of the whole batch, filled up with the first segment."""
         step = self._step
         states = np.empty((segments.steps + 1, self.batch, self.phi.size))
         states[0] = self._filled(x0)
@@ -132,7 +132,7 @@ class Rollouts:
         return roll
 
     def _filled(self, rows: np.ndarray) -> np.ndarray:
-        """The rows, the first repeated up to the batch."""
+        """Return the rows, the first repeated up to the batch."""
         missing = self.batch - len(rows)
         if missing < 0:
             raise ValueError(f"{len(rows)} segments for a batch of {self.batch}")

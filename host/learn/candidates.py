@@ -52,7 +52,7 @@ class Trial:
     test: Errors | None
 
     def to_json(self) -> dict[str, Any]:
-        """What, and the errors."""
+        """Return what, and the errors."""
         return {
             "what": self.what,
             "train": self.train.to_json(),
@@ -61,7 +61,7 @@ class Trial:
 
 
 def best(trials: Sequence[Trial]) -> Trial:
-    """The trial of least position error over that of the first, which has nothing learned.
+    """Return the trial of least position error over that of the first, which has nothing learned.
 
     Of the ratios on flights used and on those held out the larger counts: one held out may be luck, and no
     loss has seen those used as a whole. Of equals it is the first, so give the simplest first.
@@ -70,7 +70,7 @@ def best(trials: Sequence[Trial]) -> Trial:
 
 
 def note(trials: Sequence[Trial], kept: Trial) -> list[str]:
-    """A line where the last trial, what was asked for, is not the best."""
+    """Return a line where the last trial, what was asked for, is not the best."""
     asked, better = trials[-1], best(trials)
     if better is asked:
         return []
@@ -79,7 +79,7 @@ def note(trials: Sequence[Trial], kept: Trial) -> list[str]:
 
 
 def _ratio(trial: Trial, nothing: Trial) -> float:
-    """The larger of the ratios of position errors; infinite where a roll-out of the trial diverged."""
+    """Return the larger of the ratios of position errors; infinite where a roll-out of the trial diverged."""
     pairs = zip(_position_errors(trial), _position_errors(nothing), strict=True)
     return max(error / before if error < np.inf else np.inf for error, before in pairs)
 
@@ -91,7 +91,7 @@ def _position_errors(trial: Trial) -> list[float]:
 
 
 def _off(trial: Trial) -> str:
-    """The position errors, in words."""
+    """Return the position errors, in words."""
     told = "nothing learned" if trial.what == "nothing" else trial.what
     off = [f"{1e3 * each:.1f} mm" for each in _position_errors(trial)]
     return f"{' (used) and '.join(off)}{' (held out)' * (len(off) > 1)} off with {told}"

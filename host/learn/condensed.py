@@ -42,7 +42,7 @@ class Condensed:
     nodes: int
 
     def loss(self, u: np.ndarray) -> tuple[float, np.ndarray]:
-        """The sum over segments for u (S, m), and its slope (S, m)."""
+        """Return the sum over segments for u (S, m), and its slope (S, m)."""
         away = u - self.at
         pulled = np.matmul(self.hessian, away[:, :, None])[:, :, 0]
         total = float(self.constant.sum() + (away * (pulled + 2.0 * self.slope)).sum())
@@ -65,7 +65,8 @@ def condense(
     delay_s: float = 0.0,
     taken_s: float = 0.0,
 ) -> Condensed:
-    """The segments' loss about residual acceleration (S, N + 1, 3), NED, theta (P,) and a delay of poses, s.
+    """Return the segments' loss about residual acceleration (S, N + 1, 3), NED, theta (P,) and a delay of
+    poses, s.
 
     weight (12,): diagonal L of the loss; start_sigma (S, size): scale of what starts may move; free: which
     entries of theta are learned; taken_s: the latency that the measured states were taken to have. Effects

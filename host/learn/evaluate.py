@@ -26,7 +26,7 @@ class Errors:
     velocity_rmse_m_s: float
 
     def to_json(self) -> dict[str, float | None]:
-        """The two numbers; None where a roll-out diverged."""
+        """Return the two numbers; None where a roll-out diverged."""
         return {name: value if np.isfinite(value) else None for name, value in vars(self).items()}
 
 
@@ -50,7 +50,7 @@ def whole_flights(
 
 
 def predict(phi: Phi, theta: np.ndarray, states: States, network: Network | None = None) -> np.ndarray:
-    """The 12 states (n, 12) of a flight at its samples, predicted from its reference."""
+    """Return the 12 states (n, 12) of a flight at its samples, predicted from its reference."""
     split = phi.substeps(states.step_s)
     step_s = states.step_s / split
     times = half_steps(states.t_s[0], split * (len(states.t_s) - 1), step_s)
@@ -84,7 +84,7 @@ def model_errors(flights: Sequence[Flight], model: Model | None, effects: Mappin
 
 
 def model_parts(model: Model | None, effects: Mapping[str, Effect]) -> list[Part]:
-    """The model's effects and those of its adjustments that are effects; none for no model."""
+    """Return the model's effects and those of its adjustments that are effects; none for no model."""
     if model is None:
         return []
     known = {name: values for name, values in model.adjustments.items() if name in effects}

@@ -62,7 +62,7 @@ class Fitted:
 
 
 def accelerations(basis: Basis, xi: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """The network's acceleration (S, N + 1, 3), NED, at states (S, N + 1, 6)."""
+    """Return the network's acceleration (S, N + 1, 3), NED, at states (S, N + 1, 6)."""
     if basis.layout is None:
         return np.zeros((*states.shape[:2], 3))
     flat = basis.layout.arrays(xi, states.reshape(-1, 6).T)
@@ -81,7 +81,7 @@ def fit(
     headings: np.ndarray | None = None,
     on_iteration: Callable[[int, float], None] | None = None,
 ) -> Fitted:
-    """The numbers that fit best, from `start` (size,); ends early where validation does not improve.
+    """Return the numbers that fit best, from `start` (size,); ends early where validation does not improve.
 
     l2 is on the weights, for a loss scaled to a unit mean diagonal. headings (copies, S), rad: every segment
     counts once turned by each of these angles, as good as flown.
@@ -153,7 +153,7 @@ class _Problem:
         return v[:m], v[m : m + p], float(v[m + p]) if self.basis.delay else 0.0
 
     def loss(self, v: np.ndarray) -> float:
-        """The loss alone."""
+        """Return the loss alone."""
         return self._value(v, slope=False)[0]
 
     def __call__(self, v: np.ndarray) -> tuple[float, np.ndarray]:

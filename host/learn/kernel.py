@@ -50,7 +50,7 @@ def kernel(phi: Phi, layout: Layout, compiler: Compiler) -> Kernel:
 
 
 def source(phi: Phi, layout: Layout) -> str:
-    """The kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
+    """Return the kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
     functions = {"phi": phi.function, "products": vector_jacobian(phi.function), **_network_ends(layout)}
     sizes = layout.sizes
     forward, backward, gradients = [], [], []
@@ -95,9 +95,10 @@ def source(phi: Phi, layout: Layout) -> str:
 
 
 def vector_jacobian(phi: ca.Function) -> ca.Function:
-    """phi's inputs and a row l -> l' dphi/dx, l' dphi/d(acceleration) and l' dphi/dtheta.
+    """Return the function of phi's inputs and a row l to its vector-Jacobian products.
 
-    By CasADi's reverse mode. Without theta its product is one 0.
+    These are l' dphi/dx, l' dphi/d(acceleration) and l' dphi/dtheta, by CasADi's reverse mode. Without theta
+    its product is one 0.
     """
     inputs = phi.sx_in()
     row = ca.SX.sym("row", phi.size1_out(0))
@@ -109,7 +110,7 @@ def vector_jacobian(phi: ca.Function) -> ca.Function:
 
 
 def _network_ends(layout: Layout) -> dict[str, ca.Function]:
-    """What the network sees of v and Theta and what its outputs give, with their products."""
+    """Return what the network sees of v and Theta and what its outputs give, with their products."""
     state, push = ca.SX.sym("state", 6), ca.SX.sym("push", layout.sizes[0])
     out, pull = ca.SX.sym("out", 3), ca.SX.sym("pull", 3)
     seen = ca.densify(ca.vertcat(*layout.seen(CASADI, ca.vertsplit(state))))

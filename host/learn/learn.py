@@ -54,7 +54,7 @@ class Judged:
         return self.learned.position_rmse_m / self.base.position_rmse_m
 
     def to_json(self) -> dict[str, Any]:
-        """The errors, those of the nominal vehicle and of the base, and which flights."""
+        """Return the errors, those of the nominal vehicle and of the base, and which flights."""
         return {
             **self.learned.to_json(),
             "nominal": self.nominal.to_json(),
@@ -103,7 +103,7 @@ def learn(
     provenance: Mapping[str, Any] | None = None,
     on_epoch: Callable[[int, float], None] | None = None,
 ) -> Learned:
-    """A model learned from `flights` of one vehicle, or less where less predicts better.
+    """Return a model learned from `flights` of one vehicle, or less where less predicts better.
 
     Held out for the test are `hold_out`; None: the flights of every fourth reference where there are three or
     more. A reference is never on both sides. `base` is a model whose effects (found in `effects`) stay as
@@ -250,7 +250,7 @@ def split_by_reference(
 
 
 def region(states: Sequence[States]) -> Region:
-    """The speeds, tilts and collective thrusts that the flights went through."""
+    """Return the speeds, tilts and collective thrusts that the flights went through."""
     return Region.of(*_states_and_thrust(states))
 
 
@@ -275,7 +275,7 @@ def _segments(used: Sequence[States], phi: Phi, rng: np.random.Generator) -> tup
 
 
 def _few(segments: Segments, settings: Settings | CondensedSettings) -> list[str]:
-    """A note where a batch holds all there is."""
+    """Return a note where a batch holds all there is."""
     if isinstance(settings, CondensedSettings) or segments.count >= settings.batch:
         return []
     return [

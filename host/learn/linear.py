@@ -30,8 +30,8 @@ def linearised(
     free: Sequence[int],
     sigma: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The predictions (S, 12 N) and what they move by: by node accelerations and free parameters (S, 12 N,
-    3 (N + 1) + P) and by sigmas of the start (S, 12 N, size).
+    """Return the predictions (S, 12 N) and what they move by: by node accelerations and free parameters (S,
+    12 N, 3 (N + 1) + P) and by sigmas of the start (S, 12 N, size).
 
     Every step is linearised on its own by central differences about the roll-out, and the steps are chained.
     """
@@ -66,8 +66,8 @@ def _step_slopes(
     free: Sequence[int],
     sigma: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """What one step's end moves by (S, N, size, columns): by its start, by the acceleration at its start and
-    at its end, by the free parameters in typical sizes.
+    """Return what one step's end moves by (S, N, size, columns): by its start, by the acceleration at its
+    start and at its end, by the free parameters in typical sizes.
     """
     count, steps, size = states.shape[0], states.shape[1] - 1, states.shape[2]
     rows = np.arange(count * steps)

@@ -81,7 +81,8 @@ def train_condensed(
     free: Sequence[int] | None = None,
     on_iteration: Callable[[int, float], None] | None = None,
 ) -> CondensedTrained:
-    """The residual of phi learned from `segments`: its effects' parameters, begun at theta (P,), a network.
+    """Return the residual of phi learned from `segments`: its effects' parameters, begun at theta (P,), a
+    network.
 
     The measured states were taken to be as late as theta has it.
 

@@ -53,7 +53,7 @@ class Starts:
 def free_starts(
     engine: Rollouts | LaneRollouts, theta: np.ndarray, segments: Segments, weight: np.ndarray
 ) -> Starts:
-    """The starts' freedom about the measured ones. `weight` (12,): diagonal L of the loss."""
+    """Return the starts' freedom about the measured ones. `weight` (12,): diagonal L of the loss."""
     size, sigma = engine.phi.size, start_sigma(engine.phi, segments)
     gain = np.empty((segments.count, size, 12 * segments.steps))
     keep = np.empty((segments.count, size, size))

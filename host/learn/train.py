@@ -62,7 +62,7 @@ def train(
     weight: np.ndarray,
     on_epoch: Callable[[int, float], None] | None = None,
 ) -> Trained:
-    """The residual d(x, xi) for phi with its effects at `theta`, learned from `segments`.
+    """Return the residual d(x, xi) for phi with its effects at `theta`, learned from `segments`.
 
     weight (12,): diagonal L of the loss.
 

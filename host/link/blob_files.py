@@ -10,7 +10,7 @@ from trimtab.protocol.blobs import Blob, BlobError, FeedForward, Reference, from
 
 
 def read_blob(path: str | Path) -> Blob:
-    """The blob in a file. Raises UsageError naming the file and what is wrong in it."""
+    """Return the blob in a file. Raises UsageError naming the file and what is wrong in it."""
     try:
         data = Path(path).read_bytes()
     except OSError as error:
@@ -24,7 +24,7 @@ def read_blob(path: str | Path) -> Blob:
 
 
 def read_reference(path: str | Path) -> Reference:
-    """The reference in a file. Raises UsageError."""
+    """Return the reference in a file. Raises UsageError."""
     blob = read_blob(path)
     if not isinstance(blob, Reference):
         raise UsageError(f"{path}: a feed-forward, give a reference (.ref)")
@@ -32,7 +32,7 @@ def read_reference(path: str | Path) -> Reference:
 
 
 def read_feedforward(path: str | Path) -> FeedForward:
-    """The feed-forward in a file. Raises UsageError."""
+    """Return the feed-forward in a file. Raises UsageError."""
     blob = read_blob(path)
     if not isinstance(blob, FeedForward):
         raise UsageError(f"{path}: a reference, give a feed-forward (.ff)")

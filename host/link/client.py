@@ -44,7 +44,7 @@ class RadioCounts(NamedTuple):
 
     @classmethod
     def of(cls, ground: m.RadioStats, vehicle: m.RadioStats) -> RadioCounts:
-        """What the two report."""
+        """Return what the two report."""
         return cls(
             ground.frames_sent,
             vehicle.frames_received,
@@ -58,7 +58,7 @@ class RadioCounts(NamedTuple):
         )
 
     def since(self, before: RadioCounts) -> RadioCounts:
-        """What was added; the radios' counters wrap."""
+        """Return what was added; the radios' counters wrap."""
         frames = [(b - a) & _MASK32 for a, b in zip(before[:4], self[:4], strict=True)]
         return RadioCounts(*frames, *((b - a) & _MASK16 for a, b in zip(before[4:], self[4:], strict=True)))
 
@@ -66,14 +66,21 @@ class RadioCounts(NamedTuple):
 class Client:
     """One host at one vehicle.
 
-    Attributes:
-        codec: counts what was sent, received, lost, repeated. clock: the vehicle's clock against the host's.
-        heartbeat, status: the newest of the vehicle, None before the first.
-        ground_radio: whether the host's own radio reports.
-        radio_counts: as the two radios reported them last within one second; None before.
-        bytes_sent, bytes_received: on the port. texts: what the vehicle said, oldest first, the
+    Attributes
+    ----------
+    codec
+        counts what was sent, received, lost, repeated. clock: the vehicle's clock against the host's.
+    heartbeat, status
+        the newest of the vehicle, None before the first.
+    ground_radio
+        whether the host's own radio reports.
+    radio_counts
+        as the two radios reported them last within one second; None before.
+    bytes_sent, bytes_received
+        on the port. texts: what the vehicle said, oldest first, the
         last 50; said: how many there were in all. heard_us: when the vehicle was last heard.
-        others: MAVLink systems that were heard and are neither the vehicle nor its radios.
+    others
+        MAVLink systems that were heard and are neither the vehicle nor its radios.
     """
 
     def __init__(self) -> None:
@@ -104,7 +111,9 @@ class Client:
         }
 
     def receive(self, data: bytes, now_us: int) -> list[Message]:
-        """The messages of the vehicle and both radios that `data` completes, without overtaken statuses."""
+        """Return the messages of the vehicle and both radios that `data` completes, without overtaken
+        statuses.
+        """
         self.bytes_received += len(data)
         found = []
         handlers = self._handlers
@@ -134,7 +143,7 @@ class Client:
         self.next_deadline_us = min(self._heartbeat_us, self._timesync_us)
 
     def take(self) -> bytes:
-        """The bytes to be written to the port."""
+        """Return the bytes to be written to the port."""
         if not self._out:
             return b""
         out, self._out = self._out, []
@@ -143,7 +152,7 @@ class Client:
         return data
 
     def said_since(self, before: int) -> list[str]:
-        """The texts since `said` was `before`, as far as they are kept."""
+        """Return the texts since `said` was `before`, as far as they are kept."""
         return [text for _, text in self.texts][-(self.said - before) :] if self.said > before else []
 
     def _on_heartbeat(self, message: m.Heartbeat, now_us: int) -> bool:

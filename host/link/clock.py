@@ -74,10 +74,14 @@ class ClockSync:
     into one exchange. What remains is half the difference of the two least delays, each as it usually comes
     (a stamp says which tick, not when in it): a link of equal slots both ways has next to none.
 
-    Attributes:
-        offset_us: vehicle clock minus host clock; 0 before the first exchange.
-        exchanges: answers taken. rtt_us: round trip, smoothed. rtts_us: the last 10,000 round trips.
-        steps: how often the other clock jumped and the comparison began anew.
+    Attributes
+    ----------
+    offset_us
+        vehicle clock minus host clock; 0 before the first exchange.
+    exchanges
+        answers taken. rtt_us: round trip, smoothed. rtts_us: the last 10,000 round trips.
+    steps
+        how often the other clock jumped and the comparison began anew.
     """
 
     def __init__(self) -> None:
@@ -108,7 +112,7 @@ class ClockSync:
         return 0.5 * math.sqrt(spread)
 
     def answer(self, sent_us: int, vehicle_us: int, now_us: int) -> None:
-        """Takes an answer: when it was asked (host), the vehicle's clock, when it arrived (host)."""
+        """Take an answer: when it was asked (host), the vehicle's clock, when it arrived (host)."""
         rtt_us = now_us - sent_us
         if rtt_us < 0 or rtt_us > 5_000_000:
             return
@@ -138,8 +142,10 @@ class ClockSync:
 class CameraClock:
     """Offset of the camera system's clock against the host's, from nothing but when its poses arrive.
 
-    Args:
-        delay_us: the least time from exposure to arrival, as the maker states it; None: one clock, offset 0.
+    Parameters
+    ----------
+    delay_us
+        the least time from exposure to arrival, as the maker states it; None: one clock, offset 0.
     """
 
     def __init__(self, delay_us: int | None) -> None:

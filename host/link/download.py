@@ -56,7 +56,7 @@ NAMES = {
 
 
 def id_on_board(status: m.FcStatus, what: OnBoard) -> str | None:
-    """The id (12 hex digits) that the vehicle tells for it, None where there is nothing."""
+    """Return the id (12 hex digits) that the vehicle tells for it, None where there is nothing."""
     if what.staged:
         found = bytes(status.staged_id) if status.staged_kind == what.kind else b""
     else:
@@ -171,7 +171,7 @@ class Download:
     repeated: int
 
     def to_json(self) -> dict[str, Any]:
-        """The answer of `trimtab download --json`, but for the file's name."""
+        """Return the answer of `trimtab download --json`, but for the file's name."""
         return {
             "name": self.name,
             "id": self.id,
@@ -182,7 +182,7 @@ class Download:
 
 
 def read_back(session: Session, name: str, status: m.FcStatus, port: str) -> Generator[Task, Any, Download]:
-    """What is on board under a word of NAMES, for scripts: its bytes make the id that `status` tells.
+    """Yield what is on board under a word of NAMES, for scripts: its bytes make the id that `status` tells.
 
     Raises UsageError where there is nothing, LinkError where it does not arrive or its bytes make another id.
     """
@@ -201,7 +201,7 @@ def read_back(session: Session, name: str, status: m.FcStatus, port: str) -> Gen
 
 
 def download_session(name: str, port: str, on_phase: Callable[[str], None] | None = None) -> Session:
-    """A session that reads what is on board at a port; its result is a Download."""
+    """Return a session that reads what is on board at a port; its result is a Download."""
 
     def script(session: Session) -> Generator[Task, Any, Download]:
         yield FindVehicle(port)
@@ -214,7 +214,10 @@ def download_session(name: str, port: str, on_phase: Callable[[str], None] | Non
 
 
 def download_port(name: str, port: str, on_phase: Callable[[str], None] | None = None) -> Download:
-    """What is on board at a serial port, in real time. Raises UsageError, LinkError or KeyboardInterrupt."""
+    """Return what is on board at a serial port, in real time.
+
+    Raises UsageError, LinkError or KeyboardInterrupt.
+    """
     session = download_session(name, port, on_phase)
     with contextlib.closing(open_port(port)) as line:
         run_port(session, line)
@@ -222,7 +225,7 @@ def download_port(name: str, port: str, on_phase: Callable[[str], None] | None =
 
 
 def download_lockstep(name: str, vehicle: Vehicle) -> Download:
-    """The same with a vehicle in this process."""
+    """Return the same with a vehicle in this process."""
     session = download_session(name, "vehicle")
     run_lockstep(session, vehicle)
     return session.outcome()

@@ -78,9 +78,12 @@ def run_lockstep(
 ) -> DriveStatistics:
     """Statistics once the session is done; its result or error is in the session.
 
-    Args:
-        realtime: keep to the wall clock, as far as the machine can.
-        interrupt: called between two steps at Ctrl-C, SIGTERM or SIGHUP; without it the session ends at once.
+    Parameters
+    ----------
+    realtime
+        keep to the wall clock, as far as the machine can.
+    interrupt
+        called between two steps at Ctrl-C, SIGTERM or SIGHUP; without it the session ends at once.
 
     Raises whatever the vehicle raises, a foreign plant's error for instance.
     """
@@ -109,7 +112,7 @@ def run_lockstep(
 
 
 def _keep_pace(now_us: int, origin_us: int, statistics: DriveStatistics) -> int:
-    """Waits for the wall clock; us by which simulated time must be stretched."""
+    """Wait for the wall clock; us by which simulated time must be stretched."""
     ahead_us = now_us - (_wall_us() - origin_us)
     if ahead_us > 0:
         time.sleep(ahead_us * 1e-6)

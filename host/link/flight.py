@@ -200,11 +200,16 @@ class FollowFlight(Task):
 class FlightDirector:
     """Flies one order through `session`, which a driver steps; call `close` at the end in any case.
 
-    Attributes:
-        phase: what is going on, for people. flown_s, total_s: progress of the reference.
-        end: how it ended, None before. identity: of the vehicle, None before it is known.
-        log_open: whether there is a log that can be read once it is closed.
-        interrupted: whether somebody wanted the flight to end.
+    Attributes
+    ----------
+    phase
+        what is going on, for people. flown_s, total_s: progress of the reference.
+    end
+        how it ended, None before. identity: of the vehicle, None before it is known.
+    log_open
+        whether there is a log that can be read once it is closed.
+    interrupted
+        whether somebody wanted the flight to end.
     """
 
     def __init__(self, order: FlightOrder, on_phase: Callable[[str], None] | None = None) -> None:
@@ -224,7 +229,7 @@ class FlightDirector:
         self._recorder: Recorder | None = None
 
     def interrupt(self) -> None:
-        """Ends the flight: in the air the vehicle lands first. A second call gives it up at once."""
+        """End the flight: in the air the vehicle lands first. A second call gives it up at once."""
         at_once = self.interrupted or self._recorder is None
         self.interrupted = True
         self.session.fail(KeyboardInterrupt() if at_once else Interrupted())
@@ -240,7 +245,7 @@ class FlightDirector:
             self.close()
 
     def close(self) -> None:
-        """Closes the log. Raises LogError where its end cannot be written."""
+        """Close the log. Raises LogError where its end cannot be written."""
         if self._log is not None:
             self.session.listener = None
             self._log.close()

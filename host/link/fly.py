@@ -38,7 +38,7 @@ def fly_lockstep(
     realtime: bool = False,
     on_phase: Callable[[str], None] | None = None,
 ) -> FlightResult:
-    """The result of flying `order` with a vehicle in this process; the vehicle stays open.
+    """Return the result of flying `order` with a vehicle in this process; the vehicle stays open.
 
     Raises FlightEnded, TrimtabError, what the vehicle raises, and once the log is closed FlightInterrupted,
     or KeyboardInterrupt where none was begun.
@@ -68,7 +68,7 @@ def fly_port(
     *,
     on_phase: Callable[[str], None] | None = None,
 ) -> FlightResult:
-    """The result of flying `order` at a serial port in real time; poses arrive at the `mocap` URL.
+    """Return the result of flying `order` at a serial port in real time; poses arrive at the `mocap` URL.
 
     Raises as `fly_lockstep` does. At Ctrl-C, SIGTERM or SIGHUP the vehicle lands first; at a second Ctrl-C it
     is left to itself.
@@ -105,7 +105,7 @@ def _settled_heap() -> Iterator[None]:
 
 
 def _conclude(director: FlightDirector, order: FlightOrder, driven: DriveStatistics) -> FlightResult:
-    """The result of a session that is done, or its error."""
+    """Return the result of a session that is done, or its error."""
     error = director.session.error
     if isinstance(error, SESSION_ERRORS):
         raise _with_log(error, director, order)
@@ -130,7 +130,7 @@ def _conclude(director: FlightDirector, order: FlightOrder, driven: DriveStatist
 
 
 def _how_interrupted(director: FlightDirector, order: FlightOrder) -> str:
-    """What became of the vehicle, and where the log is."""
+    """Return what became of the vehicle, and where the log is."""
     log = f"its log is {order.log_path}"
     if director.end is not None:
         return f"the vehicle has landed; {log}"
@@ -138,7 +138,7 @@ def _how_interrupted(director: FlightDirector, order: FlightOrder) -> str:
 
 
 def _with_log(error: TrimtabError, director: FlightDirector, order: FlightOrder) -> TrimtabError:
-    """The same error, saying where the log is if there is one."""
+    """Return the same error, saying where the log is if there is one."""
     if not director.log_open:
         return error
     found = type(error)(f"{error}; the log up to there is {order.log_path}")

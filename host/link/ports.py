@@ -34,7 +34,7 @@ class Port(Protocol):
 
 
 def open_port(url: str, baud: int = BAUD) -> Port:
-    """The port at a device path (pty, USB), `tcp:HOST:PORT` or `udp:HOST:PORT`.
+    """Return the port at a device path (pty, USB), `tcp:HOST:PORT` or `udp:HOST:PORT`.
 
     Raises LinkError (exit code 3) where nothing can be opened there, UsageError where the URL makes no sense.
     """
@@ -73,7 +73,9 @@ class _SerialPort:
             raise self._gone(error) from error
 
     def _gone(self, error: BaseException) -> LinkError:
-        """What to raise for a port that was open: the system's reason where there is one, not pyserial's."""
+        """Return what to raise for a port that was open: the system's reason where there is one, not
+        pyserial's.
+        """
         reason = "" if _number(error) is None else f" ({_reason(error)})"
         return LinkError(f"{self.name}: the port is gone{reason}; check the device and its cable")
 
@@ -157,7 +159,7 @@ class Cameras:
     """The socket at which a camera system's datagrams arrive."""
 
     def __init__(self, url: str) -> None:
-        """Listens at `udp://HOST:PORT`. Raises UsageError where that is no address of this machine."""
+        """Listen at `udp://HOST:PORT`. Raises UsageError where that is no address of this machine."""
         try:
             parts = urlsplit(url)
         except ValueError:  # brackets without an end, letters that stand for punctuation
@@ -181,7 +183,7 @@ class Cameras:
         return self._socket.fileno()
 
     def read(self) -> list[bytes]:
-        """The datagrams that wait, oldest first."""
+        """Return the datagrams that wait, oldest first."""
         found: list[bytes] = []
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while len(found) < 100:
@@ -212,7 +214,7 @@ def _remedy(error: BaseException) -> str:
 
 
 def _reason(error: BaseException) -> str:
-    """What the system says, in one line and without its numbers."""
+    """Return what the system says, in one line and without its numbers."""
     number = _number(error)
     if isinstance(error, socket.gaierror):  # its numbers are not the system's
         text = error.strerror or "unknown address"
@@ -222,7 +224,7 @@ def _reason(error: BaseException) -> str:
 
 
 def _number(error: BaseException) -> int | None:
-    """The system's number of an error."""
+    """Return the system's number of an error."""
     number = getattr(error, "errno", None)
     if number is None and (found := re.search(r"\((\d+), ", str(error))):
         return int(found[1])  # pyserial puts what termios raised into its own text

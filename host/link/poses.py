@@ -29,15 +29,17 @@ class Forwarded:
     seconds: float
 
     def to_json(self) -> dict[str, Any]:
-        """The answer of `trimtab poses --json`."""
+        """Return the answer of `trimtab poses --json`."""
         return {"poses": self.poses, "forwarded": self.forwarded, "seconds": self.seconds}
 
 
 class KeepForwarding(Task):
     """Never ends by itself. Raises LinkError where the vehicle falls silent.
 
-    Args:
-        port: how messages call it. look: is called every second.
+    Parameters
+    ----------
+    port
+        how messages call it. look: is called every second.
     """
 
     def __init__(self, port: str, look: Callable[[], None]) -> None:
@@ -55,10 +57,12 @@ class KeepForwarding(Task):
 def forward_session(
     port: str, camera_delay_us: int, *, ready: Callable[[], None], look: Callable[[Session], None]
 ) -> Session:
-    """A session that forwards poses until it is ended from outside.
+    """Return a session that forwards poses until it is ended from outside.
 
-    Args:
-        ready: called once the vehicle has answered. look: called every second from then on.
+    Parameters
+    ----------
+    ready
+        called once the vehicle has answered. look: called every second from then on.
     """
 
     def script(session: Session) -> Generator[Task, Any, None]:
@@ -77,7 +81,7 @@ def forward_port(
     ready: Callable[[], None],
     look: Callable[[Session], None],
 ) -> Forwarded:
-    """What was forwarded until Ctrl-C, SIGTERM or SIGHUP, the ordinary end.
+    """Return what was forwarded until Ctrl-C, SIGTERM or SIGHUP, the ordinary end.
 
     Raises LinkError or UsageError.
     """

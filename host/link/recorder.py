@@ -76,7 +76,7 @@ class Recorder:
         return self._link_us
 
     def receive(self, messages: Sequence[Message], now_us: int) -> None:
-        """Logs messages that have just arrived."""
+        """Log messages that have just arrived."""
         handlers = self._handlers
         for message in messages:
             handler = handlers.get(type(message))
@@ -84,7 +84,7 @@ class Recorder:
                 handler(message, now_us - self._arm_us)
 
     def pose(self, message: m.AttPosMocap, vehicle_us: int, now_us: int) -> None:
-        """Logs a pose of the camera system, forwarded with the stamp `vehicle_us` (0: not forwarded)."""
+        """Log a pose of the camera system, forwarded with the stamp `vehicle_us` (0: not forwarded)."""
         source_us = message.time_usec
         publish_us = round(source_us - self._camera.offset_us) - self._arm_us
         log_us = now_us - self._arm_us
@@ -95,7 +95,7 @@ class Recorder:
             self._log.display(topics.DISPLAY_POSE, log_us, publish_us, p, message.q)
 
     def link(self, now_us: int) -> None:
-        """Logs the state of the link where it is due."""
+        """Log the state of the link where it is due."""
         if now_us < self._link_us:
             return
         self._link_us += LINK_US * (1 + (now_us - self._link_us) // LINK_US)
@@ -124,12 +124,12 @@ class Recorder:
         self._log.write(topics.LINK, message, log_us, log_us)
 
     def say(self, text: str, now_us: int) -> None:
-        """Logs a line of the host's own."""
+        """Log a line of the host's own."""
         log_us = now_us - self._arm_us
         self._log.text(log_us, log_us, mavlink.MAV_SEVERITY_INFO, text, "host")
 
     def _publish_us(self, vehicle_us: int) -> int:
-        """A vehicle stamp on the host's clock from arm."""
+        """Return a vehicle stamp on the host's clock from arm."""
         return round(vehicle_us - self._clock.offset_us) - self._arm_us
 
     def _control(self, message: m.FcControl, log_us: int) -> None:
@@ -229,7 +229,7 @@ class Recorder:
         self._log.write(topics.FC_STATUS, status, log_us, self._publish_us(source_us))
 
     def _follow(self, message: m.FcStatus, start_tick: int | None) -> None:
-        """Takes over what the status says about when which reference began, or will."""
+        """Take over what the status says about when which reference began, or will."""
         then = self._then
         if then is None or bytes(message.reference_id).hex() != then.id:
             self._first.start_tick = start_tick
@@ -326,6 +326,6 @@ class _FlownReference:
 
 
 def _shown_id(first_bytes: Sequence[int]) -> str:
-    """An id of six bytes as hex; empty for none."""
+    """Return an id of six bytes as hex; empty for none."""
     data = bytes(first_bytes)
     return data.hex() if any(data) else ""

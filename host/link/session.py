@@ -34,15 +34,23 @@ class Listener(Protocol):
 class Session:
     """Runs a script over a Client.
 
-    Args:
-        script: called once with the session, when the first `step` tells the time.
-        camera: the camera system's clock; its poses are forwarded with stamps on the vehicle's clock.
+    Parameters
+    ----------
+    script
+        called once with the session, when the first `step` tells the time.
+    camera
+        the camera system's clock; its poses are forwarded with stamps on the vehicle's clock.
 
-    Attributes:
-        done: whether the script has ended. result: what it returned. error: what it raised instead.
-        now_us: the time of the step under way.
-        poses: poses that have arrived. forwarded: how many went on to the vehicle.
-        listener: who sees what passes, None for nobody. One that raises sees no more, and what it raised is
+    Attributes
+    ----------
+    done
+        whether the script has ended. result: what it returned. error: what it raised instead.
+    now_us
+        the time of the step under way.
+    poses
+        poses that have arrived. forwarded: how many went on to the vehicle.
+    listener
+        who sees what passes, None for nobody. One that raises sees no more, and what it raised is
         raised in the script.
     """
 
@@ -96,13 +104,13 @@ class Session:
         return client.take()
 
     def outcome(self) -> Any:
-        """What the script returned, once the session is done. Raises what it raised instead."""
+        """Return what the script returned, once the session is done. Raises what it raised instead."""
         if self.error is not None:
             raise self.error
         return self.result
 
     def fail(self, error: BaseException) -> None:
-        """Ends the script by raising `error` in it; it may yield another task instead and go on."""
+        """End the script by raising `error` in it; it may yield another task instead and go on."""
         if not self.done and self._script is not None:
             self._task = None
             self._resume(error)
@@ -140,7 +148,7 @@ class Session:
                 self._resume(None, task.result)
 
     def _resume(self, error: BaseException | None, result: Any = None) -> None:
-        """Runs the script up to its next task that is not done at once."""
+        """Run the script up to its next task that is not done at once."""
         script = self._script
         assert script is not None
         try:
@@ -162,7 +170,7 @@ class Session:
             self.done, self.error = True, problem
 
     def _on_datagram(self, datagram: bytes, now_us: int) -> None:
-        """Forwards the poses in a datagram; one whose stamp the camera clock does not believe is dropped."""
+        """Forward the poses in a datagram; one whose stamp the camera clock does not believe is dropped."""
         clock, camera = self.client.clock, self.camera
         for message in map(decode_message, split(datagram)):
             if type(message) is not m.AttPosMocap:

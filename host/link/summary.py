@@ -35,7 +35,7 @@ class FlightResult:
     duration_s: float
 
     def to_json(self) -> dict[str, Any]:
-        """The answer of `trimtab fly --json`."""
+        """Return the answer of `trimtab fly --json`."""
         return {
             "log": str(self.log),
             "reference": self.reference,
@@ -53,7 +53,7 @@ class FlightResult:
         }
 
     def to_lines(self) -> list[str]:
-        """The same for people."""
+        """Return the same for people."""
         lines = [
             f"{self.log}  id {self.log_id}  {self.duration_s:.1f} s, {self.realtime_factor:.1f} x real time"
         ]
@@ -72,7 +72,10 @@ class FlightResult:
 
 
 def summarise(director: FlightDirector, log: Path, driven: DriveStatistics) -> FlightResult:
-    """The result of a flight whose log is closed. Raises LogError where the log cannot be read back."""
+    """Return the result of a flight whose log is closed.
+
+    Raises LogError where the log cannot be read back.
+    """
     flight = read_flight(log, leave_out=[topics.FC_CONTROL])  # the result tells nothing of it
     error = tracking_error(flight)
     return FlightResult(

@@ -80,7 +80,7 @@ class SwapEnd:
     slots_share: float | None
 
     def to_json(self) -> dict[str, Any]:
-        """The entry `swap` of `trimtab fly --json`."""
+        """Return the entry `swap` of `trimtab fly --json`."""
         return {
             "reference": self.reference,
             "at_s": self.at_s,
@@ -134,7 +134,7 @@ class Swap:
             self._pump(client, now_us)
 
     def end(self, live: str) -> SwapEnd:
-        """What became of it, `live` being the reference that the vehicle says it flew last."""
+        """Return what became of it, `live` being the reference that the vehicle says it flew last."""
         sender, happened = self._sender, live == self._reference.id
         seconds = share = reason = None
         if sender is not None and sender.over:

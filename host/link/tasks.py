@@ -43,13 +43,13 @@ class Task:
         self.deadline_us = now_us
 
     def receive(self, client: Client, message: Message, now_us: int) -> None:
-        """Takes a message of one of the wanted types."""
+        """Take a message of one of the wanted types."""
 
     def advance(self, client: Client, now_us: int) -> None:
-        """Takes note of the time."""
+        """Take note of the time."""
 
     def finish(self, result: Any = None) -> None:
-        """Ends the task."""
+        """End the task."""
         self.result = result
         self.done = True
         self.deadline_us = NEVER_US
@@ -66,8 +66,10 @@ class Identity:
 class FindVehicle(Task):
     """Result: the Identity of the vehicle at the port. Raises LinkError where none of ours is.
 
-    Args:
-        port: how messages call the port.
+    Parameters
+    ----------
+    port
+        how messages call the port.
     """
 
     wants = (m.Heartbeat, m.AutopilotVersion)
@@ -235,8 +237,10 @@ class SetParameter(Task):
 class Command(Task):
     """Result: None once the vehicle accepted. Raises Refused with the vehicle's words, LinkError on silence.
 
-    Args:
-        number: MAV_CMD. what: how messages call it. patience_us: how long "not now" is asked again.
+    Parameters
+    ----------
+    number
+        MAV_CMD. what: how messages call it. patience_us: how long "not now" is asked again.
     """
 
     wants = (m.CommandAck,)
@@ -287,7 +291,7 @@ class Command(Task):
         self._send(client, now_us)
 
     def _words(self, client: Client) -> str:
-        """The reason that the vehicle says with every refusal, unless the radio lost it."""
+        """Return the reason that the vehicle says with every refusal, unless the radio lost it."""
         said = client.said_since(self._said)
         reasons = [text.partition("refused: ")[2] for text in said if "refused: " in text]
         return (reasons or said or [f"its reason was lost on the way, result {self._refused}"])[-1]
@@ -362,7 +366,9 @@ class AbortBlob(Task):
 
 
 def make_live(blob: Blob, what: str) -> Generator[Task, Any, UploadSender]:
-    """The sender of a blob that is live now, for scripts; at Ctrl-C the vehicle is told to forget it."""
+    """Yield the sender of a blob that is live now, for scripts; at Ctrl-C the vehicle is told to forget
+    it.
+    """
     task = SendBlob(blob.to_bytes(), blob.KIND, what=what)
     try:
         return (yield task)
@@ -408,7 +414,10 @@ class SettleClock(Task):
 
 
 def _value(message: m.ParamValue) -> float:
-    """The value that a PARAM_VALUE stands for. Raises LinkError where its type is none that we know."""
+    """Return the value that a PARAM_VALUE stands for.
+
+    Raises LinkError where its type is none that we know.
+    """
     try:
         return decode(message.param_value, message.param_type)
     except ValueError as error:

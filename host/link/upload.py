@@ -37,7 +37,7 @@ class UploadResult:
     read_back: bool = False
 
     def to_json(self) -> dict[str, Any]:
-        """The answer of `trimtab upload --json`."""
+        """Return the answer of `trimtab upload --json`."""
         return {
             "kind": self.kind,
             "id": self.id,
@@ -55,7 +55,7 @@ def upload_session(
     *,
     compare: bool = False,
 ) -> Session:
-    """A session that makes a blob live on the vehicle at a port; its result is an UploadResult.
+    """Return a session that makes a blob live on the vehicle at a port; its result is an UploadResult.
 
     None stands for the neutral feed-forward of whatever vehicle is there. `compare`: what is live afterwards
     is read back, and LinkError raised where it is another.
@@ -88,7 +88,7 @@ def upload_session(
 
 
 def _compare(session: Session, blob: Blob, port: str) -> Generator[Task, Any, None]:
-    """Raises LinkError where what is live is not this blob byte by byte."""
+    """Raise LinkError where what is live is not this blob byte by byte."""
     name = blob.KIND.name.lower()
     status: m.FcStatus = yield FreshStatus()
     for _ in range(STALE_MAX):
@@ -107,7 +107,7 @@ def upload_port(
     *,
     compare: bool = False,
 ) -> UploadResult:
-    """The result of an upload at a serial port in real time. Raises Refused, LinkError or UsageError.
+    """Return the result of an upload at a serial port in real time. Raises Refused, LinkError or UsageError.
 
     None: the neutral feed-forward. `compare`: read back what is live. At Ctrl-C, SIGTERM or SIGHUP the
     vehicle is told to forget what it was sent (KeyboardInterrupt); at a second Ctrl-C it is not.
@@ -125,7 +125,7 @@ def upload_lockstep(
     *,
     compare: bool = False,
 ) -> UploadResult:
-    """The same with a vehicle in this process."""
+    """Return the same with a vehicle in this process."""
     session = upload_session(blob, "vehicle", on_phase, compare=compare)
     run_lockstep(session, vehicle)
     return session.outcome()

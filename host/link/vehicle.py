@@ -19,11 +19,13 @@ class Vehicle(Protocol):
     now_us: int
 
     def run_until(self, t_us: int) -> int:
-        """The time afterwards: `t_us`, or earlier where serial bytes or datagrams wait for the host."""
+        """Return the time afterwards: `t_us`, or earlier where serial bytes or datagrams wait for the
+        host.
+        """
         ...
 
     def serial_read(self) -> bytes:
-        """The bytes that have arrived at the host's port."""
+        """Return the bytes that have arrived at the host's port."""
         ...
 
     def serial_write(self, data: bytes) -> None:
@@ -31,7 +33,7 @@ class Vehicle(Protocol):
         ...
 
     def mocap_read(self) -> list[bytes]:
-        """The poses that have arrived since the last call, one ATT_POS_MOCAP a datagram."""
+        """Return the poses that have arrived since the last call, one ATT_POS_MOCAP a datagram."""
         ...
 
     def power_cycle(self, flight: int) -> None:
@@ -42,7 +44,10 @@ class Vehicle(Protocol):
 
 
 def vehicle_class(name: str = "sitl") -> Any:
-    """The class of simulated vehicles registered under `name`. Raises UsageError where there is none."""
+    """Return the class of simulated vehicles registered under `name`.
+
+    Raises UsageError where there is none.
+    """
     found = {point.name: point for point in entry_points(group=GROUP)}
     if name not in found:
         known = ", ".join(sorted(found)) or "none is installed"

@@ -22,7 +22,7 @@ def name_of(vehicle_id: str) -> str | None:
 
 
 def check_same_vehicle(identity: Identity, vehicle_id: str, *, what: str, port: str) -> None:
-    """Raises UsageError where the vehicle at the port is not the one that `what` was made for."""
+    """Raise UsageError where the vehicle at the port is not the one that `what` was made for."""
     if identity.vehicle_id != vehicle_id:
         there = name_of(identity.vehicle_id)
         raise UsageError(
@@ -32,7 +32,7 @@ def check_same_vehicle(identity: Identity, vehicle_id: str, *, what: str, port: 
 
 
 def neutral_feedforward(vehicle_id: str) -> FeedForward:
-    """The feed-forward that changes nothing: a vehicle flies with it as with none."""
+    """Return the feed-forward that changes nothing: a vehicle flies with it as with none."""
     return FeedForward(vehicle_id=vehicle_id, model_id="0" * 12, block=NEUTRAL_BLOCK)
 
 

@@ -16,7 +16,9 @@ CLOSEST_US = 20_000
 
 
 def swap_us(statuses: Sequence[Any], then: Reference) -> tuple[int, int] | None:
-    """The vehicle's times at which the first reference began and `then` took over; None where it did not."""
+    """Return the vehicle's times at which the first reference began and `then` took over; None where it did
+    not.
+    """
     begun = [message for message in statuses if message.tracking_start_us]
     after = [message.tracking_start_us for message in begun if message.reference_id == then.id]
     before = [message.tracking_start_us for message in begun if message.reference_id != then.id]
@@ -24,7 +26,9 @@ def swap_us(statuses: Sequence[Any], then: Reference) -> tuple[int, int] | None:
 
 
 def composed(first: Reference, then: Reference, at_us: int) -> Reference:
-    """The first reference's nodes up to `at_us`, then those of `then`; positions relative to one origin."""
+    """Return the first reference's nodes up to `at_us`, then those of `then`; positions relative to one
+    origin.
+    """
     shift = [b - a for a, b in zip(first.origin_ned, then.origin_ned, strict=True)]
     nodes = [node for node in first.nodes if node.t_us == 0 or node.t_us <= at_us - CLOSEST_US]
     for t_us, state in then.nodes:

@@ -16,7 +16,7 @@ _KINDS = {topic.name: topic.message for topic in (*FLIGHT_TOPICS, *IMPORTED_TOPI
 
 
 def file_name(topic: str) -> str:
-    """The name of a topic's table: /fc/control goes to fc-control.csv."""
+    """Return the name of a topic's table: /fc/control goes to fc-control.csv."""
     return topic.strip("/").replace("/", "-") + ".csv"
 
 
@@ -25,7 +25,7 @@ TABLES = tuple(sorted(map(file_name, _KINDS)))
 
 
 def csv_tables(log: Path) -> dict[str, tuple[int, str]]:
-    """Number of rows and text by file name; topics without messages are left out.
+    """Return number of rows and text by file name; topics without messages are left out.
 
     Columns: log_time_us, publish_time_us (from arm), then the message's fields, those with several numbers as
     name_0, name_1, ... Raises LogError where the log cannot be read.

@@ -52,7 +52,7 @@ CAMERAS_SET_US = 25_000
 
 
 def read_flight(path: Path | str, *, leave_out: Collection[str] = ()) -> Flight:
-    """The flight in a closed log, as if it had no messages of the topics in `leave_out`.
+    """Return the flight in a closed log, as if it had no messages of the topics in `leave_out`.
 
     Raises LogError (exit code 5) where it is cut, damaged or not ours.
     """
@@ -74,7 +74,7 @@ def scan_closed(path: Path) -> Scan:
 
 
 def to_flight(found: Scan, *, leave_out: Collection[str] = ()) -> Flight:
-    """The arrays of a closed log's records, without the topics in `leave_out`.
+    """Return the arrays of a closed log's records, without the topics in `leave_out`.
 
     Raises LogError where they contradict each other.
     """
@@ -162,7 +162,7 @@ def _decoded(entries: Mapping[str, Sequence[Entry]], topic: str, kind: Any) -> l
 
 
 def _finite(kind: type[Any], **arrays: Any) -> Any:
-    """A `kind` of the rows that hold finite numbers only, None where there are none.
+    """Return a `kind` of the rows that hold finite numbers only, None where there are none.
 
     A vehicle that lost its mind may report anything; the log keeps it, the arrays do not, but say how many.
     """

@@ -29,7 +29,7 @@ def write_imported(
     tracking_us: tuple[int, int] | None = None,
     session: Mapping[str, str] | None = None,
 ) -> dict[str, int]:
-    """Writes the log at `path`; the number of messages a topic.
+    """Write the log at `path`; the number of messages a topic.
 
     All times are us from the flight's first sample, on one clock, none negative. `tracking_us` is the part
     that learning and tracing use, the whole of the poses unless given. `session` says where the data came
@@ -99,7 +99,7 @@ def write_imported(
 
 
 def _add_rows(add: Any, topic: str, kind: Any, t_us: np.ndarray, **fields: np.ndarray | None) -> None:
-    """Adds one message a row with every field that is there."""
+    """Add one message a row with every field that is there."""
     columns = {
         name: values.reshape(len(t_us), -1).tolist() for name, values in fields.items() if values is not None
     }

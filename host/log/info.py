@@ -12,7 +12,7 @@ from trimtab.host.log.tracks import FAILSAFE_WORDS
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """The answer of `trimtab log info --json`. Raises LogError (exit code 5)."""
+    """Return the answer of `trimtab log info --json`. Raises LogError (exit code 5)."""
     found = scan_closed(path)
     flight = to_flight(found)
     topics: dict[str, Any] = {}
@@ -44,7 +44,7 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def to_lines(told: dict[str, Any]) -> list[str]:
-    """The same for people."""
+    """Return the same for people."""
     vehicle, size_kib = told["vehicle"], told["bytes"] / 1024
     lines = [
         f"{told['log']}  id {told['id']}  {size_kib:.0f} KiB  {told['duration_s']:.2f} s  {told['kind']}",

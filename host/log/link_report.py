@@ -10,7 +10,7 @@ from trimtab.host.log.tracks import Flight, LinkHealth
 
 
 def link_report(flight: Flight) -> dict[str, Any]:
-    """The `link` object of `fly` and `log info`; what the log does not know is None.
+    """Return the `link` object of `fly` and `log info`; what the log does not know is None.
 
     Counts and rates run from arm to the end of the log, the age of poses over the tracking phase, telemetry
     over the whole log.
@@ -19,7 +19,7 @@ def link_report(flight: Flight) -> dict[str, Any]:
 
 
 def to_lines(told: dict[str, Any]) -> list[str]:
-    """The same for people."""
+    """Return the same for people."""
     lines = []
     if told["frames_sent"] is not None:
         ways = [

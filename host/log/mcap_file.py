@@ -82,13 +82,13 @@ class McapFile:
         self._put(_bytes(Header(profile="", library=library)))
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
-        """Writes a metadata record."""
+        """Write a metadata record."""
         data = _bytes(Metadata(name=name, metadata=dict(entries)))
         self._written.metadata.append(MetadataIndex(offset=self._size, length=len(data), name=name))
         self._put(data)
 
     def add_attachment(self, name: str, media_type: str, content: bytes) -> None:
-        """Writes an attachment; it has no times of its own."""
+        """Write an attachment; it has no times of its own."""
         record = Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=content)
         data = _bytes(record)
         self._written.attachments.append(
@@ -105,7 +105,7 @@ class McapFile:
         self._put(data)
 
     def add_schema(self, name: str, descriptor: bytes, encoding: str = SchemaEncoding.Protobuf) -> int:
-        """The number of a new schema; it goes into the chunk under way."""
+        """Return the number of a new schema; it goes into the chunk under way."""
         number = len(self._written.schemas) + 1
         schema = Schema(id=number, name=name, encoding=encoding, data=descriptor)
         self._written.schemas.append(schema)
@@ -119,7 +119,7 @@ class McapFile:
         metadata: Mapping[str, str],
         encoding: str = MessageEncoding.Protobuf,
     ) -> int:
-        """The number of a new channel; it goes into the chunk under way."""
+        """Return the number of a new channel; it goes into the chunk under way."""
         number = len(self._written.channels) + 1
         channel = Channel(
             id=number, topic=topic, message_encoding=encoding, metadata=dict(metadata), schema_id=schema
@@ -132,7 +132,7 @@ class McapFile:
     def add_message(
         self, channel: int, log_time: int, publish_time: int, data: bytes, sequence: int = 0
     ) -> None:
-        """Adds a message to the chunk under way, which is written where that fills it."""
+        """Add a message to the chunk under way, which is written where that fills it."""
         chunk, index = self._chunk, self._index
         if not index:
             self._chunk_first_us = self._chunk_last_us = log_time
@@ -153,7 +153,7 @@ class McapFile:
             self._end_chunk()
 
     def finish(self) -> None:
-        """Writes what is left, index and footer."""
+        """Write what is left, index and footer."""
         if self._index:
             self._end_chunk()
         self._put(_bytes(DataEnd(data_section_crc=0)))
@@ -167,7 +167,7 @@ class McapFile:
         self._put(summary + _bytes(footer) + MAGIC)
 
     def _summary(self, start: int) -> tuple[bytes, list[SummaryOffset]]:
-        """The groups of the summary section that begins at `start`, and where each of them lies."""
+        """Return the groups of the summary section that begins at `start`, and where each of them lies."""
         written = self._written
         statistics = Statistics(
             message_count=sum(self._counts.values()),
@@ -200,7 +200,7 @@ class McapFile:
         return summary, offsets
 
     def _end_chunk(self) -> None:
-        """Writes the chunk under way and begins another."""
+        """Write the chunk under way and begins another."""
         raw = bytes(self._chunk)
         packed = self._compressor.compress(raw)
         first, last = self._chunk_first_us, self._chunk_last_us
@@ -245,7 +245,7 @@ class McapFile:
 
 
 def _bytes(record: McapRecord) -> bytes:
-    """A record as it stands in a file."""
+    """Return a record as it stands in a file."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()

@@ -56,7 +56,7 @@ class Prepared:
 
 
 def prepare(flights: Sequence[Flight], *, step_s: float = STEP_S, latency_s: float = 0.0) -> list[Prepared]:
-    """The flights' tracking phases smoothed; poses are taken to be `latency_s` older than stamped.
+    """Return the flights' tracking phases smoothed; poses are taken to be `latency_s` older than stamped.
 
     Together they cost less than one by one. A flight that leaves the range of Euler angles is cut there.
     Raises TooLittleData where a log has no poses, no telemetry of the control law, no reference or no
@@ -71,7 +71,7 @@ def prepare(flights: Sequence[Flight], *, step_s: float = STEP_S, latency_s: flo
 
 
 def _prepared(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: float) -> Prepared:
-    """A flight from what was measured and that smoothed."""
+    """Return a flight from what was measured and that smoothed."""
     flight, at = measured.flight, measured.path.at_s
     control, estimate = flight.control, flight.estimate
     assert control is not None
@@ -143,7 +143,7 @@ class _Measured:
 
 
 def _measured(flight: Flight, step_s: float, latency_s: float) -> _Measured:
-    """What of a flight is smoothed. Raises TooLittleData."""
+    """Return what of a flight is smoothed. Raises TooLittleData."""
     needed = {
         "poses": flight.mocap,
         "control telemetry": flight.control,
@@ -189,8 +189,8 @@ def _noise(samples: np.ndarray) -> float:
 
 
 def _attitude(pose_s: np.ndarray, q: np.ndarray, control: Control, at: np.ndarray) -> tuple[Series, Any, Any]:
-    """What attitude comes from: the turn from gyro to camera, which the gyro's drift makes, beyond the first;
-    that first turn; and the gyro's attitudes at times `at`.
+    """Return what attitude comes from: the turn from gyro to camera, which the gyro's drift makes, beyond
+    the first; that first turn; and the gyro's attitudes at times `at`.
     """
     length = 1e-6 * (control.t1_us - control.t0_us)
     gap = np.diff(control.t1_us * 1e-6, prepend=control.t0_us[0] * 1e-6)
@@ -223,7 +223,7 @@ def _knots_s(control: Control) -> np.ndarray:
 
 
 def _between(knots_s: np.ndarray, gyro: Any, turns: Any, at: np.ndarray) -> Any:
-    """The gyro's attitude at times `at`, at a constant rate between knots."""
+    """Return the gyro's attitude at times `at`, at a constant rate between knots."""
     k = np.clip(np.searchsorted(knots_s, at, side="right") - 1, 0, len(knots_s) - 2)
     share = np.clip((at - knots_s[k]) / np.maximum(knots_s[k + 1] - knots_s[k], 1e-9), 0.0, 1.0)
     return gyro[k] * Rotation.from_rotvec(turns[k].as_rotvec() * share[:, None])

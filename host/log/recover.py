@@ -28,7 +28,7 @@ class Recovery:
     damage: str
 
     def to_json(self) -> dict[str, Any]:
-        """The answer of `trimtab log recover --json`."""
+        """Return the answer of `trimtab log recover --json`."""
         return {
             "log": str(self.output or self.source),
             "recovered": self.output is not None,

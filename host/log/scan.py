@@ -71,7 +71,7 @@ class Scan:
     attachments: dict[str, tuple[str, bytes]] = field(default_factory=dict)
 
     def by_topic(self) -> dict[str, list[Entry]]:
-        """The messages of every topic that has a channel, in file order."""
+        """Return the messages of every topic that has a channel, in file order."""
         topics: dict[str, list[Entry]] = {channel.topic: [] for channel in self.channels.values()}
         names = {number: channel.topic for number, channel in self.channels.items()}
         for message in self.messages:
@@ -107,16 +107,8 @@ def scan(path: Path) -> Scan:
         for record in reader.records:
             if isinstance(record, Chunk):
                 chunks.append(record)  # taken apart last: the summary declares its channels too
-            elif isinstance(record, Metadata):
-                result.metadata[record.name] = record.metadata
-            elif isinstance(record, Attachment):
-                result.attachments[record.name] = (record.media_type, record.data)
-            elif isinstance(record, Schema):
-                result.schemas[record.id] = record
-            elif isinstance(record, Channel):
-                result.channels[record.id] = record
-            elif isinstance(record, Footer):
-                result.whole = True
+            else:
+                _take_record(result, record)
     except _DAMAGE as error:
         wrong.append(error)
     for chunk in chunks:
@@ -133,8 +125,22 @@ def scan(path: Path) -> Scan:
     return result
 
 
-def _take_chunk(result: Scan, chunk: Chunk) -> None:
-    """Adds one chunk whole, or raises one of _DAMAGE and adds nothing."""
+def _take_record(result: Scan, record: object) -> None:
+    """Add a record of the file or of a chunk, if it is of a kind that is kept."""
+    if isinstance(record, Metadata):
+        result.metadata[record.name] = record.metadata
+    elif isinstance(record, Attachment):
+        result.attachments[record.name] = (record.media_type, record.data)
+    elif isinstance(record, Schema):
+        result.schemas[record.id] = record
+    elif isinstance(record, Channel):
+        result.channels[record.id] = record
+    elif isinstance(record, Footer):
+        result.whole = True
+
+
+def _data_of(chunk: Chunk) -> bytes:
+    """Return the uncompressed bytes of a chunk. Raises ValueError if it contradicts itself."""
     if chunk.uncompressed_size > CHUNK_LIMIT_BYTES:
         raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
     if chunk.compression == "zstd":
@@ -148,6 +154,12 @@ def _take_chunk(result: Scan, chunk: Chunk) -> None:
         raise ValueError(f"compression {chunk.compression!r}")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError("a chunk fails its CRC")
+    return data
+
+
+def _take_chunk(result: Scan, chunk: Chunk) -> None:
+    """Add one chunk whole, or raise one of _DAMAGE and add nothing."""
+    data = _data_of(chunk)
     messages: list[Entry] = []
     channels, head = result.channels, _MESSAGE.size
     for opcode, start, end in _records(data):
@@ -161,11 +173,7 @@ def _take_chunk(result: Scan, chunk: Chunk) -> None:
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             # StreamReader reads these two from bytes framed like a file without its magic.
             framed = data[start - _RECORD.size : end]
-            record = next(iter(StreamReader(BytesIO(framed), skip_magic=True).records))
-            if isinstance(record, Schema):
-                result.schemas[record.id] = record
-            elif isinstance(record, Channel):
-                result.channels[record.id] = record
+            _take_record(result, next(iter(StreamReader(BytesIO(framed), skip_magic=True).records)))
     result.messages.extend(messages)
     result.chunks += 1
 

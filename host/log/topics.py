@@ -36,7 +36,7 @@ class Topic:
     content: str
 
     def metadata(self) -> dict[str, str]:
-        """What the channel says about itself in the file."""
+        """Return what the channel says about itself in the file."""
         told = {"sampling": self.sampling, "rate": self.rate, "content": self.content, "time_unit": "us"}
         return told | {"averaged": " ".join(self.averaged)} if self.averaged else told
 

@@ -52,7 +52,9 @@ def _yaw_at(reference: Reference, t_us: Times) -> tuple[Floats, Floats]:
 
 
 def tracking_error(flight: Flight) -> TrackingError | None:
-    """The error of the tracking phase, or of what was flown of it; None without reference, phase or poses."""
+    """Return the error of the tracking phase, or of what was flown of it; None without reference, phase or
+    poses.
+    """
     if flight.reference is None or flight.tracking is None or flight.mocap is None:
         return None
     start_us, end_us = flight.tracking

@@ -36,7 +36,7 @@ FAILSAFE_WORDS = {
 
 
 def failsafe_name(number: int) -> str | None:
-    """The name of a failsafe by its number in FC_STATUS and in the log; None for 0, which is none."""
+    """Return the name of a failsafe by its number in FC_STATUS and in the log; None for 0, which is none."""
     names = {value: name.lower().replace("_", "-") for name, value in flight_pb2.Status.Failsafe.items()}
     return names.get(number, str(number)) if number else None
 
@@ -67,7 +67,7 @@ class _Track:
         return len(self._times)
 
     def rows(self, keep: NDArray[Any]) -> Self:
-        """The same with these rows alone: indices, or a mask (n,)."""
+        """Return the same with these rows alone: indices, or a mask (n,)."""
         arrays = {name: v[keep] for name, v in vars(self).items() if isinstance(v, np.ndarray)}
         return replace(self, **arrays)
 

@@ -59,7 +59,7 @@ class Provenance:
     session: Mapping[str, str] = field(default_factory=dict)
 
     def metadata(self) -> dict[str, str]:
-        """The entries of the `trimtab` record, sorted; absent things have no entry."""
+        """Return the entries of the `trimtab` record, sorted; absent things have no entry."""
         told = {
             "format": FORMAT,
             "kind": self.kind,
@@ -173,7 +173,7 @@ class LogWriter:
         return self._mcap.add_channel(topic.name, schema, topic.metadata())
 
     def write(self, topic: str, message: Any, log_us: int, publish_us: int) -> bool:
-        """Writes a message of any topic; False, and nothing written, where a time lies before arm."""
+        """Write a message of any topic; False, and nothing written, where a time lies before arm."""
         if log_us < 0 or publish_us < 0:
             return False
         self._add(self._channels[topic], log_us, publish_us, message.SerializeToString())
@@ -228,7 +228,7 @@ class LogWriter:
         reference_us: int,
         flat: Sequence[float],
     ) -> bool:
-        """`/reference`; `flat` is p, v, a, j (3 each), yaw, yaw rate."""
+        """Return `/reference`; `flat` is p, v, a, j (3 each), yaw, yaw rate."""
         message = self._messages.reference
         message.source_us = source_us
         message.reference_id = reference_id
@@ -294,7 +294,7 @@ class LogWriter:
         return self.write(topic, message, log_us, publish_us)
 
     def close(self) -> None:
-        """Writes index and footer and gives the file its name; again, or after a failed write: nothing."""
+        """Write index and footer and gives the file its name; again, or after a failed write: nothing."""
         if self._closed:
             return
         self._closed = True
@@ -339,7 +339,7 @@ class _Messages:
 
 
 def _stamp(timestamp: Any, time_us: int) -> None:
-    """Sets a protobuf timestamp to a time from arm."""
+    """Set a protobuf timestamp to a time from arm."""
     timestamp.seconds, rest_us = divmod(time_us, 1_000_000)
     timestamp.nanos = rest_us * 1000
 

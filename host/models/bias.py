@@ -44,9 +44,9 @@ def accelerometer_bias(
     interval_s: float,
     step_s: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The bias (3,), m/s^2 FRD, that fits position errors of the estimate (n, 3), NED, and what of it is not
-    the accelerometer's: (3, 2), by which it is less for each m/s^2 of gravity towards north and east in the
-    poses' frame.
+    """Return the bias (3,), m/s^2 FRD, that fits position errors of the estimate (n, 3), NED, and what of it
+    is not the accelerometer's: (3, 2), by which it is less for each m/s^2 of gravity towards north and east
+    in the poses' frame.
 
     A frame that leans makes the estimator stand off like a bias does, and as one it is read here: wholly
     where the heading stays. R (n, 3, 3): R_ned_frd; v, a (n, 3) NED and rate (n, 3) FRD, every `step_s`.
@@ -81,7 +81,9 @@ def accelerometer_bias(
 
 
 def _behind(A: np.ndarray, b: np.ndarray, u: np.ndarray, step_s: float) -> np.ndarray:
-    """The first state of x' = A x + b u, u (n, 3, k) every `step_s`: trapezoid rule, from long before."""
+    """Return the first state of x' = A x + b u, u (n, 3, k) every `step_s`: trapezoid rule, from long
+    before.
+    """
     half = 0.5 * step_s
     ahead = np.linalg.inv(np.eye(2) - half * A)
     stay, given = ahead @ (np.eye(2) + half * A), half * (ahead @ b)

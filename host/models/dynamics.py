@@ -78,7 +78,7 @@ def rigid_body(
     rate_dot_frd: Sequence[Scalar] | None = None,
     memory: Sequence[Scalar] = (),
 ) -> list[Scalar]:
-    """Derivative of p, v, Theta and rate, 12 scalars: explicit, since rotor thrusts are states.
+    """Return derivative of p, v, Theta and rate, 12 scalars: explicit, since rotor thrusts are states.
 
     `acceleration_ned` and `rate_dot_frd` are added to the translational and angular acceleration: the learned
     residual d(x) of paper equation 2, or a disturbance being estimated. `memory` holds the effects' own
@@ -118,7 +118,7 @@ def rigid_body(
 
 
 def thrust_rates(thrust: Sequence[Scalar], command: Sequence[Scalar], lag_s: Scalar) -> list[Scalar]:
-    """Derivative of the four rotor thrusts: first order towards the command."""
+    """Return derivative of the four rotor thrusts: first order towards the command."""
     per_lag = 1.0 / lag_s
     return [(wanted - now) * per_lag for wanted, now in zip(command, thrust, strict=True)]
 
@@ -131,7 +131,7 @@ def residual_acceleration_ned(
     voltage_ratio: Scalar = 1.0,
     t_s: Scalar = 0.0,
 ) -> Sequence[Scalar]:
-    """The effects' specific force as acceleration in the world."""
+    """Return the effects' specific force as acceleration in the world."""
     R = euler_to_matrix(ops, x[6:9])
     force = _loads(ops, vehicle, effects, x, R, x[12:16], voltage_ratio, t_s, ())[3]
     return (0.0, 0.0, 0.0) if force is None else mat_vec(R, force)
@@ -144,7 +144,8 @@ _TURNS = ("thrust_factor", "rotor_factors", "inertia_factors", "torque_frd")
 def residual_loads(
     ops: Ops, vehicle: Airframe, effects: Sequence[Part], known: Sequence[Part], x: Sequence[Scalar]
 ) -> tuple[list[Scalar] | None, list[Scalar] | None]:
-    """What effects on mass, thrust, gravity, inertia and torque change at x against `known`, some of them.
+    """Return what effects on mass, thrust, gravity, inertia and torque change at x against `known`, some of
+    them.
 
     The acceleration (3), m/s^2 NED, and the moments of inertia of the vehicle file times the angular
     acceleration (3), N m FRD: of `rigid_body` with all the effects less with those known, both without
@@ -166,7 +167,7 @@ def residual_loads(
 
 
 def _forceless(effects: Sequence[Part]) -> list[Part]:
-    """The effects without their specific force."""
+    """Return the effects without their specific force."""
     rest = [
         (effect, theta)
         for effect, theta in effects
@@ -214,7 +215,7 @@ def command_delay_s(ops: Ops, effects: Sequence[Part]) -> Scalar:
 
 
 def gravity_ned(ops: Ops, effects: Sequence[Part]) -> Sequence[Scalar] | None:
-    """What the effects add to gravity in the frame of the measurements, m/s^2; None: nothing."""
+    """Return what the effects add to gravity in the frame of the measurements, m/s^2; None: nothing."""
     total: Sequence[Scalar] | None = None
     for effect, theta in effects:
         if effect.gravity_ned is not None:
@@ -224,19 +225,19 @@ def gravity_ned(ops: Ops, effects: Sequence[Part]) -> Sequence[Scalar] | None:
 
 
 def memory_size(effects: Iterable[Effect]) -> int:
-    """Number of states that the effects have of their own."""
+    """Return number of states that the effects have of their own."""
     return sum(effect.memory for effect in effects)
 
 
 def memory_at_rest(ops: Ops, vehicle: Airframe, effects: Sequence[Part], x: Sequence[Scalar]) -> list[Scalar]:
-    """The effects' own states where the vehicle has long been at rest in state x."""
+    """Return the effects' own states where the vehicle has long been at rest in state x."""
     return _memory(ops, vehicle, effects, x, (), rates=False)
 
 
 def memory_rates(
     ops: Ops, vehicle: Airframe, effects: Sequence[Part], x: Sequence[Scalar], memory: Sequence[Scalar]
 ) -> list[Scalar]:
-    """Derivatives of the effects' own states."""
+    """Return the derivatives of the effects' own states."""
     return _memory(ops, vehicle, effects, x, memory, rates=True)
 
 
@@ -304,7 +305,7 @@ def _context(
     )
 
 
-def _loads(
+def _loads(  # noqa: C901 - one expression; CasADi's order of operations is part of every reference
     ops: Ops,
     vehicle: Airframe,
     effects: Sequence[Part],

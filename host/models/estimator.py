@@ -29,7 +29,7 @@ _LEAD_S = 0.5 * TICK_S
 
 
 def errors_of(x: Sequence[Scalar], a: Sequence[Scalar], rate: Sequence[Scalar]) -> list[Scalar]:
-    """The 12 errors, lead included, of the 12 states at acceleration a (NED) and body rate (FRD)."""
+    """Return the 12 errors, lead included, of the 12 states at acceleration a (NED) and body rate (FRD)."""
     v = [x[3 + i] + _LEAD_S * a[i] for i in range(3)]
     q = [x[6 + i] + _LEAD_S * rate[i] for i in range(3)]
     return [*x[0:3], *v, *q, *x[9:12]]
@@ -61,7 +61,7 @@ def error_rates(
     imu_bias: Sequence[Scalar],
     tilted: Sequence[Scalar] = (0.0, 0.0, 0.0),
 ) -> list[Scalar]:
-    """Derivative of the 12 states at these errors (`errors_of`).
+    """Return derivative of the 12 states at these errors (`errors_of`).
 
     v, a: true velocity and acceleration (NED); rate, rate_dot: true body rate and its derivative (FRD).
     `age_s` is a pose's declared age at its use, `prediction_s` the feed-forward block's addition to it,

@@ -65,7 +65,7 @@ class _File(Strict):
 
 
 def write_model(model: Model, path: Path | str, *, force: bool = False) -> Path:
-    """The path of the written model.
+    """Return the path of the written model.
 
     The weights are written first, the TOML last, each whole or not at all. Raises ModelFileError where the
     name does not end in .model.toml, UsageError where the file exists and `force` is not set.
@@ -104,7 +104,7 @@ def write_model(model: Model, path: Path | str, *, force: bool = False) -> Path:
 
 
 def read_model(path: Path | str, *, vehicle_id: str | None = None) -> Model:
-    """The model in a file.
+    """Return the model in a file.
 
     Raises ConfigurationError with every problem of the TOML, ModelFileError where the file or its weights are
     missing or changed, or where it is of another vehicle than `vehicle_id`.
@@ -153,7 +153,7 @@ def _plain(table: Strict) -> dict[str, Any]:
 
 
 def _read_network(path: Path, table: _NetworkTable) -> Network:
-    """The network whose weights lie beside the model file."""
+    """Return the network whose weights lie beside the model file."""
     if Path(table.file).name != table.file:
         raise ModelFileError(f"{path.name}: network.file {table.file!r} must be a name in the same folder")
     weights = path.with_name(table.file)

@@ -84,7 +84,9 @@ class LaneProgram:
         self._build, self.operations = self._emit()
 
     def bind(self, lanes: int, *, compiled: bool = False) -> Lanes:
-        """The program with its own arrays for `lanes` lanes; `compiled`: in C where a compiler works."""
+        """Return the program with its own arrays for `lanes` lanes; `compiled`: in C where a compiler
+        works.
+        """
         if compiled:
             function, kind = compile_function(self.function)
             if kind == "c":
@@ -92,7 +94,7 @@ class LaneProgram:
         return Lanes(self, self._build, lanes)
 
     def _emit(self) -> tuple[Callable[..., Callable[[], None]], int]:
-        """A factory of the bound program, from its source text, and the number of numpy calls."""
+        """Return a factory of the bound program, from its source text, and the number of numpy calls."""
         f = self.function
         body: list[str] = []
         constants: list[float] = []
@@ -196,7 +198,7 @@ class Lanes:
 
 
 def lane_program(function: casadi.Function) -> LaneProgram:
-    """The lanes of an SX function, after removing common sub-expressions."""
+    """Return the lanes of an SX function, after removing common sub-expressions."""
     arguments = function.sx_in()
     outputs = function.call(arguments)
     names_in = [function.name_in(i) for i in range(function.n_in())]

@@ -48,7 +48,7 @@ class Covariance:
                     raise ValueError(f"covariance is not symmetric at {self.names[i]}, {self.names[k]}")
 
     def sd(self, name: str) -> float | None:
-        """Standard deviation of one parameter, None where it is not among the names."""
+        """Return standard deviation of one parameter, None where it is not among the names."""
         if name not in self.names:
             return None
         i = self.names.index(name)
@@ -118,7 +118,7 @@ class Model:
         return content
 
     def sd(self, name: str, key: str) -> float | None:
-        """Standard deviation of a parameter; None where the file has none."""
+        """Return standard deviation of a parameter; None where the file has none."""
         return None if self.covariance is None else self.covariance.sd(f"{name}.{key}")
 
     def parts(self, effects: Mapping[str, Effect], use: Use = "both") -> list[Part]:

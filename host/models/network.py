@@ -52,7 +52,8 @@ class Layout:
         return weight_count(self.hidden, self.sizes[0])
 
     def initial(self, rng: np.random.Generator) -> np.ndarray:
-        """A flat start vector: normal over the square root of the fan-in, the last layer a tenth of it.
+        """Return a flat start vector: normal over the square root of the fan-in, the last layer a tenth of
+        it.
 
         Biases are 0. The small last layer starts the residual near zero, so that early roll-outs stay near
         the nominal model.
@@ -66,25 +67,25 @@ class Layout:
         return xi
 
     def seen(self, ops: Ops, state: Sequence[Any]) -> list[Any]:
-        """What the network sees of v_ned and Theta, 6 scalars."""
+        """Return what the network sees of v_ned and Theta, 6 scalars."""
         if self.frame == "body":
             return list(mat_t_vec(euler_to_matrix(ops, state[3:6]), state[0:3]))
         return [*state[0:5], ops.atan2(ops.sin(state[5]), ops.cos(state[5]))]
 
     def given(self, ops: Ops, state: Sequence[Any], outputs: Sequence[Any]) -> list[Any]:
-        """The acceleration, NED, that outputs mean where v_ned and Theta are `state`."""
+        """Return the acceleration, NED, that outputs mean where v_ned and Theta are `state`."""
         if self.frame == "body":
             return list(mat_vec(euler_to_matrix(ops, state[3:6]), outputs))
         return list(outputs)
 
     def taken(self, ops: Ops, state: Sequence[Any], acceleration: Sequence[Any]) -> list[Any]:
-        """The outputs that mean an acceleration, NED: the inverse of `given`, and its transpose."""
+        """Return the outputs that mean an acceleration, NED: the inverse of `given`, and its transpose."""
         if self.frame == "body":
             return list(mat_t_vec(euler_to_matrix(ops, state[3:6]), acceleration))
         return list(acceleration)
 
     def scalars(self, ops: Ops, xi: Sequence[Any], state: Sequence[Any]) -> Sequence[Any]:
-        """The acceleration for v_ned and Theta, 6 scalars, by the law's own form."""
+        """Return the acceleration for v_ned and Theta, 6 scalars, by the law's own form."""
         return self.given(ops, state, network(ops, xi, self.hidden, self.seen(ops, state), ()))
 
     def matrices(self, xi: Any, state: Any) -> Any:
@@ -111,7 +112,7 @@ class Layout:
         return np.stack(self.given(NUMPY, rows, list(values)))
 
     def pulled_back(self, xi: np.ndarray, state: np.ndarray, pull: np.ndarray) -> np.ndarray:
-        """pull' d(acceleration)/dxi (size,): of `arrays`, pull (3, n)."""
+        """Return pull' d(acceleration)/dxi (size,): of `arrays`, pull (3, n)."""
         values, saw = np.stack(self.seen(NUMPY, list(state))), []
         layers = list(self._layers())
         for k, layer in enumerate(layers):
@@ -167,5 +168,5 @@ class Network:
         object.__setattr__(self, "xi", xi)
 
     def acceleration_ned(self, v_ned: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """The residual acceleration (3, n), m/s^2 NED, for velocities and Euler angles (3, n)."""
+        """Return the residual acceleration (3, n), m/s^2 NED, for velocities and Euler angles (3, n)."""
         return self.layout.arrays(self.xi, np.concatenate([v_ned, theta]))

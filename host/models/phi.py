@@ -103,7 +103,7 @@ def flight_constants(
     accelerometer_bias: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
     bias_per_gravity: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The (16,) constants of a flight, for `Phi`; `block` is form (a) of what was fed forward.
+    """Return the (16,) constants of a flight, for `Phi`; `block` is form (a) of what was fed forward.
 
     `bias_per_gravity` (3, 2): how much of the bias is gravity's; default: it is all the accelerometer's.
     """
@@ -187,7 +187,7 @@ class Phi:
 
     @property
     def theta_names(self) -> tuple[str, ...]:
-        """ "effect.key" of every entry of theta."""
+        """Name every entry of theta as "effect.key"."""
         return tuple(f"{effect.name}.{key}" for effect in self.effects for key in effect.keys)
 
     @property
@@ -196,7 +196,7 @@ class Phi:
         return np.array([value for effect in self.effects for value in effect.neutral], dtype=float)
 
     def theta(self, parts: Sequence[Part]) -> np.ndarray:
-        """theta for these values, neutral elsewhere. Raises ValueError for an effect this phi lacks."""
+        """Return theta for these values, neutral elsewhere. Raises ValueError for a missing effect."""
         values = {effect.name: effect.neutral for effect in self.effects}
         for effect, numbers in parts:
             if effect.name not in values:
@@ -246,7 +246,7 @@ class Phi:
         body: Sequence[Scalar],
         lag: Scalar,
     ) -> list[Scalar]:
-        """xdot with the law in the loop, from the rigid body's part of it."""
+        """Return xdot with the law in the loop, from the rigid body's part of it."""
         gain, roll, pitch, prediction, age, interval, delay, *imu = (flight[i] for i in range(len(FLIGHT)))
         imu_bias, per_gravity = imu[:3], imu[3:]
         a, rate_dot = body[V], body[RATE]
@@ -335,7 +335,7 @@ class Phi:
         gain: Scalar,
         command: Sequence[Scalar],
     ) -> list[Scalar]:
-        """Derivative of the observer's states (`law.observer`); v_dot and R as estimated."""
+        """Return derivative of the observer's states (`law.observer`); v_dot and R as estimated."""
         *d_hat, thrust = (x[i] for i in range(self.observer.start, self.observer.stop))
         bandwidth, lag = law_step.observer(self.firmware)
         seen = disturbance_seen(v_dot, R, thrust, law_step.body(self.firmware).mass_kg)
@@ -394,12 +394,14 @@ class Phi:
         return max(1, math.ceil(self.stiffness * step_s / 1.5))
 
     def at_rest(self, x: np.ndarray) -> np.ndarray:
-        """The effects' own states where the vehicle has long been at rest in state x, at neutral values."""
+        """Return the effects' own states where the vehicle has long been at rest in state x, at neutral
+        values.
+        """
         parts = self.parts(self.theta_neutral)
         return np.array(memory_at_rest(NUMPY, self.vehicle, parts, list(x[:STATE_SIZE])), dtype=float)
 
     def hover(self, p_ned: Sequence[float], yaw: float) -> np.ndarray:
-        """The state (size,) of the nominal vehicle at rest at p_ned."""
+        """Return the state (size,) of the nominal vehicle at rest at p_ned."""
         x = np.zeros(self.size)
         x[0:3], x[8] = p_ned, yaw
         x[THRUST] = self.vehicle.mass_kg * GRAVITY / 4.0
@@ -429,7 +431,7 @@ def _behind(
     share: float,
     lag: Scalar,
 ) -> list[Scalar]:
-    """The torque commanded where the slope lags: `torque` has the slope of this moment in it.
+    """Return the torque commanded where the slope lags: `torque` has the slope of this moment in it.
 
     The filter's slope is late by its time constant, so short of K_d times the change of torque since; that
     change is itself (commanded - now) / lag: one equation an axis, solved.
@@ -442,7 +444,7 @@ def _behind(
 
 
 def _held(ops: Ops, value: Scalar, rate: Scalar, limit: float) -> Scalar:
-    """The integral's rate, 0 where it stands at its limit and would go on."""
+    """Return the integral's rate, 0 where it stands at its limit and would go on."""
     up = ops.where(value >= limit, ops.maximum(rate, 0.0), 0.0)
     down = ops.where(value <= -limit, ops.minimum(rate, 0.0), 0.0)
     return rate - up - down

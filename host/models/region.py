@@ -27,7 +27,7 @@ class Region:
 
     @classmethod
     def of(cls, x: np.ndarray, thrust: np.ndarray) -> Region:
-        """What states x (n, 12 or more) with collective thrusts (n,), N, go through."""
+        """Return what states x (n, 12 or more) with collective thrusts (n,), N, go through."""
         return cls(
             speed_max_m_s=float(_speed(x).max()),
             tilt_max_deg=float(_tilt_deg(x).max()),

@@ -52,17 +52,27 @@ def roll_out(
 ) -> np.ndarray:
     """(n, rows, lanes): the first `rows` states at the start and after every `every` steps.
 
-    Args:
-        x0: (size, lanes).
-        drive: (2 steps + 1, rows of the drive, flights) at `half_steps`, or without the last axis for one.
-        flight: (16, flights) or (16,), `flight_constants`.
-        theta: (parameters, lanes) or (parameters,).
-        step_s: integration step; `phi.substeps` says how fine it must be.
-        lane_flight: (lanes,) index of each lane's flight; default: as many flights as lanes, or one.
-        network: residual d(x) added to the acceleration.
-        push: (2 steps + 1, 3, lanes) acceleration, NED, added at `half_steps`.
-        compiled: run phi in C where a compiler works: it is then several times faster, after a quarter of a
-            second for a phi that was never compiled here.
+    Parameters
+    ----------
+    x0
+        (size, lanes).
+    drive
+        (2 steps + 1, rows of the drive, flights) at `half_steps`, or without the last axis for one.
+    flight
+        (16, flights) or (16,), `flight_constants`.
+    theta
+        (parameters, lanes) or (parameters,).
+    step_s
+        integration step; `phi.substeps` says how fine it must be.
+    lane_flight
+        (lanes,) index of each lane's flight; default: as many flights as lanes, or one.
+    network
+        residual d(x) added to the acceleration.
+    push
+        (2 steps + 1, 3, lanes) acceleration, NED, added at `half_steps`.
+    compiled
+        run phi in C where a compiler works: it is then several times faster, after a quarter of a
+        second for a phi that was never compiled here.
 
     A lane that diverges ends in infinities or NaN; it disturbs no other lane.
     """

@@ -41,7 +41,7 @@ class Segments:
         return self.measured.shape[1] - 1
 
     def take(self, indices: np.ndarray | Sequence[int]) -> Segments:
-        """The segments of these indices, in their order."""
+        """Return the segments of these indices, in their order."""
         k = np.asarray(indices, dtype=int)
         return Segments(
             step_s=self.step_s,
@@ -55,7 +55,7 @@ class Segments:
         )
 
     def turned(self, angles: np.ndarray) -> Segments:
-        """The segments turned about the vertical by angles (S,), rad: flights as good as those flown.
+        """Return the segments turned about the vertical by angles (S,), rad: flights as good as those flown.
 
         True of everything but what is fixed to the world, such as wind.
         """

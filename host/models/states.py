@@ -56,7 +56,10 @@ class States:
     notes: tuple[str, ...] = ()
 
     def initial(self, phi: Phi, k: int = 0) -> np.ndarray:
-        """phi's state (size,) at sample k; the estimator's errors are what the accelerometer's bias makes."""
+        """Return phi's state (size,) at sample k.
+
+        The estimator's errors are what the accelerometer's bias makes.
+        """
         x = np.zeros(phi.size)
         x[0:12], x[12:16] = self.x[k], self.thrust[k]
         if phi.drive != "inputs":
@@ -81,7 +84,8 @@ class States:
 def flight_states(
     flights: Sequence[Flight], *, step_s: float = STEP_S, latency_s: float = 0.0
 ) -> list[States]:
-    """The states of the flights' tracking phases; poses are taken to be `latency_s` older than stamped.
+    """Return the states of the flights' tracking phases; poses are taken to be `latency_s` older than
+    stamped.
 
     Together they cost less than one by one. Raises TooLittleData as `trimtab.host.log.prepare` does.
     """
@@ -89,7 +93,7 @@ def flight_states(
 
 
 def _states(prepared: Prepared) -> States:
-    """The states of a flight that was smoothed."""
+    """Return the states of a flight that was smoothed."""
     flight, start_s, at, x = prepared.flight, prepared.start_s, prepared.at_s, prepared.x
     control, estimate = flight.control, flight.estimate
     reference, tracking = flight.reference, flight.tracking
@@ -158,7 +162,7 @@ def _states(prepared: Prepared) -> States:
 
 
 def _observed(observer: Observer | None, at: np.ndarray) -> np.ndarray | None:
-    """The disturbance observed (n, 3) at times (n,) s, None where none was logged."""
+    """Return the disturbance observed (n, 3) at times (n,) s, None where none was logged."""
     if observer is None:
         return None
     t_s = observer.t_us * 1e-6
@@ -183,8 +187,8 @@ def _thrusts(vehicle: Vehicle, control: Control, at: np.ndarray) -> np.ndarray:
 
 
 def battery_of(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) s and battery voltage over full voltage (n,); what no battery of this vehicle can show is
-    left out. One pair of 0 s and 1 where nothing was logged.
+    """Return times (n,) s and battery voltage over full voltage (n,); what no battery of this vehicle can
+    show is left out. One pair of 0 s and 1 where nothing was logged.
     """
     if flight.battery is not None:
         ratio = flight.battery.battery_v / flight.vehicle.battery.full_v

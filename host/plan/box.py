@@ -48,7 +48,7 @@ class SolverBox:
 
     @classmethod
     def inside(cls, limits: Limits, yaw_rate_max_rad_s: float | None = None) -> SolverBox:
-        """A box just inside the limits, and inside the greatest rate of a free heading."""
+        """Return a box just inside the limits, and inside the greatest rate of a free heading."""
         low, high = limits.thrust_headroom
         inset = _INSET_THRUST * (high - low)
         x, y, z = (bound * (1.0 - _INSET_RATE) for bound in limits.body_rate_max_rad_s)
@@ -65,7 +65,7 @@ class SolverBox:
         )
 
     def excess(self, margins: Mapping[str, float]) -> float:
-        """The largest negative margin as a share of its limit; metres count as they are."""
+        """Return the largest negative margin as a share of its limit; metres count as they are."""
         low, high = self.thrust_share
         scale = {
             "thrust_low": high - low,
@@ -79,7 +79,9 @@ class SolverBox:
         return max((-margin / scale.get(name, 1.0) for name, margin in margins.items()), default=0.0)
 
     def tightened(self, margins: Mapping[str, float]) -> SolverBox:
-        """The box with the finished reference's negative margins taken off its bounds, and a little more."""
+        """Return the box with the finished reference's negative margins taken off its bounds, and a little
+        more.
+        """
 
         def excess(name: str, bound: float, most: float) -> float:
             margin = margins.get(name, 0.0)
@@ -108,7 +110,7 @@ class SolverBox:
 
 
 def within_region(limits: Limits, region: Region, dynamics: Dynamics) -> Limits:
-    """The limits cut down to where a model was trained, and a tenth beyond; thrust in equal shares."""
+    """Return the limits cut down to where a model was trained, and a tenth beyond; thrust in equal shares."""
     low, high = limits.thrust_headroom
     most = _REGION_MARGIN * region.thrust_max_n / (4.0 * dynamics.vehicle.thrust_max_n)
     least = region.thrust_min_n / (_REGION_MARGIN * 4.0 * dynamics.vehicle.thrust_max_n)
@@ -123,7 +125,7 @@ def within_region(limits: Limits, region: Region, dynamics: Dynamics) -> Limits:
 
 
 def checked(limits: Limits, on_board: CheckedLimits) -> CheckedLimits:
-    """The limits as the reference is judged by, never looser than on board."""
+    """Return the limits as the reference is judged by, never looser than on board."""
 
     def tighter(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
         return max(a[0], b[0]), min(a[1], b[1])
@@ -142,5 +144,5 @@ def checked(limits: Limits, on_board: CheckedLimits) -> CheckedLimits:
 
 
 def worst(margins: Mapping[str, float]) -> float:
-    """The least margin; infinity without any."""
+    """Return the least margin; infinity without any."""
     return min(margins.values(), default=math.inf)

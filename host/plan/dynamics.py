@@ -111,7 +111,7 @@ class ResidualModel:
     def rows(
         self, ops: Ops, vehicle: Vehicle, x: Sequence[Any], parts: Sequence[Part] | None = None
     ) -> list[Any]:
-        """The effects' residual, m/s^2: what they change of the nominal vehicle's acceleration at x.
+        """Return the effects' residual, m/s^2: what they change of the nominal vehicle's acceleration at x.
 
         3 rows NED, and where an effect beyond tolerance can change the torque 3 more about the body axes:
         that torque over arm length and mass, the acceleration by a force that gives it at an arm's end. One
@@ -229,7 +229,7 @@ class Dynamics:
         return self.vehicle.mass_kg * GRAVITY / 4.0
 
     def newtons(self, x: Sequence[Any]) -> list[Any]:
-        """The state in the units of `trimtab.host.models`: rotor thrusts in N."""
+        """Return the state in the units of `trimtab.host.models`: rotor thrusts in N."""
         return [*x[: THRUST.start], *(self.hover_n * thrust for thrust in x[THRUST])]
 
     def _scalars(self, x: ca.SX) -> list[Any]:
@@ -241,7 +241,7 @@ class Dynamics:
         return np.array([value for _, values in self.model.parts for value in values], dtype=float)
 
     def _parts(self, p: Any) -> list[Part]:
-        """The effects, their values out of an interval's parameters."""
+        """Return the effects, their values out of an interval's parameters."""
         parts, start = [], EFFECTS
         for effect, values in self.model.parts:
             parts.append((effect, [p[start + i] for i in range(len(values))]))
@@ -302,7 +302,7 @@ class Dynamics:
         return found
 
     def jerk_squared(self, x: ca.SX, u: ca.SX) -> ca.SX:
-        """The nominal vehicle's squared jerk: thrust changes along z_frd, and z_frd turns."""
+        """Return the nominal vehicle's squared jerk: thrust changes along z_frd, and z_frd turns."""
         scale = self.hover_n / self.vehicle.mass_kg
         force, change = scale * ca.sum1(x[THRUST]), scale * ca.sum1(u)
         rate = x[RATE]
@@ -338,7 +338,8 @@ class Dynamics:
     def stage_model(
         self, *, minimise_residual: bool, weigh_time: bool, free_yaw: bool = False, track_path: bool = False
     ) -> StageModel:
-        """The interval's model; path rows as TILT_ROW and so on; weights, limits, values are parameters.
+        """Return the interval's model; path rows as TILT_ROW and so on; weights, limits, values are
+        parameters.
 
         free_yaw: no heading is asked for, and its rate is a path row. track_path: the cost counts the squared
         distance from a path too, the parameters' last four rows.

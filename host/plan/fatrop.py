@@ -95,7 +95,7 @@ def solve_chain(
     max_iterations: int,
     enough: Enough | None = None,
 ) -> Found:
-    """The assembly's optimum from its start, or the first acceptable point on the way.
+    """Return the assembly's optimum from its start, or the first acceptable point on the way.
 
     Raises what the assembly raises, CodegenError without a compiler.
     """
@@ -244,7 +244,8 @@ class _Run:
         return _Entries(len(stage), *(self._ints(part) for part in (stage, row, column, source)))
 
     def _filled(self, part: int) -> None:
-        """What C asks for. An error is kept for later and ends the solve; what is asked for after it is old.
+        """Compute what C asks for. An error is kept for later and ends the solve; what is asked for after it
+        is old.
 
         No number that is none may come back: Fatrop would look for a definite Hessian without end.
         """

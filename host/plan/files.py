@@ -15,7 +15,7 @@ SUFFIX = ".ref"
 
 
 def check_name(path: Path | str, force: bool = False) -> Path:
-    """The path, if a plan may be written there. Raises UsageError; call it before planning."""
+    """Return the path, if a plan may be written there. Raises UsageError; call it before planning."""
     path = Path(path)
     if path.suffix != SUFFIX:
         raise UsageError(f"{path}: a reference's name ends in {SUFFIX}")
@@ -27,7 +27,8 @@ def check_name(path: Path | str, force: bool = False) -> Path:
 def write_plan(
     plan: Plan, path: Path | str, *, provenance: Mapping[str, Any] | None = None, force: bool = False
 ) -> Path:
-    """The path of the written reference; each of the two files appears whole or not at all, the blob last.
+    """Return the path of the written reference; each of the two files appears whole or not at all, the blob
+    last.
 
     `provenance`: as of `base.artefacts.provenance`. The same plan and provenance give the same bytes:
     processor time is left out. Raises UsageError where a file exists and `force` is not set.
@@ -45,7 +46,7 @@ def write_plan(
 
 
 def figures(plan: Plan) -> dict[str, Any]:
-    """What is known about a plan, as plain data for JSON."""
+    """Return what is known about a plan, as plain data for JSON."""
     return {
         "kind": plan.kind,
         "augmented": plan.augmented,

@@ -30,7 +30,7 @@ class Flown:
 
 
 def fly_plan(plan: Plan, field: Airfield, *, flight: int, log: Path, model_id: str | None = None) -> Flown:
-    """What came of the plan's reference, uploaded and flown; log and sealed truth stay.
+    """Return what came of the plan's reference, uploaded and flown; log and sealed truth stay.
 
     flight: index of the flight in its world. A flight that ends in failsafe or early is told, not raised.
     """

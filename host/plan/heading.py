@@ -29,7 +29,7 @@ _SAME = 1e-9
 
 
 def check_turnable(dynamics: Dynamics, source: str) -> None:
-    """Raises UsageError for a model that is not the same for every heading; what only moved within its
+    """Raise UsageError for a model that is not the same for every heading; what only moved within its
     tolerance may be fixed to the world. source: names the route.
     """
     model = dynamics.model
@@ -63,7 +63,7 @@ def _turn(vehicle: Vehicle, parts: Sequence[Part]) -> bool:
 
 
 def yaw_nodes(solution: Solution) -> tuple[YawNode, ...]:
-    """The heading of a solution at its nodes, or at those of them that are 50 ms apart.
+    """Return the heading of a solution at its nodes, or at those of them that are 50 ms apart.
 
     Between a solution's nodes thrusts change evenly, and heading so nearly as a cubic that its cubic pieces
     keep to it.
@@ -85,7 +85,7 @@ def yaw_nodes(solution: Solution) -> tuple[YawNode, ...]:
 
 
 def fastest_turn(yaws: Sequence[YawNode]) -> tuple[float, float]:
-    """The greatest yaw rate along yaw nodes, without its sign, rad/s, and the time of it, us."""
+    """Return the greatest yaw rate along yaw nodes, without its sign, rad/s, and the time of it, us."""
     found = [(0.0, 0.0)]
     for (t0, *before), (t1, *after) in pairwise(yaws):
         length_s = (t1 - t0) * 1e-6

@@ -71,7 +71,7 @@ class Intervals(Protocol):
         ...
 
     def bend(self, sigma: float, lam_x: Array, lam_path: Array) -> None:
-        """hessian of sigma cost + lam_x' x_next + lam_path' path; (N, nx) and (N, rows)."""
+        """Compute the Hessian of sigma cost + lam_x' x_next + lam_path' path; (N, nx) and (N, rows)."""
         ...
 
 
@@ -146,7 +146,7 @@ class _Lanes:
         return Output(flat=flat, at=at, rows=rows, columns=columns)
 
     def _in_lanes(self, rows: Array) -> Array:
-        """(groups, columns, LANES) of (N, columns)."""
+        """Return (groups, columns, LANES) of (N, columns)."""
         return rows[self._lane].reshape(*self._shape, -1).swapaxes(1, 2)
 
     def set(self, x: Array, u: Array, h: Array) -> None:

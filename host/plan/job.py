@@ -66,11 +66,11 @@ class Job:
         return optimise_durations(self.waypoints_ned, route.duration_s, route.end_velocities_ned)
 
     def snap(self, durations_s: Array) -> Table:
-        """The min-snap table with these leg times."""
+        """Return the min-snap table with these leg times."""
         return snap_table(self.waypoints_ned, durations_s, self.route.end_velocities_ned)
 
     def yaws(self, scale: float = 1.0) -> tuple[YawNode, ...]:
-        """The route's yaw nodes with their times scaled."""
+        """Return the route's yaw nodes with their times scaled."""
         return tuple(
             YawNode(round(t_s * scale * 1e6), yaw, rate / scale) for t_s, yaw, rate in self.route.yaw.nodes()
         )
@@ -88,13 +88,13 @@ class Job:
         return out
 
     def judge(self, table: Table, yaws: tuple[YawNode, ...], waypoint_times_s: Array) -> Judged:
-        """The verdict on a table."""
+        """Return the verdict on a table."""
         route, gates = self.route, passings(self.route, waypoint_times_s)
         vehicle, yaw_rate = self.dynamics.vehicle, self.yaw_rate_max_rad_s
         return judge(table, yaws, vehicle, self.limits, route.keep_out, gates, yaw_rate)
 
     def finish(self, judged: Judged, waypoint_times_s: Array, effort: Effort) -> Plan:
-        """The plan. Raises UsageError where the vehicle has no room for its reference."""
+        """Return the plan. Raises UsageError where the vehicle has no room for its reference."""
         size = len(judged.reference.to_bytes())
         if size > BLOB_BYTES_MAX:
             raise UsageError(

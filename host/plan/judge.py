@@ -43,7 +43,7 @@ class Passing:
 
 
 def passings(route: Route, waypoint_times_s: ArrayLike) -> list[Passing]:
-    """The route's gates, each when its waypoint is passed; times (K,)."""
+    """Return the route's gates, each when its waypoint is passed; times (K,)."""
     times_us = round_times(np.asarray(waypoint_times_s, dtype=float))
     return [
         Passing(gate=gate, centre_ned=route.waypoints_m[gate.waypoint], t_us=int(times_us[gate.waypoint]))
@@ -72,7 +72,7 @@ def judge(
     gates: Sequence[Passing] = (),
     yaw_rate_max_rad_s: float | None = None,
 ) -> Judged:
-    """The verdict on a table as the vehicle will read it, within these limits and those on board.
+    """Return the verdict on a table as the vehicle will read it, within these limits and those on board.
 
     yaw_rate_max_rad_s: of a free heading.
     """

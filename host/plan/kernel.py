@@ -53,7 +53,10 @@ class Kernel:
 
 
 def kernel(model: StageModel, compiler: Compiler) -> Kernel:
-    """The kernel of a model, compiled or from the cache. Raises CodegenError where the compiler fails."""
+    """Return the kernel of a model, compiled or from the cache.
+
+    Raises CodegenError where the compiler fails.
+    """
     parts = _Parts(model)
     library = ctypes.CDLL(simd_library(parts.source(), compiler))
     for name in ("values", "slopes", "hessians"):
@@ -69,7 +72,7 @@ def kernel(model: StageModel, compiler: Compiler) -> Kernel:
 
 
 def kernel_source(model: StageModel) -> str:
-    """The kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
+    """Return the kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
     return _Parts(model).source()
 
 
@@ -159,7 +162,7 @@ class _Parts:
         return Pattern(x_slope=slope, path_slope=_mask(self.path), hessian=np.triu(hessian | own))
 
     def source(self) -> str:
-        """The kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
+        """Return the kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
         model = self.model
         functions, network = dict(self.functions), model.network
         sizes = {
@@ -203,7 +206,7 @@ class _Parts:
 
 
 def _emitted(name: str, inputs: list[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
-    """A function of dense columns; what has no entries is one zero."""
+    """Return a function of dense columns; what has no entries is one zero."""
     columns = [
         ca.densify(ca.vec(output)) if output.numel() else ca.densify(ca.SX(1, 1)) for output in outputs
     ]
@@ -231,7 +234,7 @@ def _table(name: str, numbers: np.ndarray) -> str:
 
 
 def _network_ends(layout: Layout) -> dict[str, ca.Function]:
-    """The network's ends as dense columns, matrices row by row."""
+    """Return the network's ends as dense columns, matrices row by row."""
     emitted = {}
     for name, function in network_ends(layout).items():
         inputs = function.sx_in()
@@ -241,7 +244,7 @@ def _network_ends(layout: Layout) -> dict[str, ca.Function]:
 
 
 def _network_calls(layout: Layout) -> list[str]:
-    """The layers' calls, as macros."""
+    """Return the layers' calls, as macros."""
     forward, slopes, bends = [], [], []
     layers = []  # where its weights, its units and its inputs are
     unit = weight = 0

@@ -95,7 +95,7 @@ class Point:
         return None if self.plan is None else self.plan.path_length_m
 
     def cells(self) -> tuple[str, ...]:
-        """The numbers of COLUMNS for people."""
+        """Return the numbers of COLUMNS for people."""
         error_m, clipped = self.error_mean_m, self.clipped_share
         numbers = (
             (self.lambda_r, ".3g"),
@@ -198,7 +198,9 @@ def pareto(
 
 
 def _scaled(settings: Settings, factor: float) -> Settings:
-    """The settings with another price on thrusts and their rates; headings stay as dear as they were."""
+    """Return the settings with another price on thrusts and their rates; headings stay as dear as they
+    were.
+    """
     weights = settings.weights
     return replace(
         settings,

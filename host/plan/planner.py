@@ -52,7 +52,7 @@ def plan(
     settings: Settings | None = None,
     source: str | None = None,
 ) -> Plan:
-    """A checked plan for the route. The same arguments give the same reference.
+    """Return a checked plan for the route. The same arguments give the same reference.
 
     kind: one of KINDS; a `*` behind it has the model in the dynamics. model: needed by all but min-snap
     and min-control; `effects` are those its names refer to, the shipped ones by default. headroom: limits
@@ -99,7 +99,7 @@ def make_job(
     settings: Settings | None = None,
     source: str | None = None,
 ) -> Job:
-    """What `plan` plans: arguments checked, limits merged. Raises ConfigurationError or UsageError."""
+    """Return what `plan` plans: arguments checked, limits merged. Raises ConfigurationError or UsageError."""
     name, augmented = parse_kind(kind)
     settings = _free_time(settings or Settings(), route, kind, time_box, time_weight)
     route = _timed(route, total_time_s)
@@ -128,7 +128,10 @@ def _residual_model(
     kind: Kind,
     augmented: bool,
 ) -> ResidualModel:
-    """The model in the planner's form. Raises UsageError where it is missing, empty or of another vehicle."""
+    """Return the model in the planner's form.
+
+    Raises UsageError where it is missing, empty or of another vehicle.
+    """
     if isinstance(model, Model):
         if model.vehicle_id != vehicle.id:
             raise UsageError(
@@ -151,7 +154,7 @@ def _residual_model(
 
 
 def _check_steady(dynamics: Dynamics, route: Route) -> None:
-    """Raises UsageError for a model under which the vehicle cannot hover, or fly as the path's ends do."""
+    """Raise UsageError for a model under which the vehicle cannot hover, or fly as the path's ends do."""
     try:
         for p_ned in (route.waypoints_m[0], route.waypoints_m[-1]):
             for v_ned in ((0.0, 0.0, 0.0), *route.end_velocities_ned):
@@ -167,7 +170,7 @@ def _free_time(
     box: tuple[float, float] | None,
     weight: float | None,
 ) -> Settings:
-    """The settings with this much freedom of the total time. Raises UsageError."""
+    """Return the settings with this much freedom of the total time. Raises UsageError."""
     if box is None:
         if weight is not None:
             raise UsageError("--time-weight goes with --time-box: without it the total time is given")
@@ -196,7 +199,7 @@ def _free_time(
 
 
 def _timed(route: Route, total_time_s: float | None) -> Route:
-    """The route in this total time; waypoint times and yaw profile are scaled along."""
+    """Return the route in this total time; waypoint times and yaw profile are scaled along."""
     if total_time_s is None:
         return route
     if not 0.0 < total_time_s <= TIME_MAX_S:
@@ -209,7 +212,7 @@ def _timed(route: Route, total_time_s: float | None) -> Route:
 
 
 def _limits(route: Route, vehicle: Vehicle, headroom: LimitsOverride | None, source: str | None) -> Limits:
-    """The limits of vehicle, route and headroom together. Raises ConfigurationError."""
+    """Return the limits of vehicle, route and headroom together. Raises ConfigurationError."""
     limits = check_route(route, vehicle, source)
     if headroom is None:
         return limits

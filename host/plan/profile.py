@@ -110,7 +110,7 @@ def profile(
     yaws: Sequence[YawNode],
     times_us: Array | None = None,
 ) -> Profile:
-    """The profile of the nominal vehicle at these times, every 10 ms by default."""
+    """Return the profile of the nominal vehicle at these times, every 10 ms by default."""
     at = sample_times(table) if times_us is None else times_us
     x = flat_states(vehicle, table, yaws, at)
     outside = None if model.region is None else model.region.outside(x.T, x[THRUST].sum(axis=0))
@@ -127,7 +127,7 @@ def profile(
 
 
 def sample_times(table: Table) -> Array:
-    """Times in us, evenly over the table, at most 10 ms apart."""
+    """Return times in us, evenly over the table, at most 10 ms apart."""
     end = float(table.times_us[-1])
     return np.linspace(0.0, end, max(2, int(np.ceil(end / _SAMPLE_US)) + 1))
 

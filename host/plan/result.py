@@ -27,14 +27,14 @@ KINDS: Mapping[str, tuple[Kind, bool]] = {
 
 
 def parse_kind(text: str) -> tuple[Kind, bool]:
-    """The kind, and whether its dynamics are augmented, of a name in KINDS. Raises UsageError."""
+    """Return the kind, and whether its dynamics are augmented, of a name in KINDS. Raises UsageError."""
     if text not in KINDS:
         raise UsageError(f"{text}: no such kind of plan, known: {', '.join(KINDS)}")
     return KINDS[text]
 
 
 def label(kind: Kind, augmented: bool) -> str:
-    """The name in KINDS."""
+    """Return the name in KINDS."""
     return next(text for text, known in KINDS.items() if known == (kind, augmented))
 
 

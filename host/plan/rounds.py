@@ -66,7 +66,7 @@ _NO_WAY = (SolveStatus.INFEASIBLE, SolveStatus.RESTORATION)
 
 
 def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
-    """The plan of a kind other than min-snap.
+    """Return the plan of a kind other than min-snap.
 
     Raises PlanRefused where the limits leave no way, with node and reason where a reference came close, and
     PlanUnsolved where the solver gave up otherwise.
@@ -95,8 +95,8 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
 
 
 def first_round(job: Job, *, nodes: int | None) -> tuple[Engine, Problem, Solution]:
-    """What evaluates the problem, the problem from the straight lines in the box that coarser grids left, and
-    where the first round ends.
+    """Return what evaluates the problem, the problem from the straight lines in the box that coarser grids
+    left, and where the first round ends.
 
     The solution's time is that of the solver on all grids.
     """
@@ -107,7 +107,7 @@ def first_round(job: Job, *, nodes: int | None) -> tuple[Engine, Problem, Soluti
 
 
 def _begin(job: Job, nodes: int | None) -> _Run:
-    """The run before its first round; of min-control-r, after the plan that it refines."""
+    """Return the run before its first round; of min-control-r, after the plan that it refines."""
     grid = make_grid(job.durations(), nodes, times_fixed=job.route.times_s is not None)
     if job.kind != "min-control-r":
         return _Run(job, grid)
@@ -122,7 +122,9 @@ def _begin(job: Job, nodes: int | None) -> _Run:
 
 
 def _scale(job: Job, grid: Grid) -> float:
-    """Unit of the weights: the mean squared residual along the min-snap path at nominal times, or 1."""
+    """Return unit of the weights: the mean squared residual along the min-snap path at nominal times, or
+    1.
+    """
     if job.kind != "min-residual" or not job.settings.relative_weights:
         return 1.0
     path = job.snap(grid.counts * grid.h0_s)
@@ -178,7 +180,10 @@ class _Run:
         return self._weights.control / self.job.dynamics.hover_n**2
 
     def solve(self) -> Solution:
-        """The round's last iterate. Without a path or one to begin with, coarser grids are solved first."""
+        """Return the round's last iterate.
+
+        Without a path or one to begin with, coarser grids are solved first.
+        """
         grids = [self.grid]
         while self._last is None and self._tracked is None and (half := coarser(grids[-1])) is not None:
             grids.append(half)
@@ -195,14 +200,14 @@ class _Run:
         return solution
 
     def judged(self, solution: Solution, grid: Grid) -> Judged:
-        """The verdict on the spline through the last problem's solution."""
+        """Return the verdict on the spline through the last problem's solution."""
         job = self.job
         passed, passed_s = job.passed(solution.x[P, grid.waypoints].T), solution.t_s[grid.waypoints]
         table = smooth(self.engine, self.problem, solution, grid, passed)
         return job.judge(table, self.heading(solution), passed_s)
 
     def _solve_on(self, grid: Grid, before: tuple[Problem, Solution, Grid] | None) -> Solution:
-        """The last iterate on a grid, from a coarser one's solution where there is one."""
+        """Return the last iterate on a grid, from a coarser one's solution where there is one."""
         self.problem = self.make_problem(grid, before)
         settings = self.job.settings
         solution = solve(
@@ -222,7 +227,7 @@ class _Run:
         return solution
 
     def heading(self, solution: Solution) -> tuple[YawNode, ...]:
-        """The yaw nodes of a solution: its own, or the route's in its time."""
+        """Return the yaw nodes of a solution: its own, or the route's in its time."""
         if self.free_yaw:
             return yaw_nodes(solution)
         return self.job.yaws(solution.t_s[-1] / self.job.route.duration_s)
@@ -259,7 +264,9 @@ class _Run:
             raise self.failure(solution)
 
     def failure(self, solution: Solution | None = None) -> PlanRefused | PlanUnsolved:
-        """What to say when there is no way on; `solution` is the last solve's, None after the last round."""
+        """Return what to say when there is no way on; `solution` is the last solve's, None after the last
+        round.
+        """
         label = self.job.label
         if self._near is not None and not self._near.ok:
             return PlanRefused(
@@ -275,7 +282,9 @@ class _Run:
         return PlanUnsolved(f"no {label} plan: {status.value} ({tries}); {_REMEDY}", status)
 
     def _broken(self) -> str:
-        """What the min-snap path breaks most, as a share of the limit, and where: a hint at what binds."""
+        """Return what the min-snap path breaks most, as a share of the limit, and where: a hint at what
+        binds.
+        """
         job = self.job
         path = job.snap(self.grid.counts * self.grid.h0_s)
         seen = profile(job.dynamics.vehicle, ResidualModel(), path, self._path_yaws)
@@ -288,7 +297,9 @@ class _Run:
         )
 
     def make_problem(self, grid: Grid, before: tuple[Problem, Solution, Grid] | None = None) -> Problem:
-        """The next round's problem on a grid: from the last round's end, or a coarser grid's solution."""
+        """Return the next round's problem on a grid: from the last round's end, or a coarser grid's
+        solution.
+        """
         job, settings = self.job, self.job.settings
         yaw = yaw_profile(self._yaws, grid.times_s if self._last is None else self._last.t_s)
         last = self._last or (before[1] if before is not None else None)

@@ -43,7 +43,7 @@ class Sensitivity:
     attitude: Array
 
     def peaks(self) -> tuple[Peak, Peak] | None:
-        """The greatest of velocity and of attitude; None where an effect has no slope at any node."""
+        """Return the greatest of velocity and of attitude; None where an effect has no slope at any node."""
         if not (np.isfinite(self.velocity).any() and np.isfinite(self.attitude).any()):
             return None
         v, a = int(np.nanargmax(self.velocity)), int(np.nanargmax(self.attitude))
@@ -89,7 +89,7 @@ def _greatest(slopes: Array) -> Array:
 
 @held_interrupts()
 def _slopes(vehicle: Vehicle, model: ResidualModel) -> ca.Function:
-    """x (16) -> (3 or 6, 6) d(residual)/d(v_ned, rotation vector in FRD)."""
+    """Return the function x (16) -> (3 or 6, 6) d(residual)/d(v_ned, rotation vector in FRD)."""
     x, turn = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("turn", 3)
     residual = ca.vertcat(*model.rows(CASADI, vehicle, ca.vertsplit(x)))
     if model.network is not None:

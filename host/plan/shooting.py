@@ -96,7 +96,9 @@ def make_grid(durations_s: Array, nodes: int | None, *, times_fixed: bool) -> Gr
 
 
 def coarser(grid: Grid) -> Grid | None:
-    """The grid with half as many intervals on every leg; None where that would be few, or hardly fewer."""
+    """Return the grid with half as many intervals on every leg; None where that would be few, or hardly
+    fewer.
+    """
     counts = np.maximum(_LEG_NODES_MIN, (grid.counts + 1) // 2)
     if len(grid.leg_of) < 2 * COARSE or counts.sum() > 0.7 * len(grid.leg_of):
         return None
@@ -172,7 +174,7 @@ def make_problem(
     free_yaw: bool = False,
     tracked_ned: Array | None = None,
 ) -> Problem:
-    """The problem in this box. yaw: (N + 1,) heading asked for at the nodes, with free_yaw only at the
+    """Return the problem in this box. yaw: (N + 1,) heading asked for at the nodes, with free_yaw only at the
     first, and at rest at both ends; smoothing: factor on the weight of the thrust rates; unavoidable: (6,)
     residual left out of the cost;
     end_velocities_ned: at the start and at the end, where nothing accelerates; gates: of the waypoints that
@@ -267,7 +269,7 @@ def yaw_profile(yaws: Sequence[YawNode], times_s: Array) -> Array:
 
 
 def smooth(engine: Engine, problem: Problem, solution: Solution, grid: Grid, waypoints_ned: Array) -> Table:
-    """The node table through a solution, seen at points about as close as the table's own nodes."""
+    """Return the node table through a solution, seen at points about as close as the table's own nodes."""
     parts = math.ceil(float(np.diff(solution.t_s).max()) / _DATA_S)
     times_s, x = _within(engine, problem, solution, tuple(k / parts for k in range(parts)))
     ends = problem.x_bounds[0][V][:, [0, -1]].T  # fixed there
@@ -283,7 +285,7 @@ def deviation_m(engine: Engine, problem: Problem, solution: Solution, table: Tab
 def _within(
     engine: Engine, problem: Problem, solution: Solution, shares: tuple[float, ...]
 ) -> tuple[Array, Array]:
-    """Times and states at these shares of every interval, and at the end: (m,), (16, m)."""
+    """Return times and states at these shares of every interval, and at the end: (m,), (16, m)."""
     intervals = engine.over(problem.h0_s, problem.parameters)
     h = solution.h[problem.step_of]
     rows = []

@@ -33,7 +33,7 @@ def fit(
     waypoints_ned: Array,
     end_velocities_ned: Array,
 ) -> Table:
-    """The node table of the spline nearest to the nodes in the least-squares sense.
+    """Return the node table of the spline nearest to the nodes in the least-squares sense.
 
     times_s: (n,) node times; p_ned, v_ned: (3, n); waypoints: index of each waypoint among the nodes, the
     first 0, the last n - 1; waypoints_ned: (K, 3); end_velocities_ned: (2, 3). Acceleration and jerk are 0 at
@@ -75,7 +75,7 @@ def _basis(padded: np.ndarray, at: np.ndarray, order: int = 0) -> csr_matrix:
 
 
 def _constrained_lstsq(rows: Any, wanted: Array, equal: Any, exact: Array) -> Array:
-    """The x with equal x = exact that minimises |rows x - wanted|, by its conditions of optimality."""
+    """Return the x with equal x = exact that minimises |rows x - wanted|, by its conditions of optimality."""
     residuals, size = rows.shape
     # With the residual r as unknown nothing is squared: r + rows x = wanted, rows' r + equal' m = 0.
     system = bmat(

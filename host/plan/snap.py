@@ -110,7 +110,7 @@ def _checked(waypoints_ned: Array, durations_s: Array) -> tuple[Array, Array]:
 
 
 def solve_snap(waypoints_ned: Array, durations_s: Array, end_velocities_ned: ArrayLike = REST) -> SnapSpline:
-    """The minimum-snap spline through the waypoints, with a = j = 0 at both ends.
+    """Return the minimum-snap spline through the waypoints, with a = j = 0 at both ends.
 
     waypoints_ned: (K >= 2, 3) m; durations_s: (K - 1,); end_velocities_ned: (2, 3) m/s at the start and at
     the end, at rest by default. Source: Mellinger and Kumar, ICRA 2011; Bry et al.,

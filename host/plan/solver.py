@@ -91,7 +91,7 @@ class _Callback(ca.Callback):
 
 
 def _functions(assembly: Assembly) -> tuple[dict[str, ca.Function], list[_Callback]]:
-    """The functions that Ipopt asks for, by CasADi's names for them, and the callbacks they call."""
+    """Return the functions that Ipopt asks for, by CasADi's names for them, and the callbacks they call."""
     one, none = ca.Sparsity.dense(1), ca.Sparsity(0, 1)
     w, rows = ca.Sparsity.dense(assembly.width), ca.Sparsity.dense(assembly.height)
     at, weighed = [("x", w), ("p", none)], [("lam:f", one), ("lam:g", rows)]
@@ -127,8 +127,8 @@ def solve(
     enough: Enough | None = None,
     solver: Solver | None = None,
 ) -> Solution:
-    """The local optimum from the given start, by Fatrop, and where that does not converge by Ipopt; or by
-    one. enough: where Fatrop may stop before.
+    """Return the local optimum from the given start, by Fatrop, and where that does not converge by Ipopt;
+    or by one. enough: where Fatrop may stop before.
 
     `solve_s` is processor time, of both, and the only number that varies.
     """
@@ -147,7 +147,7 @@ def solve(
 
 
 def _solution(assembly: Assembly, w: Array, status: SolveStatus, iterations: int, solver: Solver) -> Solution:
-    """A point in the problem's terms; its time is not told."""
+    """Return a point in the problem's terms; its time is not told."""
     problem = assembly.problem
     x, u, h = assembly.split(w)
     return Solution(
@@ -166,7 +166,7 @@ def _solution(assembly: Assembly, w: Array, status: SolveStatus, iterations: int
 
 
 def _ipopt(assembly: Assembly, tolerance: float, max_iterations: int) -> Solution:
-    """What Ipopt makes of a problem."""
+    """Return what Ipopt makes of a problem."""
     functions, callbacks = _functions(assembly)
     options: dict[str, Any] = {
         "cache": functions,

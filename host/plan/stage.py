@@ -79,7 +79,7 @@ class _NetworkTerms:
 
 
 def network_ends(layout: Layout) -> dict[str, ca.Function]:
-    """What the network sees of v_ned and Theta and what its outputs give, with their derivatives.
+    """Return what the network sees of v_ned and Theta and what its outputs give, with their derivatives.
 
     seen(state) -> (n,); dseen(state) -> (n, 6); ddseen(state, eta) -> Hessian (6, 6) of eta' seen;
     given(state, out) -> (3,); dgiven(state, out) -> (3, 6), (3, 3); ddgiven(state, out, mu) -> of mu' given
@@ -102,7 +102,7 @@ def network_ends(layout: Layout) -> dict[str, ca.Function]:
 
 
 def _network(network: Network, state: ca.SX) -> _NetworkTerms:
-    """d (3), Jacobian (3, 6), gradient (6) and Hessian (6, 6) by (v_ned, Theta): the layers' by formula."""
+    """Return d (3), Jacobian (3, 6), gradient (6) and Hessian (6, 6) by (v_ned, Theta), by formula."""
     ends = network_ends(network.layout)
     layers = [(ca.DM(weight), ca.DM(bias)) for weight, bias in network.layout.layers(network.xi)]
     ways = network.layout.sizes[0]
@@ -147,7 +147,7 @@ def _network(network: Network, state: ca.SX) -> _NetworkTerms:
 
 
 def _embed(block: ca.SX, rows: slice, columns: slice, shape: tuple[int, int]) -> ca.SX:
-    """A sparse matrix of the given shape that is `block` in those rows and columns."""
+    """Return a sparse matrix of the given shape that is `block` in those rows and columns."""
     out = ca.SX(*shape)
     out[rows, columns] = block
     return out
@@ -257,7 +257,7 @@ class _Builder:
         self.running, self.running_gradient = running, gradient
 
     def functions(self) -> Stage:
-        """The three functions."""
+        """Return the three functions."""
         model = self.model
         arguments = [self.x, self.u, self.h, self.h0, self.p]
         names = ["x", "u", "h", "h0_s", "p"]
@@ -340,5 +340,8 @@ class _Builder:
 
 @held_interrupts()
 def build_stage(model: StageModel) -> Stage:
-    """The interval's functions for a model. Deterministic: the same model gives the same instructions."""
+    """Return the interval's functions for a model.
+
+    Deterministic: the same model gives the same instructions.
+    """
     return _Builder(model).functions()

@@ -19,7 +19,9 @@ _HALVINGS = 10
 
 
 def plan_snap(job: Job, *, stretch: bool) -> Plan:
-    """The plan. Raises PlanRefused with node and reason where a limit is broken and stretching no help."""
+    """Return the plan. Raises PlanRefused with node and reason where a limit is broken and stretching no
+    help.
+    """
     started = time.process_time()
     durations = job.durations()
     factor, judged = 1.0, _attempt(job, durations, 1.0)

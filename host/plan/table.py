@@ -45,7 +45,8 @@ class Table:
 
 
 def knot_times(waypoint_times_us: Times, spacing_s: float = SPACING_S, most: Times | None = None) -> Times:
-    """Times from the first to the last waypoint, every waypoint among them, about `spacing_s` apart, in us.
+    """Return times from the first to the last waypoint, every waypoint among them, about `spacing_s` apart,
+    in us.
 
     A leg is divided evenly into at least one piece, and at most `most` of each leg; no piece is shorter than
     half the spacing unless its leg is.
@@ -67,7 +68,9 @@ def round_times(times_s: Array) -> Times:
 
 
 def snap_table(waypoints_ned: Array, durations_s: Array, end_velocities_ned: ArrayLike = REST) -> Table:
-    """The minimum-snap spline, waypoint times rounded to microseconds, divided into nodes without loss."""
+    """Return the minimum-snap spline, waypoint times rounded to microseconds, divided into nodes without
+    loss.
+    """
     waypoint_times = round_times(np.concatenate([[0.0], np.cumsum(durations_s)]))
     spline = solve_snap(waypoints_ned, np.diff(waypoint_times) * 1e-6, end_velocities_ned)
     ends = Table(times_us=waypoint_times, states_ned=_rows(spline))
@@ -139,7 +142,7 @@ def flat_states(vehicle: Vehicle, table: Table, yaws: Sequence[YawNode], times_u
 
 
 def to_reference(table: Table, yaws: Sequence[YawNode], vehicle_id: str) -> Reference:
-    """The reference blob; its origin is near the middle of the nodes, so that float32 loses least.
+    """Return the reference blob; its origin is near the middle of the nodes, so that float32 loses least.
 
     A table that moves at an end makes a reference with free ends, which the vehicle does not start; one that
     begins in motion may take over in flight.
@@ -162,7 +165,7 @@ def to_reference(table: Table, yaws: Sequence[YawNode], vehicle_id: str) -> Refe
 
 
 def from_reference(reference: Reference) -> Table:
-    """The table as it is flown: positions in NED, rounded as the blob rounds."""
+    """Return the table as it is flown: positions in NED, rounded as the blob rounds."""
     nodes = reference.nodes_ned()
     return Table(
         times_us=np.array([node.t_us for node in nodes], dtype=np.int64),

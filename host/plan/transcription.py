@@ -127,7 +127,7 @@ class Assembly:
         return np.hstack([self._x_at[:-1], self._u_at, h[:, None]])[:, entries]
 
     def _plan_jacobian(self) -> None:
-        """The pattern of dg/dw, its constant entries, and where the intervals' numbers go."""
+        """Return the pattern of dg/dw, its constant entries, and where the intervals' numbers go."""
         intervals, places = self._intervals, self._places
         parts: list[tuple[Index, Index, Array]] = []
 
@@ -224,7 +224,7 @@ class Assembly:
         return places.value, places.slope
 
     def objective(self, w: Array) -> float:
-        """The cost."""
+        """Return the cost."""
         self._set(w)
         self._need("values", self._intervals.values)
         cost = self._intervals.cost
@@ -246,7 +246,7 @@ class Assembly:
         return out
 
     def rows(self, w: Array) -> Array:
-        """The constraint rows (height,)."""
+        """Return the constraint rows (height,)."""
         self._set(w)
         self._need("values", self._intervals.values)
         out = np.zeros(self.height)
@@ -312,7 +312,7 @@ class Assembly:
         return sigma * self.gradient(w) + matrix.T @ lam
 
     def start(self) -> Array:
-        """The start: what is bounded inside its bounds, what is fixed there."""
+        """Return the start: what is bounded inside its bounds, what is fixed there."""
         p = self.problem
         w = np.zeros(self.width)
         w[self._x_at], w[self._u_at] = p.x_start.T, p.u_start.T
@@ -326,7 +326,7 @@ class Assembly:
         return np.clip(w, self.low, self.high)
 
     def split(self, w: Array) -> tuple[Array, Array, Array]:
-        """x (nx, N + 1), u (nu, N) and h (steps,) of a vector w."""
+        """Return x (nx, N + 1), u (nu, N) and h (steps,) of a vector w."""
         h = np.ones(self.problem.steps) if self._h_at is None else w[self._h_at[self._first_of]]
         return w[self._x_at].T, w[self._u_at].T, h
 

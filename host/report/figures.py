@@ -57,6 +57,7 @@ class Figure:
 
 
 def finish(canvas: Canvas, caption: str, alt: str, *, png: bool = False) -> Figure:
+    """Return the canvas as a figure with its caption and alternative text."""
     width, height = (round(96 * inches) for inches in canvas.get_size_inches())
     stream, pixels = io.StringIO(), io.BytesIO()
     with matplotlib.rc_context(STYLE):
@@ -125,7 +126,9 @@ def residuals(before: Sequence[Errors], after: Sequence[Errors], floor_m: float 
 
 
 def ranking(evidence: Mapping[str, float], kept: Sequence[str]) -> Figure:
-    """What each candidate is worth: log evidence lost by leaving it out, or gained by adding it, in nats."""
+    """Return what each candidate is worth: log evidence lost by leaving it out, or gained by adding it, in
+    nats.
+    """
     names = sorted(evidence, key=lambda name: evidence[name])
     with matplotlib.rc_context(STYLE):
         canvas, ax = plt.subplots(figsize=(8.4, 0.8 + 0.28 * len(names)))
@@ -148,7 +151,7 @@ def ranking(evidence: Mapping[str, float], kept: Sequence[str]) -> Figure:
 
 
 def counts(table: Mapping[str, Mapping[str, int]], caption: str, *, rows: str, columns: str) -> Figure:
-    """A table of counts by row and column name, each cell shaded by its share of the row; also as PNG.
+    """Return a table of counts by row and column name, each cell shaded by its share of the row; also as PNG.
 
     The columns come in the order of the rows where they share names, the others behind.
     """
@@ -258,7 +261,7 @@ def _field(ax: Any, told: Description, across: str, up: str, take: tuple[int, in
 
 
 def _curves(row: Any, one: Dependence) -> None:
-    """The two leading slopes, or that there is none."""
+    """Draw the two leading slopes, or say that there is none."""
     unit = CHANNEL_UNITS[one.channel].replace("^2", "$^2$")
     for k, ax in enumerate(row):
         if k >= len(one.slopes):

@@ -11,7 +11,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined, select_autoesca
 
 
 def render(template: str, **values: Any) -> str:
-    """The HTML that a template makes of the values. Raises jinja2's error where one is missing."""
+    """Return the HTML that a template makes of the values. Raises jinja2's error where one is missing."""
     environment = Environment(
         loader=FunctionLoader(
             lambda name: files("trimtab.host.report").joinpath(name).read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
 
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
-    """The HTML of the study's report; offline, one file."""
+    """Return the HTML of the study's report; offline, one file."""
     answer = outcome["answer"]
     scope = "a quick look, no figure of record" if answer["quick"] else f"{answer['runs']} uploads a channel"
     return render(

@@ -12,7 +12,7 @@ from trimtab.host.report.tables import tables_page
 
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
-    """The study's pictures by file stem."""
+    """Return the study's pictures by file stem."""
     panels: dict[str, list[Any]] = {}
     for trial in outcome["curves"]:
         held = ", reference held" if trial["held"] else ""
@@ -34,5 +34,5 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
 
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
-    """The HTML of the study's report; offline, one file."""
+    """Return the HTML of the study's report; offline, one file."""
     return tables_page("learning", outcome, drawn, provenance)

@@ -18,7 +18,7 @@ _MEASURES = {
 
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
-    """The study's picture by file stem."""
+    """Return the study's picture by file stem."""
     others = [kind for kind in KINDS if kind not in ("min-snap", "min-control*", "min-control-r")]
     ratios = {
         title: {kind: [_over(course["kinds"], kind, key) for course in outcome["courses"]] for kind in others}
@@ -41,5 +41,5 @@ def _over(kinds: Mapping[str, Mapping[str, Any]], kind: str, key: str) -> float 
 
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
-    """The HTML of the study's report; offline, one file."""
+    """Return the HTML of the study's report; offline, one file."""
     return tables_page("planning", outcome, drawn, provenance)

@@ -45,7 +45,7 @@ _LIMITS = {
 def page(
     plan: Plan, route: Route, vehicle: Vehicle, model: ResidualModel, provenance: Mapping[str, object]
 ) -> str:
-    """The HTML of a plan's report; offline, one file. `model` predicts the residual that is shown."""
+    """Return the HTML of a plan's report; offline, one file. `model` predicts the residual that is shown."""
     table, yaws = from_reference(plan.reference), plan.reference.yaw_nodes()
     along = profile(vehicle, model, table, yaws, with_nodes(table))
     off = sensitivity(vehicle, model, table, yaws)
@@ -184,7 +184,7 @@ def _or_dash(value: float | None, form: str, otherwise: str) -> str:
 
 
 def trade_page(points: Sequence[Point], route: Route, provenance: Mapping[str, object]) -> str:
-    """The HTML of a trade between residual and jerk; offline, one file."""
+    """Return the HTML of a trade between residual and jerk; offline, one file."""
     flown = any(point.flown is not None for point in points)
     units, cells = tabulate(points)
     head = ("plan", *(f"{name}, {unit}" for name, unit in units.items()), "status")

@@ -77,14 +77,14 @@ def per_node(
 
 
 def _grey(along: Profile) -> str:
-    """What grey means, where there is any."""
+    """Return what grey means, where there is any."""
     if along.outside is None or not along.outside.any():
         return ""
     return " Grey: beyond the region that the model's data covers."
 
 
 def _kept(along: Profile) -> np.ndarray:
-    """Samples that are drawn."""
+    """Return samples that are drawn."""
     return np.unique(np.linspace(0, len(along.t_s) - 1, min(len(along.t_s), _SAMPLES)).round().astype(int))
 
 
@@ -224,7 +224,7 @@ def _legend(ax: Any) -> None:
 
 
 def _upper(ax: Any, reached: float, bound: float, unit: str) -> None:
-    """The range of a quantity with an upper limit, which is shaded, or told where it is far away."""
+    """Shade the range of a quantity with an upper limit, or say how far away the limit is."""
     if bound > _FAR * max(reached, 1e-9):
         ax.set_ylim(0.0, 1.12 * max(reached, 0.01 * bound))
         ax.text(1.008, 0.5, f"limit\n{bound:g} {unit}", transform=ax.transAxes, fontsize=8, color=FORBIDDEN)

@@ -29,7 +29,7 @@ _LEAST_SPAN_M = 0.5
 
 
 def path(route: Route, along: Profile) -> Figure:
-    """The path from above and from the side with waypoints, gates and keep-out shapes, on equal axes.
+    """Return the path from above and from the side with waypoints, gates and keep-out shapes, on equal axes.
 
     Coloured by predicted residual, by speed where none is predicted. Shapes and gates are drawn as their
     projections: a path that crosses one may be before or behind it.
@@ -77,7 +77,7 @@ def path(route: Route, along: Profile) -> Figure:
 
 
 def _handles(route: Route) -> list[Any]:
-    """What a picture of the route's path has, for its legend."""
+    """Return what a picture of the route's path has, for its legend."""
     handles: list[Any] = [
         Line2D([], [], linestyle="", marker="o", color="white", markeredgecolor=NEUTRAL, label="waypoint")
     ]
@@ -93,7 +93,10 @@ def _handles(route: Route) -> list[Any]:
 
 
 def _gate(gate: Gate, centre_ned: np.ndarray, take: tuple[int, int]) -> Any:
-    """A gate's projection on a plane of two NED axes; height is up. An opening seen edge-on is a line."""
+    """Return a gate's projection on a plane of two NED axes; height is up.
+
+    An opening seen edge-on is a line.
+    """
     style: Any = {"fill": False, "edgecolor": _GATE, "linewidth": _GATE_WIDTH, "zorder": 2.5}
     if gate.radius_m is not None:
         x, y = _seen(centre_ned, take)
@@ -150,7 +153,7 @@ def _numbered(ax: Any, xy: np.ndarray) -> None:
 
 
 def _outline(shape: Shape, take: tuple[int, int]) -> Any:
-    """A shape's shadow in a plane of two NED axes; height is up."""
+    """Return a shape's shadow in a plane of two NED axes; height is up."""
     if isinstance(shape, Sphere):
         x, y = _seen(np.array(shape.centre_m), take)
         return Circle((x, y), shape.radius_m, **_SHADOW)

@@ -21,7 +21,7 @@ class Reporter(Protocol):
     def page(
         outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]
     ) -> str:
-        """The HTML."""
+        """Return the HTML."""
         ...
 
 

@@ -12,7 +12,9 @@ from trimtab.host.report.html import render, script_data
 
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
-    """The study's pictures by file stem: `confusion` and, where an effect was named rightly, `coverage`."""
+    """Return the study's pictures by file stem: `confusion` and, where an effect was named rightly,
+    `coverage`.
+    """
     found = {
         "confusion": figures.counts(
             outcome["confusion"],
@@ -34,7 +36,7 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
 
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
-    """The HTML of a study's report; offline, one file."""
+    """Return the HTML of a study's report; offline, one file."""
     answer = outcome["answer"]
     return render(
         "study.html.j2",

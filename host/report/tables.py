@@ -16,7 +16,7 @@ def tables_page(
     drawn: Mapping[str, Figure],
     provenance: Mapping[str, object],
 ) -> str:
-    """The HTML of a study's report; offline, one file."""
+    """Return the HTML of a study's report; offline, one file."""
     answer = outcome["answer"]
     scope = "a quick look, no figure of record" if answer["quick"] else f"{answer['worlds']} worlds"
     return render(

@@ -30,7 +30,7 @@ def page(
     answer: Mapping[str, Any],
     extra: Mapping[str, Any] | None = None,
 ) -> str:
-    """The HTML of the report; `extra` adds sections: a list of {title, text, figures, table} under
+    """Return the HTML of the report; `extra` adds sections: a list of {title, text, figures, table} under
     "sections".
     """
     pictures = []

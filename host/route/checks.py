@@ -20,7 +20,8 @@ TIME_MAX_S = 500.0
 
 
 def check_route(route: Route, vehicle: Vehicle, source: str | None = None) -> Limits:
-    """The limits a plan for this route must keep. `source` names the route in errors, its name by default.
+    """Return the limits a plan for this route must keep. `source` names the route in errors, its name by
+    default.
 
     Raises ConfigurationError (exit code 2) with every contradiction.
     """
@@ -62,7 +63,7 @@ def _loosened(route: Route, limits: Limits) -> Iterator[str]:
 
 
 def _hoverless(limits: Limits, vehicle: Vehicle) -> Iterator[str]:
-    """A headroom that the thrust to hover is outside of."""
+    """Yield a headroom that the thrust to hover is outside of."""
     low, high = limits.thrust_headroom
     hover = vehicle.mass_kg * GRAVITY / (len(vehicle.rotors) * vehicle.thrust_max_n)
     if not low < hover < high:

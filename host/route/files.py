@@ -75,7 +75,7 @@ class RouteFile(Strict):
         return self
 
     def expanded(self, source: str) -> Route:
-        """The route with its waypoints listed, lap after lap. Raises ConfigurationError."""
+        """Return the route with its waypoints listed, lap after lap. Raises ConfigurationError."""
         fields = {name: getattr(self, name) for name in Route.model_fields}
         if self.figure_eight is not None:
             fields["waypoints_m"] = self.figure_eight.waypoints()
@@ -89,14 +89,14 @@ class RouteFile(Strict):
         return flown(validate(fields | whole, source, Route), laps)
 
     def _drawn_time(self, waypoints_m: Sequence[Vector3]) -> dict[str, float]:
-        """The total time through drawn waypoints where none is given."""
+        """Return the total time through drawn waypoints where none is given."""
         if self.random is None or self.times_s is not None or self.total_time_s is not None:
             return {}
         return {"total_time_s": self.random.total_time_s(waypoints_m)}
 
 
 def parse_route(text: str, source: str, vehicle: Vehicle | None = None) -> Route:
-    """The route in a TOML text; `source` names it in errors.
+    """Return the route in a TOML text; `source` names it in errors.
 
     Raises ConfigurationError with every problem; where keys are wrong by themselves, with what the others
     contradict of the vehicle too.
@@ -105,7 +105,7 @@ def parse_route(text: str, source: str, vehicle: Vehicle | None = None) -> Route
 
 
 def _read(text: str, source: str, vehicle: Vehicle | None) -> RouteFile:
-    """The route file in a TOML text. Raises ConfigurationError."""
+    """Return the route file in a TOML text. Raises ConfigurationError."""
     data = parse_toml(text, source)
     try:
         return validate(data, source, RouteFile)
@@ -115,7 +115,7 @@ def _read(text: str, source: str, vehicle: Vehicle | None) -> RouteFile:
 
 
 def _contradictions(data: dict[str, Any], told: Sequence[str], source: str, vehicle: Vehicle) -> list[str]:
-    """What is wrong with the rest of a route, without the keys that `told` says something about."""
+    """Return what is wrong with the rest of a route, without the keys that `told` says something about."""
     wrong = {re.split(r"[.:\[]", line.removeprefix(f"{source}: "))[0] for line in told}
     if wrong & {"waypoints_m", "figure_eight", "random"}:
         return []
@@ -132,7 +132,7 @@ def _contradictions(data: dict[str, Any], told: Sequence[str], source: str, vehi
 def load_route(
     name_or_path: str | Path, workspace: Path | None = None, vehicle: Vehicle | None = None
 ) -> Route:
-    """The route of a path, or of a name: looked up in `workspace`/routes, then among the shipped ones.
+    """Return the route of a path, or of a name: looked up in `workspace`/routes, then among the shipped ones.
 
     `NAME:SEED` draws a route with a [random] table anew with that seed.
     Raises ConfigurationError (exit code 2) as `parse_route` does.
@@ -150,7 +150,7 @@ def load_route(
 
 
 def route_file(name_or_path: str | Path, workspace: Path | None = None) -> str:
-    """The file that `load_route` reads, as messages name it. Raises ConfigurationError."""
+    """Return the file that `load_route` reads, as messages name it. Raises ConfigurationError."""
     return shown(_place(name_or_path, workspace)[0])
 
 
@@ -163,7 +163,7 @@ def _place(name_or_path: str | Path, workspace: Path | None) -> tuple[Path, str]
 
 
 def route_description(name_or_path: str | Path, workspace: Path | None = None) -> str | None:
-    """What a route's file says it is for. Raises ConfigurationError as `load_route` does."""
+    """Return what a route's file says it is for. Raises ConfigurationError as `load_route` does."""
     path, _ = _place(name_or_path, workspace)
     return _read(read_text(path), shown(path), None).description
 

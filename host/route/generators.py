@@ -61,7 +61,7 @@ class RandomWaypoints(Strict):
         return self
 
     def waypoints(self) -> tuple[Vector3, ...]:
-        """The drawn points to the millimetre; the same seed gives the same points."""
+        """Return the drawn points to the millimetre; the same seed gives the same points."""
         rng = np.random.default_rng(self.seed)
         low, high = np.array(self.box_m).T
         points: list[Vector3] = []
@@ -90,7 +90,7 @@ def random_route(
     yaw: YawProfile | None = None,
     name: str | None = None,
 ) -> Route:
-    """A route through `count` waypoints drawn from `box_m` (NED). Same arguments, same route.
+    """Return a route through `count` waypoints drawn from `box_m` (NED). Same arguments, same route.
 
     Five waypoints as in the paper's data set (section IV-A). Raises ValueError on bad arguments.
     """

@@ -8,7 +8,7 @@ LAPS_MAX = 100
 
 
 def flown(lap: Route, laps: int) -> Route:
-    """The lap `laps` times over. Its gates hold on every lap, its waypoint times repeat.
+    """Return the lap `laps` times over. Its gates hold on every lap, its waypoint times repeat.
 
     lap: ends where it starts. Its total_time_s and its yaw are those of the whole flight.
     """

@@ -92,7 +92,7 @@ class LimitsOverride(Strict):
     geofence_m: tuple[Interval, Interval, Interval] | None = None
 
     def applied_to(self, limits: Limits) -> Limits:
-        """The vehicle's limits with these in their place."""
+        """Return the vehicle's limits with these in their place."""
         own = {name: getattr(self, name) for name in type(self).model_fields}
         return limits.model_copy(update={name: value for name, value in own.items() if value is not None})
 

@@ -28,6 +28,7 @@ from trimtab.host.trace.selection import Diagnosis
 def named_effects(
     chosen: ParameterSpace, diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]
 ) -> tuple[Named, ...]:
+    """Return the selected effects with values, probability and aliases."""
     values, sd = (
         chosen.values(diagnosis.selected.theta_scaled),
         np.sqrt(np.diag(diagnosis.selected.covariance)) * chosen.scale,
@@ -70,7 +71,7 @@ def model_of(
     added: bool,
     provenance: Mapping[str, object] | None,
 ) -> Model:
-    """The model file's content: named effects, everything else within tolerance as adjustments.
+    """Return the model file's content: named effects, everything else within tolerance as adjustments.
 
     Unless effects are `added` there are none, no adjustments beside what the logs declare unknown, and no
     covariance.

@@ -28,14 +28,15 @@ class Process:
     angular acceleration (rad/s^2)^2 or, where the measured body rate drives the attitude, body rate
     (rad/s)^2.
 
-    Axial stands apart because errors of the thrust act along the thrust."""
+    Axial stands apart because errors of the thrust act along the thrust.
+    """
 
     log_lateral: float
     log_axial: float
     log_torque: float
 
     def sigma(self) -> np.ndarray:
-        """Standard deviations (6,) of the disturbance: force x, y, z, torque x, y, z."""
+        """Return standard deviations (6,) of the disturbance: force x, y, z, torque x, y, z."""
         logs = [self.log_lateral] * 2 + [self.log_axial] + [self.log_torque] * 3
         return np.exp(0.5 * np.array(logs))
 
@@ -118,8 +119,8 @@ class Whitened:
 
 
 def whitened(lin: Linearisation, process: Process, prior: Prior) -> Whitened:
-    """The Grams under the covariance I + Z Q Z' (Woodbury), then the nuisances of each flight integrated
-    out.
+    """Return the Grams under the covariance I + Z Q Z' (Woodbury), then the nuisances of each flight
+    integrated out.
     """
     count, width = lin.local.shape
     m = 1 + lin.parameters

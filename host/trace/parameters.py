@@ -86,7 +86,7 @@ class ParameterSpace:
         return found
 
     def effect(self, candidate: str) -> Effect:
-        """The effect that a candidate is, or is one parameter of."""
+        """Return the effect that a candidate is, or is one parameter of."""
         return self.effects[candidate.partition(".")[0]]
 
     @property
@@ -119,7 +119,7 @@ class ParameterSpace:
         return lower, upper
 
     def clipped(self, theta_scaled: np.ndarray) -> np.ndarray:
-        """z (P,) moved inside every parameter's bounds."""
+        """Return theta_scaled (P,) moved inside every parameter's bounds."""
         return np.clip(theta_scaled, *self.bounds)
 
     def check_finite(self, sizes: np.ndarray) -> None:
@@ -161,7 +161,7 @@ _THRUST_CURVE = (("log_gain", 0.1, 1.5), ("linear", 0.2, 1.0))
 
 
 def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str] = ()) -> ParameterSpace:
-    """The space for a vehicle, the candidate effects and what the logs declare unknown."""
+    """Return the space for a vehicle, the candidate effects and what the logs declare unknown."""
     unknown = frozenset(unknown)
     strange = unknown - set(UNKNOWN)
     if strange:
@@ -196,8 +196,8 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
 
 
 def _column(vehicle: Vehicle, owner: str, parameter: Parameter, *, free: bool) -> Column:
-    """The column of an effect's parameter, with the vehicle file's tolerance where it gives one; `free` where
-    a log leaves the effect free.
+    """Return the column of an effect's parameter, with the vehicle file's tolerance where it gives one;
+    `free` where a log leaves the effect free.
     """
     tolerance = float(vehicle.tolerance(owner, parameter.key, parameter.tolerance))
     lower, upper = parameter.lower, parameter.upper

@@ -40,7 +40,8 @@ class Errors:
     """Prediction errors of one flight: at times t_s (n,).
 
     p_error_ned (n, 3) m and v_error_ned (n, 3) m/s, measured less predicted; p_predicted_ned,
-    p_measured_ned."""
+    p_measured_ned.
+    """
 
     flight: str
     reference_id: str | None

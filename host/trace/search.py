@@ -47,7 +47,7 @@ class Fitter(Protocol[F]):
     @property
     def prior(self) -> Prior: ...
     def fit(self, effects: Sequence[str], start: F) -> F:
-        """The set `effects` fitted from `start`."""
+        """Return the set `effects` fitted from `start`."""
         ...
 
     def scorers(self, fit: F) -> list[Callable[[Names], float]]:
@@ -55,7 +55,7 @@ class Fitter(Protocol[F]):
         ...
 
     def beyond(self, fit: F) -> list[Names]:
-        """Sets with one effect more that `fit`'s linearisation does not show for what they are."""
+        """Return sets with one effect more that `fit`'s linearisation does not show for what they are."""
         ...
 
 
@@ -79,7 +79,9 @@ class SearchResult(Generic[F]):
 
 
 def most_parsimonious(found: SearchResult[F], within: float) -> Names:
-    """The smallest of the sets that may be kept whose evidence is `within` so many nats of the greatest."""
+    """Return the smallest of the sets that may be kept whose evidence is `within` so many nats of the
+    greatest.
+    """
     may = {names: value for names, value in found.log_evidence.items() if names in found.posterior_weights}
     top = max(may.values())
     close = [names for names, value in may.items() if value >= top - within]
@@ -87,7 +89,7 @@ def most_parsimonious(found: SearchResult[F], within: float) -> Names:
 
 
 def most_probable(weights: Mapping[Names, float]) -> Names:
-    """The set of greatest weight."""
+    """Return the set of greatest weight."""
     return max(weights, key=lambda names: (weights[names], names))
 
 
@@ -142,14 +144,14 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Se
 
 
 def _judged(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, float]]:
-    """The set that is kept of the fitted ones, and the scores."""
+    """Return the set that is kept of the fitted ones, and the scores."""
     borne = {names: fit for names, fit in fits.items() if _is_supported(fitter, fit)}
     kept = _most_parsimonious(borne)
     return kept, _scores(fitter, kept, borne, frozenset(fits) - frozenset(borne))
 
 
 def screen(space: ParameterSpace, score: Callable[[Names], float], depth: int) -> dict[Names, float]:
-    """The score of every admissible set up to `depth` effects that a beam search visits."""
+    """Return the score of every admissible set up to `depth` effects that a beam search visits."""
     scores: dict[Names, float] = {(): score(())}
     frontier: list[Names] = [()]
     for _ in range(depth):
@@ -165,7 +167,7 @@ def screen(space: ParameterSpace, score: Callable[[Names], float], depth: int) -
 
 
 def _extensions(space: ParameterSpace, names: Names) -> list[Names]:
-    """What may be added in one step: an effect, or an effect together with one that it requires."""
+    """Return what may be added in one step: an effect, or an effect together with one that it requires."""
     free = [name for name in space.candidates if name not in names]
     alone = {name for name in free if space.admissible((*names, name))}
     out: list[Names] = [(name,) for name in free if name in alone]
@@ -174,8 +176,8 @@ def _extensions(space: ParameterSpace, names: Names) -> list[Names]:
 
 
 def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
-    """The best set overall, the best with one more, the best with one swapped, and every set with one fewer
-    that may still be it.
+    """Return the best set overall, the best with one more, the best with one swapped, and every set with one
+    fewer that may still be it.
     """
     order = sorted(scores, key=lambda names: (-scores[names], names))
     have = set(current)
@@ -216,7 +218,9 @@ def sizes(fitter: Fitter[F], fit: F) -> dict[str, float]:
 
 
 def _most_parsimonious(fits: Mapping[Names, F]) -> F:
-    """The smallest set within RULES.tie_nats of the greatest evidence; of several, the most probable."""
+    """Return the smallest set within RULES.tie_nats of the greatest evidence; of several, the most
+    probable.
+    """
     top = max(fit.log_evidence for fit in fits.values())
     close = [fit for fit in fits.values() if fit.log_evidence > top - RULES.tie_nats]
     return min(close, key=lambda fit: (len(fit.effects), -fit.log_evidence, fit.effects))

@@ -137,7 +137,7 @@ def select_effects(
 def without_form_faults(
     found: SearchResult[FlightFit], fitter: FlightFitter, twins: Sequence[tuple[int, int]]
 ) -> SearchResult[FlightFit]:
-    """The search's outcome without effects that take up what the form of a swinging one leaves.
+    """Return the search's outcome without effects that take up what the form of a swinging one leaves.
 
     What a payload on its line leaves of itself is strong and repeats; other effects explain a little of it.
     """

@@ -13,7 +13,7 @@ from trimtab.host.vehicle.strict_toml import ConfigurationError, Strict, parse_t
 
 
 def parse_vehicle(text: str, source: str) -> Vehicle:
-    """The vehicle in a TOML text; `source` names it in errors.
+    """Return the vehicle in a TOML text; `source` names it in errors.
 
     Raises ConfigurationError with every problem.
     """
@@ -37,7 +37,8 @@ def parse_vehicle(text: str, source: str) -> Vehicle:
 
 
 def load_vehicle(name_or_path: str | Path, workspace: Path | None = None) -> Vehicle:
-    """The vehicle of a path, or of a name: looked up in `workspace`/vehicles, then among the shipped ones.
+    """Return the vehicle of a path, or of a name: looked up in `workspace`/vehicles, then among the shipped
+    ones.
 
     Raises ConfigurationError (exit code 2) where no such file is, or it has problems.
     """
@@ -62,7 +63,7 @@ def list_files(folder: str, workspace: Path | None) -> dict[str, Path]:
 
 
 def find_file(name_or_path: str | Path, folder: str, workspace: Path | None, *, what: str) -> Path:
-    """The file meant by a name or a path. Raises ConfigurationError naming the known ones."""
+    """Return the file meant by a name or a path. Raises ConfigurationError naming the known ones."""
     text = str(name_or_path)
     if text.endswith(".toml") or "/" in text or isinstance(name_or_path, Path):
         path = Path(text)
@@ -78,7 +79,7 @@ def find_file(name_or_path: str | Path, folder: str, workspace: Path | None, *, 
 
 
 def read_text(path: Path) -> str:
-    """A file's text. Raises ConfigurationError where it cannot be read or is not UTF-8."""
+    """Return a file's text. Raises ConfigurationError where it cannot be read or is not UTF-8."""
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
@@ -124,12 +125,12 @@ def _is_table(value: Any) -> bool:
 
 
 def _key(key: str) -> str:
-    """A bare key where TOML allows it, else a quoted one."""
+    """Return a bare key where TOML allows it, else a quoted one."""
     return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else f'"{key}"'
 
 
 def _value(value: Any) -> str:
-    """A scalar or a list of scalars as TOML."""
+    """Return a scalar or a list of scalars as TOML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int | float):
@@ -141,7 +142,7 @@ def _value(value: Any) -> str:
 
 
 def shown(path: Path) -> str:
-    """A path as messages show it: relative where it lies below the current folder."""
+    """Return a path as messages show it: relative where it lies below the current folder."""
     try:
         return str(path.resolve().relative_to(Path.cwd()))
     except ValueError:

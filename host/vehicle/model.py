@@ -26,7 +26,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
-    """The interval itself. Raises ValueError unless low is below high."""
+    """Return the interval itself. Raises ValueError unless low is below high."""
     if not interval[0] < interval[1]:
         raise ValueError(f"{list(interval)} is not an interval, give [low, high] with low below high")
     return interval
@@ -114,7 +114,7 @@ class Gains(Strict):
 
 
 def _read_only(mapping: Mapping[str, float]) -> Mapping[str, float]:
-    """The same entries behind a view that refuses changes."""
+    """Return the same entries behind a view that refuses changes."""
     return MappingProxyType(dict(mapping))
 
 
@@ -186,7 +186,7 @@ class Vehicle(Strict):
         return self.tolerances.get(f"{effect}.{parameter}", self.tolerances.get(effect, default))
 
     def replace(self, **changes: Any) -> Vehicle:
-        """A vehicle with these fields changed, checked like a file. Raises ConfigurationError."""
+        """Return a vehicle with these fields changed, checked like a file. Raises ConfigurationError."""
         fields = {name: getattr(self, name) for name in type(self).model_fields}
         return validate({**fields, **changes}, self.name, Vehicle)
 
@@ -223,7 +223,7 @@ def hover_problem(data: Mapping[str, Any]) -> str | None:
 
 
 def _determinant(matrix: list[list[float]]) -> float:
-    """Determinant by expansion along the first row."""
+    """Return determinant by expansion along the first row."""
     if len(matrix) == 1:
         return matrix[0][0]
     total = 0.0

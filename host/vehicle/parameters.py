@@ -14,7 +14,8 @@ THRUST_MIN_SHARE = 1.0 / 170.0
 
 
 def to_parameters(vehicle: Vehicle) -> dict[str, float]:
-    """A value for every parameter of protocol's table, as float32: the vehicle's, defaults for the rest.
+    """Return a value for every parameter of protocol's table, as float32: the vehicle's, defaults for the
+    rest.
 
     Raises ConfigurationError naming the keys whose values the table does not allow.
     """

@@ -42,7 +42,7 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """The plain data of a TOML text.
+    """Return the plain data of a TOML text.
 
     Raises ConfigurationError naming `source`, line and column, or the keys of whole numbers beyond 64 bits,
     which TOML does not promise and no field has use for.
@@ -77,7 +77,7 @@ def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def validate(data: dict[str, Any], source: str, model: type[ModelT]) -> ModelT:
-    """`data` as a checked `model`. Raises ConfigurationError with one line for each problem."""
+    """Return `data` as a checked `model`. Raises ConfigurationError with one line for each problem."""
     try:
         return model.model_validate(_tuples(data))
     except ValidationError as error:
@@ -91,12 +91,12 @@ def validate(data: dict[str, Any], source: str, model: type[ModelT]) -> ModelT:
 
 
 def read_strict(text: str, source: str, model: type[ModelT]) -> ModelT:
-    """The `model` that the TOML `text` holds. Raises ConfigurationError with every problem found."""
+    """Return the `model` that the TOML `text` holds. Raises ConfigurationError with every problem found."""
     return validate(parse_toml(text, source), source, model)
 
 
 def _tuples(value: Any) -> Any:
-    """The same data with tuples for lists, so that strict validation keeps everything immutable."""
+    """Return the same data with tuples for lists, so that strict validation keeps everything immutable."""
     if isinstance(value, list):
         return tuple(_tuples(item) for item in value)
     if isinstance(value, dict):
@@ -130,7 +130,7 @@ def key_path(location: Sequence[int | str], data: Any) -> str:
 
 
 def value_at(data: Any, location: Sequence[int | str]) -> Any:
-    """What stands at a place of plain data; None where nothing does."""
+    """Return what stands at a place of plain data; None where nothing does."""
     for item in location:
         try:
             data = data[item]
@@ -140,7 +140,7 @@ def value_at(data: Any, location: Sequence[int | str]) -> Any:
 
 
 def number(value: Any) -> float | None:
-    """The value as a float; None where it is no number, or too large for one."""
+    """Return the value as a float; None where it is no number, or too large for one."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:
@@ -202,6 +202,6 @@ def _problem(details: ErrorDetails, data: dict[str, Any], known: Sequence[str]) 
 
 
 def _shown(value: Any) -> str:
-    """The value as its user wrote it, shortened."""
+    """Return the value as its user wrote it, shortened."""
     text = repr(list(value)) if isinstance(value, tuple) else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."

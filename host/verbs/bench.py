@@ -71,7 +71,7 @@ def command(
 
 
 def _learning_lines(found: dict[str, Any]) -> list[str]:
-    """The figures of learning, for people."""
+    """Return the figures of learning, for people."""
     c = found["gradient_ms"]
     lines = [
         "gradient of 10 segments of 49 steps, network 2 x 32, double precision, one core:",
@@ -93,7 +93,7 @@ def _learning_lines(found: dict[str, Any]) -> list[str]:
 
 
 def _planning_lines(found: dict[str, Any]) -> list[str]:
-    """The figures of planning, for people."""
+    """Return the figures of planning, for people."""
     lines = [
         f"min-residual*, network 2 x 32, {found['nodes']} intervals, processor time, median of "
         f"{found['planned']} of {found['courses']} courses:",

@@ -73,7 +73,7 @@ def command(
 
 
 def free_folder(root: Path, output: Path | None, force: bool) -> Path:
-    """A folder that is empty or yet to be made; with `force` any. Raises UsageError."""
+    """Return a folder that is empty or yet to be made; with `force` any. Raises UsageError."""
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
 

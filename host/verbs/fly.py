@@ -185,7 +185,9 @@ def _fly_simulated(
     realtime: bool,
     on_phase: Callable[[str], None],
 ) -> FlightResult:
-    """The flight with a simulated vehicle below the reference's first node; its truth goes beside the log."""
+    """Return the flight with a simulated vehicle below the reference's first node; its truth goes beside the
+    log.
+    """
     from contextlib import closing
 
     from trimtab.host.link.fly import fly_lockstep
@@ -213,12 +215,12 @@ def _fly_simulated(
 
 
 def _file_number(path: Path) -> int | None:
-    """What tells the file at `path` from one that replaces it while it is there; None for no file."""
+    """Return what tells the file at `path` from one that replaces it while it is there; None for no file."""
     return path.stat().st_ino if path.exists() else None
 
 
 def _write_truth(log: Path, truth: dict[str, object]) -> None:
-    """The sealed truth beside the log, tied to it by its id. Only checks open it."""
+    """Write the sealed truth beside the log, tied to it by its id. Only checks open it."""
     import json
 
     from trimtab.host.base.artefacts import content_id, write_atomic

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,7 +11,10 @@ from cyclopts import Parameter
 from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
 
 if TYPE_CHECKING:
-    from trimtab.host.learn import Judged
+    from trimtab.host.effects import Effect
+    from trimtab.host.learn import CondensedSettings, Judged, Settings
+    from trimtab.host.learn.learn import Learned
+    from trimtab.host.models.model import Model
 
 DEFAULT_OUTPUT = "learned.model.toml"
 
@@ -76,43 +79,26 @@ def command(
 
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import GateMissed, UsageError
-    from trimtab.host.base.output import emit, say, warn
+    from trimtab.host.base.output import emit, warn
     from trimtab.host.base.progress import Progress
     from trimtab.host.effects import load_effects
-    from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, Settings, learn
+    from trimtab.host.learn import DEFAULT_FORMS, learn
     from trimtab.host.log import read_flight
     from trimtab.host.models.file import SUFFIX, read_model, write_model
-    from trimtab.host.models.network import Layout
     from trimtab.host.workspace import open_workspace
-    from trimtab.protocol.blobs import HIDDEN_MAX, WIDTH_MAX
 
     if not logs:
         raise UsageError("no log given, name one or more flight logs")
     if hold_out is not None and not hold_out:
         raise UsageError("--hold-out names no log, give one or more or leave it out")
-    widths = (32, 32) if hidden is None else tuple(hidden)
-    if not 1 <= len(widths) <= HIDDEN_MAX or not all(1 <= width <= WIDTH_MAX for width in widths):
-        told = " ".join(map(str, widths))
-        raise UsageError(f"--hidden {told}: give 1 to {HIDDEN_MAX} widths of 1 to {WIDTH_MAX} each")
-    if epochs is not None and epochs < 1:
-        raise UsageError(f"--epochs {epochs}: give 1 or more")
     if method == "paper" and (effects or frame == "body" or not network or log_latency):
         raise UsageError("--method paper learns a network in the world's frame: leave the others out")
+    settings, rounds = _settings(hidden, epochs, method, frame if network else None, any_heading, log_latency)
     if seed < 0:
         raise UsageError(f"--seed {seed}: give 0 or more")
     if not output.name.endswith(SUFFIX):
         raise UsageError(f"{output}: a model's name ends in {SUFFIX}")
     artefacts.check_output(output, force)
-    settings: Settings | CondensedSettings
-    if method == "paper":
-        settings = Settings(hidden=widths, epochs=epochs or 120, any_heading=any_heading)
-        rounds = settings.epochs
-    else:
-        layout = Layout(hidden=widths, frame=frame) if network else None
-        settings = CondensedSettings(
-            layout=layout, iterations=epochs or 300, any_heading=any_heading, delay=log_latency
-        )
-        rounds = settings.iterations * settings.passes
     began = monotonic()
     library = load_effects(open_workspace(workspace).root)
     flights = [read_flight(path) for path in logs]
@@ -123,11 +109,7 @@ def command(
         parents["model"] = base.id
     chosen = DEFAULT_FORMS if effects is None and base is None and method != "paper" else effects or []
     forms = tuple(name for name in chosen if name != "none")
-    for name in forms:
-        if name not in library:
-            raise UsageError(f"--effects {name}: no such effect; there are {', '.join(library)}")
-        if base is not None and name in base.effects:
-            raise UsageError(f"--effects {name}: {model} has it already; leave one of them out")
+    _check_forms(forms, library, base, model)
     if not (forms or network):
         raise UsageError("--no-network and no --effects: there is nothing to learn")
     with Progress("learning", total=rounds) as bar:
@@ -145,32 +127,13 @@ def command(
         )
     written = learned.kept.what != "nothing"
     named = {name: learned.model.effects[name] for name in forms if written}
-    result: dict[str, Any] = {
-        "model": str(output) if written else None,
-        "model_id": learned.model.id if written else None,
-        "train": learned.train.to_json(),
-        "test": None if learned.test is None else learned.test.to_json(),
-        "improved": learned.improved,
-        "kept": learned.kept.what,
-        "candidates": [trial.to_json() for trial in learned.trials],
-        "effects": {name: dict(values) for name, values in named.items()},
-        "epochs": learned.trained.epochs,
-        "log_latency_s": learned.log_latency_s if log_latency and written else None,
-        "notes": list(learned.notes),
-        "seconds": round(monotonic() - began, 3),
-    }
     if written:
         write_model(learned.model, output, force=force)
-        told = f"{learned.trained.epochs} rounds over {learned.segments} segments"
-        say(
-            f"{output}  id {learned.model.id}  {told}",
-            *(_numbers(name, values) for name, values in named.items()),
-            *([f"poses are {1e3 * learned.log_latency_s:.1f} ms older than stamped"] if log_latency else []),
-            *(_line(name, judged) for name, judged in (("used", learned.train), ("held out", learned.test))),
-        )
+        _tell(learned, output, named, log_latency)
     for note in learned.notes:
         warn(note)
-    emit(result, json)
+    result = _answer(learned, output if written else None, named, log_latency)
+    emit({**result, "seconds": round(monotonic() - began, 3)}, json)
     if not written:
         raise GateMissed(
             f"{output}: not written, whole flights are predicted no better than without; "
@@ -178,8 +141,87 @@ def command(
         )
 
 
+def _settings(
+    hidden: list[int] | None,
+    epochs: int | None,
+    method: str,
+    frame: Literal["world", "body"] | None,
+    any_heading: bool,
+    log_latency: bool,
+) -> tuple[Settings | CondensedSettings, int]:
+    """Return the settings and the number of rounds; `frame` is None without a network. Raises UsageError."""
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.learn import CondensedSettings, Settings
+    from trimtab.host.models.network import Layout
+    from trimtab.protocol.blobs import HIDDEN_MAX, WIDTH_MAX
+
+    widths = (32, 32) if hidden is None else tuple(hidden)
+    if not 1 <= len(widths) <= HIDDEN_MAX or not all(1 <= width <= WIDTH_MAX for width in widths):
+        given = " ".join(map(str, widths))
+        raise UsageError(f"--hidden {given}: give 1 to {HIDDEN_MAX} widths of 1 to {WIDTH_MAX} each")
+    if epochs is not None and epochs < 1:
+        raise UsageError(f"--epochs {epochs}: give 1 or more")
+    if method == "paper":
+        paper = Settings(hidden=widths, epochs=epochs or 120, any_heading=any_heading)
+        return paper, paper.epochs
+    condensed = CondensedSettings(
+        layout=None if frame is None else Layout(hidden=widths, frame=frame),
+        iterations=epochs or 300,
+        any_heading=any_heading,
+        delay=log_latency,
+    )
+    return condensed, condensed.iterations * condensed.passes
+
+
+def _check_forms(
+    forms: Sequence[str], library: Mapping[str, Effect], base: Model | None, model: Path | None
+) -> None:
+    """Raise UsageError for an effect that is not in the library, or that the base model has already."""
+    from trimtab.host.base.errors import UsageError
+
+    for name in forms:
+        if name not in library:
+            raise UsageError(f"--effects {name}: no such effect; there are {', '.join(library)}")
+        if base is not None and name in base.effects:
+            raise UsageError(f"--effects {name}: {model} has it already; leave one of them out")
+
+
+def _answer(
+    learned: Learned, output: Path | None, named: Mapping[str, Mapping[str, float]], log_latency: bool
+) -> dict[str, Any]:
+    """Return the JSON object, without the time; `output` is None where nothing was written."""
+    return {
+        "model": None if output is None else str(output),
+        "model_id": None if output is None else learned.model.id,
+        "train": learned.train.to_json(),
+        "test": None if learned.test is None else learned.test.to_json(),
+        "improved": learned.improved,
+        "kept": learned.kept.what,
+        "candidates": [trial.to_json() for trial in learned.trials],
+        "effects": {name: dict(values) for name, values in named.items()},
+        "epochs": learned.trained.epochs,
+        "log_latency_s": learned.log_latency_s if log_latency and output is not None else None,
+        "notes": list(learned.notes),
+    }
+
+
+def _tell(
+    learned: Learned, output: Path, named: Mapping[str, Mapping[str, float]], log_latency: bool
+) -> None:
+    """Print what was learned and written."""
+    from trimtab.host.base.output import say
+
+    rounds = f"{learned.trained.epochs} rounds over {learned.segments} segments"
+    say(
+        f"{output}  id {learned.model.id}  {rounds}",
+        *(_numbers(name, values) for name, values in named.items()),
+        *([f"poses are {1e3 * learned.log_latency_s:.1f} ms older than stamped"] if log_latency else []),
+        *(_line(name, judged) for name, judged in (("used", learned.train), ("held out", learned.test))),
+    )
+
+
 def _numbers(name: str, values: Mapping[str, float]) -> str:
-    """An effect's parameters, in words."""
+    """Return an effect's parameters, in words."""
     return f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in values.items())
 
 

@@ -167,7 +167,7 @@ def command(
 
 
 def _check_report(path: Path, force: bool) -> None:
-    """Raises UsageError where no page may be written; call it before planning."""
+    """Raise UsageError where no page may be written; call it before planning."""
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
 
@@ -177,7 +177,7 @@ def _check_report(path: Path, force: bool) -> None:
 
 
 def _headroom(low: float, high: float) -> LimitsOverride:
-    """These shares of a rotor's thrust as limits. Raises UsageError."""
+    """Return these shares of a rotor's thrust as limits. Raises UsageError."""
     from trimtab.host.base.errors import UsageError
     from trimtab.host.route import LimitsOverride
 
@@ -187,7 +187,7 @@ def _headroom(low: float, high: float) -> LimitsOverride:
 
 
 def _lines(plan: Plan, target: Path, report: Path | None) -> list[str]:
-    """The plan for people."""
+    """Return the plan for people."""
     first = (
         f"{target}: {plan.label}, {plan.duration_s:.2f} s, {plan.path_length_m:.1f} m, "
         f"{plan.mean_speed_m_s:.2f} m/s in the mean, {len(plan.reference.nodes)} nodes"

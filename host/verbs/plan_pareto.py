@@ -99,7 +99,7 @@ class _Flights:
     """Flies points, all as the same flight of the same world: what differs is the plan."""
 
     def __init__(self, hangar: Hangar, vehicle: Vehicle, model_id: str, origin: Mapping[str, Any]) -> None:
-        """Raises ConfigurationError where there is no such world, UsageError for a folder that is taken."""
+        """Raise ConfigurationError where there is no such world, UsageError for a folder that is taken."""
         import sys
 
         from trimtab.host.apps.demo.flights import Airfield
@@ -123,7 +123,7 @@ class _Flights:
         self._force, self._model_id, self._origin = hangar.force, model_id, origin
 
     def __call__(self, point: Point) -> Any:
-        """The point's `Flown`; its reference is written too."""
+        """Return the point's `Flown`; its reference is written too."""
         from trimtab.host.base import artefacts
         from trimtab.host.plan.files import write_plan
         from trimtab.host.plan.flown import fly_plan
@@ -137,7 +137,7 @@ class _Flights:
 
 
 def _lines(points: Sequence[Point]) -> list[str]:
-    """The trade for people: a table, then why plans or flights are missing."""
+    """Return the trade for people: a table, then why plans or flights are missing."""
     from trimtab.host.plan.pareto import tabulate
 
     units, cells = tabulate(points)

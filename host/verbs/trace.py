@@ -102,7 +102,7 @@ def command(
 
 
 def manoeuvres(space: Workspace, vehicle: Vehicle) -> tuple[Manoeuvre, ...]:
-    """The shipped routes and the workspace's own that this vehicle can fly."""
+    """Return the shipped routes and the workspace's own that this vehicle can fly."""
     from trimtab.host.route import list_routes
     from trimtab.host.trace.next_flight.manoeuvres import manoeuvres as flyable
     from trimtab.host.vehicle import ConfigurationError

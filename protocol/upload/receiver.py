@@ -67,21 +67,33 @@ def _no_agreement(kind: int, blob: bytes, at_tick: int, now_us: int) -> Agreemen
 class UploadReceiver:
     """Receives one blob at a time. Nothing live changes before a commit.
 
-    Args:
-        store: where a blob is gathered, staged and committed; an upload that it still holds goes on, after
-            another check where it is complete.
-        check: says whether a blob of this kind may be used; it sees only bytes whose digest is right.
-        may_commit: whether a blob of this kind may become live now.
-        agree: whether this blob (kind, bytes) takes over at a tick in flight, asked at a time in us; where
+    Parameters
+    ----------
+    store
+        where a blob is gathered, staged and committed; an upload that it still holds goes on, after
+        another check where it is complete.
+    check
+        says whether a blob of this kind may be used; it sees only bytes whose digest is right.
+    may_commit
+        whether a blob of this kind may become live now.
+    agree
+        whether this blob (kind, bytes) takes over at a tick in flight, asked at a time in us; where
         it does, the owner calls `due` when that tick has come, or `call_off`.
-        capacity: bytes of the largest blob that is taken.
-        silence_us: after this time without a message about it, the blob in hand is no longer reported.
+    capacity
+        bytes of the largest blob that is taken.
+    silence_us
+        after this time without a message about it, the blob in hand is no longer reported.
 
-    Attributes:
-        state: what is held of the blob in hand.
-        chunks, held: of the blob in hand.
-        repeated: chunks that came again, since construction.
-        verdict: what the check said of the blob in hand, None before.
+    Attributes
+    ----------
+    state
+        what is held of the blob in hand.
+    chunks, held
+        of the blob in hand.
+    repeated
+        chunks that came again, since construction.
+    verdict
+        what the check said of the blob in hand, None before.
     """
 
     def __init__(
@@ -149,7 +161,7 @@ class UploadReceiver:
         return self._live.get(kind, bytes(6))[:6]
 
     def receive(self, message: Message, now_us: int) -> list[ReceiverEvent]:
-        """What the message brought about; a message that is not about uploads brings about nothing."""
+        """Return what the message brought about; a message that is not about uploads brings about nothing."""
         if isinstance(message, m.UploadChunk):
             self._on_chunk(message, now_us)
         elif isinstance(message, m.UploadBegin):
@@ -165,7 +177,8 @@ class UploadReceiver:
         return self._take_events()
 
     def commit(self, id_bytes: bytes, now_us: int) -> tuple[UploadResult, list[ReceiverEvent]]:
-        """Result and events of a commit asked for in another way, of the blob whose id has these 6 bytes.
+        """Return result and events of a commit asked for in another way, of the blob whose id has these 6
+        bytes.
 
         OK also where that blob is live already; UNKNOWN where it is not staged; BUSY where it is not the
         time.
@@ -179,7 +192,7 @@ class UploadReceiver:
         return (UploadResult.OK if done else UploadResult.BUSY), self._take_events()
 
     def due(self, now_us: int) -> list[ReceiverEvent]:
-        """The events of the takeover at the agreed tick, which has come; the owner has taken over."""
+        """Return the events of the takeover at the agreed tick, which has come; the owner has taken over."""
         self._do(Event.DUE, self._blob, now_us)
         return self._take_events()
 
@@ -188,7 +201,9 @@ class UploadReceiver:
         self._do(Event.CALLED_OFF, self._blob, now_us)
 
     def limits_changed(self, now_us: int) -> list[ReceiverEvent]:
-        """What it brought about that the check goes by other limits now: what is staged may be refused."""
+        """Return what it brought about that the check goes by other limits now: what is staged may be
+        refused.
+        """
         if self.state is UploadState.STAGED:
             verdict = self._check(self._blob.kind, self._store.gathered(self._blob.kind))
             if not verdict.ok:
@@ -199,7 +214,8 @@ class UploadReceiver:
     def put(
         self, kind: int, data: bytes, now_us: int
     ) -> tuple[UploadResult, Verdict | None, list[ReceiverEvent]]:
-        """Result, what the check said if it was asked, and events of a whole blob that came in another way.
+        """Return result, what the check said if it was asked, and events of a whole blob that came in
+        another way.
 
         OK: it is staged, and stays so until it is committed or another upload begins, or it is live already.
         BUSY: another upload is under way or agreed to take over. Any other result leaves nothing of it.
@@ -230,18 +246,18 @@ class UploadReceiver:
         return UploadResult.REFUSED, verdict, self._take_events()
 
     def remove(self, kind: int, now_us: int) -> tuple[UploadResult, list[ReceiverEvent]]:
-        """Result and events of forgetting what is staged of this kind; UNKNOWN where nothing is."""
+        """Return result and events of forgetting what is staged of this kind; UNKNOWN where nothing is."""
         if self.state not in _STAGED or self._blob.kind != kind:
             return UploadResult.UNKNOWN, []
         self._do(Event.ABORT_SAME, self._blob, now_us)
         return UploadResult.OK, self._take_events()
 
     def advance(self, now_us: int) -> list[ReceiverEvent]:
-        """What the passing of time brought about."""
+        """Return what the passing of time brought about."""
         return self._take_events()
 
     def send(self, now_us: int) -> list[Message]:
-        """The messages that are due."""
+        """Return the messages that are due."""
         if self._reports.due(now_us, self._blob is not _NONE):
             self._report(self._blob, now_us)
         return self._reports.take()

@@ -21,8 +21,10 @@ REMIND_US = (60_000, 1_000_000)
 class Reports:
     """What waits to be sent, and when the next report is due.
 
-    Args:
-        silence_us: after this time without a message about the blob in hand nobody is reminded of it.
+    Parameters
+    ----------
+    silence_us
+        after this time without a message about the blob in hand nobody is reminded of it.
 
     `heard_us` is when the last message about it came. `stray_tag`: of a chunk of a blob that is not known.
     `query`: number of the last UPLOAD_BEGIN, which every status repeats.
@@ -130,6 +132,6 @@ class Reports:
         )
 
     def take(self) -> list[Message]:
-        """What waits; it waits no longer."""
+        """Return what waits; it waits no longer."""
         out, self._out = self._out, []
         return out

@@ -92,7 +92,7 @@ _NOT_AGREED = Refusal(None, "no time has been agreed")
 
 
 def _everywhere(state: UploadState) -> dict[Event, Entry]:
-    """The entries that are alike in every state."""
+    """Return the entries that are alike in every state."""
     return {
         _E.BEGIN_LIVE: Move(state, _A.SAY_LIVE),
         _E.BEGIN_OTHER: Move(_S.RECEIVING, _A.BEGIN),

@@ -72,23 +72,37 @@ class _Flight(NamedTuple):
 class UploadSender:
     """Sends one blob. Call `send` for what is due, `receive` with what arrives, `advance` at the deadline.
 
-    Args:
-        blob: the bytes, 1 to SIZE_MAX.
-        kind: `blobs.Kind`.
-        commit: make it live once accepted; otherwise an accepted blob stays staged.
-        at_tick: the vehicle's tick at which it takes over in flight; None makes it live at once, on the
+    Parameters
+    ----------
+    blob
+        the bytes, 1 to SIZE_MAX.
+    kind
+        `blobs.Kind`.
+    commit
+        make it live once accepted; otherwise an accepted blob stays staged.
+    at_tick
+        the vehicle's tick at which it takes over in flight; None makes it live at once, on the
         floor.
-        window: chunks under way at a time. interval_us: least time between two chunks, which paces an
+    window
+        chunks under way at a time. interval_us: least time between two chunks, which paces an
         upload in flight.
-        patience_us: time without progress after which the upload fails.
+    patience_us
+        time without progress after which the upload fails.
 
-    Attributes:
-        state: how far it is; `over` once DONE or FAILED.
-        reason: why it failed, for people; empty before.
-        verdict: what the vehicle's check said, None before.
-        chunks: number of chunks; `held`: how many the vehicle has.
-        messages_sent, chunks_sent, chunks_repeated: counts; chunks_sent holds those repeated.
-        restarts: how often the vehicle had to be told everything again.
+    Attributes
+    ----------
+    state
+        how far it is; `over` once DONE or FAILED.
+    reason
+        why it failed, for people; empty before.
+    verdict
+        what the vehicle's check said, None before.
+    chunks
+        number of chunks; `held`: how many the vehicle has.
+    messages_sent, chunks_sent, chunks_repeated
+        counts; chunks_sent holds those repeated.
+    restarts
+        how often the vehicle had to be told everything again.
     """
 
     def __init__(
@@ -202,7 +216,7 @@ class UploadSender:
             self._do(Event.OVERDUE, None, now_us)
 
     def send(self, now_us: int) -> list[Message]:
-        """The messages that are due; the first call announces the blob."""
+        """Return the messages that are due; the first call announces the blob."""
         if self._active_us is None:
             self._active_us = self._progress_us = now_us
             self._query = now_us // _QUERY_US
@@ -339,7 +353,7 @@ class UploadSender:
         return out
 
     def _copies(self, now_us: int) -> list[Message]:
-        """The chunk under way that left longest ago, where it is time to repeat one."""
+        """Return the chunk under way that left longest ago, where it is time to repeat one."""
         if now_us < self._copy_due_us():
             return []
         index, flight = min(self._flight.items(), key=lambda item: item[1].copy_us)
@@ -371,7 +385,9 @@ class UploadSender:
         self._chunk_us = started_us + intervals * self._interval_us
 
     def _pick(self) -> int | None:
-        """The next chunk to send: lost ones first, then new ones as far as a status can report them."""
+        """Return the next chunk to send: lost ones first, then new ones as far as a status can report
+        them.
+        """
         while self._lost:
             index = heapq.heappop(self._lost)
             if not self._held[index] and index not in self._flight:

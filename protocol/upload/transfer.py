@@ -88,7 +88,7 @@ class Table(Generic[S, E, T]):
         self.rows = rows
 
     def __call__(self, state: S, event: E) -> T:
-        """The entry."""
+        """Return the entry."""
         return self.rows[state][event]
 
 
@@ -102,12 +102,12 @@ class Incoming(NamedTuple):
 
 
 def chunk_count(size: int) -> int:
-    """Number of chunks of a blob of `size` bytes."""
+    """Return number of chunks of a blob of `size` bytes."""
     return -(-size // CHUNK_BYTES)
 
 
 def tag_of(digest: bytes) -> int:
-    """The number by which chunks and answers name the blob."""
+    """Return the number by which chunks and answers name the blob."""
     return digest[0] | digest[1] << 8
 
 

@@ -70,9 +70,9 @@ def run(
     programme: Programme = BLIND,
     report: Report = lambda done, total, detail: None,
 ) -> dict[str, Any]:
-    """The study's outcome as plain data: `answer` (the machine's object), `lines` (for people), `table`,
-    `thin`, `real`, `baselines`, `confusion`, `deviations` (errors in reported sd by family), `wrong`,
-    `scores`.
+    """Return the study's outcome as plain data: `answer` (the machine's object), `lines` (for people),
+    `table`, `thin`, `real`, `baselines`, `confusion`, `deviations` (errors in reported sd by family),
+    `wrong`, `scores`.
 
     folder: state and results, made or gone on with. real: file of groups of flights that are traced beside
     the worlds. programme: what is flown in every world. jobs: processes at a time.
@@ -176,13 +176,13 @@ def _work(tasks: list[Task], ledger: Ledger, jobs: int, report: Report) -> None:
 
 
 def fly(task: Task) -> str:
-    """The SHA-256 of the sealed truth of the task's world, flown where it was not."""
+    """Return the SHA-256 of the sealed truth of the task's world, flown where it was not."""
     task.folder.mkdir(parents=True, exist_ok=True)
     return fly_and_seal(task.world, task.folder, task.references, task.vehicle, task.programme)
 
 
 def judge(task: Task) -> str:
-    """The verdict on the task's world, traced and scored where it was not."""
+    """Return the verdict on the task's world, traced and scored where it was not."""
     trace(task.folder, task.programme, copier_of(task.world.case))
     score = score_world(task.folder, Ledger(task.ledger), task.programme)
     if task.with_baselines:
@@ -197,7 +197,7 @@ def is_done(task: Task) -> bool:
 
 
 def _scores(task: Task) -> dict[str, Any]:
-    """The score of the task's world, with what other methods said where they were asked."""
+    """Return the score of the task's world, with what other methods said where they were asked."""
     others = task.folder / BASELINES
     asked = task.with_baselines and others.is_file()
     return {**read_json(task.folder / SCORE), "baselines": read_json(others) if asked else None}

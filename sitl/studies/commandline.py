@@ -34,7 +34,7 @@ class Answer:
 
 
 def run_apart(words: Sequence[str], folder: Path) -> Answer:
-    """The answer of `trimtab WORDS --json` in a process of its own, with `folder` as current one."""
+    """Return the answer of `trimtab WORDS --json` in a process of its own, with `folder` as current one."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
         [sys.executable, "-m", "trimtab.host.cli", *words, "--json"],
@@ -50,7 +50,9 @@ def run_apart(words: Sequence[str], folder: Path) -> Answer:
 
 
 def run_inside(words: Sequence[str]) -> Answer:
-    """The answer of `trimtab WORDS --json` in this process, for runs shorter than a start of Python."""
+    """Return the answer of `trimtab WORDS --json` in this process, for runs shorter than a start of
+    Python.
+    """
     out, errors, kept = io.StringIO(), io.StringIO(), sys.argv
     sys.argv = [COMMAND, *words, "--json"]
     try:
@@ -62,7 +64,7 @@ def run_inside(words: Sequence[str]) -> Answer:
 
 
 def _command() -> Any:
-    """The function behind the installed command."""
+    """Return the function behind the installed command."""
     found = entry_points(group="console_scripts", name=COMMAND)
     if not found:
         raise StudyError(f"the command {COMMAND} is not installed, install trimtab as a whole")

@@ -92,7 +92,9 @@ def motor_commands(vehicle: Vehicle, control: Control) -> np.ndarray:
 
 
 def _since_arming(track: _Rows, t_us: np.ndarray) -> _Rows:
-    """The rows of a track that begin, t_us (n,), after arming: an import counts from its first sample."""
+    """Return the rows of a track that begin, t_us (n,), after arming: an import counts from its first
+    sample.
+    """
     return track.rows(t_us >= 0)
 
 

@@ -40,12 +40,12 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """What a file written by `write_json` holds."""
+    """Return what a file written by `write_json` holds."""
     return json.loads(path.read_bytes())
 
 
 def sha256_of(path: Path) -> str:
-    """The SHA-256 of a file, 64 hex digits."""
+    """Return the SHA-256 of a file, 64 hex digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 

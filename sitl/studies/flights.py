@@ -37,15 +37,15 @@ class Programme:
         return [f"{log}.mcap" for log, name, _ in self.flights() if name in routes]
 
     def still(self, *, each: bool) -> list[tuple[str, str, int]]:
-        """The same of the flights in still air: one a learning route, or one for `each` of its twins, where
-        every flight has a battery of its own.
+        """Return the same of the flights in still air: one a learning route, or one for `each` of its twins,
+        where every flight has a battery of its own.
         """
         if each:
             return [flight for flight in self.flights() if flight[1] in self.learning]
         return [(name, name, index) for index, name in enumerate(self.learning, start=1)]
 
     def route(self, name: str) -> str:
-        """The route of this name as the command line takes it."""
+        """Return the route of this name as the command line takes it."""
         own = self.routes / f"{name}.toml"
         return str(own) if own.is_file() else name
 
@@ -67,7 +67,8 @@ _LOG_TRUTH, _WORLD = ".truth.json", "world.toml"
 
 
 def plan_references(folder: Path, vehicle: str, programme: Programme) -> Path:
-    """The folder with the study's references, planned by the command line where they are not there yet.
+    """Return the folder with the study's references, planned by the command line where they are not there
+    yet.
 
     Raises StudyError where one cannot be planned.
     """
@@ -93,7 +94,7 @@ def plan_route(folder: Path, name: str, route: str, vehicle: str) -> None:
 def fly_and_seal(
     world: PlannedWorld, folder: Path, references: Path, vehicle: str, programme: Programme
 ) -> str:
-    """The SHA-256 of the world's truth, flown and sealed in `folder`; what is there already stays.
+    """Return the SHA-256 of the world's truth, flown and sealed in `folder`; what is there already stays.
 
     A reference with a vehicle file of its name beside it is flown by that vehicle. A flight that fails is
     part of the world too, as far as it has left a log.
@@ -174,7 +175,7 @@ def trace(folder: Path, programme: Programme, copy: Callable[[Path, Path], objec
 
 
 def ask(folder: Path, logs: Sequence[str], held_out: Sequence[str]) -> dict[str, Any]:
-    """What `trimtab trace` says of the logs in `folder`: exit_code, answer, errors, trace_s.
+    """Return what `trimtab trace` says of the logs in `folder`: exit_code, answer, errors, trace_s.
 
     No network is asked for: it predicts what no verdict is about.
     """

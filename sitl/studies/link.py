@@ -76,7 +76,8 @@ def run(
     quick: bool = False,
     report: Report = lambda done, total, detail: None,
 ) -> dict[str, Any]:
-    """The study's outcome: `answer` (the machine's object), `lines` and `tables` (for people), `scores`.
+    """Return the study's outcome: `answer` (the machine's object), `lines` and `tables` (for people),
+    `scores`.
 
     quick: a small one, to see that everything works. Raises StudyError where the folder holds another study,
     or the vehicle is not the one that the uploaded references are for.
@@ -131,7 +132,7 @@ def _do(piece: Piece, folder: str, *, seed: int) -> list[dict[str, Any]]:
 
 
 def do(part: Part, seed: int) -> list[dict[str, Any]]:
-    """The rows of a part."""
+    """Return the rows of a part."""
     numbers = range(part.first, part.first + part.count)
     if part.kind == "uploads":
         return [time_upload(part.channel, seed, number) for number in numbers]

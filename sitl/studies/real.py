@@ -50,7 +50,7 @@ class RealFlights(Strict):
 
 
 def read_groups(path: Path) -> list[Group]:
-    """The groups of a file, with absolute paths.
+    """Return the groups of a file, with absolute paths.
 
     Raises StudyError where the file or a log is not there, ConfigurationError where it says something wrong.
     """
@@ -76,7 +76,8 @@ def read_groups(path: Path) -> list[Group]:
 def judge_real(
     groups: Sequence[Group], folder: Path, report: Callable[[str], None] = lambda _: None
 ) -> list[dict[str, Any]]:
-    """A row of plain data for each group: name, used, held_out, verdict, effects, before_m, after_m, trace_s.
+    """Return a row of plain data for each group: name, used, held_out, verdict, effects, before_m, after_m,
+    trace_s.
 
     What was traced before, of the same files, is taken from `folder`. Raises StudyError where a log is no
     flight.
@@ -89,7 +90,7 @@ def judge_real(
 
 
 def _verdict(group: Group, folder: Path) -> dict[str, Any]:
-    """What tracing says of the group, made once for the same files and settings."""
+    """Return what tracing says of the group, made once for the same files and settings."""
     inputs = [*group.logs, *group.hold_out, *([] if group.columns is None else [group.columns])]
     asked = {**group.model_dump(mode="json"), "sha256": {path: sha256_of(Path(path)) for path in inputs}}
     if (folder / VERDICT).is_file():
@@ -123,7 +124,7 @@ def _bring_in(group: Group, path: str, folder: Path) -> None:
 
 
 def real_row(group: Group, verdict: Mapping[str, Any]) -> dict[str, Any]:
-    """What the study tells of a group, from the verdict on it."""
+    """Return what the study tells of a group, from the verdict on it."""
     answer = verdict["answer"]
     before, after = answer.get("before") or {}, answer.get("after") or {}
     return {

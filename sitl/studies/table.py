@@ -93,7 +93,7 @@ def real_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
 
 
 def _effect(effect: Mapping[str, Any]) -> str:
-    """An effect with its values and two standard deviations, and what it could be in its place."""
+    """Return an effect with its values and two standard deviations, and what it could be in its place."""
     values = ", ".join(
         f"{key} {p['value']:.3g} +- {2 * p['sd']:.2g}{'' if p['unit'] == '1' else ' ' + p['unit']}"
         for key, p in effect["parameters"].items()
@@ -117,7 +117,9 @@ def lines(
     others: Sequence[Mapping[str, Any]] = (),
     real: Sequence[Mapping[str, Any]] = (),
 ) -> list[str]:
-    """The table as text, what came of thin data, worlds that were judged wrongly, other methods, flights."""
+    """Return the table as text, what came of thin data, worlds that were judged wrongly, other methods,
+    flights.
+    """
     rows = [{"figure": "", "value": "", "n": "n", "interval": "95 %", "target": "target"}, *table(figures)]
     widths = {key: max(len(str(row[key])) for row in rows) for key in rows[0]}
     out = ["  ".join(str(row[key]).ljust(width) for key, width in widths.items()).rstrip() for row in rows]
@@ -142,7 +144,7 @@ def lines(
 
 
 def failure(score: Mapping[str, Any]) -> str | None:
-    """What went wrong with a world, in a line; None where nothing did."""
+    """Return what went wrong with a world, in a line; None where nothing did."""
     kinds, named = " + ".join(score["kinds"]) or "nothing", ", ".join(score["named"]) or "nothing named"
     if is_right(score):
         return None

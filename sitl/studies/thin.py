@@ -66,12 +66,12 @@ CASES: dict[str, Case] = {
 
 
 def programme_of(case: str | None, whole: Programme) -> Programme:
-    """What is flown in a world of this case; the study's own programme where it is none."""
+    """Return what is flown in a world of this case; the study's own programme where it is none."""
     return whole if case is None else CASES[case].programme(whole)
 
 
 def copier_of(case: str | None) -> Callable[[Path, Path], object]:
-    """What makes a traced log from a flown one."""
+    """Return what makes a traced log from a flown one."""
     return shutil.copyfile if case is None else CASES[case].copy
 
 

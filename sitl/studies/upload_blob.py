@@ -17,7 +17,7 @@ _OMEGA = 0.8
 
 @lru_cache(maxsize=64)
 def reference_blob(vehicle: str, number: int, nodes: int = NODES) -> bytes:
-    """A reference as it travels, the same for the same number; each number has other bytes.
+    """Return a reference as it travels, the same for the same number; each number has other bytes.
 
     A lemniscate at 1.2 m that swings in and out gently, with a node every 0.1 s (at least 61) and one of yaw.
     """

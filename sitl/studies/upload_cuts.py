@@ -101,7 +101,7 @@ def _run(rig: UploadRig, until_us: int) -> bool:
 
 
 def _held(rig: UploadRig) -> set[int]:
-    """The chunks of the blob that the vehicle's memory holds."""
+    """Return the chunks of the blob that the vehicle's memory holds."""
     if rig.live == rig.blob:
         return set(range(rig.sender.chunks))
     incoming = rig.vehicle.store.incoming()

@@ -36,7 +36,9 @@ _POSE_US = 10_000
 
 
 def references() -> tuple[Reference, Reference, int]:
-    """What is flown first, what takes over (20.8 kB, from the first one's path to rest), and when, in us."""
+    """Return what is flown first, what takes over (20.8 kB, from the first one's path to rest), and when, in
+    us.
+    """
     first = Reference.from_bytes(reference_blob("research", 0, _FIRST_NODES))
     at_us = first.nodes[_SWAP_NODE].t_us
     nodes = [Node(node.t_us - at_us, node.state) for node in first.nodes[_SWAP_NODE:]]

@@ -73,7 +73,7 @@ class _Tap:
 
 
 def record(seed: int = SEED) -> tuple[list[Frame], int, tuple[int, int], int]:
-    """The frames of an upload, when it began, the cut's begin and end, and when it was over (us)."""
+    """Return the frames of an upload, when it began, the cut's begin and end, and when it was over (us)."""
     frames: list[Frame] = []
     start_us = begin_us(seed, 0)
     cut_us = (start_us + CUT_AFTER_US, start_us + CUT_AFTER_US + CUT_US)
@@ -101,7 +101,7 @@ def record(seed: int = SEED) -> tuple[list[Frame], int, tuple[int, int], int]:
 
 
 def picture(seed: int = SEED) -> str:
-    """The SVG."""
+    """Return the SVG."""
     frames, start_us, cut_us, end_us = record(seed)
 
     def y(t_us: int) -> float:
@@ -168,7 +168,7 @@ def _status(status: UploadStatus) -> str:
 
 
 def _line(frame: Frame, kind: str, y0: float, y1: float | None) -> Iterator[str]:
-    """The frame's line, to its far end or to a cross half-way."""
+    """Yield the frame's line, to its far end or to a cross half-way."""
     x0, x1 = (_HOST_X, _VEHICLE_X) if frame.up else (_VEHICLE_X, _HOST_X)
     colour, width = _COLOURS[kind], 0.7 if kind == "other" else 1.2
     dash = "" if frame.up else ' stroke-dasharray="5 3"'

@@ -111,7 +111,7 @@ class VehicleEnd:
         return False
 
     def air_send(self, now_us: int) -> bytes | None:
-        """The next frame for the air, None where there is none or no power."""
+        """Return the next frame for the air, None where there is none or no power."""
         return self.radio.air_send(now_us) if now_us >= self._on_us else None
 
     def air_receive(self, frame: bytes, now_us: int) -> None:
@@ -145,11 +145,16 @@ class VehicleEnd:
 class UploadRig:
     """One upload of `blob` to a vehicle that has `old` live.
 
-    Args:
-        seed, number: chance of the air, and the instant at which the upload begins.
-        make_sender: makes the sender, also after the host was killed.
-        on_message: is told of each message that the host says (True) or hears (False).
-        tap: what the channel is given in place of a radio (the ground's: True), to watch its frames.
+    Parameters
+    ----------
+    seed, number
+        chance of the air, and the instant at which the upload begins.
+    make_sender
+        makes the sender, also after the host was killed.
+    on_message
+        is told of each message that the host says (True) or hears (False).
+    tap
+        what the channel is given in place of a radio (the ground's: True), to watch its frames.
 
     `now_us` is the time since power-up, `begin_us` when the upload began.
     """

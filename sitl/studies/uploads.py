@@ -69,7 +69,7 @@ def time_upload(channel: str, seed: int, number: int) -> dict[str, Any]:
 
 
 def percentile(values: Iterable[float], share: float) -> float:
-    """The smallest of the values that is not exceeded by at least this share of them."""
+    """Return the smallest of the values that is not exceeded by at least this share of them."""
     return float(np.quantile(list(values), share, method="inverted_cdf"))
 
 

@@ -65,7 +65,7 @@ class PlannedWorld:
         return self.kind_class in ("single", "pair")
 
     def toml(self, *, still: bool = False) -> str:
-        """The world file; `still`: the same world in still air, seen by perfect sensors."""
+        """Return the world file; `still`: the same world in still air, seen by perfect sensors."""
         usual, strength = Turbulence(), 0.0 if still else self.turbulence
         lines = [
             'description = "A world of a blind study"',
@@ -109,7 +109,7 @@ def split(count: int) -> dict[Class, int]:
 
 
 def plan_worlds(seed: int, count: int, library: Collection[str]) -> list[PlannedWorld]:
-    """The `count` worlds of a seed, shuffled; `library` names the effects that the host has a form of.
+    """Return the `count` worlds of a seed, shuffled; `library` names the effects that the host has a form of.
 
     A kind outside the library by its own word is an outside one; one in the library is drawn alone (wind
     never: it acts through a drag), for thin data too, and in pairs. Raises StudyError for fewer worlds than
@@ -148,7 +148,7 @@ def plan_worlds(seed: int, count: int, library: Collection[str]) -> list[Planned
 
 
 def world_seed(seed: int, index: int) -> int:
-    """The seed of a study's world: 48 bits that show neither the study's seed nor the index."""
+    """Return the seed of a study's world: 48 bits that show neither the study's seed nor the index."""
     return int.from_bytes(hashlib.sha256(f"blind study {seed} world {index}".encode()).digest()[:6], "big")
 
 

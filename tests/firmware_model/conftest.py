@@ -252,7 +252,7 @@ class Session:
     def command(self, number, *parameters):
         self.send(m.CommandLong(1, 1, number, 0, *(*parameters, *(0.0,) * 7)[:7]))
 
-    def tick(self):
+    def tick(self):  # noqa: C901 - the wiring of one tick, in its order
         now, body = self.now_us, self.body
         if self.mocap and now % 10_000 == 0:
             self.send(m.AttPosMocap(now, list(body.quaternion()), *body.p))

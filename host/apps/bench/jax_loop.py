@@ -77,7 +77,7 @@ class JaxLoop:
             self._pairs[list(pair), k] = table[20 + 2 * k : 22 + 2 * k]
 
     def weights(self, xi: Any) -> Weights:
-        """The layers of a flat xi (m,)."""
+        """Return the layers of a flat xi (m,)."""
         layers, start = [], 0
         for inputs, outputs in pairwise(self._layout.sizes):
             rows = xi[start : start + outputs * (inputs + 1)].reshape(outputs, inputs + 1)
@@ -86,7 +86,7 @@ class JaxLoop:
         return layers
 
     def derivative(self, x: Any, drive: Any, flight: Any, weights: Weights) -> Any:
-        """xdot (19,) at x (19,), drive (22,) and a flight's constants (16,), as of `Phi.derivative`."""
+        """Return xdot (19,) at x (19,), drive (22,) and constants (16,) of a flight, as `Phi.derivative`."""
         p, v, angles, rate, thrust, stored = jnp.split(x, (3, 6, 9, 12, 16))
         (sr, sp, sy), (cr, cp, cy) = jnp.sin(angles), jnp.cos(angles)
         R = _matrix(
@@ -124,7 +124,7 @@ class JaxLoop:
         return p + off_p * excess - delay * (v - 0.5 * delay * a), v - delay * a
 
     def _lead(self, p: Any, v: Any, R: Any, drive: Any, flight: Any) -> tuple[Any, Any, Any]:
-        """Collective thrust (N), body rate fed forward (rad/s) and attitude error (3,) of the law."""
+        """Return collective thrust (N), body rate fed forward (rad/s) and attitude error (3,) of the law."""
         p_r, v_r, a_r, j_r = drive[:12].reshape(4, 3)
         yaw, yaw_rate, ff_accel, ff_jerk = drive[12], drive[13], drive[14:17], drive[17:20]
         feedback = self._k_p * (p_r - p) + self._k_v * (v_r - v)

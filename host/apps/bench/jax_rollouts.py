@@ -28,7 +28,7 @@ Integrator = Callable[[Rate, Any, Any, Weights, float], Any]
 
 
 def arrays_of(segments: Segments) -> tuple[Any, ...]:
-    """Starts (S, size), drive (2 N + 1, S, 22), constants (S, 16) and later measured states (N, S, 12)."""
+    """Return starts (S, size), drive (2 N + 1, S, 22), constants (S, 16) and later states (N, S, 12)."""
     drive, measured = segments.drive.swapaxes(0, 1), segments.measured[:, 1:].swapaxes(0, 1)
     return tuple(jnp.asarray(array) for array in (segments.x0, drive, segments.constants, measured))
 
@@ -53,7 +53,7 @@ def loss_and_gradient(
 
 
 def by_scan(rate: Rate, x0: Any, drive: Any, weights: Weights, step_s: float) -> Any:
-    """An `Integrator`: RK4, the steps that `trimtab.host.learn.adjoint` takes."""
+    """Return an `Integrator`: RK4, the steps that `trimtab.host.learn.adjoint` takes."""
     reaches = step_s * jnp.array([0.0, 0.5, 0.5, 1.0])
     shares = step_s / 6.0 * jnp.array([1.0, 2.0, 2.0, 1.0])
 

@@ -42,7 +42,7 @@ def measure(
     repeats: int = _REPEATS,
     counts: dict[str, int] | None = None,
 ) -> dict[str, Any]:
-    """Times on one core, and the errors that the condensed loss ends at.
+    """Return times on one core, and the errors that the condensed loss ends at.
 
     gradient_ms: of 10 segments of 49 steps, a network of 2 x 32, in C; None without a compiler.
     gradient_vm_ms: the same in CasADi's virtual machine. peers: the same by JAX and diffrax, over_ours the

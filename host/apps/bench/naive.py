@@ -34,7 +34,7 @@ class Ended:
 
 
 def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: float) -> Ended:
-    """The problem's local optimum from its start, given up after `most_s` of processor time.
+    """Return the problem's local optimum from its start, given up after `most_s` of processor time.
 
     Raises ValueError for a problem with keep-out shapes.
     """
@@ -81,7 +81,8 @@ def ipopt(tolerance: float, most_s: float) -> dict[str, Any]:
 @dataclass(frozen=True, kw_only=True)
 class Pieces:
     """The problem in continuous time as MX-callable functions of (x, u, p): state's derivative, running cost,
-    path rows."""
+    path rows.
+    """
 
     slope: ca.Function
     cost: ca.Function
@@ -89,7 +90,7 @@ class Pieces:
 
 
 def pieces(model: StageModel) -> Pieces:
-    """The model's, with the network as matrix products."""
+    """Return the model's, with the network as matrix products."""
     symbols = ca.SX.sym("x", model.nx), ca.SX.sym("u", model.nu), ca.SX.sym("p", model.np)
     rigid = ca.Function("rigid", symbols, [model.derivative(*symbols)])
     effort = ca.Function("effort", symbols, [model.effort(*symbols)])

@@ -35,7 +35,8 @@ def measure(
     *,
     repeats: int,
 ) -> list[dict[str, Any]] | None:
-    """A row a peer: name, gradient_ms, build_s, differs (of its gradient from ours, over the greatest entry).
+    """Return a row a peer: name, gradient_ms, build_s, differs (of its gradient from ours, over the greatest
+    entry).
 
     None where JAX or diffrax is not installed. weight (12,): of the loss. Raises ValueError where a gradient
     is another one than ours, and for a phi or a layout that JAX does not have.

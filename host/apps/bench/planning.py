@@ -104,7 +104,7 @@ def measure(
     model, rmse = drag_model(vehicle, seed, iterations=fit_iterations)
 
     def planned(what: str, count: int, **options: Any) -> list[Plan | str]:
-        """A course each: its plan, or why there is none."""
+        """Return a course each: its plan, or why there is none."""
         found: list[Plan | str] = []
         for number, course in enumerate(courses[:count], 1):
             hear(f"{what} {number} of {count}")
@@ -199,7 +199,7 @@ def region_of(vehicle: Vehicle) -> Region:
 def drag_model(
     vehicle: Vehicle, seed: int, *, iterations: int = _FIT_ITERATIONS
 ) -> tuple[ResidualModel, float]:
-    """A network 2 x 32 fitted to the drag, and its RMSE (m/s^2) where it was."""
+    """Return a network 2 x 32 fitted to the drag, and its RMSE (m/s^2) where it was."""
     rng = np.random.default_rng(seed)
     most = np.array([*[_SPEED_MAX_M_S] * 3, 0.8, 0.8, 0.3])[:, None]
     state = rng.uniform(-most, most, (6, _SAMPLES))
@@ -234,7 +234,7 @@ def beside(
     nodes: int,
     most_s: float,
 ) -> dict[str, Any]:
-    """The first round's problem by `solve` and by ours, both from the straight lines.
+    """Return the first round's problem by `solve` and by ours, both from the straight lines.
 
     Ours goes by way of coarser grids, and their time counts. at_least: the other did not arrive,
     `seconds` is when it ended. ours_s: None where ours did not. cost_differs: of its optimum from ours, over

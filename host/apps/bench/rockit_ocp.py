@@ -30,7 +30,7 @@ def installed() -> bool:
 
 
 def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: float) -> Ended:
-    """The problem's local optimum from its start, given up after `most_s` of processor time.
+    """Return the problem's local optimum from its start, given up after `most_s` of processor time.
 
     Raises ValueError for a problem with keep-out shapes, and where a leg has no free step size of its own.
     """
@@ -75,7 +75,7 @@ def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: floa
 def _add_leg(
     rockit: Any, ocp: Any, leg: int, model: StageModel, parts: Pieces, problem: Problem
 ) -> tuple[Any, ca.MX]:
-    """The leg's stage and its state."""
+    """Return the leg's stage and its state."""
     at = np.flatnonzero(problem.leg_of == leg)
     intervals, nodes = slice(at[0], at[-1] + 1), slice(at[0], at[-1] + 2)
     nominal_s = float(problem.h0_s[intervals].sum())

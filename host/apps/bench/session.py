@@ -18,7 +18,7 @@ _FLIGHTS = 3
 
 
 def realtime_factor(vehicle: Vehicle) -> float:
-    """Simulated seconds over seconds, the best of three flights of a shipped route in lock-step."""
+    """Return simulated seconds over seconds, the best of three flights of a shipped route in lock-step."""
     reference = plan(load_route(ROUTE), vehicle, kind="min-snap").reference
     north, east = reference.nodes_ned()[0].state[:2]
     found = []

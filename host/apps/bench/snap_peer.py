@@ -23,7 +23,8 @@ def installed() -> bool:
 
 
 def measure(waypoints_ned: Array, durations_s: Array, *, repeats: int = 100) -> dict[str, Any] | None:
-    """The best time of both for the same waypoints (K, 3) and leg times (K - 1,): ms, ours_ms, differs.
+    """Return the best time of both for the same waypoints (K, 3) and leg times (K - 1,): ms, ours_ms,
+    differs.
 
     differs: of position, velocity, acceleration and jerk at the waypoints, which fix the septics, each over
     its greatest entry. None where the peer is not installed. Raises ValueError where its spline is another.

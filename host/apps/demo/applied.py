@@ -17,7 +17,7 @@ from trimtab.protocol.blobs import BLOCK_FIELDS, FeedForward
 def feedforward_of(
     model: Model, vehicle: Vehicle, effects: Mapping[str, Effect], voltage_ratio: float
 ) -> FeedForward | None:
-    """The model's named effects at this battery voltage over full; None where the law applies none."""
+    """Return the model's named effects at this battery voltage over full; None where the law applies none."""
     numbers = compose_feedforward(model.parts(effects, use="effects"), voltage_ratio)
     block: list[float] = []
     for name, size in BLOCK_FIELDS:
@@ -34,7 +34,7 @@ def to_apply(
     voltage_ratio: float,
     predict: Callable[[FeedForward | None], float],
 ) -> tuple[FeedForward | None, str]:
-    """What to fly with and nothing, or None and the reason why nothing is better.
+    """Return what to fly with and nothing, or None and the reason why nothing is better.
 
     predict: tracking error (m) of the flight with a feed-forward, or without.
     """

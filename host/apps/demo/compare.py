@@ -103,7 +103,7 @@ class Comparison:
         return (*self.first, *(f for f in (self.new_plan, self.applied) if f is not None))
 
     def to_json(self) -> dict[str, Any]:
-        """The demo's keys, and the rest below `comparison`."""
+        """Return the demo's keys, and the rest below `comparison`."""
         return {
             "tracking_rmse_first_m": self.first_rmse_m,
             "tracking_rmse_new_plan_m": None if self.new_plan is None else self.new_plan.rmse_m,
@@ -141,7 +141,7 @@ def pooled_rmse_m(flights: Sequence[Tracked]) -> float:
 def tracked(
     label: str, flight: Flight, planned: Planned, *, latency_s: float, predicted_rmse_m: float | None = None
 ) -> Tracked:
-    """The flight against its reference, its poses taken to be `latency_s` older than stamped."""
+    """Return the flight against its reference, its poses taken to be `latency_s` older than stamped."""
     assert flight.mocap is not None
     assert flight.tracking is not None
     stamps_us, p = flight.mocap.t_us, flight.mocap.p
@@ -175,7 +175,7 @@ def _errors(flight: Flight, t_us: Array, p_ned: Array) -> tuple[Array, Array]:
 
 
 def _finite(value: float | None) -> float | None:
-    """The value; None for one that JSON does not know."""
+    """Return the value; None for one that JSON does not know."""
     return value if value is not None and np.isfinite(value) else None
 
 
@@ -185,7 +185,9 @@ def latency_of(result: Trace) -> float:
 
 
 def what_got_worse(comparison: Comparison, result: Trace) -> list[str]:
-    """A sentence for each flight that is worse in some figure; where flown, worse than in every first one."""
+    """Return a sentence for each flight that is worse in some figure; where flown, worse than in every first
+    one.
+    """
     out = []
     for flight in (comparison.new_plan, comparison.applied):
         if flight is None:

@@ -41,7 +41,7 @@ class Airfield:
         vehicle_class().create(self.vehicle, world=self.world, world_seed=self.world_seed).close()
 
     def power_up(self, reference: Reference, flight: int) -> Any:
-        """A simulated vehicle below the reference's first node."""
+        """Return a simulated vehicle below the reference's first node."""
         north, east = reference.nodes_ned()[0].state[:2]
         return vehicle_class().create(
             self.vehicle,
@@ -61,7 +61,7 @@ class Airfield:
         feedforward: FeedForward | None = None,
         model_id: str | None = None,
     ) -> FlightResult:
-        """The result of a flight with a vehicle of its own, blobs uploaded in lock-step before it."""
+        """Return the result of a flight with a vehicle of its own, blobs uploaded in lock-step before it."""
         with closing(self.power_up(reference, flight)) as simulated:
             return self.fly_with(
                 simulated, reference, flight, log, feedforward=feedforward, model_id=model_id, upload=True
@@ -78,7 +78,7 @@ class Airfield:
         model_id: str | None = None,
         upload: bool = False,
     ) -> FlightResult:
-        """The result of a flight with a powered-up vehicle; its truth is sealed beside the log.
+        """Return the result of a flight with a powered-up vehicle; its truth is sealed beside the log.
 
         Raises FlightFailed where it ends in failsafe or early; the log is readable then too.
         """
@@ -103,7 +103,7 @@ class Airfield:
 
 
 def upload_through_pty(simulated: Any, blob: Blob) -> tuple[str, UploadResult]:
-    """The pty's name and the upload's result: the vehicle stands by in real time at a pseudo terminal.
+    """Return the pty's name and the upload's result: the vehicle stands by in real time at a pseudo terminal.
 
     The bytes go through pyserial, as they would to hardware.
     """
@@ -123,12 +123,12 @@ def upload_through_pty(simulated: Any, blob: Blob) -> tuple[str, UploadResult]:
 
 
 def _file_number(path: Path) -> int | None:
-    """What tells the file at `path` from one that replaces it while it is there; None for no file."""
+    """Return what tells the file at `path` from one that replaces it while it is there; None for no file."""
     return path.stat().st_ino if path.exists() else None
 
 
 def _seal(truth: Mapping[str, Any], log: Path) -> None:
-    """What the world held, beside the log and tied to it by its id. Only checks open it."""
+    """Write what the world held beside the log, tied to it by its id. Only checks open it."""
     record = {**truth, "log": artefacts.content_id(log.read_bytes())}
     text = json.dumps(record, indent=2, sort_keys=True) + "\n"
     artefacts.write_atomic(log.with_name(log.name + TRUTH_SUFFIX), text, force=True)

@@ -49,7 +49,10 @@ class Choice:
 
 
 def plan_first(route: Route, vehicle: Vehicle) -> Planned:
-    """A plan with the nominal model. Raises PlanRefused or PlanUnsolved where more time does not help."""
+    """Return a plan with the nominal model.
+
+    Raises PlanRefused or PlanUnsolved where more time does not help.
+    """
     time_s = route.duration_s
     for left in reversed(range(TRIES)):
         try:
@@ -70,7 +73,8 @@ def plan_again(
     effects: Mapping[str, Effect],
     predict: Callable[[Plan], float],
 ) -> Choice:
-    """The same route in the same time, planned with the model: the best by prediction of several efforts.
+    """Return the same route in the same time, planned with the model: the best by prediction of several
+    efforts.
 
     predict: the tracking error (m) of a plan that has not been flown. Raises Refused or PlanUnsolved where no
     plan succeeds.
@@ -103,5 +107,5 @@ def plan_again(
 
 
 def fastest(plans: Sequence[Planned]) -> Planned:
-    """The plan with the greatest mean speed; the first of equals."""
+    """Return the plan with the greatest mean speed; the first of equals."""
     return max(plans, key=lambda planned: planned.plan.mean_speed_m_s)

@@ -14,7 +14,7 @@ Section = dict[str, Any]
 
 
 def sections(comparison: Comparison, result: Trace, vehicle: Vehicle) -> dict[str, Any]:
-    """What `trimtab.host.report.trace.page` takes as `extra`."""
+    """Return what `trimtab.host.report.trace.page` takes as `extra`."""
     return {
         "sections": [_flown(comparison, vehicle), _worse(comparison, result)],
         "data": comparison.to_json(),
@@ -65,7 +65,7 @@ def _text(comparison: Comparison) -> list[str]:
 
 
 def _sentence(reason: str | None) -> str:
-    """A reason with a full stop."""
+    """Return a reason with a full stop."""
     return f"{(reason or '').rstrip('.')}."
 
 
@@ -119,7 +119,7 @@ def _volts(value: float | None) -> str:
 
 
 def summary(answer: Mapping[str, Any]) -> list[str]:
-    """The flown comparison for people, from the demo's JSON."""
+    """Return the flown comparison for people, from the demo's JSON."""
     first, comparison = answer["tracking_rmse_first_m"], answer["comparison"]
     lines = [f"tracking error on route {comparison['route']}: {1e3 * first:.1f} mm as first flown"]
     again, applied = answer["tracking_rmse_new_plan_m"], answer["tracking_rmse_applied_m"]

@@ -37,7 +37,7 @@ class Space:
 
     @classmethod
     def of(cls, limits: Limits) -> Space:
-        """What fits a vehicle's limits."""
+        """Return what fits a vehicle's limits."""
         (north0, north1), (east0, east1), (down0, _) = limits.geofence_m
         reach = min(_REACH_M, _EDGE * min(-north0, north1, -east0, east1))
         top = min(_TOP_M, -_EDGE * down0)
@@ -63,7 +63,9 @@ class DemoRoutes:
 
 
 def draw_routes(seed: int, limits: Limits) -> DemoRoutes:
-    """The six routes of a host seed for a vehicle's limits; the same arguments give the same routes."""
+    """Return the six routes of a host seed for a vehicle's limits; the same arguments give the same
+    routes.
+    """
     space = Space.of(limits)
     rng = np.random.default_rng([seed, 0])
     return DemoRoutes(
@@ -86,7 +88,7 @@ Turning = Literal["fixed", "round", "back and forth"]
 def _eight(
     name: str, rng: np.random.Generator, space: Space, *, pace: float, turns: int, yaw: Turning
 ) -> Route:
-    """A figure eight of drawn size and direction, inclined."""
+    """Return a figure eight of drawn size and direction, inclined."""
     length, width = space.reach_m * rng.uniform(1.4, 1.8), space.reach_m * rng.uniform(0.8, 1.2)
     lift = rng.uniform(0.5, 1.0) * 0.5 * (space.top_m - space.bottom_m)
     level = FigureEight(centre_m=(0.0, 0.0, 0.0), length_m=length, width_m=width, turns=turns).waypoints()
@@ -95,7 +97,7 @@ def _eight(
 
 
 def _pretzel(name: str, rng: np.random.Generator, space: Space, *, pace: float, yaw: Turning) -> Route:
-    """The shipped pretzel, scaled to the space and turned."""
+    """Return the shipped pretzel, scaled to the space and turned."""
     shape = np.array(load_route("pretzel").waypoints_m)
     heights = -shape[:, 2]
     share = (heights - heights.min()) / np.ptp(heights)
@@ -129,14 +131,16 @@ def _route(
     pace: float,
     turning: Turning,
 ) -> Route:
-    """The route through the points at a share of the space's pace, along the straight lines."""
+    """Return the route through the points at a share of the space's pace, along the straight lines."""
     length = sum(math.dist(a, b) for a, b in itertools.pairwise(points))
     total = round(length / (pace * space.pace_m_s) + _SETTLE_S, 2)
     return Route(name=name, waypoints_m=points, total_time_s=total, yaw=_heading(turning, total, rng))
 
 
 def _heading(turning: Turning, total_s: float, rng: np.random.Generator) -> YawProfile:
-    """A heading that stays, turns once round, or turns half round and back; direction and start are drawn."""
+    """Return a heading that stays, turns once round, or turns half round and back; direction and start are
+    drawn.
+    """
     first, sign = round(float(rng.uniform(-180.0, 180.0)), 1), float(rng.choice((-1.0, 1.0)))
     if turning == "fixed":
         return YawProfile(yaw_deg=(first,), times_s=(0.0,))
@@ -147,6 +151,6 @@ def _heading(turning: Turning, total_s: float, rng: np.random.Generator) -> YawP
 
 
 def _turned(points: list[Point], angle: float) -> tuple[Point, ...]:
-    """The points turned about the vertical, to the millimetre."""
+    """Return the points turned about the vertical, to the millimetre."""
     c, s = math.cos(angle), math.sin(angle)
     return tuple((round(c * n - s * e, 3), round(s * n + c * e, 3), round(d, 3)) for n, e, d in points)

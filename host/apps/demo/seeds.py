@@ -9,12 +9,12 @@ import hashlib
 
 
 def host_seed(seed: int) -> int:
-    """The seed of routes and plans, below 2^32."""
+    """Return the seed of routes and plans, below 2^32."""
     return _hash("host", seed, 4)
 
 
 def world_seed(seed: int) -> int:
-    """The seed of the simulated world, below 2^63."""
+    """Return the seed of the simulated world, below 2^63."""
     return _hash("world", seed, 8) >> 1
 
 

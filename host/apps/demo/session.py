@@ -90,7 +90,7 @@ def run_demo(
     say: Say = lambda line: None,
     manoeuvres: Manoeuvres | None = None,
 ) -> Outcome:
-    """The outcome of a demo; files are in the folder.
+    """Return the outcome of a demo; files are in the folder.
 
     Raises ConfigurationError (no such world), Refused or PlanUnsolved (a first plan), FlightFailed (a
     failsafe before the trace), or what tracing raises; flights finished by then have left readable logs.
@@ -216,7 +216,9 @@ class _Demo:
     def _again(
         self, learning: list[Planned], used: list[tuple[Planned, Flight]], result: Trace
     ) -> Comparison:
-        """The fastest route again: by a new plan, then with the effects applied, as far as there is one."""
+        """Return the fastest route again: by a new plan, then with the effects applied, as far as there is
+        one.
+        """
         route = fastest(learning)
         latency_s = latency_of(result)
         mine = [flight for planned, flight in used if planned is route]
@@ -233,7 +235,7 @@ class _Demo:
             return predicted_rmse_m(mine[0], plan.reference, model, self._effects, feedforward)
 
         def fly(label: str, planned: Planned, feedforward: FeedForward | None) -> tuple[Tracked | None, str]:
-            """The flight and nothing, or None and what came of it."""
+            """Return the flight and nothing, or None and what came of it."""
             with self._step("fly again") as (_, done):
                 predicted_m = predict(planned.plan, feedforward)
                 try:
@@ -273,7 +275,7 @@ class _Demo:
     def _plan_again(
         self, route: Planned, model: Model, predict: Callable[[Plan], float]
     ) -> tuple[Planned | None, str]:
-        """The route's second plan and nothing, or None and the reason why."""
+        """Return the route's second plan and nothing, or None and the reason why."""
         with self._step("plan again") as (_, done):
             if not ResidualModel.of(model, self._effects).has_force:
                 why = f"{', '.join(model.effects)}: not a drag that another path could avoid"
@@ -320,7 +322,7 @@ class _Demo:
     # Parts of steps.
 
     def _first_flight(self, simulated: Any, planned: Planned) -> Flight:
-        """The flight with what is on board: the vehicle starts from power-up, its memory kept."""
+        """Return the flight with what is on board: the vehicle starts from power-up, its memory kept."""
         self._flights += 1
         simulated.power_cycle(self._flights)
         log = self._log(planned)
@@ -355,16 +357,16 @@ class _Demo:
         )
 
     def _failed(self, error: TrimtabError) -> str:
-        """What the error says, files by name alone; the demo's exit code will be its."""
+        """Return what the error says, files by name alone; the demo's exit code will be its."""
         self._failures.append(error)
         return str(error).replace(f"{self._order.folder}{os.sep}", "")
 
     def _argv(self) -> list[str]:
-        """The command without world, seed and folder, which artefacts do not tell."""
+        """Return the command without world, seed and folder, which artefacts do not tell."""
         return ["demo", "--vehicle", self._order.vehicle.name]
 
     def _told(self) -> dict[str, str]:
-        """What the logs say of the session."""
+        """Return what the logs say of the session."""
         known = artefacts.provenance(seed=self._seed, argv=self._argv())
         return {
             key: str(known[key]) for key in ("version", "git", "command", "seed") if known[key] is not None
@@ -374,7 +376,7 @@ class _Demo:
     def _step(
         self, title: str, total: float | None = None
     ) -> Iterator[tuple[Progress, Callable[[str], None]]]:
-        """Times a step and says its line; the figure of it is told to the second of what is yielded."""
+        """Yield times a step and says its line; the figure of it is told to the second of what is yielded."""
         figures: list[str] = []
         begin_s = time.perf_counter()
         with Progress(title, total) as bar:

@@ -20,7 +20,8 @@ def study_of(
     *,
     worlds: int,
 ) -> Callable[..., dict[str, Any]]:
-    """A study of pieces, as `host.studies` asks for one: what `summary` makes of its answer and its pieces.
+    """Return a study of pieces, as `host.studies` asks for one: what `summary` makes of its answer and its
+    pieces.
 
     pieces(seed, worlds, quick): what it consists of. do(piece, folder, vehicle=, seed=): what a piece comes
     to. worlds: by default.
@@ -37,7 +38,8 @@ def study_of(
         quick: bool = False,
         report: Report = lambda done, total, detail: None,
     ) -> dict[str, Any]:
-        """The study's outcome: `answer` (the machine's object), `lines` (for people), `scores` (all pieces).
+        """Return the study's outcome: `answer` (the machine's object), `lines` (for people), `scores` (all
+        pieces).
 
         quick: a small one, to see that everything works. Raises UsageError without a world, and where the
         folder holds another study.

@@ -50,12 +50,12 @@ class Audit:
     left_out: int = 0
 
     def overlaps(self, start_s: float, end_s: float) -> Stretch | None:
-        """The first stretch that takes part of the time from start_s to end_s since tracking began."""
+        """Return the first stretch that takes part of the time from start_s to end_s since tracking began."""
         return next((s for s in self.stretches if s.start_s < end_s and s.end_s > start_s), None)
 
 
 def audit(data: FlightData) -> Audit:
-    """The health of a flight's tracking phase."""
+    """Return the health of a flight's tracking phase."""
     flight, s = data.flight, data.signals
     rates = _rates(flight, s.span_s)
     stretches = [*_gaps(s), *_jumps(flight, s), *_attitudes(s), *_saturation(s), *ground_contact(data)]
@@ -83,7 +83,7 @@ def with_missing_twins(audits: Sequence[Audit], twins: Sequence[tuple[int, int]]
 
 
 def _rates(flight: Flight, span_s: tuple[float, float]) -> tuple[Rate, ...]:
-    """The rate of every topic that tracing uses, over the tracking phase."""
+    """Return the rate of every topic that tracing uses, over the tracking phase."""
     c = flight.control
     tracks = {
         topics.MOCAP_POSE: None if flight.mocap is None else flight.mocap.t_us,
@@ -112,7 +112,9 @@ def _rates(flight: Flight, span_s: tuple[float, float]) -> tuple[Rate, ...]:
 
 
 def _gaps(s: Signals) -> list[Stretch]:
-    """Times without poses and without commands; a mean over so long an interval is no command either."""
+    """Return times without poses and without commands; a mean over so long an interval is no command
+    either.
+    """
     inside = s.pose_s[within(s.pose_s, s.span_s)]
     at = np.r_[s.span_s[0], inside, s.span_s[1]]
     found = [
@@ -163,7 +165,7 @@ def _attitudes(s: Signals) -> list[Stretch]:
 
 
 def _saturation(s: Signals) -> list[Stretch]:
-    """Times over RULES.saturation_s with a motor command at 0 or at 1."""
+    """Return times over RULES.saturation_s with a motor command at 0 or at 1."""
     if s.in_newton:
         return []
     limit = np.any((s.command < RULES.saturation_low) | (s.command > RULES.saturation_high), axis=1)

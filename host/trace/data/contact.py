@@ -103,7 +103,7 @@ def _thrust(vehicle: Vehicle, command: np.ndarray) -> np.ndarray:
 
 
 def _impacts(data: FlightData) -> list[Stretch]:
-    """Times at which the accelerometer shows what no rotor can give and no air makes."""
+    """Return times at which the accelerometer shows what no rotor can give and no air makes."""
     s, vehicle = data.signals, data.flight.vehicle
     if not len(s.force_frd):
         return []

@@ -154,8 +154,8 @@ def _cut(
 
 
 def _initial(s: Signals, t: float, rate: np.ndarray | None) -> np.ndarray:
-    """Initial state (12,) at t: local quadratic through the positions, attitude of the nearest pose, body
-    rate; where no gyro says that, how the poses turn.
+    """Return initial state (12,) at t: local quadratic through the positions, attitude of the nearest pose,
+    body rate; where no gyro says that, how the poses turn.
     """
     near = np.flatnonzero(np.abs(s.pose_s - t) < 0.06)
     if len(near) < 4:

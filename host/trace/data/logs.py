@@ -80,7 +80,9 @@ def _differences(one: Vehicle, other: Vehicle) -> str:
 
 
 def observable_effects(effects: Mapping[str, Effect], flights: Sequence[Flight]) -> dict[str, Effect]:
-    """The effects that these flights could show by their signals: no sag where every battery stayed full."""
+    """Return the effects that these flights could show by their signals: no sag where every battery stayed
+    full.
+    """
     return {name: effect for name, effect in effects.items() if has_signals(effect, flights)}
 
 
@@ -105,7 +107,7 @@ def twins_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
 
 
 def strata_of(twins: Sequence[tuple[int, int]], count: int) -> list[list[int]]:
-    """Indices of `count` flights, those of one reference together; all that have no twin together."""
+    """Return indices of `count` flights, those of one reference together; all that have no twin together."""
     group = list(range(count))
     for a, b in twins:
         group[b] = min(group[a], group[b])

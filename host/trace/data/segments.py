@@ -69,14 +69,14 @@ class Segments:
         return round(self.steps * self.dt_s / BIN_S)
 
     def with_x0(self, x0: np.ndarray) -> Segments:
-        """The same segments starting from other initial states (S, 12)."""
+        """Return the same segments starting from other initial states (S, 12)."""
         return replace(self, x0=x0)
 
     def with_w(self, w: np.ndarray) -> Segments:
-        """The same segments linearised at another disturbance (S, bins, 6)."""
+        """Return the same segments linearised at another disturbance (S, bins, 6)."""
         return replace(self, disturbance_frd=w)
 
     def take(self, index: Any) -> Segments:
-        """The segments at `index` (slice, mask or integers)."""
+        """Return the segments at `index` (slice, mask or integers)."""
         shared = ("dt_s", "paths", "in_newton", "rate_driven")
         return replace(self, **{k: v[index] for k, v in vars(self).items() if k not in shared})

@@ -65,7 +65,8 @@ class FlightData:
 
 
 def signals(flight: Flight) -> Signals:
-    """The flight's measurements and inputs. Raises TooLittleData when it has no poses or no tracking phase.
+    """Return the flight's measurements and inputs. Raises TooLittleData when it has no poses or no tracking
+    phase.
 
     Where nothing recorded drives the model, thrust is taken as hover's and what that gets wrong is left to
     the nuisances; where torque is unknown and no gyro was logged, the body rate is that of the poses.
@@ -184,7 +185,7 @@ def noise(s: Signals) -> np.ndarray:
 
 
 def _robust(x: np.ndarray) -> float:
-    """Standard deviation from the median absolute value."""
+    """Return standard deviation from the median absolute value."""
     return float(1.4826 * np.median(np.abs(x)))
 
 

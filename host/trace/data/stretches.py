@@ -33,6 +33,7 @@ class Stretch:
 
 
 def within(t: np.ndarray, span_s: tuple[float, float]) -> np.ndarray:
+    """Return which of the times (n,) lie in the span."""
     return (t >= span_s[0]) & (t <= span_s[1])
 
 

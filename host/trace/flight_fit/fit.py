@@ -67,7 +67,8 @@ def whitened_grams(
 
 
 def fit_loop(loop: Loop, effects: Sequence[str], theta_scaled: np.ndarray, order: int) -> FlightFit:
-    """The set of `effects` fitted over the closed loop from theta_scaled (P,): Gauss-Newton with line search.
+    """Return the set of `effects` fitted over the closed loop from theta_scaled (P,): Gauss-Newton with line
+    search.
 
     The whitening is fitted again to what every linear step leaves.
     """
@@ -113,7 +114,7 @@ def _position_rms(loop: Loop, residuals: Sequence[np.ndarray]) -> float:
 
 
 def prior_of(space: ParameterSpace) -> Prior:
-    """The prior over the closed loop: what is left out moves within tolerance and loop discrepancy."""
+    """Return the prior over the closed loop: what is left out moves within tolerance and loop discrepancy."""
     tolerance = np.array([column.tolerance / column.scale for column in space.columns])
     return replace(space.prior, spike=np.hypot(tolerance, loop_discrepancy(space)))
 
@@ -131,7 +132,8 @@ def _line_search(
     step: np.ndarray,
     base: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """The best of z and a few points along the step, by the cost of real roll-outs; z if none is better.
+    """Return the best of z and a few points along the step, by the cost of real roll-outs; z if none is
+    better.
 
     With it, as `base` for z, per flight the residual (bins, 12) there.
     """
@@ -164,7 +166,7 @@ class FlightFitter:
         return prior_of(self.loop.space)
 
     def fit(self, effects: Sequence[str], start: FlightFit) -> FlightFit:
-        """The set `effects` fitted from `start`."""
+        """Return the set `effects` fitted from `start`."""
         theta_scaled = start.theta_scaled.copy()
         for name in set(start.effects) - set(effects):
             theta_scaled[list(self.space.groups[name])] = 0.0
@@ -189,7 +191,9 @@ class FlightFitter:
         ]
 
     def beyond(self, fit: FlightFit) -> list[Names]:
-        """Sets with one effect more that explains much from one of its `starts`, if little as a slope."""
+        """Return sets with one effect more that explains much from one of its `starts`, if little as a
+        slope.
+        """
         absent = set(self.space.candidates) - set(fit.effects)
         found = [name for name in sorted(absent) if self.space.effect(name).starts]
         grown = [name for name in found if self._begun(name, fit)[0] > RULES.worth_fitting_nats]

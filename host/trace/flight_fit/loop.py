@@ -213,7 +213,8 @@ def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
 def closed_loop(
     flights: Sequence[FlightData], vehicle: Vehicle, space: ParameterSpace, theta_scaled: np.ndarray
 ) -> Loop:
-    """The closed loop of `flights`, all with reference and law; poses are as late as theta_scaled (P,) says.
+    """Return the closed loop of `flights`, all with reference and law; poses are as late as theta_scaled
+    (P,) says.
 
     Raises TooLittleData where a log lacks something.
     """
@@ -235,5 +236,5 @@ def _extent(s: Signals) -> float:
 
 
 def order_of(loop: Loop) -> int:
-    """The order of the autoregression that these flights have enough bins for."""
+    """Return the order of the autoregression that these flights have enough bins for."""
     return affordable(sum(int(whole.sum()) for whole in loop.known))

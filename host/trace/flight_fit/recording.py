@@ -49,7 +49,7 @@ class Recording:
 
 
 def record(data: FlightData, states: States) -> Recording:
-    """The recording of a flight with reference, law and telemetry, and its `states`."""
+    """Return the recording of a flight with reference, law and telemetry, and its `states`."""
     flight, s = data.flight, data.signals
     start = s.span_s[0]
     duration = min(states.reference.nodes[-1].t_us * 1e-6, s.span_s[1] - start)

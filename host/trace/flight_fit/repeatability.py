@@ -78,7 +78,7 @@ def turbulence(
 
 
 def in_turbulence(loop: Loop, fit: FlightFit, order: int, twins: Sequence[tuple[int, int]]) -> FlightFit:
-    """The fit's effects fitted once more, whitened by what twins differ by; without twins only
+    """Return the fit's effects fitted once more, whitened by what twins differ by; without twins only
     its covariance is another.
 
     The search whitens by all that a set leaves, so that what no form explains counts as noise and names

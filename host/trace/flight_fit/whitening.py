@@ -49,7 +49,7 @@ class Whitening:
 
 
 def affordable(bins: int) -> int:
-    """The greatest order whose coefficients so many known bins tell, at least 1."""
+    """Return the greatest order whose coefficients so many known bins tell, at least 1."""
     return max(1, min(len(WINDOWS), bins // RULES.bins_per_order))
 
 
@@ -61,8 +61,8 @@ def span_of(order: int) -> int:
 def autoregression(
     residuals: Sequence[np.ndarray], known: Sequence[np.ndarray], order: int, *, skip: int = 0
 ) -> Whitening:
-    """The autoregression of residuals (bins, 12) by flight, where the bins it looks back at are known, or
-    `skip` bins before.
+    """Return the autoregression of residuals (bins, 12) by flight, where the bins it looks back at are
+    known, or `skip` bins before.
     """
     before, now = [], []
     for r, whole in zip(residuals, known, strict=True):

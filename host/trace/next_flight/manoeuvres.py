@@ -35,7 +35,7 @@ class Manoeuvre:
 
 
 def manoeuvre(name: str, route: Route, vehicle: Vehicle) -> Manoeuvre | None:
-    """The min-snap flight along the route known as `name`, at the first of PACES that keeps limits and
+    """Return the min-snap flight along the route known as `name`, at the first of PACES that keeps limits and
     geofence; None where none does.
     """
     from trimtab.host.plan import plan  # takes long to import, and few traces ask for a flight

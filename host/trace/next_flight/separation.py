@@ -66,7 +66,7 @@ class NextFlight:
         return None if self.decides else self.known_measurement
 
     def to_json(self) -> dict[str, Any]:
-        """The object `next_flight` of `trimtab trace`."""
+        """Return the object `next_flight` of `trimtab trace`."""
         return {
             "route": self.route,
             "total_time_s": self.total_time_s,
@@ -145,7 +145,7 @@ def separation(
 def propose(
     form: SegmentModel, fit: SegmentFit, effect: str, alias: str, known: Sequence[Manoeuvre]
 ) -> NextFlight | None:
-    """The manoeuvre after which `effect` and `alias` are furthest apart; None where none is known.
+    """Return the manoeuvre after which `effect` and `alias` are furthest apart; None where none is known.
 
     Counted with what the fitted flights tell already, at most what leaves them undecided. Where one of the
     two acts through an effect that was not found (wind through a drag), that is taken at its typical size and
@@ -189,7 +189,7 @@ def propose(
 
 
 def _measurement(space: ParameterSpace, effect: str, alias: str) -> str | None:
-    """What to measure where no flight tells the two apart, as either of them states it."""
+    """Return what to measure where no flight tells the two apart, as either of them states it."""
     one, other = space.effect(effect), space.effect(alias)
     return one.separated_by.get(other.name) or other.separated_by.get(one.name)
 
@@ -248,7 +248,9 @@ def _flown(form: SegmentModel, fit: SegmentFit, theta_scaled: np.ndarray) -> np.
 
 
 def _carriers(space: ParameterSpace, found: Sequence[str], pair: Sequence[str]) -> list[str]:
-    """What the pair's effects act through, the first that there is of each, where none of it was found."""
+    """Return what the pair's effects act through, the first that there is of each, where none of it was
+    found.
+    """
     out = []
     for name in pair:
         through = space.effect(name).requires_any

@@ -26,7 +26,7 @@ class ClosedForm:
     skill: float
 
     def to_json(self) -> dict[str, Any]:
-        """The value of `form`."""
+        """Return the value of `form`."""
         return {
             "name": self.name,
             "parameters": {key: round(value, 4) for key, value in self.parameters.items()},
@@ -44,19 +44,23 @@ def _to_point(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def _at_place(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """A push (n, 3) strongest at a place, Gaussian about it: c, push, width."""
+    """Return a push (n, 3) strongest at a place, Gaussian about it: c, push, width."""
     apart = np.linalg.norm(p - theta[:3], axis=1)
     return np.exp(-0.5 * (apart / theta[6]) ** 2)[:, None] * theta[3:6]
 
 
 def _along(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """A push (n, 3) along a level direction that grows exponentially that way: azimuth, push at 0, length."""
+    """Return a push (n, 3) along a level direction that grows exponentially that way: azimuth, push at 0,
+    length.
+    """
     n = np.array([np.cos(theta[0]), np.sin(theta[0]), 0.0])
     return (theta[1] * np.exp(np.clip(p @ n / theta[2], -30.0, 30.0)))[:, None] * n
 
 
 def _jet(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """A level push (n, 3) along an axis, Gaussian across it: azimuth, offset to its right, push, width."""
+    """Return a level push (n, 3) along an axis, Gaussian across it: azimuth, offset to its right, push,
+    width.
+    """
     n = np.array([np.cos(theta[0]), np.sin(theta[0]), 0.0])
     right = np.array([-n[1], n[0], 0.0])
     return (theta[2] * np.exp(-0.5 * ((p @ right - theta[1]) / theta[3]) ** 2))[:, None] * n

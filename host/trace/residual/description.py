@@ -58,7 +58,7 @@ class Slope:
     curve: np.ndarray
 
     def to_json(self) -> dict[str, Any]:
-        """An entry of `slopes`."""
+        """Return an entry of `slopes`."""
         return {
             "axis": self.axis,
             "quantity": self.quantity,
@@ -79,7 +79,7 @@ class Dependence:
     """Over all bins, body axes."""
 
     def skill_of(self, group: str) -> Skill:
-        """The skill of a group."""
+        """Return the skill of a group."""
         return next(skill for skill in self.skills if skill.group == group)
 
     @property
@@ -117,7 +117,7 @@ class Description:
     form: ClosedForm | None
 
     def to_json(self) -> dict[str, Any]:
-        """The value of `description`."""
+        """Return the value of `description`."""
 
         def told(one: Dependence) -> dict[str, Any]:
             return {
@@ -151,7 +151,8 @@ class Description:
 def describe(
     w: np.ndarray, data: Segments, references: Sequence[str | None], vehicle: Vehicle
 ) -> Description:
-    """What disturbances w (segments, bins, 6) depend on; `references` names the reference of each flight.
+    """Return what disturbances w (segments, bins, 6) depend on; `references` names the reference of each
+    flight.
 
     Where the measured body rate drives the attitude the last three channels are gyro errors: nothing is said
     of torque.
@@ -176,7 +177,7 @@ def describe(
 def _clear_form(
     bins: Bins, folds: np.ndarray, force: Dependence, forms: Sequence[tuple[ClosedForm, np.ndarray]]
 ) -> ClosedForm | None:
-    """The closed form of most skill where the force depends on position and the form says as much."""
+    """Return the closed form of most skill where the force depends on position and the form says as much."""
     if force.group != "position":
         return None
     constant = constant_columns(bins, world=True)
@@ -245,7 +246,7 @@ def _slopes(
     unit: str,
     natural: bool,
 ) -> tuple[Slope, ...]:
-    """The linear dependences that do most, each axis on each named quantity, fitted together."""
+    """Return the linear dependences that do most, each axis on each named quantity, fitted together."""
     world = natural and channel == "force"
     target = bins.force_ned if world else y
     linear = basis[:, : len(names)]

@@ -46,7 +46,9 @@ class Bins:
 
 
 def bins_of(w: np.ndarray, data: Segments, references: Sequence[str | None], vehicle: Vehicle) -> Bins:
-    """The rows of disturbances w (segments, bins, 6); `references` names that of each flight, if known."""
+    """Return the rows of disturbances w (segments, bins, 6); `references` names that of each flight, if
+    known.
+    """
     count, bins, _ = w.shape
     per_bin = data.steps // bins
     middle = per_bin // 2
@@ -89,7 +91,8 @@ def _filled(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 def features_of(bins: Bins) -> dict[str, tuple[np.ndarray, tuple[str, ...], str, bool]]:
     """By group: basis (n, m), names of its first columns, which are linear, their units, and whether the
-    axes natural to it are the world's."""
+    axes natural to it are the world's.
+    """
     up = bins.R[:, 2, :]
     collective = bins.rotors.sum(1)
     yaw = np.arctan2(bins.R[:, 1, 0], bins.R[:, 0, 0])
@@ -163,4 +166,5 @@ def columns_of(basis: np.ndarray, R: np.ndarray | None) -> np.ndarray:
 
 
 def standardised(basis: np.ndarray) -> np.ndarray:
+    """Return the columns of a basis with zero mean and unit variance."""
     return (basis - basis.mean(0)) / np.maximum(basis.std(0), 1e-9)

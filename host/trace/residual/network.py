@@ -32,7 +32,7 @@ class Unexplained:
     model: Model | None
 
     def to_json(self, model_path: str | None) -> dict[str, Any]:
-        """The value of `unexplained`."""
+        """Return the value of `unexplained`."""
         return {"before": self.before.to_json(), "after": self.after.to_json(), "model": model_path}
 
 
@@ -44,7 +44,7 @@ def unexplained(
     description: Description,
     report: Callable[[str], None] = lambda _: None,
 ) -> Unexplained | None:
-    """A network learned over `model` from the flights used, judged on those held out.
+    """Return a network learned over `model` from the flights used, judged on those held out.
 
     None where nothing was held out, or where the logs are too little to learn from.
     """

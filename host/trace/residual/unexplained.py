@@ -121,8 +121,8 @@ def unexplained_residual(
 def _repeat(
     w: np.ndarray, flight: np.ndarray, start_s: np.ndarray, twins: Sequence[tuple[int, int]]
 ) -> tuple[float, float]:
-    """The rms of w (segments, bins, 3) that repeats between twins, negative where it reverses, and its z
-    score.
+    """Return the rms of w (segments, bins, 3) that repeats between twins, negative where it reverses, and
+    its z score.
 
     Without repetition the product of two segments has a mean of 0 and a variance in proportion to their
     powers; how great, segments of twins at different times of the reference say.

@@ -64,7 +64,7 @@ class SegmentFitter:
         return self.form.space.prior
 
     def fit(self, effects: Sequence[str], start: SegmentFit) -> SegmentFit:
-        """The set `effects` refitted from `start`."""
+        """Return the set `effects` refitted from `start`."""
         return refit(self.form, start.data, effects, start)
 
     def scorers(self, fit: SegmentFit) -> list[Callable[[Names], float]]:

@@ -96,7 +96,7 @@ def _chunks(data: Segments, lanes: int) -> list[slice]:
 
 
 def basis(form: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray) -> Basis:
-    """The basis at scaled parameters theta_scaled (P,) and flight nuisances `local` (flights, 9)."""
+    """Return the basis at scaled parameters theta_scaled (P,) and flight nuisances `local` (flights, 9)."""
     count = 1 + STATES + LOCALS + 6 * data.bins
     memory = remembered(form, data, theta_scaled[:, None])
     parts = []
@@ -175,7 +175,7 @@ def fitted_x0(
     iterations: int = 1,
     memory: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Initial states (S, 12) that fit each segment's own measurements best; the rest is given.
+    """Return initial states (S, 12) that fit each segment's own measurements best; the rest is given.
 
     `memory` (M, 1, S) is `remembered` at z, where it is known.
     """
@@ -227,7 +227,7 @@ def linearise(
 
 
 def project(grams: Grams, data: Segments, theta_scaled: np.ndarray, local: np.ndarray) -> Linearisation:
-    """The linearisation left when every segment's initial state is free."""
+    """Return the linearisation left when every segment's initial state is free."""
     gram = grams.gram
     first = 1 + grams.parameters
     head, rest = np.arange(first, first + STATES), np.r_[0:first, first + STATES : gram.shape[1]]

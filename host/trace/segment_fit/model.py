@@ -65,14 +65,14 @@ class SegmentModel:
         return cls(vehicle, space, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
 
     def bind(self, name: str, lanes: int) -> Lanes:
-        """The program `name` ("step", "rotors" or "memory") with arrays for `lanes` lanes, kept."""
+        """Return the program `name` ("step", "rotors" or "memory") with arrays for `lanes` lanes, kept."""
         key = name, lanes
         if key not in self._bound:
             self._bound[key] = self._programs[name].bind(lanes, compiled=name == "memory")
         return self._bound[key]
 
     def memory_of(self, owner: str) -> int:
-        """Number of states of its own that an owner of columns has."""
+        """Return number of states of its own that an owner of columns has."""
         return self.space.effects[owner].memory if owner in self.space.effects else 0
 
     def delay_s(self, theta_scaled: np.ndarray) -> np.ndarray:
@@ -110,7 +110,7 @@ class SegmentModel:
         return columns, [[c[i] for i in range(c.shape[0])] for c in columns]
 
     def _rotors(self) -> LaneProgram:
-        """The rotor thrusts a step later: (thrust, z, command) -> next."""
+        """Return the rotor thrusts a step later: (thrust, z, command) -> next."""
         columns, (thrust, theta_scaled, command) = self._symbols("thrust", "z", "command")
         lag = dynamics.motor_lag_s(CASADI, self.vehicle, self._parts(theta_scaled))
         keep = casadi.exp(-self.dt_s / lag)
@@ -124,7 +124,8 @@ class SegmentModel:
         return lane_program(function)
 
     def _own_states(self) -> LaneProgram:
-        """The effects' own states: (body, z, memory, acceleration) -> derivative, and what they are at rest.
+        """Return the effects' own states: (body, z, memory, acceleration) -> derivative, and what they are
+        at rest.
 
         No rotor is known along a measured path: the thrust is what its `acceleration` (NED, m/s^2) takes.
         """

@@ -30,7 +30,7 @@ def roll_out(
     inputs, outputs = step.inputs, step.outputs
 
     def load(name: str, value: np.ndarray) -> None:
-        """An input of every segment (S,) or (S, n), the same in all lanes."""
+        """Load an input of every segment (S,) or (S, n), the same in all lanes."""
         rows = value.T[:, None] if value.ndim == 2 else value
         inputs[name].reshape(-1, lanes, count)[:] = rows
 

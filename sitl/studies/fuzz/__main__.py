@@ -12,7 +12,7 @@ from trimtab.sitl.studies.fuzz.run import KINDS, Crash, replay, run_fuzz
 
 
 def main(words: list[str] | None = None) -> int:
-    """The exit code: 0 without crashes, 1 with."""
+    """Return the exit code: 0 without crashes, 1 with."""
     parser = argparse.ArgumentParser(prog="python -m trimtab.sitl.studies.fuzz", description=__doc__)
     parser.add_argument("--inputs", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)

@@ -57,7 +57,7 @@ class BlobTarget:
 
 
 def blobs(target: BlobTarget, rng: Random, source: Source) -> bytes:
-    """References and feed-forwards with damage."""
+    """Return references and feed-forwards with damage."""
     return inputs.mutated_file(rng, rng.choice((source.reference, source.feedforward)))
 
 
@@ -98,7 +98,7 @@ class LogTarget(_InFolder):
 
 
 def logs(target: LogTarget, rng: Random, source: Source) -> bytes:
-    """A real flight's log with damage."""
+    """Return a real flight's log with damage."""
     return inputs.mutated_file(rng, source.log)
 
 
@@ -121,7 +121,7 @@ class TextTarget(_InFolder):
 
 
 def texts(target: TextTarget, rng: Random, source: Source) -> bytes:
-    """The shipped files with other numbers, words and lines."""
+    """Return the shipped files with other numbers, words and lines."""
     what = rng.choice(("vehicle", "route", "route", "world", "world", "model"))
     return what.encode() + b"\n" + inputs.mutated_text(rng, rng.choice(source.texts[what]))
 

@@ -174,7 +174,7 @@ def messages(target: HostTarget, rng: Random, source: Source) -> bytes:
 
 
 def recorded(target: HostTarget, rng: Random, source: Source) -> bytes:
-    """What a vehicle once sent, damaged."""
+    """Return what a vehicle once sent, damaged."""
     return inputs.mutated(rng, source.down, LONGEST)
 
 

@@ -101,7 +101,9 @@ class Found(NamedTuple):
 
 
 def valid_messages(data: bytes) -> list[Found]:
-    """The valid messages in `data`, first come first: behind one the search goes on after its last byte."""
+    """Return the valid messages in `data`, first come first: behind one the search goes on after its last
+    byte.
+    """
     found: list[Found] = []
     at = data.find(MAGIC)
     while 0 <= at <= len(data) - HEADER_BYTES - 2:
@@ -138,7 +140,9 @@ def frame(
     flags: int = 0,
     wrong: int = 0,
 ) -> bytes:
-    """A frame with this payload; `wrong` is put over its checksum, a signed one gets a signature of zeros."""
+    """Return a frame with this payload; `wrong` is put over its checksum, a signed one gets a signature of
+    zeros.
+    """
     head = bytes([len(payload), flags, 0, sequence & 0xFF, *sender]) + number.to_bytes(3, "little")
     kind = KINDS.get(number)
     body = head + payload
@@ -147,7 +151,7 @@ def frame(
 
 
 def pack(number: int, **values: Any) -> bytes:
-    """The payload of a message whose other fields are 0."""
+    """Return the payload of a message whose other fields are 0."""
     kind = KINDS[number]
     payload = bytearray(kind.size)
     for field in kind.fields:
@@ -258,7 +262,7 @@ def _put_odd(rng: Random, payload: bytearray, field: Field) -> None:
 
 
 def mutated(rng: Random, pieces: Sequence[bytes], most: int) -> bytes:
-    """A stretch of a recording (a list of what was sent at a time), damaged in one or several ways."""
+    """Return a stretch of a recording (a list of what was sent at a time), damaged in one or several ways."""
     start, size = rng.randrange(len(pieces)), rng.randrange(1, 8)
     chosen = list(pieces[start : start + size])
     for _ in range(rng.randrange(1, 4)):
@@ -283,7 +287,7 @@ def mutated(rng: Random, pieces: Sequence[bytes], most: int) -> bytes:
 
 
 def mutated_file(rng: Random, content: bytes) -> bytes:
-    """A binary file with damage: bits and bytes changed, parts cut, repeated, moved or made up."""
+    """Return a binary file with damage: bits and bytes changed, parts cut, repeated, moved or made up."""
     data = bytearray(content)
     for _ in range(rng.choice((1, 1, 2, 4))):
         if not data:
@@ -314,7 +318,7 @@ _WORDS = (
 
 
 def mutated_text(rng: Random, content: bytes) -> bytes:
-    """A TOML file with other numbers, words, lines; now and then no TOML any more."""
+    """Return a TOML file with other numbers, words, lines; now and then no TOML any more."""
     lines = content.split(b"\n")
     for _ in range(rng.choice((1, 1, 2, 5))):
         act, at = rng.randrange(8), rng.randrange(len(lines))
@@ -341,7 +345,7 @@ def mutated_text(rng: Random, content: bytes) -> bytes:
 
 
 def _other_number(rng: Random, value: bytes) -> bytes:
-    """The text with one of its digits exchanged or repeated."""
+    """Return the text with one of its digits exchanged or repeated."""
     places = [i for i, c in enumerate(value) if c in b"0123456789"]
     if not places:
         return value

@@ -97,7 +97,7 @@ def run_fuzz(
     workers: int = 1,
     kinds: tuple[str, ...] = tuple(KINDS),
 ) -> FuzzReport:
-    """What `inputs` inputs of `kinds`, in proportion to their shares, brought about.
+    """Return what `inputs` inputs of `kinds`, in proportion to their shares, brought about.
 
     The same inputs come from the same seed, however many processes share the work.
     """
@@ -117,7 +117,9 @@ def run_fuzz(
 
 
 def replay(kind: str, seed: int, index: int) -> Crash | None:
-    """The crash that this input brings about after those before it in its batch; None where it is mended."""
+    """Return the crash that this input brings about after those before it in its batch; None where it is
+    mended.
+    """
     number, at = divmod(index, BATCH)
     crashes = _run_recorded(_Batch(kind, seed, number, at + 1)).crashes
     return next((crash for crash in crashes if crash.index == index), None)
@@ -190,5 +192,5 @@ def _close(target: Any) -> None:
 
 
 def _hex(data: Any) -> str:
-    """The input as hex; datagrams apart."""
+    """Return the input as hex; datagrams apart."""
     return data.hex() if isinstance(data, bytes) else " ".join(part.hex() for part in data)

@@ -104,7 +104,7 @@ def short_reference(vehicle: Vehicle, seconds: float = 1.2, reach: float = 0.5) 
 
 @lru_cache(maxsize=1)
 def record() -> Source:
-    """A short flight in the empty world, uploads included, and everything that went over its lines."""
+    """Return a short flight in the empty world, uploads included, and everything that went over its lines."""
     vehicle = load_vehicle("research")
     reference = short_reference(vehicle)
     feedforward = FeedForward(

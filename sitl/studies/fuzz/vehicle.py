@@ -84,7 +84,7 @@ class _Board:
         return self._values
 
     def state(self) -> tuple[Any, ...]:
-        """What only a valid message, or time, may change."""
+        """Return what only a valid message, or time, may change."""
         flight, store = self.mcu.flight, self.store
         return (
             flight.state,
@@ -153,7 +153,7 @@ class VehicleTarget:
     # What a host would send.
 
     def pose(self) -> bytes:
-        """A pose as the host would forward it now."""
+        """Return a pose as the host would forward it now."""
         at_us = max(0, self.now_us - 8_000)
         payload = pack(m.AttPosMocap.id, time_usec=at_us, q=(1.0, 0.0, 0.0, 0.0), x=0.0, y=0.0, z=-0.01)
         return frame(m.AttPosMocap.id, payload)
@@ -165,7 +165,7 @@ class VehicleTarget:
         return frame(m.CommandLong.id, payload)
 
     def upload_step(self) -> bytes:
-        """The next message of an upload that is under way or begins."""
+        """Return the next message of an upload that is under way or begins."""
         kind, blob = self._uploading
         digest = _digest(blob)
         chunks = -(-len(blob) // CHUNK_BYTES)
@@ -254,7 +254,7 @@ class VehicleTarget:
         self._was_flying = self._a.mcu.state in FLYING
 
     def _check_rules(self, before: tuple[Any, ...], after: tuple[Any, ...], found: list[Found]) -> None:
-        """What changed was changed by a message that may."""
+        """Check that what changed was changed by a message that may."""
         kinds = {one.message.get_type() for one in found if _for_us(one)}
         self._asked = self._asked or any(_commits(one) for one in found)
         self._armed = self._armed or not kinds.isdisjoint(_COMMANDS)
@@ -305,7 +305,7 @@ def messages(target: VehicleTarget, rng: Random, source: Source) -> bytes:
 
 
 def recorded(target: VehicleTarget, rng: Random, source: Source) -> bytes:
-    """What a host once sent, damaged."""
+    """Return what a host once sent, damaged."""
     return inputs.mutated(rng, source.up, LONGEST)
 
 
@@ -345,7 +345,7 @@ class RadioTarget:
                 self._check_sent(sent)
 
     def _check_sent(self, sent: bytes) -> None:
-        """A frame holds whole messages, or the next piece of one that is too long for a frame."""
+        """Check that a frame holds whole messages, or the next piece of one too long for a frame."""
         what = f"the ground radio sends {sent.hex()}"
         if len(sent) > FRAME_BYTES:
             raise Broken(what)

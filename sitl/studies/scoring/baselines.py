@@ -49,7 +49,7 @@ _STEP = 1e-4
 
 
 def judge_others(folder: Path, programme: Programme) -> dict[str, Any]:
-    """What the other methods say of a world that has its score, kept as a file in its folder.
+    """Return what the other methods say of a world that has its score, kept as a file in its folder.
 
     By method: names found (None for one that names nothing), whether the first and the set are right, and the
     error on held-out flights, m, where the method predicts. Raises StudyError where there is no score yet or

@@ -53,11 +53,11 @@ class Effective:
         return _values(self.space, self.z)
 
     def true(self) -> Values:
-        """The world's effects, by name and key."""
+        """Return the world's effects, by name and key."""
         return {name: self.values[name] for name in self.candidates}
 
     def bound_sd(self, name: str, key: str) -> float:
-        """The bound of a parameter: one sd."""
+        """Return the bound of a parameter: one sd."""
         (i,) = (i for i in self.space.owners[name] if self.space.columns[i].key == key)
         return float(np.sqrt(self.covariance[i, i])) * self.space.columns[i].scale
 
@@ -70,7 +70,7 @@ def effective(
     still: Sequence[Flight],
     flights: Sequence[Flight],
 ) -> Effective:
-    """The effective parameters of a world that holds the `drawn` effects and the build's `deviations`.
+    """Return the effective parameters of a world that holds the `drawn` effects and the build's `deviations`.
 
     still: each reference flown once in still air with perfect sensors; flights: as they were traced, with
     twins. What `space` has no form of is left out.
@@ -92,7 +92,9 @@ def effective(
 
 
 def _candidate(space: ParameterSpace, name: str, values: Mapping[str, float]) -> str:
-    """What tracing calls an effect with these values: its name, or that of the one parameter off neutral."""
+    """Return what tracing calls an effect with these values: its name, or that of the one parameter off
+    neutral.
+    """
     if name in space.groups:
         return name
     (key,) = [key for key, value in _away(space, name, values).items() if value]

@@ -36,7 +36,7 @@ def exact_interval(hits: int, count: int, confidence: float = 0.95) -> tuple[flo
 
 
 def summary(scores: Scores) -> dict[str, Any]:
-    """The figures of a study as plain data: the machine's keys, None where nothing was counted.
+    """Return the figures of a study as plain data: the machine's keys, None where nothing was counted.
 
     `n` and `interval` have the keys of the figures; `by_family` has coverage and width once more by family,
     `thin` counts outcomes by case.
@@ -117,7 +117,7 @@ def _family(rows: Scores) -> dict[str, Any]:
 
 
 def outcome(score: Mapping[str, Any]) -> str:
-    """What came of a world with thin data: one of OUTCOMES."""
+    """Return what came of a world with thin data: one of OUTCOMES."""
     if score["verdict"] == "traced":
         return "wrong" if score["wrong"] else "right"
     if score["verdict"] == "failed":
@@ -196,7 +196,9 @@ def baseline_rows(scores: Scores) -> list[dict[str, Any]]:
 
 
 def _as_baseline(score: Mapping[str, Any]) -> dict[str, Any]:
-    """What tracing said of a world, in the words of the other methods: whatever is named counts as named."""
+    """Return what tracing said of a world, in the words of the other methods: whatever is named counts as
+    named.
+    """
     alarm = ["something"] if score["verdict"] != "nothing-missing" else []
     return {
         "names": alarm if score["class"] == "none" else score["named"],

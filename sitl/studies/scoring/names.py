@@ -41,7 +41,7 @@ class Ratio:
 
 
 def ratios(effects: Mapping[str, Effect]) -> list[Ratio]:
-    """The ratios that flights show in place of what the effects themselves are."""
+    """Return the ratios that flights show in place of what the effects themselves are."""
     return [
         Ratio(
             name=alias.ratio.replace(" ", "-"),

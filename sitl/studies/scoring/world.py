@@ -29,12 +29,12 @@ INSIDE = ("single", "pair", "none")
 
 
 def library() -> dict[str, Effect]:
-    """The effects that the host has a form of, by name."""
+    """Return the effects that the host has a form of, by name."""
     return load_effects()
 
 
 def open_truth(folder: Path, ledger: Ledger) -> dict[str, Any]:
-    """The truth of a world whose verdict is a file, as it was sealed.
+    """Return the truth of a world whose verdict is a file, as it was sealed.
 
     Raises SealBroken where it is not what the ledger holds, StudyError where there is no verdict yet.
     """
@@ -45,7 +45,7 @@ def open_truth(folder: Path, ledger: Ledger) -> dict[str, Any]:
 
 
 def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str, Any]:
-    """The world's score, made once and kept as a file. Raises as `open_truth` does."""
+    """Return the world's score, made once and kept as a file. Raises as `open_truth` does."""
     if (folder / SCORE).is_file():
         return read_json(folder / SCORE)
     truth = open_truth(folder, ledger)
@@ -92,7 +92,7 @@ def judge(
     separations: Mapping[str, Mapping[str, float]] | None,
     effects: Mapping[str, Effect],
 ) -> dict[str, Any]:
-    """What the verdict says of a world that holds `kinds`, as plain data.
+    """Return what the verdict says of a world that holds `kinds`, as plain data.
 
     `separations` in sigma, of each true effect from each other candidate, are None where the world holds
     nothing of the library. An undecided verdict on an identifiable world misses. What a verdict that names
@@ -144,7 +144,8 @@ def judge(
 def parameter_rows(
     truth: Mapping[str, Any], answer: Mapping[str, Any], known: Effective | None
 ) -> list[dict[str, Any]]:
-    """A row for each parameter of each true effect that was named: truth, estimate, sd, bound, typical size.
+    """Return a row for each parameter of each true effect that was named: truth, estimate, sd, bound,
+    typical size.
 
     Of two effects that fit exactly alike (mass and thrust gain) the row is their observable ratio. A
     parameter that was drawn off neutral and is not among the named one's keys (another rotor) has no
@@ -186,7 +187,7 @@ def parameter_rows(
 
 
 def _ratio_row(name: str, ratio: Ratio, found: Mapping[str, Any], known: Effective) -> list[dict[str, Any]]:
-    """The row of a ratio where either effect was named, to first order in the standard deviations."""
+    """Return the row of a ratio where either effect was named, to first order in the standard deviations."""
     if not ratio.alike & set(found):
         return []
     over, under = (

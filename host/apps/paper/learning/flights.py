@@ -55,7 +55,7 @@ class Flights:
         return np.stack([reference_drive(reference, times) for reference in self.references])
 
     def take(self, count: int) -> Flights:
-        """The first `count` of them."""
+        """Return the first `count` of them."""
         return replace(self, references=self.references[:count], x=self.x[:count])
 
     def segments(self, phi: Phi, *, measured: np.ndarray, sigma: np.ndarray, held: bool = False) -> Segments:
@@ -108,7 +108,7 @@ def make_flights(
 
 
 def fly(phi: Phi, theta: np.ndarray, references: tuple[Reference, ...]) -> Flights:
-    """References of one duration flown by phi at theta, from rest at their first nodes."""
+    """Return references of one duration flown by phi at theta, from rest at their first nodes."""
     nodes = round(references[0].nodes[-1].t_us * 1e-6 / STEP_S)
     steps = (nodes - 1) * round(STEP_S / _FINE_S)
     starts = [flat_outputs(reference, np.zeros(1))[:3, 0] for reference in references]

@@ -57,8 +57,8 @@ class Course:
 
 
 def draw_courses(vehicle: Vehicle, seed: int) -> list[Course]:
-    """The sixteen references and the three out of distribution; a path that the vehicle may not fly at the
-    fastest pace asked of it is drawn again.
+    """Return the sixteen references and the three out of distribution; a path that the vehicle may not fly
+    at the fastest pace asked of it is drawn again.
     """
     rng = np.random.default_rng([seed, 1])
     courses = []
@@ -85,8 +85,8 @@ def statistics(courses: list[Course]) -> dict[str, float]:
 
 
 def fly_and_learn(folder: Path, vehicle: Vehicle, seed: int, world: int) -> dict[str, Any]:
-    """What was learned in one world, kept in `folder`/result.json: position and velocity errors of whole
-    flights by set and method, and the flights that failed.
+    """Return what was learned in one world, kept in `folder`/result.json: position and velocity errors of
+    whole flights by set and method, and the flights that failed.
     """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -145,7 +145,7 @@ def _learned(
     *,
     as_asked: bool = False,
 ) -> Learned:
-    """What is learned from all of these flights; nothing of them is held out."""
+    """Return what is learned from all of these flights; nothing of them is held out."""
     return learn(flights, effects=effects, settings=settings, forms=forms, hold_out=(), as_asked=as_asked)
 
 
@@ -163,7 +163,10 @@ def _sets(
 def _paced(
     rng: np.random.Generator, vehicle: Vehicle, name: str, paces: Mapping[str, float], *, ood: bool
 ) -> list[Course]:
-    """A path drawn and flown at these paces. Raises ValueError where none that was drawn may be flown."""
+    """Return a path drawn and flown at these paces.
+
+    Raises ValueError where none that was drawn may be flown.
+    """
     for _ in range(_TRIES):
         waypoints = _walk(rng)
         durations = optimise_durations(waypoints, _DURATION_S)

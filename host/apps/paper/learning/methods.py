@@ -62,7 +62,7 @@ class Timed:
 
 
 def phi_of(flights: Flights, regressor: Regressor) -> Phi:
-    """The model that learns: that of the flights, with its drag to be found, or without."""
+    """Return the model that learns: that of the flights, with its drag to be found, or without."""
     known = flights.phi
     return Phi(
         vehicle=known.vehicle,
@@ -78,7 +78,7 @@ def exact_segments(phi: Phi, flights: Flights, *, held: bool = False) -> Segment
 
 
 def patience_of(iterations: int) -> int:
-    """Iterations without a better validation loss that end one pass of so many."""
+    """Return the iterations without a better validation loss that end one pass of so many."""
     return max(40, iterations // 5)
 
 
@@ -124,7 +124,7 @@ def condensed(
     free_start: bool = True,
     passes: int = 2,
 ) -> Timed:
-    """The condensed loss with L-BFGS."""
+    """Return the condensed loss with L-BFGS."""
     settings = CondensedSettings(
         layout=layout,
         passes=passes,
@@ -151,7 +151,7 @@ def learn_exact(
     iterations: int,
     l2: float = 1e-6,
 ) -> Timed:
-    """A regressor learned by the condensed loss from the flights' own states."""
+    """Return a regressor learned by the condensed loss from the flights' own states."""
     phi = phi_of(train_on, regressor)
     return condensed(
         phi,

@@ -46,7 +46,9 @@ class Observed:
 
 
 def observe(flights: Flights, scale: float, rng: np.random.Generator) -> Observed:
-    """The flights with noise of `scale` times the usual; 0 leaves them exact before they are smoothed."""
+    """Return the flights with noise of `scale` times the usual; 0 leaves them exact before they are
+    smoothed.
+    """
     x = flights.x[..., :12]
     spread = np.repeat([POSITION_M, 0.0, ATTITUDE_RAD, RATE_RAD_S], 3)
     seen = x + scale * spread * rng.standard_normal(x.shape)

@@ -48,7 +48,7 @@ QUICK = Scope(
 
 
 def plan(seed: int, worlds: int, scope: Scope) -> list[Piece]:
-    """The pieces of a study."""
+    """Return the pieces of a study."""
     pieces = [Piece(name="nominal", kind="nominal", arguments={}, weight=0.3)]
     for weight, held in ((curves.IDENTITY, False), (curves.IDENTITY, True), (curves.FIRST_SIX, False)):
         for k in range(scope.trials):
@@ -78,7 +78,7 @@ def plan(seed: int, worlds: int, scope: Scope) -> list[Piece]:
 
 
 def do(piece: Piece, folder: str, *, vehicle: str, seed: int) -> Any:
-    """What a piece comes to."""
+    """Return what a piece comes to."""
     craft = load_vehicle(vehicle)
     if piece.kind == "world":
         place = Path(folder) / "worlds" / f"{piece.arguments['world']:02d}"

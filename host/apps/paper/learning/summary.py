@@ -282,7 +282,7 @@ def _flown_table(flown: Row) -> list[Row]:
 def _grouped(
     rows: Sequence[Mapping[str, Any]], *keys: str
 ) -> Iterable[tuple[tuple[Any, ...], list[Mapping[str, Any]]]]:
-    """The rows by what they hold under these keys, in the order of their first ones."""
+    """Return the rows by what they hold under these keys, in the order of their first ones."""
     groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)

@@ -50,7 +50,7 @@ def train_supervised(
     settings: CondensedSettings,
     rng: np.random.Generator,
 ) -> Candidate:
-    """A network and phi's effects fitted to the labels."""
+    """Return a network and phi's effects fitted to the labels."""
     basis = Basis(layout=settings.layout, parameters=len(phi.theta_names), delay=False)
     start = np.zeros(basis.size)
     if settings.layout is not None:
@@ -69,7 +69,7 @@ def train_supervised(
 
 
 def _examples(phi: Phi, labelled: Labelled) -> Examples:
-    """The regression as a condensed loss: u is compared with the label node by node."""
+    """Return the regression as a condensed loss: u is compared with the label node by node."""
     states, acceleration, drive = labelled.states, labelled.acceleration, labelled.drive
     count, nodes = states.shape[:2]
     nominal = accelerations(phi, phi.theta_neutral, None, states, drive)

@@ -67,7 +67,7 @@ def laws(candidate: Candidate, sets: dict[str, Flights], seed: int, iterations: 
 
 
 def _laws(vehicle: Vehicle) -> dict[str, dict[str, float]]:
-    """The firmware's parameters by law."""
+    """Return the firmware's parameters by law."""
     gains = vehicle.gains
     softer = gains.model_copy(
         update={key: tuple(share * k for k in getattr(gains, key)) for key, share in _SOFTER.items()}
@@ -78,6 +78,6 @@ def _laws(vehicle: Vehicle) -> dict[str, dict[str, float]]:
 
 
 def _flown(known: Flights, vehicle: Vehicle, parameters: dict[str, float]) -> Flights:
-    """The same references with the same drag under another law."""
+    """Return the same references with the same drag under another law."""
     phi = Phi(vehicle=vehicle, effects=known.phi.effects, estimator=False, parameters=parameters)
     return fly(phi, known.theta, known.references)

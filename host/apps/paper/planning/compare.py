@@ -122,7 +122,9 @@ def flown(
 
 
 def residual_models(flights: Sequence[Flight], effects: Mapping[str, Effect]) -> dict[str, ResidualModel]:
-    """The residual acceleration as a closed form, and as networks; the torque is a closed form in all."""
+    """Return the residual acceleration as a closed form, and as networks; the torque is a closed form in
+    all.
+    """
     torque = tuple(name for name in DEFAULT_FORMS if name != LINEAR_DRAG.name)
     asked: dict[str, tuple[Layout | None, tuple[str, ...]]] = {CLOSED_FORM: (None, DEFAULT_FORMS)}
     for what, frame in NETWORKS.items():
@@ -146,7 +148,7 @@ def residual_models(flights: Sequence[Flight], effects: Mapping[str, Effect]) ->
 def _planned(
     course: Course, vehicle: Vehicle, model: ResidualModel, kind: str, settings: Settings, nodes: int | None
 ) -> tuple[dict[str, Any], Plan | None]:
-    """The plan's figures, or why there is none, and the plan."""
+    """Return the plan's figures, or why there is none, and the plan."""
     try:
         if kind == "min-snap":
             made = course.snap

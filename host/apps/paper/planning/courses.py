@@ -49,6 +49,6 @@ def draw_course(vehicle: Vehicle, seed: int, index: int, purpose: str) -> Course
 
 
 def draw(seed: int, *what: str | int) -> int:
-    """A number for a purpose, from the study's seed."""
+    """Return a number for a purpose, from the study's seed."""
     text = "trimtab study paper-planning, " + ", ".join(map(str, what)) + f", seed {seed}"
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") >> 33

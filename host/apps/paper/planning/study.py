@@ -17,7 +17,7 @@ WORLDS, COURSES, PLANNED = 5, 4, 20
 
 
 def plan_pieces(worlds: int, courses: int, planned: int) -> list[Piece]:
-    """The pieces of a study."""
+    """Return the pieces of a study."""
     pieces = [Piece(name=f"planned-{k:02d}", kind="planned", arguments={"index": k}) for k in range(planned)]
     for world in range(worlds):
         arguments = {"world": world, "courses": courses}
@@ -28,7 +28,7 @@ def plan_pieces(worlds: int, courses: int, planned: int) -> list[Piece]:
 
 
 def do(piece: Piece, folder: str, *, vehicle: str, seed: int) -> Any:
-    """What a piece comes to."""
+    """Return what a piece comes to."""
     craft = load_vehicle(vehicle)
     if piece.kind == "planned":
         return compare.planned(craft, seed, **piece.arguments)

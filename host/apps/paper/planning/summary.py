@@ -26,7 +26,7 @@ _MEASURES = {
 
 
 def summary(answer: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """The study's outcome: `answer`, `tables` by title, `lines`, and what the pictures show."""
+    """Return the study's outcome: `answer`, `tables` by title, `lines`, and what the pictures show."""
     results = [piece["result"] for piece in found.values()]
     planned = [r for r in results if "kinds" in r]
     courses = [course for r in results if "courses" in r for course in r["courses"]]
@@ -65,7 +65,7 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -
 
 
 def failures(courses: Sequence[Mapping[str, Any]]) -> list[Row]:
-    """What was not planned, or not flown to its end: course, kind, why."""
+    """Return what was not planned, or not flown to its end: course, kind, why."""
     return [
         {"course": course["course"], "kind": kind, "why": row.get("failed") or row["flight_failed"]}
         for course in courses
@@ -233,7 +233,7 @@ def _ratio_table(ratios: Mapping[str, Mapping[str, Mapping[str, Row]]]) -> list[
 
 
 def _claims(figures: Mapping[str, Any]) -> list[Row]:
-    """What section V-B and the flights of VI-D say of trajectories, confirmed or not."""
+    """Return what section V-B and the flights of VI-D say of trajectories, confirmed or not."""
     drag = {kind: row["drag_mean_n"] for kind, row in figures["planned"].items()}
     error = figures["ratios"]["min-snap"]
     star, plain = error["min-residual*"]["error"]["median"], error["min-residual"]["error"]["median"]
