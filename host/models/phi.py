@@ -122,15 +122,13 @@ class Phi:
     `parameters` are the firmware's, by name (default: the vehicle file's). `estimator` adds its 12 error
     states to the drive `reference`: needed with a mocap latency, a prediction time, or poses so late that
     turning them forward shows; without them the errors are those that an accelerometer's bias makes to stand.
-    `rate_filter` keeps the filter behind the rate derivative as three states;
-    without them its lag is kept to first order, and steps may be five times longer.
+    The filter behind the rate derivative adds no states: its lag is kept to first order.
     """
 
     vehicle: Vehicle
     effects: tuple[Effect, ...] = ()
     drive: Drive = "reference"
     estimator: bool = True
-    rate_filter: bool = False
     parameters: Mapping[str, float] | None = None
     hold_s: float = 0.5 * law_step.TICK_S
 
@@ -148,8 +146,7 @@ class Phi:
     @property
     def errors(self) -> slice:
         """Where the estimator's errors are in the state; beyond its end without them."""
-        start = INTEGRAL.stop + (3 if self.rate_filter else 0)
-        return slice(start, start + estimator.SIZE)
+        return slice(INTEGRAL.stop, INTEGRAL.stop + estimator.SIZE)
 
     @property
     def observer(self) -> slice:
@@ -287,10 +284,7 @@ class Phi:
 
         k = law_step.gains(self.firmware)
         corner, slope_share = _sampled_filter(k.filter_rate)
-        if self.rate_filter:
-            away = [rate[i] - x[INTEGRAL.stop + i] for i in range(3)]
-        else:  # the filter's lag behind a ramp
-            away = [alpha / corner for alpha in rate_dot]
+        away = [alpha / corner for alpha in rate_dot]  # the filter's lag behind a ramp
         limit = law_step.integral_limit(self.firmware)
         integral = [ops.clip(x[INTEGRAL.start + i], -limit[i], limit[i]) for i in range(3)]
         ff_accel = drive[14:17]
@@ -304,9 +298,8 @@ class Phi:
             [rate[i] - slope_share * away[i] for i in range(3)], integral, reference,
             ff_accel, ff_jerk=drive[17:20], attitude_offset=(roll, pitch),
         )  # fmt: skip
-        if not self.rate_filter:
-            share = slope_share * k.filter_rate / (corner * corner)
-            torque = _behind(torque, rotor_torque(self.vehicle, x[THRUST]), k.rate_derivative, share, lag)
+        share = slope_share * k.filter_rate / (corner * corner)
+        torque = _behind(torque, rotor_torque(self.vehicle, x[THRUST]), k.rate_derivative, share, lag)
         _, command, _ = law_step.motors(ops, self.firmware, collective, torque, gain)
         arriving, late_rates = command, []
         if self.commands.stop > self.commands.start:
@@ -320,7 +313,6 @@ class Phi:
             *body,
             *thrust_rates(x[THRUST], arriving, lag),
             *(_held(ops, integral[i], integral_dot[i], limit[i]) for i in range(3)),
-            *((corner * a for a in away) if self.rate_filter else ()),
             *error_dot,
             *(self._observer_rates(ops, x, v_dot, R, gain, command) if self.observes else ()),
             *late_rates,

@@ -64,8 +64,6 @@ class States:
         x[0:12], x[12:16] = self.x[k], self.thrust[k]
         if phi.drive != "inputs":
             x[INTEGRAL] = self.integral[k]
-            if phi.rate_filter:
-                x[INTEGRAL.stop : INTEGRAL.stop + 3] = self.x[k, 9:12]
             if phi.errors.stop <= phi.size:
                 R = Rotation.from_euler("ZYX", self.x[k, 8:5:-1]).as_matrix()
                 gains = law_step.estimator_gains(phi.firmware)

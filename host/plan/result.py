@@ -44,7 +44,7 @@ class Settings:
 
     relative_weights: weights are in units of the mean squared residual predicted along the min-snap path (not
     below 0.5 m/s^2), so that a small drag is avoided as thoroughly as a large one; False takes them as they
-    are. count_bias: the residual at rest counts too, though no path avoids it. weigh_time: the cost is an
+    are. weigh_time: the cost is an
     integral; False is the paper's sum without steps (eq. 11), which rewards long ones. shared_steps: one step
     size a leg, else one an interval. step_box: bounds of a step in units of its nominal value. step_penalty:
     cost of (h/h0 - 1)^2 for each step size. total_time_box: bounds of the whole time in units of the route's.
@@ -56,7 +56,6 @@ class Settings:
 
     weights: Weights = field(default_factory=Weights)
     relative_weights: bool = True
-    count_bias: bool = False
     weigh_time: bool = True
     shared_steps: bool = True
     step_box: tuple[float, float] = (0.7, 1.4)

@@ -159,7 +159,7 @@ class _Run:
         self._yaws = self._path_yaws = job.yaws() if first is None else first.reference.yaw_nodes()
         self._weights = settings.weights.scaled(_scale(job, grid))
         self._rest = np.zeros(6)
-        if job.kind == "min-residual" and not settings.count_bias:
+        if job.kind == "min-residual":
             heading = 0.0 if self.free_yaw else self._yaws[0].yaw
             self._rest = job.dynamics.model.at_rest(job.dynamics.vehicle, heading)
         self.problem: Problem

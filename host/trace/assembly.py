@@ -11,6 +11,7 @@ from trimtab.host.log import Flight
 from trimtab.host.models.model import Covariance, Model
 from trimtab.host.models.region import Region
 from trimtab.host.trace.data.logs import TraceData
+from trimtab.host.trace.data.signals import nominal_thrust
 from trimtab.host.trace.decision.exact_aliases import exact_aliases
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.prediction import (
@@ -21,7 +22,6 @@ from trimtab.host.trace.prediction import (
 from trimtab.host.trace.result import Named, Value
 from trimtab.host.trace.segment_fit.fit import unknowns_only
 from trimtab.host.trace.segment_fit.model import SegmentModel
-from trimtab.host.trace.segment_fit.rollout import nominal_thrust
 from trimtab.host.trace.selection import Diagnosis
 
 

@@ -43,7 +43,7 @@ class JaxLoop:
     """
 
     def __init__(self, phi: Phi, layout: Layout) -> None:
-        plain = phi.drive == "reference" and not (phi.estimator or phi.rate_filter or phi.observes)
+        plain = phi.drive == "reference" and not (phi.estimator or phi.observes)
         if not plain or phi.effects or layout.frame != "world":
             raise ValueError(
                 "JAX has the drive `reference` without estimator, rate filter, observer and effects, "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.host.trace.data.signals import FlightData, Signals, averaged, without_inputs
+from trimtab.host.trace.data.signals import FlightData, Signals, averaged, nominal_thrust, without_inputs
 from trimtab.host.trace.data.stretches import Stretch, clipped_stretch, merged_spans, runs_of, within
 from trimtab.host.trace.decision.findings import Code
 from trimtab.host.trace.decision.rules import RULES
@@ -67,7 +67,7 @@ def _carried(
     """
     knots = np.ravel(np.column_stack([t, t + _WINDOW_S]))
     order = np.argsort(knots, kind="stable")
-    each = s.command if s.in_newton else _thrust(vehicle, s.command)
+    each = nominal_thrust(vehicle, s.command, in_newton=s.in_newton)
     edges = np.unique(knots[order])
     first, last = np.searchsorted(edges, t), np.searchsorted(edges, t + _WINDOW_S)
 
@@ -95,11 +95,6 @@ def _carried(
         axis = s.R_ned_frd[(low + high) // 2, :, 2]
         force = -np.einsum("ni,ni->n", axis, acceleration - np.array([0.0, 0.0, GRAVITY]))
     return thrust, force, speed
-
-
-def _thrust(vehicle: Vehicle, command: np.ndarray) -> np.ndarray:
-    c1, c2 = vehicle.thrust_curve
-    return vehicle.thrust_max_n * command * (c1 + c2 * command)
 
 
 def _impacts(data: FlightData) -> list[Stretch]:

@@ -154,6 +154,12 @@ def _rotor_thrusts(vehicle: Vehicle, thrust_n: np.ndarray, torque: np.ndarray) -
     return np.column_stack([thrust_n, torque]) @ inverse.T
 
 
+def nominal_thrust(vehicle: Vehicle, command: np.ndarray, *, in_newton: bool) -> np.ndarray:
+    """Return the rotor thrust in N of motor commands before the lag; commands in N stay as they are."""
+    c1, c2 = vehicle.thrust_curve
+    return command if in_newton else vehicle.thrust_max_n * command * (c1 + c2 * command)
+
+
 def pose_interval_s(s: Signals) -> float:
     """Median time between poses."""
     return float(np.median(np.diff(s.pose_s)))

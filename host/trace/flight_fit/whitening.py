@@ -58,15 +58,13 @@ def span_of(order: int) -> int:
     return WINDOWS[order - 1][1]
 
 
-def autoregression(
-    residuals: Sequence[np.ndarray], known: Sequence[np.ndarray], order: int, *, skip: int = 0
-) -> Whitening:
+def autoregression(residuals: Sequence[np.ndarray], known: Sequence[np.ndarray], order: int) -> Whitening:
     """Return the autoregression of residuals (bins, 12) by flight, where the bins it looks back at are
-    known, or `skip` bins before.
+    known.
     """
     before, now = [], []
     for r, whole in zip(residuals, known, strict=True):
-        at = stretches(whole, max(span_of(order), skip))
+        at = stretches(whole, span_of(order))
         before.append(_past(r, order)[at])
         now.append(r[at])
     X, Y = np.concatenate(before), np.concatenate(now)

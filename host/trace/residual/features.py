@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trimtab.host.trace.data.segments import BIN_S, Segments
+from trimtab.host.trace.data.signals import nominal_thrust
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.vehicle import Vehicle
 
@@ -60,9 +61,8 @@ def bins_of(w: np.ndarray, data: Segments, references: Sequence[str | None], veh
     number = {name: k for k, name in enumerate(dict.fromkeys(names))}
     seen = data.pose_weight > 0
     p, R = _filled(data.p_ned, seen), _filled(data.R_ned_frd, seen)
-    c1, c2 = vehicle.thrust_curve
     command = data.command[:, -data.steps :]
-    rotors = command if data.in_newton else vehicle.thrust_max_n * command * (c1 + c2 * command)
+    rotors = nominal_thrust(vehicle, command, in_newton=data.in_newton)
     start = np.repeat(data.start_s, bins)
     flight = np.repeat(data.flight, bins)
     return Bins(

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from trimtab.host.models import dynamics
 from trimtab.host.trace.data.segments import BIN_S, Segments
+from trimtab.host.trace.data.signals import nominal_thrust
 from trimtab.host.trace.evidence import Linearisation
 from trimtab.host.trace.segment_fit.model import LOCALS, STATES, SegmentModel
-from trimtab.host.trace.segment_fit.rollout import nominal_thrust, remembered, residuals, roll_out
+from trimtab.host.trace.segment_fit.rollout import remembered, residuals, roll_out
 
 _LANES = 2500
 _X_STEP = np.full(STATES, 1e-6)

@@ -6,7 +6,6 @@ import numpy as np
 
 from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
 from trimtab.host.trace.segment_fit.model import CHANNELS, LOCALS, STATES, SegmentModel
-from trimtab.host.vehicle import Vehicle
 
 
 def roll_out(
@@ -144,9 +143,3 @@ def residuals(data: Segments, predicted: np.ndarray) -> np.ndarray:
     out = measured - np.transpose(predicted, (2, 3, 0, 1))
     out *= np.repeat(scale, 3, axis=2)
     return out.reshape(lanes, segments, steps * CHANNELS)
-
-
-def nominal_thrust(vehicle: Vehicle, command: np.ndarray, *, in_newton: bool) -> np.ndarray:
-    """Rotor thrust in N that motor commands ask for, before the lag; what is in newton stays."""
-    c1, c2 = vehicle.thrust_curve
-    return command if in_newton else vehicle.thrust_max_n * command * (c1 + c2 * command)

@@ -168,17 +168,6 @@ def test_phi_smooth_reference_converges_with_order_four(vehicle, make_reference)
     assert errors[0] < 1e-4
 
 
-def test_phi_filter_as_states_differs_by_micrometres(vehicle, make_reference):
-    reference = make_reference(duration_s=4.0)
-    with_states = Phi(vehicle=vehicle, effects=(DRAG[0],), estimator=False, rate_filter=True)
-    without = Phi(vehicle=vehicle, effects=(DRAG[0],), estimator=False)
-    fine = predict(with_states, reference, (DRAG,), step_s=0.005, every=4)
-    coarse = predict(without, reference, (DRAG,), step_s=0.02)
-    assert rmse(coarse, fine) < 1e-5
-    assert with_states.substeps(0.02) == 4
-    assert without.substeps(0.02) == 1
-
-
 def test_phi_feedback_delay_of_nothing_is_the_plain_loop_and_acts_to_first_order(vehicle, make_reference):
     reference = make_reference(duration_s=4.0)
     phi = Phi(vehicle=vehicle, estimator=False)
@@ -190,7 +179,7 @@ def test_phi_feedback_delay_of_nothing_is_the_plain_loop_and_acts_to_first_order
 
 
 def test_phi_lanes_equal_casadi_and_floats(vehicle, make_reference):
-    phi = observing(vehicle, 4.0, effects=tuple(EFFECTS.values()), rate_filter=True)
+    phi = observing(vehicle, 4.0, effects=tuple(EFFECTS.values()))
     rng = np.random.default_rng(5)
     bound = phi.program.bind(3)
     start = flat_outputs(make_reference(), np.full(3, 1.7))
