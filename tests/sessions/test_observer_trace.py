@@ -13,6 +13,7 @@ from trimtab.host.effects import load_effects
 from trimtab.host.link.flight import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.log import Flight, read_flight
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.prediction import predict_flights, rmse
 from trimtab.host.trace.run import run
 from trimtab.host.vehicle import Vehicle
@@ -77,5 +78,8 @@ def test_trace_with_the_observer_off_and_on_names_the_same_within_2_sigma(
         other = second.parameters[key]
         assert abs(one.value - other.value) < 2.0 * (one.sd**2 + other.sd**2) ** 0.5, (key, one, other)
     for held in (off[-1], on[-1]):
-        errors = [rmse(predict_flights([held], trace.model, effects))["position_rmse_m"] for trace in traces]
+        errors = [
+            rmse(predict_flights([FlightData.of(held)], trace.model, effects))["position_rmse_m"]
+            for trace in traces
+        ]
         assert max(errors) < 1.5 * min(errors)

@@ -17,7 +17,7 @@ import pytest
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.pieces import alone_in
 from trimtab.sitl.studies import blind
-from trimtab.sitl.studies.files import Ledger, SealBroken, StudyError, read_json, sha256_of
+from trimtab.sitl.studies.files import Ledger, SealBroken, read_json, sha256_of
 from trimtab.sitl.studies.flights import SCORE, TRUTH, VERDICT, Programme, fly_and_seal, plan_references
 from trimtab.sitl.studies.worlds import PlannedWorld
 
@@ -150,7 +150,7 @@ def test_finished_study_says_the_same_without_work_and_refuses_a_changed_truth(
         return blind.run(folder=study / "state", **{**usual, **other})["answer"]
 
     assert again() == answer
-    with pytest.raises(StudyError, match="another seed"):
+    with pytest.raises(UsageError, match="another seed"):
         again(seed=4)
     truth = study / "state" / "worlds" / "0001" / TRUTH
     kept = truth.read_bytes()
