@@ -24,7 +24,7 @@ STALE_MAX = 5
 
 @dataclass(frozen=True, kw_only=True)
 class UploadResult:
-    """One upload: kind and id of the blob, time, frames sent and how many of them again.
+    """One upload: kind and id of the blob, time, frames sent and retransmitted.
 
     `read_back` says whether what is live was read back and is the same byte by byte.
     """

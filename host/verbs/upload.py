@@ -39,6 +39,6 @@ def command(
         result = upload_port(found, port, lambda phase: bar.advance(1.0, phase), compare=compare)
     say(
         f"{result.kind} {result.id} is live: {result.frames_sent} frames in {result.seconds:.2f} s, "
-        f"{result.frames_repeated} of them again" + (", read back alike" if result.read_back else "")
+        f"{result.frames_repeated} retransmitted" + (", read back alike" if result.read_back else "")
     )
     emit(result.to_json(), json)
