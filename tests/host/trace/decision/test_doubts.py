@@ -1,0 +1,214 @@
+"""What makes a decision doubtful: excess disturbance, inadmissible sets, segments that disagree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from tests.host.trace.builders import (
+    build_evidence,
+    build_residual,
+)
+from tests.host.trace.decision.cases import (
+    ABOVE,
+    ALONE,
+    BELOW,
+    FORCE,
+    SHAKEN,
+    TIE_NATS,
+    TORQUE,
+    codes_of,
+)
+from trimtab.host.trace.decision.alternatives import Names
+from trimtab.host.trace.decision.decide import (
+    better_but_inadmissible,
+    decide,
+    excess_disturbance,
+    segment_disagreement,
+)
+from trimtab.host.trace.decision.findings import Code, Verdict
+from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.sentences import sentence
+
+# Excess disturbance.
+
+
+@pytest.mark.parametrize(
+    ("sigma", "changes", "expected"),
+    [
+        pytest.param({}, {}, None, id="calm"),
+        pytest.param({0: FORCE * BELOW}, {}, None, id="lateral-below"),
+        pytest.param({0: FORCE}, {}, None, id="lateral-at"),
+        pytest.param({0: FORCE * ABOVE}, {}, Code.EXCESS_FORCE, id="lateral-above"),
+        pytest.param({1: FORCE * ABOVE}, {}, Code.EXCESS_FORCE, id="other-lateral-above"),
+        pytest.param(
+            {1: FORCE * ABOVE}, {"thrust_known": False}, Code.EXCESS_FORCE, id="lateral-above-thrust-unknown"
+        ),
+        pytest.param({2: FORCE * BELOW}, {}, None, id="axial-below"),
+        pytest.param({2: FORCE * ABOVE}, {}, Code.EXCESS_FORCE, id="axial-above"),
+        pytest.param({2: FORCE * ABOVE}, {"thrust_known": False}, None, id="axial-above-thrust-unknown"),
+        pytest.param({3: TORQUE * BELOW}, {}, None, id="angular-below"),
+        pytest.param({4: TORQUE}, {}, None, id="angular-at"),
+        pytest.param({3: TORQUE * ABOVE}, {}, Code.EXCESS_TORQUE, id="angular-above"),
+        pytest.param({5: TORQUE * ABOVE}, {}, Code.EXCESS_TORQUE, id="yaw-above"),
+        pytest.param(
+            {5: TORQUE * ABOVE}, {"thrust_known": False}, Code.EXCESS_TORQUE, id="yaw-above-thrust-unknown"
+        ),
+        pytest.param({3: TORQUE * ABOVE}, {"rate_driven": True}, None, id="angular-of-a-gyro"),
+        pytest.param(
+            {0: FORCE * ABOVE}, {"rate_driven": True}, Code.EXCESS_FORCE, id="lateral-beside-a-gyro"
+        ),
+        pytest.param({0: 1.0, 3: 10.0}, {}, Code.EXCESS_FORCE, id="force-before-torque"),
+    ],
+)
+def test_excess_disturbance_is_what_is_above_turbulence(
+    sigma: Mapping[int, float], changes: dict[str, Any], expected: Code | None
+) -> None:
+    left = tuple(sigma.get(k, 0.01) for k in range(6))
+    evidence = build_evidence(disturbance_sigma=left, residual=ALONE, **changes)
+    found = excess_disturbance(evidence, RULES)
+    assert codes_of(found) == ([] if expected is None else [expected])
+    assert list(decide(evidence).findings) == found
+
+
+@pytest.mark.parametrize(
+    ("sigma", "expected", "mentioned"),
+    [
+        pytest.param(
+            (1.7, 1.7, 0.6, 0.01, 0.01, 0.01), (1.7, FORCE, "m/s^2"), "1.7 m/s^2", id="the-greater-force"
+        ),
+        pytest.param(
+            (0.6, 0.6, 1.7, 0.01, 0.01, 0.01), (1.7, FORCE, "m/s^2"), "1.7 m/s^2", id="axial-the-greater"
+        ),
+        pytest.param(
+            (0.01, 0.01, 0.01, 4.0, 47.0, 5.0), (47.0, TORQUE, "rad/s^2"), "47 rad/s^2", id="angular"
+        ),
+        pytest.param(
+            (1.7, 1.7, 0.01, 47.0, 47.0, 47.0), (1.7, FORCE, "m/s^2"), "1.7 m/s^2", id="force-before-angular"
+        ),
+    ],
+)
+def test_excess_disturbance_holds_how_much_is_left(
+    sigma: tuple[float, ...], expected: tuple[float, float, str], mentioned: str
+) -> None:
+    (found,) = excess_disturbance(build_evidence(disturbance_sigma=sigma), RULES)
+    assert (found.value, found.bound, found.unit) == expected
+    assert mentioned in sentence(found)
+
+
+@pytest.mark.parametrize("by_segments", [False, True])
+@pytest.mark.parametrize(("pairs", "applied"), [(0, True), (1, False), (3, False)])
+def test_excess_disturbance_counts_only_without_twins(pairs: int, applied: bool, by_segments: bool) -> None:
+    changes: dict[str, Any] = {"disturbance_sigma": SHAKEN, "by_segments": by_segments}
+    decision = decide(build_evidence(("drag",), residual=build_residual(pairs=pairs), **changes))
+    assert codes_of(decision.findings) == ([Code.EXCESS_FORCE] if applied else [])
+    assert decision.verdict is (Verdict.UNDECIDED if applied else Verdict.TRACED)
+
+
+# Sets that are better but inadmissible.
+
+ADMISSIBLE: dict[Names, float] = {(): 0.0, ("drag",): 5.0}
+
+
+@pytest.mark.parametrize(
+    ("nats", "speaks"),
+    [
+        pytest.param(-100.0, False, id="worse"),
+        pytest.param(5.0 + TIE_NATS * BELOW, False, id="just-below"),
+        pytest.param(5.0 + TIE_NATS * ABOVE, True, id="just-above"),
+        pytest.param(100.0, True, id="far-better"),
+    ],
+)
+def test_better_but_inadmissible_counts_from_the_best_admissible_set(nats: float, speaks: bool) -> None:
+    log_evidence = {**ADMISSIBLE, ("inflow", "lag"): nats}
+    found = better_but_inadmissible(log_evidence, dict.fromkeys(ADMISSIBLE, 1.0), RULES)
+    assert codes_of(found) == [Code.BETTER_BUT_INADMISSIBLE] * speaks
+    for finding in found:
+        assert finding.subject == ("inflow", "lag")
+        assert (finding.value, finding.bound, finding.unit) == (pytest.approx(nats - 5.0), TIE_NATS, "nats")
+        assert "inflow, lag" in sentence(finding)
+        assert "drag" not in sentence(finding)
+
+
+@pytest.mark.parametrize(
+    ("others", "expected"),
+    [
+        pytest.param({("inflow",): 30.0, ("lag",): 40.0}, ("lag",), id="the-better"),
+        pytest.param({("lag",): 40.0, ("inflow",): 30.0}, ("lag",), id="in-any-order"),
+        pytest.param({("lag",): 40.0, ("inflow",): 40.0}, ("lag",), id="equal-by-name"),
+        pytest.param({("inflow",): 40.0, ("lag",): 40.0}, ("lag",), id="equal-by-name-in-any-order"),
+        pytest.param({("lag",): -9.0, ("inflow",): 40.0}, ("inflow",), id="the-other-far-behind"),
+    ],
+)
+def test_better_but_inadmissible_is_about_the_best_such_set_alone(
+    others: dict[Names, float], expected: Names
+) -> None:
+    (found,) = better_but_inadmissible({**ADMISSIBLE, **others}, dict.fromkeys(ADMISSIBLE, 1.0), RULES)
+    assert found.subject == expected
+    assert found.value == 35.0
+
+
+@pytest.mark.parametrize("weight", [1e-12, 1.0])
+def test_better_but_inadmissible_without_an_inadmissible_set_is_nothing(weight: float) -> None:
+    log_evidence = {**ADMISSIBLE, ("lag",): 100.0}
+    assert better_but_inadmissible(log_evidence, dict.fromkeys(log_evidence, weight), RULES) == []
+
+
+@pytest.mark.parametrize("pairs", [0, 1])
+@pytest.mark.parametrize("by_segments", [False, True])
+def test_better_but_inadmissible_counts_only_by_segments(by_segments: bool, pairs: int) -> None:
+    decision = decide(
+        build_evidence(
+            ("drag",),
+            log_evidence={("drag",): 0.0, ("lag",): 100.0},
+            by_segments=by_segments,
+            residual=build_residual(pairs=pairs),
+        )
+    )
+    assert codes_of(decision.findings) == [Code.BETTER_BUT_INADMISSIBLE] * by_segments
+    assert decision.verdict is (Verdict.UNDECIDED if by_segments else Verdict.TRACED)
+
+
+# Segments that disagree.
+
+
+@pytest.mark.parametrize(
+    ("nats", "expected"),
+    [
+        pytest.param({}, (), id="not-asked"),
+        pytest.param({"drag": -50.0}, (), id="needed"),
+        pytest.param({"drag": 0.0}, (), id="as-good"),
+        pytest.param({"drag": TIE_NATS * BELOW}, (), id="just-below"),
+        pytest.param({"drag": TIE_NATS}, (), id="at"),
+        pytest.param({"drag": TIE_NATS * ABOVE}, ("drag",), id="just-above"),
+        pytest.param({"drag": 9.0, "gain": 7.0, "lag": 0.0}, ("drag", "gain"), id="two-of-three"),
+        pytest.param({"lag": -1.0, "gain": 7.0, "drag": 9.0}, ("gain", "drag"), id="in-their-order"),
+    ],
+)
+def test_segment_disagreement_is_about_effects_that_segments_find_absent(
+    nats: dict[str, float], expected: Names
+) -> None:
+    found = segment_disagreement(nats, RULES)
+    assert [finding.subject for finding in found] == ([expected] if expected else [])
+    for finding in found:
+        assert finding.code is Code.SEGMENTS_DISAGREE
+        assert (finding.value, finding.bound, finding.unit) == (max(nats.values()), TIE_NATS, "nats")
+        told = sentence(finding)
+        assert [name in told for name in nats] == [name in expected for name in nats]
+
+
+@pytest.mark.parametrize("pairs", [0, 1])
+@pytest.mark.parametrize("by_segments", [False, True])
+def test_segment_disagreement_counts_only_over_the_closed_loop(by_segments: bool, pairs: int) -> None:
+    decision = decide(
+        build_evidence(
+            ("drag",),
+            segment_disagreement_nats={"drag": 100.0},
+            by_segments=by_segments,
+            residual=build_residual(pairs=pairs),
+        )
+    )
+    assert codes_of(decision.findings) == ([] if by_segments else [Code.SEGMENTS_DISAGREE])
+    assert decision.verdict is (Verdict.TRACED if by_segments else Verdict.UNDECIDED)
