@@ -104,6 +104,6 @@ def test_lock_pins_by_hash_and_names_no_registry(lock: str) -> None:
 
 
 def test_exit_codes_are_documented() -> None:
-    page = (ROOT / "docs" / "exit-codes.md").read_text()
+    page = (ROOT / "docs" / "reference" / "exit-codes.md").read_text()
     rows = dict(re.findall(r"^\| (\d+) \| (.+) \|$", page, flags=re.MULTILINE))
     assert rows == {str(code): meaning for code, meaning in EXIT_CODES.items()}

@@ -15,7 +15,7 @@ import pytest
 
 pytestmark = [pytest.mark.full, pytest.mark.xdist_group("serial")]
 
-PAGE = Path(__file__).parent.parent.parent / "docs" / "clients.md"
+PAGE = Path(__file__).parent.parent.parent / "docs" / "guide" / "clients.md"
 
 
 @pytest.fixture(autouse=True)

@@ -189,7 +189,7 @@ def test_flight_log_page_names_every_topic_and_how_it_is_sampled() -> None:
 def test_tracing_pages_notebook_example_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (example,) = re.findall(r"```python\n(.*?)```", text_of("tracing.md"), flags=re.DOTALL)
+    (example,) = re.findall(r"```python\n(.*?)```", text_of("guide/tracing.md"), flags=re.DOTALL)
     for log in (DOCS.parent / "tests" / "data").glob("*.mcap"):
         (tmp_path / log.name).symlink_to(log)
     monkeypatch.chdir(tmp_path)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-PAGE = Path(__file__).parents[2] / "docs" / "workspace.md"
+PAGE = Path(__file__).parents[2] / "docs" / "guide" / "workspace.md"
 TRUTH = {"stiffness": 0.6, "slack_m": 0.8, "north_m": 0.4, "east_m": -0.3}
 """Of the shipped world `tether`, whose line also has a damper, and a corner where it comes taut."""
 

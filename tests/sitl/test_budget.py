@@ -14,7 +14,7 @@ from trimtab.protocol.messages import VEHICLE, FcControl, FcEstimate, FcStatus
 from trimtab.protocol.uwb import StreamSplitter, message_id
 from trimtab.sitl.vehicle import SimulatedVehicle
 
-PAGE = Path(__file__).parent.parent.parent / "docs" / "link.md"
+PAGE = Path(__file__).parent.parent.parent / "docs" / "concepts" / "link.md"
 POSE = 138
 STATES_IN_FLIGHT = range(3, 7)
 

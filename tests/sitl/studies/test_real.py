@@ -75,7 +75,7 @@ def test_group_of_the_documentation_is_imported_and_traced(
     tmp_path: Path, require: Callable[[str], None]
 ) -> None:
     require("flights")
-    page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "studies" / "studies.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     for name in ("nanobench", "crazyswarm2_tools"):
         (tmp_path / name).symlink_to(FLIGHTS / name)
