@@ -66,7 +66,7 @@ def build_app() -> App:
         name="trimtab",
         help="Close the gap between a quadrotor's model and its flights.",
         version=_version,
-        help_format="plaintext",
+        help_format="markdown",
         result_action="return_value",
         suppress_keyboard_interrupt=False,
         default_parameter=Parameter(negative=""),

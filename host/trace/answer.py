@@ -14,9 +14,15 @@ from trimtab.host.trace.sentences import sentences
 
 
 def to_json(
-    result: Trace, *, model_path: str | None, report_path: str | None, network_path: str | None = None
+    result: Trace,
+    *,
+    model_path: str | None = None,
+    report_path: str | None = None,
+    network_path: str | None = None,
 ) -> dict[str, Any]:
-    """Return the JSON object of `trimtab trace`; the paths are those of files written."""
+    """Return the JSON object of `trimtab trace`. The paths name written files; None if a file was not
+    written.
+    """
     null = {"position_rmse_m": None, "velocity_rmse_m_s": None}
     return {
         "verdict": str(result.verdict),

@@ -24,12 +24,11 @@ def command(
     Parameters
     ----------
     seed
-        Routes and the simulated world are drawn from it.
+        Seed of the routes and of the simulated world.
     world
-        World to fly in, by name or path; without it one with two or three effects, drawn from the seed.
+        World to fly in, by name or path. Default: one with two or three effects, drawn from the seed.
     output
-        Folder for every file, made if missing; trimtab-demo in the workspace, or the next free name, by
-        default.
+        Folder for every file. Made if missing. Default: trimtab-demo in the workspace, or the next free name.
     """
     import time
 
@@ -60,14 +59,8 @@ def command(
         *report.summary(outcome.answer),
         f"done in {seconds:.0f} s; the report is {outcome.answer['report']}",
     )
-    emit(
-        {
-            **outcome.answer,
-            "seconds": round(seconds, 3),
-            "steps": [{"step": title, "seconds": round(spent, 3)} for title, spent in outcome.steps],
-        },
-        json,
-    )
+    steps = [{"step": title, "seconds": round(spent, 3)} for title, spent in outcome.steps]
+    emit({**outcome.answer, "seconds": round(seconds, 3), "steps": steps}, json)
     if outcome.failure is not None:
         raise outcome.failure
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,30 +22,74 @@ _LEFT_OUT_WITH_VALUE = ("-o", "--output", "--port", "--mocap", "--workspace")
 _LEFT_OUT = ("--json", "--force", "--realtime")
 
 
-def command(
-    reference: Path,
-    *,
-    vehicle: VehicleName = DEFAULT_VEHICLE,
-    port: str | None = None,
-    mocap: str | None = None,
-    mocap_delay_ms: float = CAMERA_DELAY_MS,
-    world: str | None = None,
-    plant: str | None = None,
-    plant_options: str | None = None,
-    seed: int = 0,
-    world_seed: int = 0,
-    flight: int = 0,
-    realtime: Annotated[bool, Parameter(negative="")] = False,
-    as_flashed: Annotated[bool, Parameter(negative="")] = False,
-    parameter: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    feedforward: Path | None = None,
-    then: Path | None = None,
-    at: float | None = None,
-    output: Output = None,
-    force: Force = False,
-    json: Json = False,
-    workspace: WorkspaceFolder = None,
-) -> None:
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class FlyOptions:
+    """Options of `trimtab fly`.
+
+    Attributes
+    ----------
+    port
+        Serial port of a real or served vehicle: a device, tcp:HOST:PORT or udp:HOST:PORT.
+    mocap
+        Address at which the camera system's poses arrive, udp://HOST:PORT. Goes with --port.
+    mocap_delay_ms
+        Least time from a camera's exposure to the arrival of its pose, as the maker states it.
+    world
+        World to simulate, by name or path. Default: the empty world.
+    plant
+        Physics of your own instead of a world, path.py:Class.
+    plant_options
+        TOML file that the plant receives.
+    seed
+        Seed of the host. The log contains it.
+    world_seed
+        Seed of the simulated world. The log does not contain it.
+    flight
+        Index of the flight. Two flights that differ in it alone share the world and nothing else.
+    realtime
+        Run the simulation at the speed of the wall clock.
+    as_flashed
+        Fly with parameters on board that differ from the vehicle file.
+    parameter
+        Parameter to set on board before the flight, NAME=VALUE, instead of the vehicle file's. May be
+        repeated.
+    feedforward
+        Feed-forward to fly with, a .ff file.
+    then
+        Reference to send in flight. It takes over at a point where it continues the first one.
+    at
+        Time at which it takes over, in seconds of the first reference. Default: the latest time possible.
+    output
+        Flight log to write. Default: NAME-FLIGHT.mcap, with the reference file's name.
+    """
+
+    vehicle: VehicleName = DEFAULT_VEHICLE
+    port: str | None = None
+    mocap: str | None = None
+    mocap_delay_ms: float = CAMERA_DELAY_MS
+    world: str | None = None
+    plant: str | None = None
+    plant_options: str | None = None
+    seed: int = 0
+    world_seed: int = 0
+    flight: int = 0
+    realtime: Annotated[bool, Parameter(negative="")] = False
+    as_flashed: Annotated[bool, Parameter(negative="")] = False
+    parameter: Annotated[tuple[str, ...], Parameter(negative="")] = ()
+    feedforward: Path | None = None
+    then: Path | None = None
+    at: float | None = None
+    output: Output = None
+    force: Force = False
+    json: Json = False
+    workspace: WorkspaceFolder = None
+
+
+DEFAULTS = FlyOptions()
+
+
+def command(reference: Path, *, options: FlyOptions = DEFAULTS) -> None:
     """Fly a reference and write its log.
 
     Without --port a simulated vehicle flies, in lock-step and as fast as the machine allows.
@@ -53,85 +98,15 @@ def command(
     ----------
     reference
         Reference to fly, a .ref file.
-    port
-        Serial port of a real or served vehicle: a device, tcp:HOST:PORT or udp:HOST:PORT.
-    mocap
-        Where the camera system's poses arrive, udp://HOST:PORT; goes with --port.
-    mocap_delay_ms
-        Least time from a camera's exposure to the arrival of its pose, as the maker states it.
-    world
-        World to simulate, by name or path; the empty one by default.
-    plant
-        Somebody else's physics in place of a world, path.py:Class.
-    plant_options
-        TOML file that is handed to the plant.
-    seed
-        Seed of the host; the log holds it.
-    world_seed
-        Seed of the simulated world; the log does not hold it.
-    flight
-        Index of the flight: flights that differ in it alone share the world and nothing else.
-    realtime
-        Keep the simulation to the wall clock.
-    as_flashed
-        Fly with parameters on board that differ from the vehicle file.
-    parameter
-        Parameter to set on board before the flight, NAME=VALUE, over the vehicle file's; may be repeated.
-    feedforward
-        Feed-forward to fly with, a .ff file.
-    then
-        Reference to send in flight; it takes over where it goes on with the first.
-    at
-        When it takes over, in seconds of the first; the latest time possible by default.
-    output
-        Flight log to write; NAME-FLIGHT.mcap by default, with the reference file's name.
     """
-    from trimtab.host.base import artefacts
-    from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say, warn
     from trimtab.host.base.progress import Progress
-    from trimtab.host.link.blob_files import model_of, read_feedforward, read_reference
     from trimtab.host.link.drivers import Interrupts
-    from trimtab.host.link.flight import ON_REQUEST, FlightOrder
-    from trimtab.host.link.fly import FlightEnded, FlightInterrupted
-    from trimtab.host.link.swap import swap_time_us
-    from trimtab.host.workspace import open_workspace
+    from trimtab.host.link.flight import ON_REQUEST
+    from trimtab.host.link.fly import FlightEnded, FlightInterrupted, fly_port
 
-    if (port is None) != (mocap is None):
-        raise UsageError("--port and --mocap go together: poses reach the vehicle through this host only")
-    if port is not None and (world or plant or plant_options or realtime or world_seed):
-        raise UsageError("--port flies what is there; leave out world, plant and --realtime")
-    if min(seed, world_seed, flight) < 0:
-        raise UsageError("seeds and flight indices are not negative")
-    if not 0.0 <= mocap_delay_ms <= 1000.0:
-        raise UsageError(f"--mocap-delay-ms {mocap_delay_ms:g} is no delay, give 0 to 1000")
-    airframe = open_workspace(workspace).vehicle(vehicle)
-    blob = read_reference(reference)
-    addition = None if feedforward is None else read_feedforward(feedforward)
-    following = None if then is None else read_reference(then)
-    if at is not None and following is None:
-        raise UsageError("--at goes with --then: it says when that reference takes over")
-    if at is not None and not math.isfinite(1e6 * at):
-        raise UsageError(f"--at {at:g} is no time, give seconds of the first reference")
-    at_us = None if at is None else round(1e6 * at)
-    swap_us = 0 if following is None else swap_time_us(blob, following, at_us)
-    log = artefacts.check_log(output or Path(f"{reference.stem}-{flight}.mcap"), force)
-    order = FlightOrder(
-        vehicle=airframe,
-        reference=blob,
-        feedforward=addition,
-        log_path=log,
-        port=port or "simulated vehicle",
-        cameras=mocap or "the camera system",
-        upload=port is None,
-        as_flashed=as_flashed,
-        parameters=_parameters(parameter),
-        model_id=model_of(reference),
-        session={"seed": str(seed), "flight": str(flight), **_provenance()},
-        camera_delay_us=None if port is None else round(1000 * mocap_delay_ms),
-        then=following,
-        swap_us=swap_us,
-    )
+    _check(options)
+    order = _order(reference, options)
     try:  # around the bar, which takes stdout for its own while it is shown
         with Progress(f"flying {reference.name}") as bar:
 
@@ -140,20 +115,71 @@ def command(
                 if phase == ON_REQUEST:
                     warn("landing; Ctrl-C again leaves the vehicle to its failsafe")
 
-            if port is not None and mocap is not None:
-                from trimtab.host.link.fly import fly_port
-
-                result = fly_port(order, port, mocap, on_phase=on_phase)
+            if options.port is not None and options.mocap is not None:
+                result = fly_port(order, options.port, options.mocap, on_phase=on_phase)
             else:
-                world_options = (world, world_seed, flight, plant, plant_options)
-                result = _fly_simulated(order, world_options, realtime, on_phase)
+                result = _fly_simulated(order, options, on_phase)
     except (FlightEnded, FlightInterrupted) as ended:
         with Interrupts():  # a key that is held down takes no answer away
             say(*ended.result.to_lines())
-            emit(ended.result.to_json(), json)
+            emit(ended.result.to_json(), options.json)
         raise
     say(*result.to_lines())
-    emit(result.to_json(), json)
+    emit(result.to_json(), options.json)
+
+
+def _check(options: FlyOptions) -> None:
+    """Refuse values out of range and options that do not go together. Raises UsageError."""
+    from trimtab.host.base.errors import UsageError
+
+    simulates = options.world or options.plant or options.plant_options or options.realtime
+    if (options.port is None) != (options.mocap is None):
+        raise UsageError("--port and --mocap go together: poses reach the vehicle through this host only")
+    if options.port is not None and (simulates or options.world_seed):
+        raise UsageError("--port flies what is there; leave out world, plant and --realtime")
+    if min(options.seed, options.world_seed, options.flight) < 0:
+        raise UsageError("seeds and flight indices are not negative")
+    if not 0.0 <= options.mocap_delay_ms <= 1000.0:
+        raise UsageError(f"--mocap-delay-ms {options.mocap_delay_ms:g} is no delay, give 0 to 1000")
+
+
+def _order(reference: Path, options: FlyOptions) -> FlightOrder:
+    """Read the files that the options name. Raises UsageError."""
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.link.blob_files import model_of, read_feedforward, read_reference
+    from trimtab.host.link.flight import FlightOrder
+    from trimtab.host.link.swap import swap_time_us
+    from trimtab.host.workspace import open_workspace
+
+    vehicle = open_workspace(options.workspace).vehicle(options.vehicle)
+    blob = read_reference(reference)
+    feedforward = None if options.feedforward is None else read_feedforward(options.feedforward)
+    following = None if options.then is None else read_reference(options.then)
+    at = options.at
+    if at is not None and following is None:
+        raise UsageError("--at goes with --then: it says when that reference takes over")
+    if at is not None and not math.isfinite(1e6 * at):
+        raise UsageError(f"--at {at:g} is no time, give seconds of the first reference")
+    at_us = None if at is None else round(1e6 * at)
+    swap_us = 0 if following is None else swap_time_us(blob, following, at_us)
+    log = options.output or Path(f"{reference.stem}-{options.flight}.mcap")
+    return FlightOrder(
+        vehicle=vehicle,
+        reference=blob,
+        feedforward=feedforward,
+        log_path=artefacts.check_log(log, options.force),
+        port=options.port or "simulated vehicle",
+        cameras=options.mocap or "the camera system",
+        upload=options.port is None,
+        as_flashed=options.as_flashed,
+        parameters=_parameters(options.parameter),
+        model_id=model_of(reference),
+        session={"seed": str(options.seed), "flight": str(options.flight), **_provenance()},
+        camera_delay_us=None if options.port is None else round(1000 * options.mocap_delay_ms),
+        then=following,
+        swap_us=swap_us,
+    )
 
 
 def _parameters(assignments: tuple[str, ...]) -> dict[str, float]:
@@ -179,43 +205,35 @@ def _parameters(assignments: tuple[str, ...]) -> dict[str, float]:
     return values
 
 
-def _fly_simulated(
-    order: FlightOrder,
-    world_options: tuple[str | None, int, int, str | None, str | None],
-    realtime: bool,
-    on_phase: Callable[[str], None],
-) -> FlightResult:
-    """Return the flight with a simulated vehicle below the reference's first node; its truth goes beside the
-    log.
-    """
+def _fly_simulated(order: FlightOrder, options: FlyOptions, on_phase: Callable[[str], None]) -> FlightResult:
+    """Fly a simulated vehicle from below the reference's first node. Write its truth beside the log."""
     from contextlib import closing
 
     from trimtab.host.link.fly import fly_lockstep
     from trimtab.host.link.vehicle import vehicle_class
 
-    world, world_seed, flight, plant, plant_options = world_options
     first = order.reference.nodes_ned()[0].state
     simulated = vehicle_class().create(
         order.vehicle,
-        world=world,
-        world_seed=world_seed,
-        flight=flight,
-        plant=plant,
-        plant_options=plant_options,
+        world=options.world,
+        world_seed=options.world_seed,
+        flight=options.flight,
+        plant=options.plant,
+        plant_options=options.plant_options,
         start_ned=(first[0], first[1], 0.0),
         start_yaw=order.reference.yaw_nodes()[0].yaw,
     )
     before = _file_number(order.log_path)
     with closing(simulated):
         try:
-            return fly_lockstep(order, simulated, realtime=realtime, on_phase=on_phase)
+            return fly_lockstep(order, simulated, realtime=options.realtime, on_phase=on_phase)
         finally:
             if _file_number(order.log_path) not in (None, before):
                 _write_truth(order.log_path, simulated.truth())
 
 
 def _file_number(path: Path) -> int | None:
-    """Return what tells the file at `path` from one that replaces it while it is there; None for no file."""
+    """Return the inode of the file at `path`, or None if there is no file."""
     return path.stat().st_ino if path.exists() else None
 
 
@@ -236,7 +254,7 @@ def _provenance() -> dict[str, str]:
 
     from trimtab.host.base import artefacts
 
-    kept = artefacts.without_options(sys.argv[1:], _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
-    told = {"version": artefacts.version(), "command": artefacts.public_command(kept)}
+    arguments = artefacts.without_options(sys.argv[1:], _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
+    provenance = {"version": artefacts.version(), "command": artefacts.public_command(arguments)}
     git = artefacts.git_state()
-    return told | {"git": git} if git is not None else told
+    return provenance | {"git": git} if git is not None else provenance

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from trimtab.host.verbs.options import Force, Json, VehicleName, WorkspaceFolder
+
+if TYPE_CHECKING:
+    from trimtab.host.imports.recording import Recording
+    from trimtab.host.vehicle import Vehicle
 
 
 def command(
@@ -38,8 +42,7 @@ def command(
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.imports.profiles import read
-    from trimtab.host.imports.write import write
-    from trimtab.host.log import partial_path, read_flight
+    from trimtab.host.log import read_flight
     from trimtab.host.workspace import open_workspace
 
     artefacts.check_log(output, force)
@@ -47,14 +50,8 @@ def command(
         raise UsageError("--columns MAP.toml goes with the csv profile, and only with it")
     airframe = open_workspace(workspace).vehicle(vehicle)
     recording = read(profile, path, columns)
-    growing = output.with_name(output.name + ".import")
-    told = {"version": artefacts.version(), "source_id": artefacts.content_id(path.read_bytes())}
-    try:
-        topics = write(recording, airframe, growing, profile=profile, provenance=told)
-        growing.replace(output)
-    finally:
-        growing.unlink(missing_ok=True)
-        partial_path(growing).unlink(missing_ok=True)
+    provenance = {"version": artefacts.version(), "source_id": artefacts.content_id(path.read_bytes())}
+    topics = _write(recording, airframe, output, profile, provenance)
     flight = read_flight(output)
     mass = f", {recording.mass_kg:g} kg as declared" if recording.mass_kg is not None else ""
     unknown = f"; unknown: {', '.join(recording.unknown)}" if recording.unknown else ""
@@ -62,14 +59,29 @@ def command(
         f"{output}: {flight.duration_s:.1f} s of {flight.vehicle.name}{mass}, "
         f"{sum(topics.values())} messages{unknown}"
     )
-    emit(
-        {
-            "log": str(output),
-            "vehicle": flight.vehicle.name,
-            "duration_s": flight.duration_s,
-            "topics": topics,
-            "mass_kg": flight.vehicle.mass_kg,
-            "unknown": recording.unknown,
-        },
-        json,
-    )
+    answer = {
+        "log": str(output),
+        "vehicle": flight.vehicle.name,
+        "duration_s": flight.duration_s,
+        "topics": topics,
+        "mass_kg": flight.vehicle.mass_kg,
+        "unknown": recording.unknown,
+    }
+    emit(answer, json)
+
+
+def _write(
+    recording: Recording, vehicle: Vehicle, output: Path, profile: str, provenance: dict[str, str]
+) -> dict[str, int]:
+    """Write the log, whole or not at all; return the number of messages of each topic."""
+    from trimtab.host.imports.write import write
+    from trimtab.host.log import partial_path
+
+    growing = output.with_name(output.name + ".import")
+    try:
+        topics = write(recording, vehicle, growing, profile=profile, provenance=provenance)
+        growing.replace(output)
+    finally:
+        growing.unlink(missing_ok=True)
+        partial_path(growing).unlink(missing_ok=True)
+    return topics

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -19,99 +20,98 @@ if TYPE_CHECKING:
 DEFAULT_OUTPUT = "learned.model.toml"
 
 
-def command(
-    *logs: Path,
-    hold_out: Annotated[list[Path] | None, Parameter(name="--hold-out", consume_multiple=True)] = None,
-    output: Annotated[Path, Parameter(name=["-o", "--output"])] = Path(DEFAULT_OUTPUT),
-    model: Annotated[Path | None, Parameter(name="--model")] = None,
-    hidden: Annotated[list[int] | None, Parameter(name="--hidden", consume_multiple=True)] = None,
-    network: Annotated[bool, Parameter(negative="--no-network")] = True,
-    frame: Literal["world", "body"] = "world",
-    effects: Annotated[list[str] | None, Parameter(name="--effects", consume_multiple=True)] = None,
-    method: Literal["condensed", "paper"] = "condensed",
-    log_latency: Annotated[bool, Parameter(negative="")] = False,
-    epochs: int | None = None,
-    any_heading: Annotated[bool, Parameter(negative="--no-any-heading")] = True,
-    as_asked: Annotated[bool, Parameter(negative="")] = False,
-    seed: int = 0,
-    workspace: WorkspaceFolder = None,
-    json: Json = False,
-    force: Force = False,
-) -> None:
-    """Learn what a vehicle's model leaves out, from flight logs; keep what predicts whole flights best.
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class LearnOptions:
+    """Options of `trimtab learn`.
+
+    Attributes
+    ----------
+    hold_out
+        Flight logs to test on. Default: a part of the logs' references.
+    output
+        Model to write.
+    model
+        Model whose effects stay. The verb learns what they leave.
+    hidden
+        Widths of the hidden layers, at most three of 32.
+    network
+        Learn a network. Without it, learn the effects alone.
+    frame
+        Frame of the network's inputs and output. world: velocity and attitude, as in the paper. body:
+        velocity in the body frame, which is the same for every heading.
+    effects
+        Effects of the library to learn beside the network; "none" for none. Default: linear-drag and
+        com-offset; none with --model.
+    method
+        condensed: the trajectory loss, condensed about roll-outs. paper: the paper's mini-batches, network
+        only.
+    log_latency
+        Also learn how much older the poses in the log are than their stamps. Use it if the vehicle itself got
+        the poses in time. If it did not, learn the effect mocap-latency.
+    epochs
+        Greatest number of passes over the segments (paper, 120) or of iterations of each of two passes
+        (condensed, 300).
+    any_heading
+        Use every flight in any heading. Turn it off if the world has a direction, for example wind.
+    as_asked
+        Write the model that the options describe, even if a smaller one or none predicts whole flights
+        better.
+    seed
+        Seed of the first weights, the order and the split.
+    """
+
+    hold_out: Annotated[list[Path] | None, Parameter(name="--hold-out", consume_multiple=True)] = None
+    output: Annotated[Path, Parameter(name=["-o", "--output"])] = Path(DEFAULT_OUTPUT)
+    model: Annotated[Path | None, Parameter(name="--model")] = None
+    hidden: Annotated[list[int] | None, Parameter(name="--hidden", consume_multiple=True)] = None
+    network: Annotated[bool, Parameter(negative="--no-network")] = True
+    frame: Literal["world", "body"] = "world"
+    effects: Annotated[list[str] | None, Parameter(name="--effects", consume_multiple=True)] = None
+    method: Literal["condensed", "paper"] = "condensed"
+    log_latency: Annotated[bool, Parameter(negative="")] = False
+    epochs: int | None = None
+    any_heading: Annotated[bool, Parameter(negative="--no-any-heading")] = True
+    as_asked: Annotated[bool, Parameter(negative="")] = False
+    seed: int = 0
+    workspace: WorkspaceFolder = None
+    json: Json = False
+    force: Force = False
+
+
+DEFAULTS = LearnOptions()
+
+
+def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
+    """Learn what a vehicle's model lacks, from flight logs. Keep what predicts whole flights best.
 
     Parameters
     ----------
     logs
-        Flight logs to learn from; a part of their references is kept for the test.
-    hold_out
-        Flight logs to test on in place of that part.
-    output
-        Model to write.
-    model
-        Model whose effects stay; what they leave is learned.
-    hidden
-        Widths of the hidden layers, at most three of 32.
-    network
-        Learn a network; without, the effects alone.
-    frame
-        What the network sees and gives: velocity and attitude in the world, as in the paper, or the velocity
-        in the body's axes, which is the same for every heading.
-    effects
-        Effects of the library that are learned beside the network; "none" for none. Default: linear-drag
-        and com-offset, none on a model.
-    method
-        The trajectory loss condensed about roll-outs, or the paper's mini-batches, network only.
-    log_latency
-        Learn too how much older the poses of the log are than stamped, where the vehicle got them in time;
-        where it did not, learn the effect mocap-latency.
-    epochs
-        At most so many passes over the segments (paper, 120) or iterations of each of two passes (condensed,
-        300).
-    any_heading
-        Take every flight as good in any heading; not so where the world has a direction, as with wind.
-    as_asked
-        Write what was asked for even where less, or nothing, predicts whole flights better.
-    seed
-        Seed of the first weights, the order and the split.
+        Flight logs to learn from. A part of their references is held out for the test.
     """
     from time import monotonic
 
     from trimtab.host.base import artefacts
-    from trimtab.host.base.errors import GateMissed, UsageError
+    from trimtab.host.base.errors import GateMissed
     from trimtab.host.base.output import emit, warn
     from trimtab.host.base.progress import Progress
     from trimtab.host.effects import load_effects
-    from trimtab.host.learn import DEFAULT_FORMS, learn
+    from trimtab.host.learn import learn
     from trimtab.host.log import read_flight
-    from trimtab.host.models.file import SUFFIX, read_model, write_model
+    from trimtab.host.models.file import read_model, write_model
     from trimtab.host.workspace import open_workspace
 
-    if not logs:
-        raise UsageError("no log given, name one or more flight logs")
-    if hold_out is not None and not hold_out:
-        raise UsageError("--hold-out names no log, give one or more or leave it out")
-    if method == "paper" and (effects or frame == "body" or not network or log_latency):
-        raise UsageError("--method paper learns a network in the world's frame: leave the others out")
-    settings, rounds = _settings(hidden, epochs, method, frame if network else None, any_heading, log_latency)
-    if seed < 0:
-        raise UsageError(f"--seed {seed}: give 0 or more")
-    if not output.name.endswith(SUFFIX):
-        raise UsageError(f"{output}: a model's name ends in {SUFFIX}")
-    artefacts.check_output(output, force)
+    settings, rounds = _check(logs, options)
     began = monotonic()
-    library = load_effects(open_workspace(workspace).root)
+    library = load_effects(open_workspace(options.workspace).root)
     flights = [read_flight(path) for path in logs]
-    held_out = [read_flight(path) for path in hold_out or ()]
-    base = None if model is None else read_model(model, vehicle_id=flights[0].vehicle.id)
+    held_out = [read_flight(path) for path in options.hold_out or ()]
+    base = None if options.model is None else read_model(options.model, vehicle_id=flights[0].vehicle.id)
     parents = {f"log {i}": flight.id for i, flight in enumerate(flights)}
     if base is not None:
         parents["model"] = base.id
-    chosen = DEFAULT_FORMS if effects is None and base is None and method != "paper" else effects or []
-    forms = tuple(name for name in chosen if name != "none")
-    _check_forms(forms, library, base, model)
-    if not (forms or network):
-        raise UsageError("--no-network and no --effects: there is nothing to learn")
+    forms = _forms(options, library, base)
     with Progress("learning", total=rounds) as bar:
         learned = learn(
             flights,
@@ -120,76 +120,97 @@ def command(
             effects=library,
             settings=settings,
             forms=forms,
-            seed=seed,
-            as_asked=as_asked,
-            provenance=artefacts.provenance(seed=seed, parents=parents),
+            seed=options.seed,
+            as_asked=options.as_asked,
+            provenance=artefacts.provenance(seed=options.seed, parents=parents),
             on_epoch=lambda turn, loss: bar.update(turn, detail=f"validation loss {loss:.3g}"),
         )
     written = learned.kept.what != "nothing"
     named = {name: learned.model.effects[name] for name in forms if written}
     if written:
-        write_model(learned.model, output, force=force)
-        _tell(learned, output, named, log_latency)
+        write_model(learned.model, options.output, force=options.force)
+        _print(learned, options.output, named, options.log_latency)
     for note in learned.notes:
         warn(note)
-    result = _answer(learned, output if written else None, named, log_latency)
-    emit({**result, "seconds": round(monotonic() - began, 3)}, json)
+    answer = _answer(learned, options.output if written else None, named, options.log_latency)
+    emit({**answer, "seconds": round(monotonic() - began, 3)}, options.json)
     if not written:
         raise GateMissed(
-            f"{output}: not written, whole flights are predicted no better than without; "
+            f"{options.output}: not written, whole flights are predicted no better than without; "
             "give more flights, other --effects or --epochs, or --as-asked"
         )
 
 
-def _settings(
-    hidden: list[int] | None,
-    epochs: int | None,
-    method: str,
-    frame: Literal["world", "body"] | None,
-    any_heading: bool,
-    log_latency: bool,
-) -> tuple[Settings | CondensedSettings, int]:
-    """Return the settings and the number of rounds; `frame` is None without a network. Raises UsageError."""
+def _check(logs: Sequence[Path], options: LearnOptions) -> tuple[Settings | CondensedSettings, int]:
+    """Return the settings and the number of rounds. Raises UsageError, before any file is read."""
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.models.file import SUFFIX
+
+    paper = options.method == "paper"
+    if not logs:
+        raise UsageError("no log given, name one or more flight logs")
+    if options.hold_out is not None and not options.hold_out:
+        raise UsageError("--hold-out names no log, give one or more or leave it out")
+    beyond_paper = options.effects or options.frame == "body" or not options.network or options.log_latency
+    if paper and beyond_paper:
+        raise UsageError("--method paper learns a network in the world's frame: leave the others out")
+    settings, rounds = _settings(options)
+    if options.seed < 0:
+        raise UsageError(f"--seed {options.seed}: give 0 or more")
+    if not options.output.name.endswith(SUFFIX):
+        raise UsageError(f"{options.output}: a model's name ends in {SUFFIX}")
+    artefacts.check_output(options.output, options.force)
+    return settings, rounds
+
+
+def _settings(options: LearnOptions) -> tuple[Settings | CondensedSettings, int]:
+    """Return the method's settings and the number of rounds. Raises UsageError."""
     from trimtab.host.base.errors import UsageError
     from trimtab.host.learn import CondensedSettings, Settings
     from trimtab.host.models.network import Layout
     from trimtab.protocol.blobs import HIDDEN_MAX, WIDTH_MAX
 
-    widths = (32, 32) if hidden is None else tuple(hidden)
+    widths = (32, 32) if options.hidden is None else tuple(options.hidden)
     if not 1 <= len(widths) <= HIDDEN_MAX or not all(1 <= width <= WIDTH_MAX for width in widths):
         given = " ".join(map(str, widths))
         raise UsageError(f"--hidden {given}: give 1 to {HIDDEN_MAX} widths of 1 to {WIDTH_MAX} each")
+    epochs = options.epochs
     if epochs is not None and epochs < 1:
         raise UsageError(f"--epochs {epochs}: give 1 or more")
-    if method == "paper":
-        paper = Settings(hidden=widths, epochs=epochs or 120, any_heading=any_heading)
+    if options.method == "paper":
+        paper = Settings(hidden=widths, epochs=epochs or 120, any_heading=options.any_heading)
         return paper, paper.epochs
     condensed = CondensedSettings(
-        layout=None if frame is None else Layout(hidden=widths, frame=frame),
+        layout=Layout(hidden=widths, frame=options.frame) if options.network else None,
         iterations=epochs or 300,
-        any_heading=any_heading,
-        delay=log_latency,
+        any_heading=options.any_heading,
+        delay=options.log_latency,
     )
     return condensed, condensed.iterations * condensed.passes
 
 
-def _check_forms(
-    forms: Sequence[str], library: Mapping[str, Effect], base: Model | None, model: Path | None
-) -> None:
-    """Raise UsageError for an effect that is not in the library, or that the base model has already."""
+def _forms(options: LearnOptions, library: Mapping[str, Effect], base: Model | None) -> tuple[str, ...]:
+    """Return the effects to learn. Raises UsageError for one that is unknown or in the base model already."""
     from trimtab.host.base.errors import UsageError
+    from trimtab.host.learn import DEFAULT_FORMS
 
+    by_default = options.effects is None and base is None and options.method != "paper"
+    forms = tuple(name for name in (DEFAULT_FORMS if by_default else options.effects or ()) if name != "none")
     for name in forms:
         if name not in library:
             raise UsageError(f"--effects {name}: no such effect; there are {', '.join(library)}")
         if base is not None and name in base.effects:
-            raise UsageError(f"--effects {name}: {model} has it already; leave one of them out")
+            raise UsageError(f"--effects {name}: {options.model} has it already; leave one of them out")
+    if not (forms or options.network):
+        raise UsageError("--no-network and no --effects: there is nothing to learn")
+    return forms
 
 
 def _answer(
     learned: Learned, output: Path | None, named: Mapping[str, Mapping[str, float]], log_latency: bool
 ) -> dict[str, Any]:
-    """Return the JSON object, without the time; `output` is None where nothing was written."""
+    """Return the JSON object, without the time. output: None if nothing was written."""
     return {
         "model": None if output is None else str(output),
         "model_id": None if output is None else learned.model.id,
@@ -205,7 +226,7 @@ def _answer(
     }
 
 
-def _tell(
+def _print(
     learned: Learned, output: Path, named: Mapping[str, Mapping[str, float]], log_latency: bool
 ) -> None:
     """Print what was learned and written."""
@@ -226,11 +247,11 @@ def _numbers(name: str, values: Mapping[str, float]) -> str:
 
 
 def _line(name: str, judged: Judged | None) -> str:
-    """Position error of whole flights before and after, in words."""
+    """Return the position error of whole flights before and after, in words."""
     if judged is None:
         return f"{name}: nothing; give flights of three references or more, or --hold-out"
     before, after = judged.base.position_rmse_m, judged.learned.position_rmse_m
     count = len(judged.flights)
     beyond = f"; {100.0 * judged.outside:.0f} % beyond the region learned in" if judged.outside else ""
-    told = f"{1e3 * before:.1f} mm off before, {1e3 * after:.1f} mm after"
-    return f"{name}: {count} flights predicted {told}{beyond}"
+    errors = f"{1e3 * before:.1f} mm off before, {1e3 * after:.1f} mm after"
+    return f"{name}: {count} flights predicted {errors}{beyond}"

@@ -2,168 +2,203 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
 
 if TYPE_CHECKING:
+    from trimtab.host.models.model import Model
+    from trimtab.host.plan.dynamics import ResidualModel
     from trimtab.host.plan.result import Plan
-    from trimtab.host.route import LimitsOverride
+    from trimtab.host.route import LimitsOverride, Route
+    from trimtab.host.vehicle import Vehicle
 
 REPORT_SUFFIX = ".html"
 
 
-def command(
-    route: str,
-    *,
-    vehicle: VehicleName = DEFAULT_VEHICLE,
-    model: Path | None = None,
-    kind: str | None = None,
-    nodes: int | None = None,
-    time_s: float | None = None,
-    time_box: tuple[float, float] | None = None,
-    time_weight: float | None = None,
-    stretch: Annotated[bool, Parameter(negative="")] = False,
-    headroom: tuple[float, float] | None = None,
-    report: Path | None = None,
-    pareto: Annotated[bool, Parameter(negative="")] = False,
-    world: str | None = None,
-    world_seed: int = 0,
-    output: Output = None,
-    force: Force = False,
-    json: Json = False,
-    workspace: WorkspaceFolder = None,
-) -> None:
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions:
+    """Options of `trimtab plan`.
+
+    Attributes
+    ----------
+    model
+        Model of what the nominal vehicle lacks, a .model.toml file.
+    kind
+        min-snap, min-control or min-residual. A star behind the latter two (min-residual*) makes the model
+        part of the dynamics. min-control-r: min-control, then its path tracked with the model in the
+        dynamics. Default: min-residual if the model predicts a residual, else min-snap.
+    nodes
+        Approximate number of shooting intervals, 20 to 1600. Default: one every 70 ms.
+    time_s
+        Total time instead of the route's, at most 500 s.
+    time_box
+        Least and greatest total time as shares of the route's, such as 0.8 1.3. The plan chooses between
+        them.
+    time_weight
+        Cost of a second if the total time is free, in units of the squared residual. Default: 1.
+    stretch
+        Give a min-snap plan that breaks a limit more time.
+    headroom
+        Least and greatest share of a rotor's thrust that the plan may use, within the vehicle's own limits.
+    report
+        HTML page to write: the path with gates and keep-out shapes, and the residual, its sensitivity and the
+        distance to the limits at each node.
+    pareto
+        Compare plans instead of writing a reference: min-snap, min-control, and min-residual with the weights
+        of thrusts and thrust rates scaled by 0.1 to 10. Needs --model. --report writes the comparison.
+    world
+        World in which a simulated vehicle flies every plan of --pareto, by name or path.
+    world_seed
+        Seed of that world. Logs do not contain it.
+    output
+        Reference to write. Default: NAME.ref, with the route's name. With --world, the folder for all
+        references and logs. Default: NAME-pareto.
+    """
+
+    vehicle: VehicleName = DEFAULT_VEHICLE
+    model: Path | None = None
+    kind: str | None = None
+    nodes: int | None = None
+    time_s: float | None = None
+    time_box: tuple[float, float] | None = None
+    time_weight: float | None = None
+    stretch: Annotated[bool, Parameter(negative="")] = False
+    headroom: tuple[float, float] | None = None
+    report: Path | None = None
+    pareto: Annotated[bool, Parameter(negative="")] = False
+    world: str | None = None
+    world_seed: int = 0
+    output: Output = None
+    force: Force = False
+    json: Json = False
+    workspace: WorkspaceFolder = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanTask:
+    """What the options name, read from its files.
+
+    planner_options: further arguments of `host.plan.plan`. provenance: of everything that the verb writes.
+    """
+
+    route: Route
+    vehicle: Vehicle
+    model: Model | None
+    residual: ResidualModel
+    planner_options: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+
+
+DEFAULTS = PlanOptions()
+
+
+def command(route: str, *, options: PlanOptions = DEFAULTS) -> None:
     """Make a checked reference for a route.
 
     Parameters
     ----------
     route
-        Route file, by name or path, at most 500 s long; NAME:SEED draws a random route anew.
-    model
-        Model of what the nominal vehicle lacks, a .model.toml file.
-    kind
-        min-snap, min-control or min-residual; with a star behind the latter two the model is part of the
-        dynamics. min-control-r: min-control, then its path tracked with the model in the dynamics.
-        By default min-residual where a model is given that predicts a residual, else min-snap.
-    nodes
-        About how many shooting intervals, 20 to 1600; one about every 70 ms by default.
-    time_s
-        Total time, in place of the route's, at most 500 s.
-    time_box
-        Let the total time be free between these shares of it, as 0.8 1.3.
-    time_weight
-        What a second costs where the total time is free, in units of the squared residual; 1 by default.
-    stretch
-        Give a min-snap plan that breaks a limit more time.
-    headroom
-        Least and greatest share of a rotor's thrust that the plan may use; tighter than the vehicle's.
-    report
-        Page with pictures to write, .html: the path with gates and keep-out shapes; residual, its sensitivity
-        and distance to the limits node by node; what happens along it.
-    pareto
-        Compare in place of writing a reference: min-snap, min-control, and min-residual with the weights of
-        thrusts and their rates scaled from 0.1 to 10 times. Needs --model; --report writes that page.
-    world
-        With --pareto: world, by name or path, in which a simulated vehicle flies every plan.
-    world_seed
-        Seed of that world; logs do not hold it.
-    output
-        Reference to write; NAME.ref by default, with the route's name. With --world the folder for all
-        references and logs, NAME-pareto by default.
+        Route file, by name or path, at most 500 s long. NAME:SEED draws a random route anew.
     """
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.verbs import plan_pareto
+
+    if options.pareto and (options.model is None or options.stretch):
+        raise UsageError("--pareto needs --model, and goes without --stretch")
+    plan_pareto.check_options(options)
+    if options.report is not None:
+        _check_report(options.report, options.force)
+    task = _read(route, options)
+    if options.pareto:
+        plan_pareto.trade(task, options)
+    else:
+        _plan(task, options)
+
+
+def _read(route: str, options: PlanOptions) -> PlanTask:
+    """Read the files that the options name. Raises UsageError."""
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
-    from trimtab.host.base.output import emit, say
-    from trimtab.host.base.progress import Progress
     from trimtab.host.effects import load_effects
     from trimtab.host.models.file import read_model
-    from trimtab.host.plan import plan as make_plan
     from trimtab.host.plan.dynamics import ResidualModel
+    from trimtab.host.route import route_file
+    from trimtab.host.workspace import open_workspace
+
+    place = open_workspace(options.workspace)
+    vehicle = place.vehicle(options.vehicle)
+    target = place.route(route, vehicle)
+    model = None if options.model is None else read_model(options.model, vehicle_id=vehicle.id)
+    effects = load_effects(place.root)
+    try:
+        residual = ResidualModel() if model is None else ResidualModel.of(model, effects)
+    except ValueError as error:
+        raise UsageError(f"{options.model}: {error}") from None
+    parents = {"vehicle": vehicle.id, "route": target.id}
+    if model is not None:
+        parents["model"] = model.id
+    return PlanTask(
+        route=target,
+        vehicle=vehicle,
+        model=model,
+        residual=residual,
+        planner_options={
+            "effects": effects,
+            "headroom": None if options.headroom is None else _headroom(*options.headroom),
+            "total_time_s": options.time_s,
+            "nodes": options.nodes,
+            "source": route_file(route, place.root),
+        },
+        provenance=artefacts.provenance(parents=parents),
+    )
+
+
+def _plan(task: PlanTask, options: PlanOptions) -> None:
+    """Plan the route, write the reference and the report, and print both."""
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.output import emit, say
+    from trimtab.host.base.progress import Progress
+    from trimtab.host.plan import plan
     from trimtab.host.plan.files import check_name, figures, write_plan
     from trimtab.host.plan.sensitivity import sensitivity
     from trimtab.host.plan.table import from_reference
-    from trimtab.host.route import route_file
-    from trimtab.host.verbs import plan_pareto
-    from trimtab.host.workspace import open_workspace
 
-    if pareto and (model is None or stretch):
-        raise UsageError("--pareto needs --model, and goes without --stretch")
-    plan_pareto.check_options(world, world_seed, output, pareto=pareto)
-    if report is not None:
-        _check_report(report, force)
-    place = open_workspace(workspace)
-    airframe = place.vehicle(vehicle)
-    way = place.route(route, airframe)
-    known = None if model is None else read_model(model, vehicle_id=airframe.id)
-    effects = load_effects(place.root)
-    try:
-        residual = ResidualModel() if known is None else ResidualModel.of(known, effects)
-    except ValueError as error:
-        raise UsageError(f"{model}: {error}") from None
-    within = None if headroom is None else _headroom(*headroom)
-    parents = {"vehicle": airframe.id, "route": way.id}
-    if known is not None:
-        parents["model"] = known.id
-    origin = artefacts.provenance(parents=parents)
-    if pareto and known is not None:
-        options = {
-            "kind": kind or "min-residual",
-            "effects": effects,
-            "headroom": within,
-            "total_time_s": time_s,
-            "nodes": nodes,
-            "source": route_file(route, place.root),
-        }
-        plan_pareto.trade(
-            way,
-            airframe,
-            known,
-            options=options,
-            hangar=None
-            if world is None
-            else plan_pareto.Hangar(
-                world=world,
-                world_seed=world_seed,
-                folder=output or Path(f"{way.name}-pareto"),
-                force=force,
-            ),
-            origin=origin,
-            report=report,
-            force=force,
-            json=json,
+    target = check_name(options.output or Path(f"{task.route.name}.ref"), options.force)
+    with Progress(f"planning {task.route.name}"):
+        result = plan(
+            task.route,
+            task.vehicle,
+            kind=options.kind or ("min-residual" if task.residual.has_force else "min-snap"),
+            model=task.model,
+            time_box=options.time_box,
+            time_weight=options.time_weight,
+            stretch=options.stretch,
+            **task.planner_options,
         )
-        return
-    if kind is None:
-        kind = "min-residual" if residual.has_force else "min-snap"
-    target = check_name(output or Path(f"{way.name}.ref"), force)
-    with Progress(f"planning {way.name}"):
-        made = make_plan(
-            way,
-            airframe,
-            kind=kind,
-            model=known,
-            effects=effects,
-            headroom=within,
-            total_time_s=time_s,
-            time_box=time_box,
-            time_weight=time_weight,
-            stretch=stretch,
-            nodes=nodes,
-            source=route_file(route, place.root),
-        )
-    if report is not None:
+    if options.report is not None:
         from trimtab.host.report.plan import page
 
-        artefacts.write_atomic(report, page(made, way, airframe, residual, origin), force)
-    write_plan(made, target, provenance=origin, force=force)
-    say(*_lines(made, target, report))
-    off = sensitivity(airframe, residual, from_reference(made.reference), made.reference.yaw_nodes())
-    answer = {"reference": str(target), "id": made.reference.id, **figures(made)}
-    emit({**answer, "sensitivity": None if off is None else off.to_json(), "report": report}, json)
+        text = page(result, task.route, task.vehicle, task.residual, task.provenance)
+        artefacts.write_atomic(options.report, text, options.force)
+    write_plan(result, target, provenance=task.provenance, force=options.force)
+    say(*_lines(result, target, options.report))
+    samples = from_reference(result.reference)
+    bound = sensitivity(task.vehicle, task.residual, samples, result.reference.yaw_nodes())
+    answer = {
+        "reference": str(target),
+        "id": result.reference.id,
+        **figures(result),
+        "sensitivity": None if bound is None else bound.to_json(),
+        "report": options.report,
+    }
+    emit(answer, options.json)
 
 
 def _check_report(path: Path, force: bool) -> None:

@@ -2,61 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
-    from trimtab.host.models.model import Model
+    from trimtab.host.plan.flown import Flown
     from trimtab.host.plan.pareto import Point
-    from trimtab.host.route import Route
-    from trimtab.host.vehicle import Vehicle
+    from trimtab.host.verbs.plan import PlanOptions, PlanTask
 
 _LEFT_OUT_WITH_VALUE = ("-o", "--output", "--report", "--workspace")
 _LEFT_OUT = ("--json", "--force")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Hangar:
-    """Where plans are flown: world by name or path, its seed, and the folder for references and logs."""
-
-    world: str
-    world_seed: int
-    folder: Path
-    force: bool
-
-
-def check_options(world: str | None, world_seed: int, output: Path | None, *, pareto: bool) -> None:
-    """Refuse options of a flown trade that do not go together. Raises UsageError."""
+def check_options(options: PlanOptions) -> None:
+    """Refuse options of a flown comparison that do not go together. Raises UsageError."""
     from trimtab.host.base.errors import UsageError
 
-    if world is not None and not pareto:
+    if options.world is not None and not options.pareto:
         raise UsageError("--world goes with --pareto: `trimtab fly` flies a single reference")
-    if world is None and world_seed:
+    if options.world is None and options.world_seed:
         raise UsageError("--world-seed goes with --world")
-    if world_seed < 0:
-        raise UsageError(f"--world-seed {world_seed} is negative, give 0 or more")
-    if pareto and world is None and output is not None:
+    if options.world_seed < 0:
+        raise UsageError(f"--world-seed {options.world_seed} is negative, give 0 or more")
+    if options.pareto and options.world is None and options.output is not None:
         raise UsageError("--pareto goes without --output where no --world is named: it writes no reference")
 
 
-def trade(
-    route: Route,
-    vehicle: Vehicle,
-    model: Model,
-    *,
-    options: Mapping[str, Any],
-    hangar: Hangar | None,
-    origin: Mapping[str, Any],
-    report: Path | None,
-    force: bool,
-    json: bool,
-) -> None:
-    """Plan, fly, tell. options: more of `host.plan.pareto.pareto`. origin: the provenance of what is written.
+def trade(task: PlanTask, options: PlanOptions) -> None:
+    """Plan with each weight, fly the plans in the world that is named, and print the comparison.
 
-    Raises Refused where no plan was found, FlightFailed where none was flown to its end.
+    Raises Refused if no plan was found, FlightFailed if none was flown to its end.
     """
     from dataclasses import replace
 
@@ -66,11 +43,17 @@ def trade(
     from trimtab.host.base.progress import Progress
     from trimtab.host.plan.pareto import FACTORS, pareto
 
+    assert task.model is not None
     count = len(FACTORS) + 2
-    fly = None if hangar is None else _Flights(hangar, vehicle, model.id, origin)
-    with Progress(f"planning {route.name}", count if fly is None else 2 * count) as progress:
+    fly = None if options.world is None else _Flights(task, options, options.world)
+    with Progress(f"planning {task.route.name}", count if fly is None else 2 * count) as progress:
         points = pareto(
-            route, vehicle, model, on_point=lambda point: progress.advance(1.0, point.label), **options
+            task.route,
+            task.vehicle,
+            task.model,
+            kind=options.kind or "min-residual",
+            on_point=lambda point: progress.advance(1.0, point.label),
+            **task.planner_options,
         )
         if fly is not None:
             for k, point in enumerate(points):
@@ -78,62 +61,67 @@ def trade(
                 if point.plan is not None:
                     points[k] = replace(point, flown=fly(point))
                 progress.advance(1.0)
-    if report is not None:
+    if options.report is not None:
         from trimtab.host.report.plan import trade_page
 
-        artefacts.write_atomic(report, trade_page(points, route, origin), force)
+        text = trade_page(points, task.route, task.provenance)
+        artefacts.write_atomic(options.report, text, options.force)
     say(*_lines(points))
-    if hangar is not None:
-        say(f"references and logs are in {hangar.folder}")
-    if report is not None:
-        say(f"the report is {report}")
-    folder = None if hangar is None else str(hangar.folder)
-    emit({"points": [point.to_json() for point in points], "folder": folder, "report": report}, json)
+    if fly is not None:
+        say(f"references and logs are in {fly.folder}")
+    if options.report is not None:
+        say(f"the report is {options.report}")
+    folder = None if fly is None else str(fly.folder)
+    answer = {"points": [point.to_json() for point in points], "folder": folder, "report": options.report}
+    emit(answer, options.json)
     if all(point.plan is None for point in points):
-        raise Refused(f"{route.name}: none of the plans was found, give it more time or headroom")
+        raise Refused(f"{task.route.name}: none of the plans was found, give it more time or headroom")
     if fly is not None and all(point.error_mean_m is None for point in points):
-        raise FlightFailed(f"{route.name}: none of the plans was flown to its end")
+        raise FlightFailed(f"{task.route.name}: none of the plans was flown to its end")
 
 
 class _Flights:
-    """Flies points, all as the same flight of the same world: what differs is the plan."""
+    """Flies points, all as the same flight of the same world: only the plan differs."""
 
-    def __init__(self, hangar: Hangar, vehicle: Vehicle, model_id: str, origin: Mapping[str, Any]) -> None:
-        """Raise ConfigurationError where there is no such world, UsageError for a folder that is taken."""
+    def __init__(self, task: PlanTask, options: PlanOptions, world: str) -> None:
+        """Raise ConfigurationError if there is no such world, UsageError for a folder that is taken."""
         import sys
 
         from trimtab.host.apps.demo.flights import Airfield
         from trimtab.host.base import artefacts
         from trimtab.host.verbs.demo import free_folder
 
-        kept = artefacts.without_options(sys.argv[1:], _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
-        told = {
-            "version": origin["version"],
-            "git": origin["git"],
-            "command": artefacts.public_command(kept),
+        arguments = artefacts.without_options(sys.argv[1:], _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
+        session = {
+            "version": task.provenance["version"],
+            "git": task.provenance["git"],
+            "command": artefacts.public_command(arguments),
         }
         self._field = Airfield(
-            vehicle=vehicle,
-            world=hangar.world,
-            world_seed=hangar.world_seed,
-            session={key: value for key, value in told.items() if value is not None},
+            vehicle=task.vehicle,
+            world=world,
+            world_seed=options.world_seed,
+            session={key: value for key, value in session.items() if value is not None},
         )
         self._field.check()
-        self._folder = free_folder(hangar.folder.parent, hangar.folder, hangar.force)
-        self._force, self._model_id, self._origin = hangar.force, model_id, origin
+        folder = options.output or Path(f"{task.route.name}-pareto")
+        self.folder = free_folder(folder.parent, folder, options.force)
+        self._task, self._force = task, options.force
 
-    def __call__(self, point: Point) -> Any:
-        """Return the point's `Flown`; its reference is written too."""
+    def __call__(self, point: Point) -> Flown:
+        """Fly the point's plan; write its reference and log."""
         from trimtab.host.base import artefacts
         from trimtab.host.plan.files import write_plan
         from trimtab.host.plan.flown import fly_plan
 
         assert point.plan is not None
-        self._folder.mkdir(exist_ok=True)
+        assert self._task.model is not None
+        self.folder.mkdir(exist_ok=True)
         name = point.label.replace("*", "-augmented").replace(" x ", "-x")
-        write_plan(point.plan, self._folder / f"{name}.ref", provenance=self._origin, force=self._force)
-        log = artefacts.check_log(self._folder / f"{name}.mcap", self._force)
-        return fly_plan(point.plan, self._field, flight=0, log=log, model_id=self._model_id)
+        reference = self.folder / f"{name}.ref"
+        write_plan(point.plan, reference, provenance=self._task.provenance, force=self._force)
+        log = artefacts.check_log(self.folder / f"{name}.mcap", self._force)
+        return fly_plan(point.plan, self._field, flight=0, log=log, model_id=self._task.model.id)
 
 
 def _lines(points: Sequence[Point]) -> list[str]:

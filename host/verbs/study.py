@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -12,20 +14,47 @@ from trimtab.host.verbs.options import DEFAULT_VEHICLE, Json, Output, VehicleNam
 REPORT_NAME, JSON_NAME = "report.html", "report.json"
 
 
-def command(
-    name: str,
-    *,
-    seed: int = 1,
-    worlds: int | None = None,
-    vehicle: VehicleName = DEFAULT_VEHICLE,
-    jobs: int | None = None,
-    quick: Annotated[bool, Parameter(negative="")] = False,
-    baselines: Annotated[bool, Parameter(negative="")] = False,
-    real: Path | None = None,
-    output: Output = None,
-    workspace: WorkspaceFolder = None,
-    json: Json = False,
-) -> None:
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions:
+    """Options of `trimtab study`.
+
+    Attributes
+    ----------
+    seed
+        Seed of worlds, flights and first weights.
+    worlds
+        Number of worlds. Default: 30 for blind (538 in full size), 20 for calibrate, 5 for the paper's
+        studies.
+    jobs
+        Number of processes. Default: one for each core.
+    quick
+        Run a small study to check that everything works. For link, paper-learning and paper-planning.
+    baselines
+        Judge other methods on the same logs too. For blind.
+    real
+        TOML file with groups of recorded flights. They are traced beside the worlds, with the error on
+        held-out flights. For blind.
+    output
+        Folder for state and report. Default: study-NAME-SEED in the workspace.
+    """
+
+    seed: int = 1
+    worlds: int | None = None
+    vehicle: VehicleName = DEFAULT_VEHICLE
+    jobs: int | None = None
+    quick: Annotated[bool, Parameter(negative="")] = False
+    baselines: Annotated[bool, Parameter(negative="")] = False
+    real: Path | None = None
+    output: Output = None
+    workspace: WorkspaceFolder = None
+    json: Json = False
+
+
+DEFAULTS = StudyOptions()
+
+
+def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     """Run a study. An interrupted study resumes.
 
     Parameters
@@ -33,64 +62,62 @@ def command(
     name
         Study to run: blind (tracing in sealed worlds), calibrate (measured rules of tracing), link (uploads
         over lossy air, interrupted uploads, fuzz), paper-learning, paper-planning (the paper's sections).
-    seed
-        Worlds, flights and first weights are drawn from it.
-    worlds
-        How many worlds; blind: 30 (538 in full size), calibrate: 20, those of the paper: 5.
-    jobs
-        Processes at a time; one for each core by default.
-    quick
-        link, paper-learning, paper-planning: a small one, to see that everything works.
-    baselines
-        blind: judge other methods on the same logs too.
-    real
-        blind: TOML file with groups of flights that somebody flew: traced beside the worlds, with the error
-        on those held out.
-    output
-        Folder for state and report, by default study-NAME-SEED in the workspace.
     """
     import os
 
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
-    from trimtab.host.base.output import emit, json_text, say
+    from trimtab.host.base.output import emit, say
     from trimtab.host.base.progress import Progress
-    from trimtab.host.report.studies import REPORTS
     from trimtab.host.studies import find_study, options_of
     from trimtab.host.workspace import open_workspace
 
     study = find_study(name)
-    if seed < 0:
-        raise UsageError(f"--seed {seed} is negative, give 0 or more")
-    if jobs is not None and jobs < 1:
-        raise UsageError(f"--jobs {jobs}: give 1 or more")
-    options = options_of(
+    if options.seed < 0:
+        raise UsageError(f"--seed {options.seed} is negative, give 0 or more")
+    if options.jobs is not None and options.jobs < 1:
+        raise UsageError(f"--jobs {options.jobs}: give 1 or more")
+    study_options = options_of(
         study,
-        {"worlds": worlds, "quick": quick, "with_baselines": baselines, "real": real},
+        {
+            "worlds": options.worlds,
+            "quick": options.quick,
+            "with_baselines": options.baselines,
+            "real": options.real,
+        },
         {"worlds": "--worlds", "quick": "--quick", "with_baselines": "--baselines", "real": "--real"},
         name,
     )
-    space = open_workspace(workspace)
-    space.vehicle(vehicle)
-    craft = str(Path(vehicle).absolute()) if Path(vehicle).is_file() else vehicle
-    folder = output if output is not None else space.root / f"study-{name}-{seed}"
+    space = open_workspace(options.workspace)
+    space.vehicle(options.vehicle)
+    file = Path(options.vehicle)
+    folder = options.output if options.output is not None else space.root / f"study-{name}-{options.seed}"
     artefacts.check_folder(folder, ())
     with Progress(f"study {name}", total=1.0) as progress:
         outcome = study(
             folder=folder,
-            seed=seed,
-            vehicle=craft,
-            jobs=jobs or len(os.sched_getaffinity(0)),
+            seed=options.seed,
+            vehicle=str(file.absolute()) if file.is_file() else options.vehicle,
+            jobs=options.jobs or len(os.sched_getaffinity(0)),
             report=lambda done, total, detail: progress.update(done, total=total, detail=detail),
-            **options,
+            **study_options,
         )
+    answer = _write(folder, outcome, artefacts.provenance(seed=options.seed))
+    say(*outcome["lines"], f"the report is {answer['report']}")
+    emit(answer, options.json)
+
+
+def _write(folder: Path, outcome: Mapping[str, Any], provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Write pictures, report and JSON of a study; return the answer with the report's path."""
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.output import json_text
+    from trimtab.host.report.studies import REPORTS
+
     reporter = REPORTS[outcome["answer"]["study"]]
-    drawn = reporter.pictures(outcome)
-    provenance = artefacts.provenance(seed=seed)
-    for stem, picture in drawn.items():
+    pictures = reporter.pictures(outcome)
+    for stem, picture in pictures.items():
         artefacts.write_atomic(folder / f"{stem}.png", picture.png, force=True)
-    artefacts.write_atomic(folder / REPORT_NAME, reporter.page(outcome, drawn, provenance), force=True)
-    report = {**outcome["answer"], "report": str(folder / REPORT_NAME)}
-    artefacts.write_atomic(folder / JSON_NAME, json_text({**report, "scores": outcome["scores"]}), force=True)
-    say(*outcome["lines"], f"the report is {folder / REPORT_NAME}")
-    emit(report, json)
+    artefacts.write_atomic(folder / REPORT_NAME, reporter.page(outcome, pictures, provenance), force=True)
+    answer = {**outcome["answer"], "report": str(folder / REPORT_NAME)}
+    artefacts.write_atomic(folder / JSON_NAME, json_text({**answer, "scores": outcome["scores"]}), force=True)
+    return answer

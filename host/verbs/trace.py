@@ -1,17 +1,20 @@
-"""`trimtab trace`: names the missing effects behind flight logs."""
+"""`trimtab trace`: name the effects that a model lacks, from flight logs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
 
 if TYPE_CHECKING:
+    from trimtab.host.log import Flight
     from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre
+    from trimtab.host.trace.result import Trace
     from trimtab.host.vehicle import Vehicle
     from trimtab.host.workspace import Workspace
 
@@ -38,17 +41,18 @@ def command(
     logs
         Flight logs to trace.
     hold_out
-        Flight logs of other references, used for the error before and after only.
+        Flight logs of other references. They only measure the error before and after.
     vehicle
-        Vehicle the logs must be of; without it, the one they name.
+        Vehicle that the logs must come from. Default: the one that they name.
     output
-        Folder for model, report and JSON; made if missing. Nothing is written without it.
+        Folder for model, report and JSON. Made if missing. Without it, no file is written.
     network
-        Where the cause is outside the library, train a network on what is left: some ten seconds more.
+        Train a network on the unexplained residual if the cause is outside the library. Takes about ten
+        seconds.
     """
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
-    from trimtab.host.base.output import emit, json_text, say
+    from trimtab.host.base.output import emit, say
     from trimtab.host.base.progress import Progress
     from trimtab.host.effects import load_effects
     from trimtab.host.log import read_flight
@@ -79,26 +83,38 @@ def command(
             network=network,
             report=lambda step: progress.advance(0.0, step),
         )
-    model_path = report_path = network_path = None
+    answer = to_json(result) if output is None else _write(result, flights, held_out, output, force)
     if output is not None:
-        from trimtab.host.models.file import write_model
-        from trimtab.host.report.trace import page
-
-        model_path, report_path = str(output / MODEL_NAME), str(output / REPORT_NAME)
-        learned = None if result.unexplained is None else result.unexplained.model
-        if learned is not None:
-            network_path = str(output / NETWORK_NAME)
-        answer = to_json(result, model_path=model_path, report_path=report_path, network_path=network_path)
-        report = page(result, flights, held_out, answer)
-        output.mkdir(exist_ok=True)
-        write_model(result.model, output / MODEL_NAME, force=force)
-        if learned is not None:
-            write_model(learned, output / NETWORK_NAME, force=force)
-        artefacts.write_atomic(output / REPORT_NAME, report, force)
-        artefacts.write_atomic(output / JSON_NAME, json_text(answer), force)
         say(f"model, report and JSON are in {output}: {MODEL_NAME}, {REPORT_NAME}, {JSON_NAME}")
     say(*result_lines(result))
-    emit(to_json(result, model_path=model_path, report_path=report_path, network_path=network_path), json)
+    emit(answer, json)
+
+
+def _write(
+    result: Trace, flights: Sequence[Flight], held_out: Sequence[Flight], folder: Path, force: bool
+) -> dict[str, Any]:
+    """Write model, report, JSON and, if there is one, the network; return the answer with their paths."""
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.output import json_text
+    from trimtab.host.models.file import write_model
+    from trimtab.host.report.trace import page
+    from trimtab.host.trace.answer import to_json
+
+    network = None if result.unexplained is None else result.unexplained.model
+    answer = to_json(
+        result,
+        model_path=str(folder / MODEL_NAME),
+        report_path=str(folder / REPORT_NAME),
+        network_path=None if network is None else str(folder / NETWORK_NAME),
+    )
+    report = page(result, flights, held_out, answer)
+    folder.mkdir(exist_ok=True)
+    write_model(result.model, folder / MODEL_NAME, force=force)
+    if network is not None:
+        write_model(network, folder / NETWORK_NAME, force=force)
+    artefacts.write_atomic(folder / REPORT_NAME, report, force)
+    artefacts.write_atomic(folder / JSON_NAME, json_text(answer), force)
+    return answer
 
 
 def manoeuvres(space: Workspace, vehicle: Vehicle) -> tuple[Manoeuvre, ...]:
@@ -109,7 +125,7 @@ def manoeuvres(space: Workspace, vehicle: Vehicle) -> tuple[Manoeuvre, ...]:
 
     routes = {}
     for name in list_routes(space.root):
-        # A route file with a mistake in it is no reason to stop a trace.
+        # A faulty route file does not stop a trace.
         with suppress(ConfigurationError):
             routes[name] = space.route(name)
     return flyable(routes, vehicle)

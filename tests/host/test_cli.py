@@ -64,11 +64,11 @@ def test_help_imports_no_verb_and_nothing_heavy() -> None:
 @pytest.mark.parametrize(
     ("verb", "said"),
     [
-        ("plan", "Reference to write; NAME.ref by default"),
-        ("fly", "Flight log to write; NAME-FLIGHT.mcap by default"),
+        ("plan", "Reference to write. Default: NAME.ref"),
+        ("fly", "Flight log to write. Default: NAME-FLIGHT.mcap"),
         ("demo", "trimtab-demo in the workspace"),
         ("learn", "[default: learned.model.toml]"),
-        ("trace", "Nothing is written without it"),
+        ("trace", "Without it, no file is written"),
         ("log recover", "LOG.recovered.mcap by default"),
         ("log export", "LOG.csv by default"),
     ],

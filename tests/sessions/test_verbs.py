@@ -356,7 +356,9 @@ def test_sitl_interrupted_while_the_vehicle_is_built_ends(monkeypatch: pytest.Mo
 
 
 def test_first_flight_page_shows_what_fly_prints_and_files_that_are_not_there_yet(flown: Any) -> None:
-    page = (Path(__file__).parent.parent.parent / "docs" / "guide" / "first-flight.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parent.parent.parent / "docs" / "guide" / "first-flight.md").read_text(
+        encoding="utf-8"
+    )
     shape = re.compile(r"\d[\d.]*")
     shown = [shape.sub("0", line.strip()) for line in page.splitlines()]
     for line in flown[0].to_lines()[1:]:

@@ -83,7 +83,7 @@ def test_one_thin_flight_says_what_it_lacks_and_names_nothing_absent(
     name: str, change: Change, code: Code
 ) -> None:
     found = run([change(read_flight(DATA / f"{name}.mcap"))], [], load_effects())
-    answer = to_json(found, model_path=None, report_path=None)
+    answer = to_json(found)
     codes = {finding["code"] for finding in answer["findings"]}
     assert code in codes, codes
     (finding, *_) = [each for each in found.all_findings if each.code is code]

@@ -153,7 +153,9 @@ def test_reference_sent_in_flight_is_of_the_size_that_the_targets_name() -> None
 
 
 def test_picture_in_the_docs_is_that_of_the_code() -> None:
-    assert (ROOT / "docs" / "concepts" / "upload.svg").read_text("utf-8") == upload_picture.picture(), "run `make docs`"
+    assert (ROOT / "docs" / "concepts" / "upload.svg").read_text("utf-8") == upload_picture.picture(), (
+        "run `make docs`"
+    )
 
 
 def test_picture_shows_losses_repeats_and_the_cut() -> None:

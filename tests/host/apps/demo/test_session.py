@@ -168,7 +168,7 @@ def test_demo_leaves_every_artefact_whole(demo: Demo) -> None:
 
 def test_demo_answers_with_the_keys_of_trace_and_its_own(demo: Demo) -> None:
     folder, outcome, _ = demo
-    keys = set(to_json(outcome.result, model_path=None, report_path=None))
+    keys = set(to_json(outcome.result))
     own = {"tracking_rmse_first_m", "tracking_rmse_new_plan_m", "tracking_rmse_applied_m", "comparison"}
     assert set(outcome.answer) == keys | own
     written = json.loads((folder / JSON_NAME).read_text())
