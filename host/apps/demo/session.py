@@ -1,11 +1,9 @@
-"""One demo: plan, upload, fly, trace, plan again, fly again, report. Each step is timed and says a figure."""
+"""Run one demo: plan, upload, fly, trace, plan again, fly again, report."""
 
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,20 +14,20 @@ import numpy as np
 from trimtab.host.apps.demo import report
 from trimtab.host.apps.demo.applied import to_apply, voltage_ratio
 from trimtab.host.apps.demo.compare import Comparison, Tracked, latency_of, pooled_rmse_m, tracked
+from trimtab.host.apps.demo.files import FEEDFORWARD_NAME, JSON_NAME, MODEL_NAME, REPORT_NAME, DemoFiles
 from trimtab.host.apps.demo.flights import Airfield, upload_through_pty
 from trimtab.host.apps.demo.plans import Planned, fastest, plan_again, plan_first
 from trimtab.host.apps.demo.predict import predicted_rmse_m
 from trimtab.host.apps.demo.routes import DemoRoutes, draw_routes
 from trimtab.host.apps.demo.seeds import host_seed, world_seed
-from trimtab.host.base import artefacts
+from trimtab.host.apps.demo.steps import Say, Steps
 from trimtab.host.base.errors import FlightFailed, Refused, SolverError, TrimtabError
 from trimtab.host.base.output import json_text
-from trimtab.host.base.progress import Progress
 from trimtab.host.effects import Effect
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.models.file import write_model
 from trimtab.host.models.model import Model
-from trimtab.host.plan import Plan, write_plan
+from trimtab.host.plan import Plan
 from trimtab.host.plan.dynamics import ResidualModel
 from trimtab.host.report.trace import page
 from trimtab.host.trace.answer import to_json
@@ -40,24 +38,16 @@ from trimtab.protocol.blobs import FeedForward
 
 WORLD = "drawn-several"
 TWINS = 2
-MODEL_NAME, REPORT_NAME, JSON_NAME, FEEDFORWARD_NAME = (
-    "demo.model.toml",
-    "demo.html",
-    "demo.json",
-    "applied.ff",
-)
-
-Say = Callable[[str], None]
 FAILURES = (Refused, SolverError, FlightFailed)
-"""What may come of a second plan or flight without an end to the demo."""
+"""Errors of a second plan or flight that do not end the demo."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOrder:
-    """What to show, and where to leave it.
+    """Settings of a demo.
 
-    folder: gets every file, made if missing; `force` overwrites. routes: drawn from the seed where None.
-    twins: flights of each reference to learn from.
+    folder: receives every file, made if missing; `force` overwrites. routes: None to draw them from the seed.
+    twins: number of repeat flights of each reference to learn from.
     """
 
     vehicle: Vehicle
@@ -71,9 +61,10 @@ class DemoOrder:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What the demo found: the trace, the flown comparison, and the JSON object without wall time.
+    """Result of a demo: the trace, the flown comparison, and the JSON object without wall time.
 
-    failure: the first of what came of a second plan or flight instead; report and answer are whole then too.
+    steps: title and seconds of each. failure: the first error of a second plan or flight, or None; report and
+    answer are complete in both cases.
     """
 
     result: Trace
@@ -90,10 +81,11 @@ def run_demo(
     say: Say = lambda line: None,
     manoeuvres: Manoeuvres | None = None,
 ) -> Outcome:
-    """Return the outcome of a demo; files are in the folder.
+    """Run a demo; its files are in the folder of `order`.
 
-    Raises ConfigurationError (no such world), Refused or PlanUnsolved (a first plan), FlightFailed (a
-    failsafe before the trace), or what tracing raises; flights finished by then have left readable logs.
+    Raises ConfigurationError if there is no such world, Refused or PlanUnsolved for a first plan,
+    FlightFailed for a failsafe before the trace, and the errors of tracing. Logs of finished flights stay
+    readable.
     """
     return _Demo(order, effects, say, manoeuvres).run()
 
@@ -107,15 +99,18 @@ class _Demo:
         self._say = say
         self._manoeuvres = manoeuvres
         self._seed = host_seed(order.seed)
+        self._files = DemoFiles(
+            folder=order.folder, vehicle=order.vehicle, seed=self._seed, force=order.force
+        )
+        self._steps = Steps(say)
         self._routes = order.routes or draw_routes(self._seed, order.vehicle.limits)
         self._field = Airfield(
             vehicle=order.vehicle,
             world=order.world,
             world_seed=world_seed(order.seed),
-            session=self._told(),
+            session=self._files.session(),
         )
         self._flights = 0
-        self._steps: list[tuple[str, float]] = []
         self._failures: list[TrimtabError] = []
 
     def run(self) -> Outcome:
@@ -136,7 +131,7 @@ class _Demo:
             result=result,
             comparison=comparison,
             answer=answer,
-            steps=tuple(self._steps),
+            steps=tuple(self._steps.times),
             failure=self._failures[0] if self._failures else None,
         )
 
@@ -144,12 +139,12 @@ class _Demo:
 
     def _plan(self) -> tuple[list[Planned], list[Planned]]:
         routes = (*self._routes.learning, *self._routes.held_out)
-        with self._step("plan", len(routes)) as (bar, done):
+        with self._steps.step("plan", len(routes)) as (bar, done):
             plans = []
             for route in routes:
                 bar.advance(0.0, route.name)
                 planned = plan_first(route, self._order.vehicle)
-                self._write_plan(planned)
+                self._files.write_plan(planned)
                 plans.append(planned)
                 bar.advance()
             seconds = sum(planned.plan.duration_s for planned in plans)
@@ -160,10 +155,10 @@ class _Demo:
     def _fly(
         self, learning: list[Planned], held_out: list[Planned]
     ) -> tuple[list[tuple[Planned, Flight]], list[tuple[Planned, Flight]]]:
-        """Every planned flight; the first reference goes on board through a pty, the others in lock-step."""
+        """Fly every plan. The first reference goes on board through a pty, the others in lock-step."""
         field, first = self._field, learning[0]
         reference = first.plan.reference
-        with self._step("upload") as (bar, done):
+        with self._steps.step("upload") as (bar, done):
             simulated = field.power_up(reference, 1)
             bar.advance(0.0, first.name)
             port, sent = upload_through_pty(simulated, reference)
@@ -172,38 +167,34 @@ class _Demo:
                 f"{sent.frames_sent} frames, checked on board and live"
             )
         flown: list[tuple[Planned, Flight]] = []
-        every = [planned for planned in learning for _ in range(self._order.twins)] + held_out
-        with self._step("fly", len(every)) as (bar, done):
-            for planned in every:
+        queue = [planned for planned in learning for _ in range(self._order.twins)] + held_out
+        with self._steps.step("fly", len(queue)) as (bar, done):
+            for planned in queue:
                 bar.advance(0.0, planned.name)
                 if not flown:
                     flown.append((planned, self._first_flight(simulated, planned)))
                 else:
                     flown.append((planned, self._flight(planned)))
                 bar.advance()
-            count = len(every) - len(held_out)
+            count = len(queue) - len(held_out)
             errors = [tracked("", f, p, latency_s=0.0).stamped_rmse_m for p, f in flown]
             done(
-                f"{count} flights to learn from (the first with what the pty left on board, the others "
-                f"uploaded over the simulated link) and {len(held_out)} held out; tracking error "
+                f"{count} flights to learn from (the first with the reference uploaded through the pty, the "
+                f"others over the simulated link) and {len(held_out)} held out; tracking error "
                 f"{1e3 * float(np.mean(errors)):.0f} mm RMSE on average"
             )
         return flown[:count], flown[count:]
 
     def _trace(self, used: list[Flight], held_out: list[Flight]) -> Trace:
-        with self._step("trace") as (bar, done):
+        with self._steps.step("trace") as (bar, done):
             result = run(
                 used,
                 held_out,
                 self._effects,
                 vehicle=self._order.vehicle,
                 manoeuvres=self._manoeuvres,
-                provenance=artefacts.provenance(
-                    seed=self._seed,
-                    parents={f"log {i}": flight.id for i, flight in enumerate(used)},
-                    argv=self._argv(),
-                ),
-                report=lambda doing: bar.advance(0.0, doing),
+                provenance=self._files.provenance({f"log {i}": f.id for i, f in enumerate(used)}),
+                report=lambda step: bar.advance(0.0, step),
             )
             names = ", ".join(effect.name for effect in result.effects)
             text = result.verdict + (f": {names}" if names else "")
@@ -216,15 +207,13 @@ class _Demo:
     def _again(
         self, learning: list[Planned], used: list[tuple[Planned, Flight]], result: Trace
     ) -> Comparison:
-        """Return the fastest route again: by a new plan, then with the effects applied, as far as there is
-        one.
-        """
+        """Fly the fastest route again: with a new plan, and then with the effects applied, if possible."""
         route = fastest(learning)
         latency_s = latency_of(result)
-        mine = [flight for planned, flight in used if planned is route]
+        earlier = [flight for planned, flight in used if planned is route]
         first = tuple(
             tracked(f"first flight {i}", flight, route, latency_s=latency_s)
-            for i, flight in enumerate(mine, start=1)
+            for i, flight in enumerate(earlier, start=1)
         )
         if not result.effects:
             why = "nothing was traced"
@@ -232,11 +221,11 @@ class _Demo:
         model = result.model
 
         def predict(plan: Plan, feedforward: FeedForward | None = None) -> float:
-            return predicted_rmse_m(mine[0], plan.reference, model, self._effects, feedforward)
+            return predicted_rmse_m(earlier[0], plan.reference, model, self._effects, feedforward)
 
         def fly(label: str, planned: Planned, feedforward: FeedForward | None) -> tuple[Tracked | None, str]:
-            """Return the flight and nothing, or None and what came of it."""
-            with self._step("fly again") as (_, done):
+            """Return the flight and an empty reason, or None and the reason of the failure."""
+            with self._steps.step("fly again") as (_, done):
                 predicted_m = predict(planned.plan, feedforward)
                 try:
                     flight = self._flight(planned, feedforward, model.id)
@@ -244,23 +233,22 @@ class _Demo:
                     why = self._failed(error)
                     done(f"{label}: {why}")
                     return None, why
-                found = tracked(label, flight, planned, latency_s=latency_s, predicted_rmse_m=predicted_m)
-                before_mm, after_mm = 1e3 * pooled_rmse_m(first), 1e3 * found.rmse_m
+                again = tracked(label, flight, planned, latency_s=latency_s, predicted_rmse_m=predicted_m)
+                before_mm, after_mm = 1e3 * pooled_rmse_m(first), 1e3 * again.rmse_m
                 done(f"{label}: tracking error {before_mm:.1f} to {after_mm:.1f} mm RMSE")
-            return found, ""
+            return again, ""
 
         new_plan, applied = None, None
-        again, no_new_plan = self._plan_again(route, model, predict)
-        if again is not None:
-            new_plan, no_new_plan = fly("new plan", again, None)
-        flown, label = (route, "first plan") if again is None else (again, "new plan")
+        second, no_new_plan = self._plan_again(route, model, predict)
+        if second is not None:
+            new_plan, no_new_plan = fly("new plan", second, None)
+        flown, label = (route, "first plan") if second is None else (second, "new plan")
         ratio = voltage_ratio([flight for _, flight in used])
         feedforward, no_applied = to_apply(
             model, self._order.vehicle, self._effects, ratio, partial(predict, flown.plan)
         )
         if feedforward is not None:
-            path = self._order.folder / FEEDFORWARD_NAME
-            artefacts.write_atomic(path, feedforward.to_bytes(), self._order.force)
+            self._files.write(FEEDFORWARD_NAME, feedforward.to_bytes())
             applied, no_applied = fly(f"{label}, effects applied", flown, feedforward)
         return Comparison(
             first=first,
@@ -275,8 +263,8 @@ class _Demo:
     def _plan_again(
         self, route: Planned, model: Model, predict: Callable[[Plan], float]
     ) -> tuple[Planned | None, str]:
-        """Return the route's second plan and nothing, or None and the reason why."""
-        with self._step("plan again") as (_, done):
+        """Return the route's second plan and an empty reason, or None and the reason."""
+        with self._steps.step("plan again") as (_, done):
             if not ResidualModel.of(model, self._effects).has_force:
                 why = f"{', '.join(model.effects)}: not a drag that another path could avoid"
                 done(f"no new plan: {why}")
@@ -288,7 +276,7 @@ class _Demo:
                 done(f"no new plan: {why}")
                 return None, why
             planned = choice.planned
-            self._write_plan(planned, model)
+            self._files.write_plan(planned, model)
             before_mm, after_mm = 1e3 * predict(route.plan), 1e3 * choice.predicted_rmse_m
             done(
                 f"route {route.name} with the traced model, the best of {choice.plans} plans in the same "
@@ -304,28 +292,28 @@ class _Demo:
         used: list[tuple[Planned, Flight]],
         unseen: list[tuple[Planned, Flight]],
     ) -> dict[str, Any]:
-        folder, force = self._order.folder, self._order.force
-        with self._step("report") as (_, done):
-            found = to_json(result, model_path=MODEL_NAME, report_path=REPORT_NAME) | comparison.to_json()
+        with self._steps.step("report") as (_, done):
+            answer = to_json(result, model_path=MODEL_NAME, report_path=REPORT_NAME) | comparison.to_json()
             html = page(
                 result,
                 [flight for _, flight in used],
                 [flight for _, flight in unseen],
-                found,
+                answer,
                 report.sections(comparison, result, self._order.vehicle),
             )
-            artefacts.write_atomic(folder / REPORT_NAME, html, force)
-            artefacts.write_atomic(folder / JSON_NAME, json_text(found) + "\n", force)
+            self._files.write(REPORT_NAME, html)
+            self._files.write(JSON_NAME, json_text(answer) + "\n")
             done(f"one file of {len(html.encode()) / 1024:.0f} KiB")
-        return found | {"model": str(folder / MODEL_NAME), "report": str(folder / REPORT_NAME)}
+        folder = self._order.folder
+        return answer | {"model": str(folder / MODEL_NAME), "report": str(folder / REPORT_NAME)}
 
     # Parts of steps.
 
     def _first_flight(self, simulated: Any, planned: Planned) -> Flight:
-        """Return the flight with what is on board: the vehicle starts from power-up, its memory kept."""
+        """Fly what is on board: the vehicle starts from power-up with its memory intact."""
         self._flights += 1
         simulated.power_cycle(self._flights)
-        log = self._log(planned)
+        log = self._files.log(self._flights, planned)
         self._field.fly_with(simulated, planned.plan.reference, self._flights, log)
         simulated.close()
         return read_flight(log)
@@ -334,53 +322,13 @@ class _Demo:
         self, planned: Planned, feedforward: FeedForward | None = None, model_id: str | None = None
     ) -> Flight:
         self._flights += 1
-        log = self._log(planned)
+        log = self._files.log(self._flights, planned)
         self._field.fly(
             planned.plan.reference, self._flights, log, feedforward=feedforward, model_id=model_id
         )
         return read_flight(log)
 
-    def _log(self, planned: Planned) -> Path:
-        return artefacts.check_log(
-            self._order.folder / f"{self._flights:02d}-{planned.name}.mcap", self._order.force
-        )
-
-    def _write_plan(self, planned: Planned, model: Model | None = None) -> None:
-        parents = {"vehicle": self._order.vehicle.id, "route": planned.route.id}
-        if model is not None:
-            parents["model"] = model.id
-        write_plan(
-            planned.plan,
-            self._order.folder / f"{planned.name}.ref",
-            provenance=artefacts.provenance(seed=self._seed, parents=parents, argv=self._argv()),
-            force=self._order.force,
-        )
-
     def _failed(self, error: TrimtabError) -> str:
-        """Return what the error says, files by name alone; the demo's exit code will be its."""
+        """Return the error's text without the folder's path; the first error decides the demo's exit code."""
         self._failures.append(error)
         return str(error).replace(f"{self._order.folder}{os.sep}", "")
-
-    def _argv(self) -> list[str]:
-        """Return the command without world, seed and folder, which artefacts do not tell."""
-        return ["demo", "--vehicle", self._order.vehicle.name]
-
-    def _told(self) -> dict[str, str]:
-        """Return what the logs say of the session."""
-        known = artefacts.provenance(seed=self._seed, argv=self._argv())
-        return {
-            key: str(known[key]) for key in ("version", "git", "command", "seed") if known[key] is not None
-        }
-
-    @contextmanager
-    def _step(
-        self, title: str, total: float | None = None
-    ) -> Iterator[tuple[Progress, Callable[[str], None]]]:
-        """Yield times a step and says its line; the figure of it is told to the second of what is yielded."""
-        figures: list[str] = []
-        begin_s = time.perf_counter()
-        with Progress(title, total) as bar:
-            yield bar, figures.append
-        seconds = time.perf_counter() - begin_s
-        self._steps.append((title, seconds))
-        self._say(f"{len(self._steps)}. {title} ({seconds:.1f} s): {figures[0]}")

@@ -1,9 +1,9 @@
-"""From flight logs to segments on a regular grid, with an audit of what was left out and why."""
+"""Cut flight logs into segments on a regular grid. An audit lists what is left out, and why."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,10 +25,10 @@ LAGS = 5
 def segments_of(
     flights: Sequence[FlightData], *, rate_driven: bool, segment_s: float = SEGMENT_S
 ) -> tuple[Segments, tuple[Audit, ...]]:
-    """Return all usable segments of the flights, of one vehicle, and what was left out of each.
+    """Return all usable segments of one vehicle's flights, and the audit of each flight.
 
     rate_driven: the measured body rate drives the attitude, since the torque is unknown. Raises
-    LogsRefused when too few segments are left.
+    LogsRefused if too few segments are usable.
     """
     parts, audits = [], []
     for index, data in enumerate(flights):
@@ -42,8 +42,8 @@ def segments_of(
     arrays = {key: np.stack([p[key] for p in parts]) for key in parts[0] if key != "in_newton"}
     in_newton = bool(parts[0]["in_newton"])
     paths = _paths(flights)
-    found = Segments(dt_s=DT_S, in_newton=in_newton, rate_driven=rate_driven, paths=paths, **arrays)
-    return found, tuple(audits)
+    segments = Segments(dt_s=DT_S, in_newton=in_newton, rate_driven=rate_driven, paths=paths, **arrays)
+    return segments, tuple(audits)
 
 
 def _refusal(audits: Sequence[Audit], count: int, segment_s: float) -> str:
@@ -53,11 +53,11 @@ def _refusal(audits: Sequence[Audit], count: int, segment_s: float) -> str:
 
 
 def _paths(flights: Sequence[FlightData]) -> np.ndarray:
-    """Measured state (flights, n, 12) from each flight's first pose on, each PATH_S; body rate 0.
+    """Return the measured state (flights, n, 12), every PATH_S from each flight's first pose on; body rate 0.
 
-    Flights that end earlier stand at their last state.
+    Shorter flights are padded with their last state.
     """
-    each = []
+    paths = []
     for data in flights:
         s = data.signals
         t = np.arange(s.pose_s[0], s.pose_s[-1] + 0.5 * PATH_S, PATH_S)
@@ -65,97 +65,153 @@ def _paths(flights: Sequence[FlightData]) -> np.ndarray:
         at = np.minimum(np.searchsorted(s.pose_s, t), len(s.pose_s) - 1)
         yaw, pitch, roll = Rotation.from_matrix(s.R_ned_frd[at]).as_euler("ZYX").T
         v = np.gradient(p, PATH_S, axis=0)
-        each.append(np.column_stack([p, v, roll, pitch, yaw, np.zeros((len(t), 3))]))
-    longest = max(len(path) for path in each)
-    return np.stack([np.pad(path, ((0, longest - len(path)), (0, 0)), mode="edge") for path in each])
+        paths.append(np.column_stack([p, v, roll, pitch, yaw, np.zeros((len(t), 3))]))
+    longest = max(len(path) for path in paths)
+    return np.stack([np.pad(path, ((0, longest - len(path)), (0, 0)), mode="edge") for path in paths])
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Grid:
+    """A flight's measurements on a regular grid of DT_S.
+
+    t_s (n,): grid times; segments begin at index `run_up`, `count` of them of `steps` steps each.
+    command (n - 1, 4), rate_frd and force_frd (n - 1, 3): means over each step, with the share of the step
+    that samples cover, (n - 1,). voltage_ratio (n,). pose (n,): index of the nearest pose, -1 for none.
+    """
+
+    t_s: np.ndarray
+    run_up: int
+    steps: int
+    count: int
+    command: np.ndarray
+    command_share: np.ndarray
+    rate_frd: np.ndarray
+    rate_share: np.ndarray
+    force_frd: np.ndarray
+    force_share: np.ndarray
+    voltage_ratio: np.ndarray
+    pose: np.ndarray
+
+
+def _grid(data: FlightData, segment_s: float) -> _Grid:
+    """Return the measurements of `data` on the grid of its segments."""
+    s = data.signals
+    steps = round(segment_s / DT_S)
+    run_up = max(1, int(np.ceil(LAGS * data.flight.vehicle.motor_lag_s / DT_S)))
+    begin = max(s.span_s[0], s.pose_s[0] + (run_up + 2) * DT_S, s.input_s[0, 0] + (run_up + 2) * DT_S)
+    count = int((s.span_s[1] - begin) / segment_s)
+    t_s = begin + DT_S * np.arange(-run_up, count * steps + 1)
+    command, command_share = averaged(t_s, s.input_s, s.command)
+    missing = np.zeros((len(t_s) - 1, 3)), np.zeros(len(t_s) - 1)
+    rate, rate_share = averaged(t_s, s.imu_s, s.rate_frd) if len(s.rate_frd) else missing
+    force, force_share = averaged(t_s, s.imu_s, s.force_frd) if len(s.force_frd) else missing
+    nearest = np.round((s.pose_s - begin) / DT_S).astype(int) + run_up
+    distance_s = np.abs(s.pose_s - (begin + DT_S * (nearest - run_up)))
+    order = np.lexsort((distance_s, nearest))
+    closest = order[np.unique(nearest[order], return_index=True)[1]]
+    closest = closest[(nearest[closest] >= 0) & (nearest[closest] < len(t_s))]
+    pose = np.full(len(t_s), -1)
+    pose[nearest[closest]] = closest
+    return _Grid(
+        t_s=t_s,
+        run_up=run_up,
+        steps=steps,
+        count=count,
+        command=command,
+        command_share=command_share,
+        rate_frd=rate,
+        rate_share=rate_share,
+        force_frd=force,
+        force_share=force_share,
+        voltage_ratio=np.interp(t_s, s.voltage_s, s.voltage_ratio),
+        pose=pose,
+    )
 
 
 def _cut(
     data: FlightData, index: int, segment_s: float, rate_driven: bool
 ) -> tuple[list[dict[str, Any]], Audit]:
-    flight, s = data.flight, data.signals
-    sigma = noise(s)
-    steps = round(segment_s / DT_S)
-    pre = max(1, int(np.ceil(LAGS * flight.vehicle.motor_lag_s / DT_S)))
-    begin = max(s.span_s[0], s.pose_s[0] + (pre + 2) * DT_S, s.input_s[0, 0] + (pre + 2) * DT_S)
-    count = int((s.span_s[1] - begin) / segment_s)
-    grid = begin + DT_S * np.arange(-pre, count * steps + 1)
-    command, covered = averaged(grid, s.input_s, s.command)
-    nothing = np.zeros((len(grid) - 1, 3)), np.zeros(len(grid) - 1)
-    rate, rate_share = averaged(grid, s.imu_s, s.rate_frd) if len(s.rate_frd) else nothing
-    force, force_share = averaged(grid, s.imu_s, s.force_frd) if len(s.force_frd) else nothing
-    ratio = np.interp(grid, s.voltage_s, s.voltage_ratio)
-    nearest = np.round((s.pose_s - begin) / DT_S).astype(int) + pre
-    distance = np.abs(s.pose_s - (begin + DT_S * (nearest - pre)))
-    order = np.lexsort((distance, nearest))
-    keep = order[np.unique(nearest[order], return_index=True)[1]]
-    keep = keep[(nearest[keep] >= 0) & (nearest[keep] < len(grid))]
-    at = np.full(len(grid), -1)
-    at[nearest[keep]] = keep
-    fewest = (1.0 - RULES.missing_share) * min(1.0, DT_S / pose_interval_s(s))
-
+    """Return the usable segments of one flight, as fields of `Segments`, and its audit."""
+    grid = _grid(data, segment_s)
+    sigma = noise(data.signals)
+    min_poses = (1.0 - RULES.missing_share) * min(1.0, DT_S / pose_interval_s(data.signals))
     health = audit(data)
-    found: list[dict[str, Any]] = []
-    thin, lost = 0, dict[Code, int]()
-    for k in range(count):
-        a = pre + k * steps
-        start_s = float(grid[a] - s.span_s[0])
-        bad = health.overlaps(start_s, start_s + segment_s)
-        if bad is not None:
-            lost[bad.code] = lost.get(bad.code, 0) + 1
-            continue
-        pick = at[a : a + steps]
-        here = pick >= 0
-        fed = covered[a - pre : a + steps] > RULES.min_coverage
-        if (
-            here.mean() < fewest
-            or fed.mean() < 1 - RULES.missing_share
-            or not here[: max(2, steps // 6)].any()
-        ):
-            thin += 1
-            continue
-        R = s.R_ned_frd[np.where(here, pick, 0)]
-        found.append(
-            {
-                "in_newton": s.in_newton,
-                "flight": np.array(index),
-                "start_s": np.array(start_s),
-                "x0": _initial(s, grid[a], rate[a] if rate_share[a] > RULES.min_coverage else None),
-                "p_ned": s.p_ned[np.where(here, pick, 0)],
-                "R_ned_frd": R.reshape(steps, 9),
-                "shift_s": np.where(here, s.pose_s[np.where(here, pick, 0)] - grid[a : a + steps], 0.0),
-                "pose_weight": here.astype(float),
-                "rate_frd": rate[a : a + steps],
-                "rate_weight": (rate_share[a : a + steps] > RULES.min_coverage)
-                * (0.0 if rate_driven else 1.0),
-                "force_frd": force[a : a + steps],
-                "force_weight": (force_share[a : a + steps] > RULES.min_coverage).astype(float),
-                "command": command[a - pre : a + steps],
-                "voltage_ratio": ratio[a : a + steps],
-                "disturbance_frd": np.zeros((round(segment_s / BIN_S), 6)),
-                "path_start_s": np.array(grid[a] - s.pose_s[0]),
-                "sigma": sigma,
-            }
-        )
-    log = flight.path.name
+    segments: list[dict[str, Any]] = []
+    with_gaps, left_out = 0, dict[Code, int]()
+    for k in range(grid.count):
+        first = grid.run_up + k * grid.steps
+        start_s = float(grid.t_s[first] - data.signals.span_s[0])
+        fault = health.overlaps(start_s, start_s + segment_s)
+        if fault is not None:
+            left_out[fault.code] = left_out.get(fault.code, 0) + 1
+        elif _has_gaps(grid, first, min_poses):
+            with_gaps += 1
+        else:
+            fields = _segment(grid, data.signals, first, rate_driven)
+            segments.append(
+                fields | {"flight": np.array(index), "start_s": np.array(start_s), "sigma": sigma}
+            )
+    log = data.flight.path.name
     findings = [
         Finding(code=Code.SEGMENTS_LEFT_OUT, value=count, unit="segments", subject=(str(code),), log=log)
-        for code, count in lost.items()
+        for code, count in left_out.items()
     ]
-    if thin:
-        findings.append(Finding(code=Code.SEGMENTS_WITH_GAPS, value=thin, unit="segments", log=log))
-    return found, replace(
+    if with_gaps:
+        findings.append(Finding(code=Code.SEGMENTS_WITH_GAPS, value=with_gaps, unit="segments", log=log))
+    return segments, replace(
         health,
-        used_s=len(found) * segment_s,
-        segments=len(found),
-        left_out=thin + sum(lost.values()),
+        used_s=len(segments) * segment_s,
+        segments=len(segments),
+        left_out=with_gaps + sum(left_out.values()),
         findings=(*findings, *health.findings),
     )
 
 
+def _has_gaps(grid: _Grid, first: int, min_poses: float) -> bool:
+    """Return whether too few poses or commands cover the segment that begins at index `first`.
+
+    min_poses: share of the steps that need a pose.
+    """
+    posed = grid.pose[first : first + grid.steps] >= 0
+    commanded = grid.command_share[first - grid.run_up : first + grid.steps] > RULES.min_coverage
+    return bool(
+        posed.mean() < min_poses
+        or commanded.mean() < 1 - RULES.missing_share
+        or not posed[: max(2, grid.steps // 6)].any()
+    )
+
+
+def _segment(grid: _Grid, s: Signals, first: int, rate_driven: bool) -> dict[str, Any]:
+    """Return the fields of the segment that begins at index `first`; see `Segments` for their shapes."""
+    steps = grid.steps
+    inside = slice(first, first + steps)
+    pose = grid.pose[inside]
+    posed = pose >= 0
+    pose = np.where(posed, pose, 0)
+    rate_covered = grid.rate_share[inside] > RULES.min_coverage
+    return {
+        "in_newton": s.in_newton,
+        "x0": _initial(s, grid.t_s[first], grid.rate_frd[first] if rate_covered[0] else None),
+        "p_ned": s.p_ned[pose],
+        "R_ned_frd": s.R_ned_frd[pose].reshape(steps, 9),
+        "shift_s": np.where(posed, s.pose_s[pose] - grid.t_s[inside], 0.0),
+        "pose_weight": posed.astype(float),
+        "rate_frd": grid.rate_frd[inside],
+        "rate_weight": rate_covered * (0.0 if rate_driven else 1.0),
+        "force_frd": grid.force_frd[inside],
+        "force_weight": (grid.force_share[inside] > RULES.min_coverage).astype(float),
+        "command": grid.command[first - grid.run_up : first + steps],
+        "voltage_ratio": grid.voltage_ratio[inside],
+        "disturbance_frd": np.zeros((round(steps * DT_S / BIN_S), 6)),
+        "path_start_s": np.array(grid.t_s[first] - s.pose_s[0]),
+    }
+
+
 def _initial(s: Signals, t: float, rate: np.ndarray | None) -> np.ndarray:
-    """Return initial state (12,) at t: local quadratic through the positions, attitude of the nearest pose,
-    body rate; where no gyro says that, how the poses turn.
+    """Return the initial state (12,) at t.
+
+    Position and velocity come from a local quadratic through the positions, the attitude from the nearest
+    pose. rate: measured body rate, FRD; None to take the slope of the attitudes.
     """
     near = np.flatnonzero(np.abs(s.pose_s - t) < 0.06)
     if len(near) < 4:

@@ -1,4 +1,4 @@
-"""Sets of effects fitted to command-driven segments, and the diagnosis: what a search over them ends with."""
+"""Fit sets of effects to command-driven segments. The diagnosis is the result of a search over such sets."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ START = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6*
 START_RATE_DRIVEN = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.02**2)))
 
 SEGMENTS_SETTLED = 0.2
-"""Greatest step, in standard deviations, after which a fit ends: what is left of a greater one makes the
-evidence depend on where the fit began, by nats."""
+"""Greatest step at which a fit ends, in standard deviations. With a greater one, the start of the fit changes
+the evidence by nats."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentFit:
-    """One set of effects refitted: its evidence, the point (z, local), covariance (P, P) scaled, and the
-    linearisation it was found in, whose own point is up to a standard deviation away.
+    """One fitted set of effects.
+
+    theta_scaled (P,), local (flights, LOCALS): the estimate. covariance (P, P): of theta_scaled. lin: the
+    last linearisation; its point is up to a standard deviation from the estimate.
     """
 
     effects: Names
@@ -43,7 +45,7 @@ class SegmentFit:
 
 
 def starting_process(data: Segments) -> Process:
-    """Where the search for the process noise of these segments begins."""
+    """Return the process noise from which the first fit of these segments starts."""
     return START_RATE_DRIVEN if data.rate_driven else START
 
 
@@ -68,12 +70,13 @@ class SegmentFitter:
         return refit(self.form, start.data, effects, start)
 
     def scorers(self, fit: SegmentFit) -> list[Callable[[Names], float]]:
-        """Log evidence of any set in the fit's linearisation: with the process noise that every candidate
-        together leaves, and with the fit's own.
+        """Return two scorers of the log evidence of any set, both in the fit's linearisation.
+
+        The first uses the process noise fitted with every candidate, the second the fit's own.
         """
         prior, candidates = self.prior, self.space.candidates
         saturated = evidence.fit_process(fit.lin, prior, candidates, fit.process)
-        each = [evidence.whitened(fit.lin, process, prior) for process in (saturated, fit.process)]
+        whites = [evidence.whitened(fit.lin, process, prior) for process in (saturated, fit.process)]
         return [
             lambda names, white=white: evidence.log_evidence(
                 white.gram,
@@ -83,11 +86,11 @@ class SegmentFitter:
                 len(names),
                 self.space.bounds,
             )
-            for white in each
+            for white in whites
         ]
 
     def beyond(self, fit: SegmentFit) -> list[Names]:
-        """None: segments are begun from the measured path, which holds a swing already."""
+        """Return no set: segments start on the measured path, which already contains a swing."""
         return []
 
 
@@ -99,36 +102,28 @@ def refit(
     *,
     iterations: int = 6,
 ) -> SegmentFit:
-    """Gauss-Newton on all parameters under the prior of `effects`, the process noise fitted again at every
-    step.
+    """Fit all parameters by Gauss-Newton under the prior of `effects`; refit the process noise at every step.
 
-    The first fit, with no `start`, also finds the trajectories that the basis is taken along: its columns are
-    long, and along the wrong trajectory they would no longer be parallel to an effect of the same shape.
+    The first fit, without `start`, also finds the trajectories along which the basis is computed: the basis'
+    columns are long, and along a wrong trajectory they are no longer parallel to an effect of the same shape.
     """
-    space = form.space
-    prior, groups = space.prior, space.groups
-    flights = int(data.flight.max()) + 1
+    space, prior = form.space, form.space.prior
+    precision = prior.precision(effects)
     if start is None:
-        theta_scaled, local, process = (
-            np.zeros(len(space.columns)),
-            np.zeros((flights, model.LOCALS)),
-            starting_process(data),
-        )
+        theta_scaled, process = np.zeros(len(space.columns)), starting_process(data)
+        local = np.zeros((int(data.flight.max()) + 1, model.LOCALS))
+        data = data.with_w(linearise.measured_turn(form, data))
+        basis = linearise.basis(form, data, theta_scaled, local)
     else:
         theta_scaled, local, process = start.lin.theta_scaled.copy(), start.lin.local, start.process
         for name in set(start.effects) - set(effects):
-            theta_scaled[list(groups[name])] = 0.0
-    precision = prior.precision(effects)
-    if start is None:
-        data = data.with_w(linearise.measured_turn(form, data))
-        kept = linearise.basis(form, data, theta_scaled, local)
-    else:
-        kept = start.basis
+            theta_scaled[list(space.groups[name])] = 0.0
+        basis = start.basis
     for iteration in range(iterations):
         if iteration == 0 and start is not None and np.array_equal(theta_scaled, start.lin.theta_scaled):
             lin = start.lin
         else:
-            grams = linearise.linearise(form, data, theta_scaled, local, kept)
+            grams = linearise.linearise(form, data, theta_scaled, local, basis)
             data = data.with_x0(grams.x0)
             lin = linearise.project(grams, data, theta_scaled, local)
         process = evidence.fit_process(lin, prior, effects, process)
@@ -139,13 +134,13 @@ def refit(
             break
         if iteration < iterations - 1:
             step = space.clipped(theta_scaled + np.clip(step, -4.0, 4.0)) - theta_scaled
-            moved = evidence.local_step(lin, white, prior, step)
-            local = local + moved
-            data = data.with_w(evidence.disturbances(lin, process, step, moved))
+            local_step = evidence.local_step(lin, white, prior, step)
+            local = local + local_step
+            data = data.with_w(evidence.disturbances(lin, process, step, local_step))
             theta_scaled = theta_scaled + step
             if start is None and iteration < 2:
-                data = data.with_x0(linearise.fitted_x0(form, data, theta_scaled, local, kept, 2))
-                kept = linearise.basis(form, data, theta_scaled, local)
+                data = data.with_x0(linearise.fitted_x0(form, data, theta_scaled, local, basis, 2))
+                basis = linearise.basis(form, data, theta_scaled, local)
     step = space.clipped(theta_scaled + np.clip(step, -4.0, 4.0)) - theta_scaled
     return SegmentFit(
         effects=tuple(sorted(effects)),
@@ -158,7 +153,7 @@ def refit(
         process=process,
         lin=lin,
         data=data,
-        basis=kept,
+        basis=basis,
     )
 
 

@@ -4,6 +4,7 @@ over lanes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -152,36 +153,24 @@ class SegmentModel:
         """One step of the midpoint rule, rotors exactly: state after it, and what is measured in it."""
         names = list(_STEP_INPUTS)
         columns, scalars = self._symbols(*names)
-        (
-            body,
-            thrust,
-            theta_scaled,
-            memory,
-            local,
-            w,
-            command,
-            measured,
-            rate,
-            (voltage,),
-            (t_s,),
-            (shift,),
-        ) = scalars
+        body, thrust, theta_scaled, memory, local, w, command, measured, rate = scalars[:9]
+        (voltage,), (t_s,), (shift,) = scalars[9:]
         dt, vehicle, parts = self.dt_s, self.vehicle, self._parts(theta_scaled)
         lag = dynamics.motor_lag_s(CASADI, vehicle, parts)
         target = self._commanded(theta_scaled, command)
         middle_keep, keep = casadi.exp(-0.5 * dt / lag), casadi.exp(-dt / lag)
         middle = [t + (now - t) * middle_keep for t, now in zip(target, thrust, strict=True)]
         after = [t + (now - t) * keep for t, now in zip(target, thrust, strict=True)]
-        push = [
+        force_ned = [
             measured[3 * i] * w[0] + measured[3 * i + 1] * w[1] + measured[3 * i + 2] * w[2] for i in range(3)
         ]
-        turn = [local[3 + i] + w[3 + i] for i in range(3)]
+        torque_frd = [local[3 + i] + w[3 + i] for i in range(3)]
         if self.rate_driven:
-            body = [*body[:9], *(rate[i] + turn[i] for i in range(3))]
+            body = [*body[:9], *(rate[i] + torque_frd[i] for i in range(3))]
 
         def slopes(x: list, rotor: list, own: list) -> tuple[list[Scalar], list[Scalar]]:
             full = [*x, *rotor]
-            out = dynamics.rigid_body(CASADI, vehicle, parts, full, voltage, t_s, push, turn, own)
+            out = dynamics.rigid_body(CASADI, vehicle, parts, full, voltage, t_s, force_ned, torque_frd, own)
             own_rates = dynamics.memory_rates(CASADI, vehicle, parts, full, own)
             return ([*out[:9], 0.0, 0.0, 0.0] if self.rate_driven else out), own_rates
 
@@ -193,14 +182,11 @@ class SegmentModel:
         late = shift - dynamics.mocap_latency_s(CASADI, parts)
         position = [body[i] + late * (body[3 + i] + 0.5 * late * k1[3 + i]) for i in range(3)]
         R = _turned(euler_to_matrix(CASADI, body[6:9]), [local[i] + late * body[9 + i] for i in range(3)])
-        tilted = dynamics.gravity_ned(CASADI, parts) or (0.0, 0.0, 0.0)
-        felt = [k2[3 + i] - tilted[i] - (GRAVITY if i == 2 else 0.0) for i in range(3)]
-        felt = mat_t_vec(euler_to_matrix(CASADI, half[6:9]), felt)
         predicted = [
             *position,
             *_apart(measured, R),
             *(body[9 + i] + 0.5 * dt * k2[9 + i] for i in range(3)),
-            *(f + b for f, b in zip(felt, local[6:9], strict=True)),
+            *(f + b for f, b in zip(_specific_force(parts, half, k2), local[6:9], strict=True)),
         ]
         blocks = {
             "body": [a + dt * b for a, b in zip(body, k2, strict=True)],
@@ -210,6 +196,13 @@ class SegmentModel:
         }
         outputs = [casadi.vertcat(*map(casadi.SX, b)) if b else casadi.SX(0, 1) for b in blocks.values()]
         return lane_program(casadi.Function("step", columns, outputs, names, [f"{n}_out" for n in blocks]))
+
+
+def _specific_force(parts: list[dynamics.Part], body: list, slope: list) -> Sequence[Scalar]:
+    """Return the specific force in FRD, m/s^2, of a state and its derivative."""
+    tilted_ned = dynamics.gravity_ned(CASADI, parts) or (0.0, 0.0, 0.0)
+    force_ned = [slope[3 + i] - tilted_ned[i] - (GRAVITY if i == 2 else 0.0) for i in range(3)]
+    return mat_t_vec(euler_to_matrix(CASADI, body[6:9]), force_ned)
 
 
 def _turned(R: Any, phi: list) -> list:

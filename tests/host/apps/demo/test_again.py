@@ -11,9 +11,10 @@ import pytest
 
 from trimtab.host import cli
 from trimtab.host.apps.demo import session
+from trimtab.host.apps.demo.files import JSON_NAME, REPORT_NAME
 from trimtab.host.apps.demo.flights import Airfield
 from trimtab.host.apps.demo.routes import DemoRoutes
-from trimtab.host.apps.demo.session import JSON_NAME, REPORT_NAME, DemoOrder, Outcome, run_demo
+from trimtab.host.apps.demo.session import DemoOrder, Outcome, run_demo
 from trimtab.host.base.errors import FlightFailed, SolverError
 from trimtab.host.effects import load_effects
 from trimtab.host.trace import words

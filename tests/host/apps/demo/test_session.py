@@ -17,10 +17,11 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
+from trimtab.host.apps.demo.files import JSON_NAME, MODEL_NAME, REPORT_NAME
 from trimtab.host.apps.demo.flights import TRUTH_SUFFIX
 from trimtab.host.apps.demo.routes import DemoRoutes
 from trimtab.host.apps.demo.seeds import host_seed, world_seed
-from trimtab.host.apps.demo.session import JSON_NAME, MODEL_NAME, REPORT_NAME, DemoOrder, Outcome, run_demo
+from trimtab.host.apps.demo.session import DemoOrder, Outcome, run_demo
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.models.file import read_model

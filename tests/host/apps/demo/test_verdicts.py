@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from trimtab.host.apps.demo.files import REPORT_NAME
 from trimtab.host.apps.demo.routes import DemoRoutes
-from trimtab.host.apps.demo.session import REPORT_NAME, DemoOrder, Outcome, run_demo
+from trimtab.host.apps.demo.session import DemoOrder, Outcome, run_demo
 from trimtab.host.effects import load_effects
 from trimtab.host.vehicle import Vehicle
 

@@ -1,0 +1,30 @@
+"""Steps of a demo: each is timed and reports one figure."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from trimtab.host.base.progress import Progress
+
+Say = Callable[[str], None]
+
+
+class Steps:
+    """Times the steps of a demo and prints a line after each. times: (title, seconds) of each step so far."""
+
+    def __init__(self, say: Say) -> None:
+        self._say = say
+        self.times: list[tuple[str, float]] = []
+
+    @contextmanager
+    def step(self, title: str, total: float | None = None) -> Iterator[tuple[Progress, Say]]:
+        """Yield a progress bar and a function that takes the step's figure; call that function once."""
+        figures: list[str] = []
+        begin_s = time.perf_counter()
+        with Progress(title, total) as bar:
+            yield bar, figures.append
+        seconds = time.perf_counter() - begin_s
+        self.times.append((title, seconds))
+        self._say(f"{len(self.times)}. {title} ({seconds:.1f} s): {figures[0]}")
