@@ -52,12 +52,12 @@ def command(
     with Progress("bench", total=float(steps + 1)) as progress:
         done = iter(range(steps))
 
-        def hear(step: str) -> None:
+        def on_progress(step: str) -> None:
             progress.update(next(done), detail=step)
 
-        learned = learning.measure(craft, seed, hear)
-        planned = planning.measure(craft, seed, hear, size=size)
-        compared = flown.measure(craft, seed, hear, size=flights)
+        learned = learning.measure(craft, seed, on_progress)
+        planned = planning.measure(craft, seed, on_progress, size=size)
+        compared = flown.measure(craft, seed, on_progress, size=flights)
         progress.update(steps, detail="session")
         factor = session.realtime_factor(craft)
     say(

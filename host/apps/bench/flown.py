@@ -47,19 +47,32 @@ QUICK = Size(worlds=1)
 
 
 def measure(
-    vehicle: Vehicle, seed: int, hear: Callable[[str], None] = lambda step: None, *, size: Size | None = None
+    vehicle: Vehicle,
+    seed: int,
+    on_progress: Callable[[str], None] = lambda step: None,
+    *,
+    size: Size | None = None,
 ) -> dict[str, Any]:
     """Ratios, each a median over courses with the 95 % of bootstraps, and medians by kind.
 
     residual_ratio: of the mean predicted residual along the finished references, less that at rest, m/s^2.
-    hear: told `size.steps` times what begins.
+    on_progress: told `size.steps` times what begins.
     """
     size = size or Size()
     courses = []
     with tempfile.TemporaryDirectory(prefix="trimtab-bench-") as folder:
         for world in range(size.worlds):
             place = Path(folder) / f"{world:02d}"
-            found = flown(place, vehicle, seed, world, size.courses, kinds=KINDS, residuals=False, hear=hear)
+            found = flown(
+                place,
+                vehicle,
+                seed,
+                world,
+                size.courses,
+                kinds=KINDS,
+                residuals=False,
+                on_progress=on_progress,
+            )
             courses += found["courses"]
     residual = ratio(courses, KIND, "min-snap", "residual_mean_m_s2")
     error, control = (ratio(courses, KIND, base, "error_mean_m") for base in ("min-snap", "min-control"))

@@ -35,7 +35,7 @@ _REPEATS = 100
 def measure(
     vehicle: Vehicle,
     seed: int,
-    hear: Callable[[str], None] = lambda step: None,
+    on_progress: Callable[[str], None] = lambda step: None,
     *,
     epochs: int = PAPER_EPOCHS,
     iterations: int = SHORT,
@@ -46,10 +46,10 @@ def measure(
 
     gradient_ms: of 10 segments of 49 steps, a network of 2 x 32, in C; None without a compiler.
     gradient_vm_ms: the same in CasADi's virtual machine. peers: the same by JAX and diffrax, over_ours the
-    ratio to the best of ours; None where they are not installed. hear: told each of STEPS as it begins.
-    counts: flights by set.
+    ratio to the best of ours; None where they are not installed. on_progress: told each of STEPS as it
+    begins. counts: flights by set.
     """
-    hear(STEPS[0])
+    on_progress(STEPS[0])
     sets = make_flights(vehicle, seed, counts=counts)
     phi = phi_of(sets["train"], WORLD)
     train, validation = (exact_segments(phi, sets[name]) for name in ("train", "validation"))
@@ -57,22 +57,22 @@ def measure(
     batch = train.take(np.arange(PAPER_BATCH))
     theta = phi.theta_neutral
     compiler = wanted_compiler()
-    hear(STEPS[1])
+    on_progress(STEPS[1])
     lanes_ms = None
     if compiler is not None:
         lanes = LaneRollouts(phi, PAPER_MLP, theta, step_s=STEP_S, weight=WEIGHT, compiler=compiler)
         lanes_ms = best_ms(lambda: lanes.gradient(batch, batch.x0, xi), repeats=repeats)
-    hear(STEPS[2])
+    on_progress(STEPS[2])
     machine = Rollouts(phi, PAPER_MLP, theta, batch=PAPER_BATCH, step_s=STEP_S, weight=WEIGHT, engine="vm")
     machine_ms = best_ms(lambda: machine.gradient(batch, batch.x0, xi), repeats=repeats)
-    hear(STEPS[3])
+    on_progress(STEPS[3])
     ours, best_of_ours_ms = machine.gradient(batch, batch.x0, xi), lanes_ms or machine_ms
     beside = peers.measure(phi, PAPER_MLP, batch, xi, WEIGHT, ours, repeats=repeats)
     if beside is not None:
         beside = [{**row, "over_ours": row["gradient_ms"] / best_of_ours_ms} for row in beside]
-    hear(STEPS[4])
+    on_progress(STEPS[4])
     adam = paper(phi, train, validation, seed, layout=PAPER_MLP, weight=WEIGHT, epochs=epochs)
-    hear(STEPS[5])
+    on_progress(STEPS[5])
     quick = condensed(
         phi, train, validation, seed, layout=PAPER_MLP, weight=WEIGHT, iterations=iterations, passes=1
     )

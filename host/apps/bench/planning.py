@@ -1,13 +1,14 @@
 """Planning on seeded random courses with a network in the dynamics: the paper's Min-Residual*, on one core.
 
-The network is fitted to a known drag: the plan is as hard as with a learned one, and the same every time. A
-course is a random route in the time that its stretched min-snap plan takes: a way within the limits exists.
+The network is fitted to a known drag, so plans are as hard as with a learned one and the same in every run. A
+course is a random route with the duration of its stretched min-snap plan, so a path within the limits exists.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 from typing import Any
 
@@ -35,21 +36,23 @@ Array = NDArray[np.float64]
 
 KIND = "min-residual*"
 FREE_TIME = Settings(weights=Weights(time=1.0), total_time_box=(0.7, 1.4))
-"""A second more costs what the residual along the min-snap path costs in a second."""
+"""One more second costs as much as the residual along the min-snap path does in one second."""
 DRAG = np.array([0.5, 0.5, 0.1])
-"""What the network is fitted to: 1/s, along the body's axes."""
+"""Drag that the network is fitted to: 1/s, along the body axes."""
 _SPEED_MAX_M_S, _TILT_MAX_DEG, _THRUST_G = 6.0, 45.0, (0.4, 1.9)
 _HIDDEN = (32, 32)
 _SAMPLES, _FIT_ITERATIONS = 4000, 1500
 _MISS_M = 0.01
 _DRAWS = 20
-"""Routes drawn for every course wanted."""
+"""Greatest number of routes drawn for each course."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Size:
-    """How much is measured. plans, free_time, scaling, success: courses; nodes: of plans and free_time;
-    naive_nodes, rockit_nodes: of the problem set beside them; most_s: processor time that each may take.
+    """Size of the measurement.
+
+    plans, free_time, scaling, success: number of courses. nodes: of plans and free_time. naive_nodes,
+    rockit_nodes: of the problem that the peers solve. most_s: processor time that each peer may take.
     """
 
     plans: int = 20
@@ -64,12 +67,12 @@ class Size:
 
     @property
     def courses(self) -> int:
-        """How many are drawn."""
+        """Number of courses to draw."""
         return max(self.plans, self.free_time, self.scaling, self.success, 1)
 
     @property
     def steps(self) -> int:
-        """How often `measure` tells of a step."""
+        """Number of calls of `on_progress`."""
         return 4 + self.plans + self.free_time + self.scaling * len(self.scaling_nodes) + self.success
 
 
@@ -87,83 +90,99 @@ QUICK = Size(
 def measure(
     vehicle: Vehicle,
     seed: int,
-    hear: Callable[[str], None] = lambda step: None,
+    on_progress: Callable[[str], None] = lambda step: None,
     *,
     size: Size | None = None,
     fit_iterations: int = _FIT_ITERATIONS,
 ) -> dict[str, Any]:
-    """Processor times, convergence and success, each over the first of the same courses.
+    """Return processor times, convergence and success, each over the first of the same courses.
 
-    first_solve_s and what is called a median of it: the solver on all grids of the first round. hear: told
-    `size.steps` times what begins.
+    first_solve_s, and its median: the solver on all grids of the first round. on_progress: called
+    `size.steps` times, as each step begins.
     """
     size = size or Size()
-    hear("courses")
+    on_progress("courses")
     courses = draw_courses(vehicle, seed, size.courses)
-    hear("network")
+    on_progress("network")
     model, rmse = drag_model(vehicle, seed, iterations=fit_iterations)
-
-    def planned(what: str, count: int, **options: Any) -> list[Plan | str]:
-        """Return a course each: its plan, or why there is none."""
-        found: list[Plan | str] = []
-        for number, course in enumerate(courses[:count], 1):
-            hear(f"{what} {number} of {count}")
-            try:
-                found.append(plan(course, vehicle, kind=KIND, model=model, **options))
-            except (PlanRefused, PlanUnsolved) as error:
-                found.append(f"{course.name}: {error}")
-        return found
-
-    plans = _plans(planned("plan", size.plans, nodes=size.nodes))
-    free = _plans(planned("free time", size.free_time, nodes=size.nodes, settings=FREE_TIME))
+    outcomes = partial(_outcomes, vehicle, model, on_progress)
+    plans = _plans(outcomes("plan", courses[: size.plans], nodes=size.nodes))
+    free = _plans(outcomes("free time", courses[: size.free_time], nodes=size.nodes, settings=FREE_TIME))
     scaling = [
-        _scaling_row(nodes, planned(f"{nodes} intervals,", size.scaling, nodes=nodes))
+        _scaling_row(nodes, outcomes(f"{nodes} intervals,", courses[: size.scaling], nodes=nodes))
         for nodes in size.scaling_nodes
     ]
+    tried = courses[: size.success]
     failures = [
-        why
-        for course, found in zip(courses, planned("success", size.success), strict=False)
-        if (why := _failure(course, found)) is not None
+        reason
+        for course, outcome in zip(tried, outcomes("success", tried), strict=True)
+        if (reason := _failure(course, outcome)) is not None
     ]
-    hear("CasADi and Ipopt")
-    plain = beside(naive.solve, vehicle, model, courses[0], nodes=size.naive_nodes, most_s=size.most_s)
-    hear("rockit and minsnap-trajectories")
-    rockit = None
-    if rockit_ocp.installed():
-        rockit = beside(
-            rockit_ocp.solve, vehicle, model, courses[0], nodes=size.rockit_nodes, most_s=size.most_s
-        )
-    waypoints_ned = np.array(courses[0].waypoints_m)
-    each_s = [row["first_solve_s"] / row["nodes"] for row in scaling if row["first_solve_s"] is not None]
+    per_interval_s = [
+        row["first_solve_s"] / row["nodes"] for row in scaling if row["first_solve_s"] is not None
+    ]
     return {
         "network_rmse": rmse,
         "nodes": size.nodes,
-        "min_residual_star_median_s": _median([found.first_solve_s for found in plans]),
-        "plan_median_s": _median([found.solve_s for found in plans]),
-        "iterations_median": _median([found.iterations for found in plans]),
+        "min_residual_star_median_s": _median([plan.first_solve_s for plan in plans]),
+        "plan_median_s": _median([plan.solve_s for plan in plans]),
+        "iterations_median": _median([plan.iterations for plan in plans]),
         "planned": len(plans),
         "courses": size.plans,
-        "free_time_s": _median([found.first_solve_s for found in free]),
+        "free_time_s": _median([plan.first_solve_s for plan in free]),
         "free_time_planned": len(free),
         "free_time_courses": size.free_time,
         "scaling": scaling,
-        "seconds_per_interval_spread": max(each_s) / min(each_s) if each_s else None,
+        "seconds_per_interval_spread": max(per_interval_s) / min(per_interval_s) if per_interval_s else None,
         "success_rate": 1.0 - len(failures) / size.success if size.success else None,
         "success_courses": size.success,
         "failures": failures,
+        **_peers(vehicle, model, courses[0], size, on_progress),
+    }
+
+
+def _outcomes(
+    vehicle: Vehicle,
+    model: ResidualModel,
+    on_progress: Callable[[str], None],
+    title: str,
+    courses: Sequence[Route],
+    **options: Any,
+) -> list[Plan | str]:
+    """Return for each course its plan, or why there is none."""
+    outcomes: list[Plan | str] = []
+    for number, course in enumerate(courses, 1):
+        on_progress(f"{title} {number} of {len(courses)}")
+        try:
+            outcomes.append(plan(course, vehicle, kind=KIND, model=model, **options))
+        except (PlanRefused, PlanUnsolved) as error:
+            outcomes.append(f"{course.name}: {error}")
+    return outcomes
+
+
+def _peers(
+    vehicle: Vehicle, model: ResidualModel, course: Route, size: Size, on_progress: Callable[[str], None]
+) -> dict[str, Any]:
+    """Return the figures of the same course planned by CasADi with Ipopt, rockit and minsnap-trajectories."""
+    on_progress("CasADi and Ipopt")
+    plain = beside(naive.solve, vehicle, model, course, nodes=size.naive_nodes, most_s=size.most_s)
+    on_progress("rockit and minsnap-trajectories")
+    rockit = None
+    if rockit_ocp.installed():
+        rockit = beside(rockit_ocp.solve, vehicle, model, course, nodes=size.rockit_nodes, most_s=size.most_s)
+    durations = optimise_durations(np.array(course.waypoints_m), course.duration_s)
+    return {
         "speedup_over_naive": None if plain["ours_s"] is None else plain["seconds"] / plain["ours_s"],
         "naive": plain,
         "rockit": rockit,
-        "minsnap_trajectories": snap_peer.measure(
-            waypoints_ned, optimise_durations(waypoints_ned, courses[0].duration_s)
-        ),
+        "minsnap_trajectories": snap_peer.measure(np.array(course.waypoints_m), durations),
     }
 
 
 def draw_courses(vehicle: Vehicle, seed: int, count: int) -> list[Route]:
-    """Random routes, each in the time of its min-snap plan within what the network is trusted for.
+    """Draw random routes, each with the duration of its min-snap plan inside the network's region.
 
-    Raises ConfigurationError for a vehicle that few routes can be planned for.
+    Raises ConfigurationError if too few routes can be planned for the vehicle.
     """
     limits = within_region(vehicle.limits, region_of(vehicle), Dynamics(vehicle=vehicle))
     inside = LimitsOverride(
@@ -175,17 +194,17 @@ def draw_courses(vehicle: Vehicle, seed: int, count: int) -> list[Route]:
     for number in np.random.default_rng(seed).integers(2**31, size=_DRAWS * count):
         route = random_route(int(number))
         try:
-            made = plan(route, vehicle, kind="min-snap", headroom=inside, stretch=True)
+            snap = plan(route, vehicle, kind="min-snap", headroom=inside, stretch=True)
         except (ConfigurationError, PlanRefused):
             continue
-        courses.append(route.model_copy(update={"total_time_s": made.duration_s}))
+        courses.append(route.model_copy(update={"total_time_s": snap.duration_s}))
         if len(courses) == count:
             return courses
     raise ConfigurationError([f"{vehicle.name}: too few random routes can be planned within its limits"])
 
 
 def region_of(vehicle: Vehicle) -> Region:
-    """Where the network is fitted."""
+    """Return the region in which the network is fitted."""
     weight_n = vehicle.mass_kg * GRAVITY
     least, most = _THRUST_G
     return Region(
@@ -199,7 +218,7 @@ def region_of(vehicle: Vehicle) -> Region:
 def drag_model(
     vehicle: Vehicle, seed: int, *, iterations: int = _FIT_ITERATIONS
 ) -> tuple[ResidualModel, float]:
-    """Return a network 2 x 32 fitted to the drag, and its RMSE (m/s^2) where it was."""
+    """Return a network 2 x 32 fitted to the drag, and its RMSE (m/s^2) on the samples of the fit."""
     rng = np.random.default_rng(seed)
     most = np.array([*[_SPEED_MAX_M_S] * 3, 0.8, 0.8, 0.3])[:, None]
     state = rng.uniform(-most, most, (6, _SAMPLES))
@@ -217,10 +236,10 @@ def drag_model(
     return ResidualModel(network=network, region=region_of(vehicle)), float(end.fun) ** 0.5
 
 
-def miss_m(made: Plan, course: Route) -> float:
-    """Greatest distance of the reference from a waypoint when it is passed."""
-    table = from_reference(made.reference)
-    times_us = np.minimum(1e6 * np.array(made.waypoint_times_s), float(table.times_us[-1]))
+def miss_m(plan: Plan, course: Route) -> float:
+    """Return the greatest distance of the reference from a waypoint at the waypoint's time."""
+    table = from_reference(plan.reference)
+    times_us = np.minimum(1e6 * np.array(plan.waypoint_times_s), float(table.times_us[-1]))
     passed = evaluate(table, times_us)[0].T
     return float(np.linalg.norm(passed - np.array(course.waypoints_m), axis=1).max())
 
@@ -234,11 +253,11 @@ def beside(
     nodes: int,
     most_s: float,
 ) -> dict[str, Any]:
-    """Return the first round's problem by `solve` and by ours, both from the straight lines.
+    """Solve the first round's problem with `solve` and with our planner, both from straight lines.
 
-    Ours goes by way of coarser grids, and their time counts. at_least: the other did not arrive,
-    `seconds` is when it ended. ours_s: None where ours did not. cost_differs: of its optimum from ours, over
-    ours.
+    Our time includes the coarser grids. at_least: the peer did not converge, and `seconds` is the time at
+    which it ended. ours_s: None if our planner did not converge. cost_differs: relative difference of the
+    peer's optimum from ours.
     """
     job = make_job(course, vehicle, kind=KIND, model=model)
     engine, problem, ours = first_round(job, nodes=nodes)
@@ -255,27 +274,27 @@ def beside(
     }
 
 
-def _failure(course: Route, found: Plan | str) -> str | None:
-    """Why this is no success, None where it is one."""
-    if isinstance(found, str):
-        return found
-    missed = miss_m(found, course)
-    return None if missed <= _MISS_M else f"{course.name}: a waypoint is missed by {missed:.3g} m"
+def _failure(course: Route, outcome: Plan | str) -> str | None:
+    """Return why a course counts as a failure, or None for a success."""
+    if isinstance(outcome, str):
+        return outcome
+    missed_m = miss_m(outcome, course)
+    return None if missed_m <= _MISS_M else f"{course.name}: a waypoint is missed by {missed_m:.3g} m"
 
 
-def _scaling_row(nodes: int, found: list[Plan | str]) -> dict[str, Any]:
-    plans = _plans(found)
+def _scaling_row(nodes: int, outcomes: list[Plan | str]) -> dict[str, Any]:
+    plans = _plans(outcomes)
     return {
         "nodes": nodes,
-        "first_solve_s": _median([made.first_solve_s for made in plans]),
-        "iterations": _median([made.iterations for made in plans]),
+        "first_solve_s": _median([plan.first_solve_s for plan in plans]),
+        "iterations": _median([plan.iterations for plan in plans]),
         "planned": len(plans),
-        "courses": len(found),
+        "courses": len(outcomes),
     }
 
 
-def _plans(found: list[Plan | str]) -> list[Plan]:
-    return [made for made in found if isinstance(made, Plan)]
+def _plans(outcomes: list[Plan | str]) -> list[Plan]:
+    return [outcome for outcome in outcomes if isinstance(outcome, Plan)]
 
 
 def _median(values: list[Any]) -> float | None:

@@ -104,8 +104,8 @@ def refit(
 ) -> SegmentFit:
     """Fit all parameters by Gauss-Newton under the prior of `effects`; refit the process noise at every step.
 
-    The first fit, without `start`, also finds the trajectories along which the basis is computed: the basis'
-    columns are long, and along a wrong trajectory they are no longer parallel to an effect of the same shape.
+    The first fit, without `start`, also finds the trajectories along which the basis is computed: its columns
+    are long, and along a wrong trajectory they are no longer parallel to an effect of the same shape.
     """
     space, prior = form.space, form.space.prior
     precision = prior.precision(effects)
@@ -120,7 +120,7 @@ def refit(
             theta_scaled[list(space.groups[name])] = 0.0
         basis = start.basis
     for iteration in range(iterations):
-        if iteration == 0 and start is not None and np.array_equal(theta_scaled, start.lin.theta_scaled):
+        if iteration == 0 and start is not None and (theta_scaled == start.lin.theta_scaled).all():
             lin = start.lin
         else:
             grams = linearise.linearise(form, data, theta_scaled, local, basis)

@@ -1,10 +1,9 @@
-"""Kinds of plan side by side: as planned under a drag that is known, and flown in a sealed world.
+"""Compare kinds of plan: planned under a known drag, and flown in a sealed world.
 
-Planned: a drag of diag(0.5, 0.5, 0.1) 1/s in the body's frame is the model itself. Flown: a model is
-learned from flights of the sealed world, on courses of their own; the compared courses are flown by the DFBC
-without feed-forward, through firmware and radio. From the same flights more are learned, to be compared with
-each other: with a closed form of the drag, and with a network in its place, in the world's frame as the
-paper's and in the body's.
+Planned: the model is a drag of diag(0.5, 0.5, 0.1) 1/s in the body frame. Flown: a model is learned from
+flights in the sealed world, on training courses. The DFBC then flies the held-out courses without
+feed-forward, through firmware and radio. The same training flights give further models to compare: a closed
+form of the drag, and networks in its place, in the world frame as in the paper and in the body frame.
 """
 
 from __future__ import annotations
@@ -40,13 +39,13 @@ NODES = 400
 CLOSED_FORM = "closed-form"
 NETWORKS: Mapping[str, Frame] = {"network-body": "body", "network-world": "world"}
 RESIDUAL_KINDS = ("min-residual", "min-residual*")
-"""What is planned with the closed form and with each network."""
+"""Kinds planned with the closed form and with each network."""
 _TRAINING = 6
 _PACES = (1.0, 0.75)
 
 
 def planned(vehicle: Vehicle, seed: int, index: int) -> dict[str, Any]:
-    """One course planned in every kind with the paper's nodes and its weight of control effort."""
+    """Plan one course in every kind, with the paper's number of nodes and weight of control effort."""
     course = draw_course(vehicle, seed, index, "planned")
     known = ResidualModel(parts=((load_effects()[LINEAR_DRAG.name], DRAG),))
     hover_n = vehicle.mass_kg * GRAVITY / 4.0
@@ -67,14 +66,14 @@ def flown(
     *,
     kinds: Sequence[str] = KINDS,
     residuals: bool = True,
-    hear: Callable[[str], None] = lambda step: None,
+    on_progress: Callable[[str], None] = lambda step: None,
 ) -> dict[str, Any]:
-    """One world: a model learned from flights of its own, then the kinds flown on held-out courses.
+    """Learn a model from flights of one world; then fly the kinds there on held-out courses.
 
-    residuals: RESIDUAL_KINDS with the closed form and with networks in its place too. Logs stay in `folder`.
-    hear: told `courses` + 1 times what begins.
+    residuals: also plan RESIDUAL_KINDS with the closed form and with networks in its place. Logs stay in
+    `folder`. on_progress: called `courses` + 1 times, as each step begins.
     """
-    hear(f"world {world}: flights to learn from")
+    on_progress(f"world {world}: flights to learn from")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     field = Airfield(
@@ -83,54 +82,57 @@ def flown(
         world_seed=draw(seed, "world", world),
         session={"seed": str(seed), "command": "trimtab study paper-planning"},
     )
-    flights, number = [], 0
-    for k in range(_TRAINING // len(_PACES)):
-        course = draw_course(vehicle, seed, k, f"training-{world}")
-        for pace in _PACES:
-            number += 1
-            log = folder / f"training-{k}-{pace:g}.mcap"
-            slow = plan(course.route, vehicle, total_time_s=course.route.duration_s / pace)
-            field.fly(slow.reference, number, log)
-            flights.append(read_flight(log))
+    flights = _training_flights(field, folder, seed, world)
     effects = load_effects()
     learned = learn(flights, effects=effects, settings=CondensedSettings(), forms=DEFAULT_FORMS, hold_out=())
-    model = ResidualModel.of(learned.model, effects)
-    others = residual_models(flights, effects) if residuals else {}
-    rows = []
+    variants = [(kind, "", ResidualModel.of(learned.model, effects)) for kind in kinds]
+    if residuals:
+        others = residual_models(flights, effects)
+        variants += [(kind, name, model) for name, model in others.items() for kind in RESIDUAL_KINDS]
+    rows, number = [], len(flights)
     for k in range(courses):
         course = draw_course(vehicle, seed, k, f"flown-{world}")
-        hear(f"world {world}: {course.route.name}")
-        asked = [(kind, "", model) for kind in kinds]
-        asked += [(kind, what, other) for what, other in others.items() for kind in RESIDUAL_KINDS]
-        found: dict[str, dict[str, Any]] = {}
-        for kind, what, known in asked:
-            row, made = _planned(course, vehicle, known, kind, Settings(), None)
-            if made is not None:
+        on_progress(f"world {world}: {course.route.name}")
+        by_model: dict[str, dict[str, Any]] = {}
+        for kind, model_name, model in variants:
+            row, result = _planned(course, vehicle, model, kind, Settings(), None)
+            if result is not None:
                 number += 1
-                name = "-".join(part for part in (f"course-{k}", kind.replace("*", "s"), what) if part)
-                row |= _flight(field, made, number, folder / f"{name}.mcap")
-            found.setdefault(what, {})[kind] = row
+                stem = "-".join(part for part in (f"course-{k}", kind.replace("*", "s"), model_name) if part)
+                row |= _flight(field, result, number, folder / f"{stem}.mcap")
+            by_model.setdefault(model_name, {})[kind] = row
         rows.append(
             {
                 "course": course.route.name,
                 "duration_s": course.route.duration_s,
-                "kinds": found.pop(""),
-                "residuals": found,
+                "kinds": by_model.pop(""),
+                "residuals": by_model,
             }
         )
     return {"world": world, "kept": learned.kept.what, "courses": rows}
 
 
+def _training_flights(field: Airfield, folder: Path, seed: int, world: int) -> list[Flight]:
+    """Fly the training courses of a world at each pace; logs stay in `folder`."""
+    flights: list[Flight] = []
+    for k in range(_TRAINING // len(_PACES)):
+        course = draw_course(field.vehicle, seed, k, f"training-{world}")
+        for pace in _PACES:
+            log = folder / f"training-{k}-{pace:g}.mcap"
+            slow = plan(course.route, field.vehicle, total_time_s=course.route.duration_s / pace)
+            field.fly(slow.reference, len(flights) + 1, log)
+            flights.append(read_flight(log))
+    return flights
+
+
 def residual_models(flights: Sequence[Flight], effects: Mapping[str, Effect]) -> dict[str, ResidualModel]:
-    """Return the residual acceleration as a closed form, and as networks; the torque is a closed form in
-    all.
-    """
+    """Learn the residual acceleration as a closed form and as networks; the torque is a closed form in all."""
     torque = tuple(name for name in DEFAULT_FORMS if name != LINEAR_DRAG.name)
-    asked: dict[str, tuple[Layout | None, tuple[str, ...]]] = {CLOSED_FORM: (None, DEFAULT_FORMS)}
-    for what, frame in NETWORKS.items():
-        asked[what] = (Layout(hidden=(32, 32), frame=frame), torque)
+    variants: dict[str, tuple[Layout | None, tuple[str, ...]]] = {CLOSED_FORM: (None, DEFAULT_FORMS)}
+    for name, frame in NETWORKS.items():
+        variants[name] = (Layout(hidden=(32, 32), frame=frame), torque)
     return {
-        what: ResidualModel.of(
+        name: ResidualModel.of(
             learn(
                 flights,
                 effects=effects,
@@ -141,45 +143,45 @@ def residual_models(flights: Sequence[Flight], effects: Mapping[str, Effect]) ->
             ).model,
             effects,
         )
-        for what, (layout, forms) in asked.items()
+        for name, (layout, forms) in variants.items()
     }
 
 
 def _planned(
     course: Course, vehicle: Vehicle, model: ResidualModel, kind: str, settings: Settings, nodes: int | None
 ) -> tuple[dict[str, Any], Plan | None]:
-    """Return the plan's figures, or why there is none, and the plan."""
+    """Return the plan's figures and the plan, or why there is none and None."""
     try:
         if kind == "min-snap":
-            made = course.snap
+            result = course.snap
         else:
-            made = plan(course.route, vehicle, kind=kind, model=model, nodes=nodes, settings=settings)
+            result = plan(course.route, vehicle, kind=kind, model=model, nodes=nodes, settings=settings)
     except (Refused, SolverError) as error:
         return {"failed": str(error)}, None
-    along = profile(vehicle, model, from_reference(made.reference), made.reference.yaw_nodes())
+    along = profile(vehicle, model, from_reference(result.reference), result.reference.yaw_nodes())
     assert along.residual is not None
     d = along.residual
     norm = np.linalg.norm(d - d[:, :1], axis=0)
-    flat = reference_at(made.reference, np.arange(0, made.reference.duration_us, 10_000))
+    flat = reference_at(result.reference, np.arange(0, result.reference.duration_us, 10_000))
     return {
         "residual_mean_m_s2": float(norm.mean()),
         "drag_mean_n": float(vehicle.mass_kg * np.linalg.norm(d[:3], axis=0).mean()),
-        "solve_s": made.solve_s,
-        "first_solve_s": made.first_solve_s,
-        "iterations": made.iterations,
-        "rounds": made.rounds,
-        "path_length_m": made.path_length_m,
-        "mean_speed_m_s": made.mean_speed_m_s,
+        "solve_s": result.solve_s,
+        "first_solve_s": result.first_solve_s,
+        "iterations": result.iterations,
+        "rounds": result.rounds,
+        "path_length_m": result.path_length_m,
+        "mean_speed_m_s": result.mean_speed_m_s,
         "acceleration_max_m_s2": float(np.linalg.norm(flat[:, 6:9], axis=1).max()),
         "jerk_max_m_s3": float(np.linalg.norm(flat[:, 9:12], axis=1).max()),
         "jerk_mean_m_s3": float(np.linalg.norm(flat[:, 9:12], axis=1).mean()),
-        "outside_region": made.outside_region,
-    }, made
+        "outside_region": result.outside_region,
+    }, result
 
 
-def _flight(field: Airfield, made: Plan, number: int, log: Path) -> Mapping[str, Any]:
-    """Tracking error of one flight, m, mean and greatest, and the share of clipped ticks."""
-    flight = fly_plan(made, field, flight=number, log=log)
+def _flight(field: Airfield, plan_flown: Plan, number: int, log: Path) -> Mapping[str, Any]:
+    """Fly a plan; return the mean, RMS and greatest tracking error, m, and the share of clipped ticks."""
+    flight = fly_plan(plan_flown, field, flight=number, log=log)
     if flight.failure is not None:
         return {"flight_failed": flight.failure}
     return {

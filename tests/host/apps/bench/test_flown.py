@@ -33,7 +33,7 @@ def world(folder: Path, vehicle: Vehicle, seed: int, number: int, courses: int, 
     """A world in which every course goes as the last."""
     assert folder.parent.is_dir()
     for step in range(courses + 1):
-        how["hear"](f"{number} {step}")
+        how["on_progress"](f"{number} {step}")
     kinds = {kind: made_up(ERRORS_M[kind]) for kind in how["kinds"]}
     return {"courses": [{"course": f"{number}-{k}", "kinds": kinds} for k in range(courses)]}
 
@@ -73,7 +73,7 @@ def test_sizes_fly_twenty_courses_or_four() -> None:
 @pytest.mark.full
 def test_min_residual_is_flown_closer_than_min_snap(tmp_path: Path) -> None:
     heard: list[str] = []
-    found = compare.flown(tmp_path / "w", VEHICLE, 5, 0, 1, kinds=flown.KINDS, hear=heard.append)
+    found = compare.flown(tmp_path / "w", VEHICLE, 5, 0, 1, kinds=flown.KINDS, on_progress=heard.append)
     kinds = found["courses"][0]["kinds"]
     assert tuple(kinds) == flown.KINDS
     assert len(heard) == 2
