@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,22 +25,13 @@ JSON_NAME = "trace.json"
 NETWORK_NAME = "unexplained.model.toml"
 
 
-def command(
-    *logs: Path,
-    hold_out: Annotated[list[Path] | None, Parameter(name="--hold-out", consume_multiple=True)] = None,
-    vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None,
-    output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None,
-    network: Annotated[bool, Parameter(negative="--no-network")] = True,
-    workspace: WorkspaceFolder = None,
-    json: Json = False,
-    force: Force = False,
-) -> None:
-    """Name the missing effects behind flight logs.
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class TraceOptions:
+    """Options of `trimtab trace`.
 
-    Parameters
+    Attributes
     ----------
-    logs
-        Flight logs to trace.
     hold_out
         Flight logs of other references. They only measure the error before and after.
     vehicle
@@ -49,6 +41,27 @@ def command(
     network
         Train a network on the unexplained residual if the cause is outside the library. Takes about ten
         seconds.
+    """
+
+    hold_out: Annotated[list[Path] | None, Parameter(name="--hold-out", consume_multiple=True)] = None
+    vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None
+    output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None
+    network: Annotated[bool, Parameter(negative="--no-network")] = True
+    workspace: WorkspaceFolder = None
+    json: Json = False
+    force: Force = False
+
+
+DEFAULTS = TraceOptions()
+
+
+def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
+    """Name the effects that a vehicle's model lacks, from flight logs.
+
+    Parameters
+    ----------
+    logs
+        Flight logs to trace.
     """
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
@@ -63,14 +76,16 @@ def command(
 
     if not logs:
         raise UsageError("no log given, name one or more flight logs")
-    if hold_out is not None and not hold_out:
+    if options.hold_out is not None and not options.hold_out:
         raise UsageError("--hold-out names no log, give one or more or leave it out")
-    space = open_workspace(workspace)
-    wanted = None if vehicle is None else space.vehicle(vehicle)
-    if output is not None:
-        artefacts.check_folder(output, (MODEL_NAME, REPORT_NAME, JSON_NAME, NETWORK_NAME), force)
+    space = open_workspace(options.workspace)
+    wanted = None if options.vehicle is None else space.vehicle(options.vehicle)
+    if options.output is not None:
+        artefacts.check_folder(
+            options.output, (MODEL_NAME, REPORT_NAME, JSON_NAME, NETWORK_NAME), options.force
+        )
     flights = [read_flight(path) for path in logs]
-    held_out = [read_flight(path) for path in hold_out or ()]
+    held_out = [read_flight(path) for path in options.hold_out or ()]
     airframe = wanted or flights[0].vehicle
     with Progress("tracing") as progress:
         result = run(
@@ -80,14 +95,18 @@ def command(
             vehicle=wanted,
             manoeuvres=lambda: manoeuvres(space, airframe),
             provenance=artefacts.provenance(parents={f"log {i}": f.id for i, f in enumerate(flights)}),
-            network=network,
+            network=options.network,
             report=lambda step: progress.advance(0.0, step),
         )
-    answer = to_json(result) if output is None else _write(result, flights, held_out, output, force)
-    if output is not None:
-        say(f"model, report and JSON are in {output}: {MODEL_NAME}, {REPORT_NAME}, {JSON_NAME}")
+    answer = (
+        to_json(result)
+        if options.output is None
+        else _write(result, flights, held_out, options.output, options.force)
+    )
+    if options.output is not None:
+        say(f"model, report and JSON are in {options.output}: {MODEL_NAME}, {REPORT_NAME}, {JSON_NAME}")
     say(*result_lines(result))
-    emit(answer, json)
+    emit(answer, options.json)
 
 
 def _write(

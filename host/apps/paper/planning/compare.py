@@ -126,7 +126,7 @@ def _training_flights(field: Airfield, folder: Path, seed: int, world: int) -> l
 
 
 def residual_models(flights: Sequence[Flight], effects: Mapping[str, Effect]) -> dict[str, ResidualModel]:
-    """Learn the residual acceleration as a closed form and as networks; the torque is a closed form in all."""
+    """Learn the residual acceleration as a closed form and as networks, the torque as a closed form."""
     torque = tuple(name for name in DEFAULT_FORMS if name != LINEAR_DRAG.name)
     variants: dict[str, tuple[Layout | None, tuple[str, ...]]] = {CLOSED_FORM: (None, DEFAULT_FORMS)}
     for name, frame in NETWORKS.items():
