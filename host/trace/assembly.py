@@ -116,7 +116,7 @@ def model_of(
 
 def held_out_errors(
     logs: TraceData,
-    form: SegmentModel,
+    segment_model: SegmentModel,
     diagnosis: Diagnosis,
     added: bool,
     model: Model,
@@ -125,14 +125,14 @@ def held_out_errors(
     """Held-out errors with nothing, with everything, and with the adjustments only."""
     if not logs.held_out:
         return (), (), ()
-    chosen = form.space
+    chosen = segment_model.space
     named = [i for name in diagnosis.selected.effects for i in chosen.groups[name]]
     bare = Model(vehicle_id=model.vehicle_id, vehicle_name=model.vehicle_name, adjustments=model.adjustments)
 
     def predict(values: np.ndarray, whole: Model | None) -> tuple[Errors, ...]:
         if logs.drive == "reference":
             return predict_flights(logs.held_out, whole, effects)
-        return predict_segments(logs.held_out, form, values)
+        return predict_segments(logs.held_out, segment_model, values)
 
     before = predict(unknowns_only(chosen, diagnosis.null_fit), None)
     if not added:

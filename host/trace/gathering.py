@@ -17,7 +17,7 @@ from trimtab.host.trace.selection import Diagnosis, is_judged
 
 
 def gather_evidence(
-    form: SegmentModel,
+    segment_model: SegmentModel,
     diagnosis: Diagnosis,
     twins: Sequence[tuple[int, int]],
     unknown: frozenset[str],
@@ -28,13 +28,16 @@ def gather_evidence(
     best, nothing = diagnosis.selected, diagnosis.null_fit
     axial = "thrust" not in unknown
     after, before = diagnosis.repeatability
-    residual = unexplained_residual(*_remainder(form, diagnosis), twins, axial=axial)
+    residual = unexplained_residual(*_remainder(segment_model, diagnosis), twins, axial=axial)
     without = unexplained_residual(
-        disturbance_left(nothing, unknowns_only(form.space, nothing)), nothing.data, twins, axial=axial
+        disturbance_left(nothing, unknowns_only(segment_model.space, nothing)),
+        nothing.data,
+        twins,
+        axial=axial,
     )
     by_segments = diagnosis.method == "segments"
     return Evidence(
-        space=form.space,
+        space=segment_model.space,
         selected=best.effects,
         null_probability=diagnosis.null_probability,
         log_evidence=diagnosis.log_evidence,
@@ -50,24 +53,26 @@ def gather_evidence(
         segment_disagreement_nats=(
             {}
             if by_segments or twins or not best.effects
-            else segment_disagreement_nats(form, nothing, best.effects)
+            else segment_disagreement_nats(segment_model, nothing, best.effects)
         ),
         tracking_s=tracking_s,
         extent_m=extent_m,
     )
 
 
-def segment_disagreement_nats(form: SegmentModel, nothing: SegmentFit, selected: Names) -> dict[str, float]:
+def segment_disagreement_nats(
+    segment_model: SegmentModel, nothing: SegmentFit, selected: Names
+) -> dict[str, float]:
     """Return by how many nats segments prefer the selected set without each of its effects."""
-    whole = refit(form, nothing.data, selected, nothing)
+    whole = refit(segment_model, nothing.data, selected, nothing)
     return {
-        name: refit(form, nothing.data, tuple(n for n in selected if n != name), whole).log_evidence
+        name: refit(segment_model, nothing.data, tuple(n for n in selected if n != name), whole).log_evidence
         - whole.log_evidence
         for name in selected
     }
 
 
-def _remainder(form: SegmentModel, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
+def _remainder(segment_model: SegmentModel, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
     """Disturbance (segments, bins, 6) that the library leaves, by which abstention is judged.
 
     Of the kept set; where none is kept though one is more probable than nothing, of the most probable.
@@ -75,5 +80,7 @@ def _remainder(form: SegmentModel, diagnosis: Diagnosis) -> tuple[np.ndarray, Se
     best = diagnosis.selected
     if is_judged(diagnosis):
         return disturbance_left(best, best.theta_scaled), best.data
-    fit = refit(form, diagnosis.null_fit.data, most_probable(diagnosis.posterior_weights), diagnosis.null_fit)
+    fit = refit(
+        segment_model, diagnosis.null_fit.data, most_probable(diagnosis.posterior_weights), diagnosis.null_fit
+    )
     return disturbance_left(fit, fit.theta_scaled), fit.data

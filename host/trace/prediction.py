@@ -27,9 +27,9 @@ from trimtab.host.trace.data.logs import TraceData
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.data.signals import FlightData, pose_interval_s
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.segment_fit import linearise, model, rollout
+from trimtab.host.trace.segment_fit import linearise, rollout
 from trimtab.host.trace.segment_fit.fit import starting_process
-from trimtab.host.trace.segment_fit.model import SegmentModel
+from trimtab.host.trace.segment_fit.model import LOCALS, SegmentModel
 
 _LEAD_S = 0.3
 _ROLL_OUT_STEP_S = 0.005
@@ -160,19 +160,19 @@ def _predict(data: Sequence[FlightData], model: Model | None, effects: Mapping[s
 
 
 def predict_segments(
-    flights: Sequence[FlightData], form: SegmentModel, theta_scaled: np.ndarray
+    flights: Sequence[FlightData], segment_model: SegmentModel, theta_scaled: np.ndarray
 ) -> tuple[Errors, ...]:
     """Errors over 0.6 s ahead from recorded inputs, each start fitted to the 0.3 s before it.
 
     A flight's own nuisances come from its first quarter, and what is predicted lies behind that: nothing of a
     prediction knows what is measured later. Raises TooLittleData where nothing lies behind.
     """
-    whole, _ = segments_of(flights, rate_driven=form.rate_driven)
-    data, _ = segments_of(flights, rate_driven=form.rate_driven, segment_s=_LEAD_S + SEGMENT_S)
+    whole, _ = segments_of(flights, rate_driven=segment_model.rate_driven)
+    data, _ = segments_of(flights, rate_driven=segment_model.rate_driven, segment_s=_LEAD_S + SEGMENT_S)
     spans = np.array([each.signals.span_s for each in flights])
     known_s = RULES.calibration_share * (spans[:, 1] - spans[:, 0])
     early = whole.take(whole.start_s + SEGMENT_S <= known_s[whole.flight])
-    local = _fitted_local(form, early, theta_scaled, len(flights))
+    local = _fitted_local(segment_model, early, theta_scaled, len(flights))
     data = data.take(data.start_s >= known_s[data.flight])
     for index, each in enumerate(flights):
         if not (data.flight == index).any():
@@ -187,10 +187,10 @@ def predict_segments(
         rate_weight=data.rate_weight * before,
         force_weight=data.force_weight * before,
     )
-    kept = linearise.basis(form, fit, theta_scaled, local)
-    x0 = linearise.fitted_x0(form, fit, theta_scaled, local, kept, iterations=4)
+    kept = linearise.basis(segment_model, fit, theta_scaled, local)
+    x0 = linearise.fitted_x0(segment_model, fit, theta_scaled, local, kept, iterations=4)
     rolled = rollout.roll_out(
-        form, data, x0.T[:, None, :], theta_scaled[:, None], local[data.flight].T[:, None, :]
+        segment_model, data, x0.T[:, None, :], theta_scaled[:, None], local[data.flight].T[:, None, :]
     )
     predicted = np.transpose(rolled[:, :3, 0, :], (2, 0, 1))
     speed = np.gradient(predicted, DT_S, axis=1)
@@ -219,20 +219,24 @@ def predict_segments(
     return tuple(out)
 
 
-def _fitted_local(form: SegmentModel, data: Segments, theta_scaled: np.ndarray, flights: int) -> np.ndarray:
+def _fitted_local(
+    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, flights: int
+) -> np.ndarray:
     """Nuisances (flights, 9) of flights that were not used, under given parameters; 0 where no segment is."""
-    local = np.zeros((flights, model.LOCALS))
+    local = np.zeros((flights, LOCALS))
     if not len(data.flight):
         return local
     process = starting_process(data)
-    kept = linearise.basis(form, data, theta_scaled, local)
+    kept = linearise.basis(segment_model, data, theta_scaled, local)
     for _ in range(3):
-        grams = linearise.linearise(form, data, theta_scaled, local, kept)
+        grams = linearise.linearise(segment_model, data, theta_scaled, local, kept)
         data = data.with_x0(grams.x0)
         lin = linearise.project(grams, data, theta_scaled, local)
-        process = evidence.fit_process(lin, form.space.prior, (), process)
-        white = evidence.whitened(lin, process, form.space.prior)
-        local = local + evidence.local_step(lin, white, form.space.prior, np.zeros(len(theta_scaled)))
+        process = evidence.fit_process(lin, segment_model.space.prior, (), process)
+        white = evidence.whitened(lin, process, segment_model.space.prior)
+        local = local + evidence.local_step(
+            lin, white, segment_model.space.prior, np.zeros(len(theta_scaled))
+        )
     return local
 
 

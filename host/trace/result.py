@@ -1,4 +1,4 @@
-"""What a trace ends with, as typed results; the machine's JSON is made of them."""
+"""The result of a trace as typed data; `answer.py` turns it into JSON."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Value:
 
 @dataclass(frozen=True, kw_only=True)
 class Named:
-    """An effect that was found: parameters by key, posterior probability, and what else it could be."""
+    """A named effect: parameters by key, posterior probability, and its aliases with their probability."""
 
     name: str
     title: str
@@ -41,7 +41,7 @@ class Named:
     probability: float
     aliases: Mapping[str, float]
     exact_aliases: Mapping[str, ObservedAlias]
-    """By the name of an effect that fits exactly as well, what flights show of the two."""
+    """Effects that fit exactly as well, by name, with what flights show of the two."""
 
     @property
     def inexact_aliases(self) -> dict[str, float]:
@@ -53,8 +53,8 @@ class Named:
 class Trace:
     """The whole result.
 
-    `possible` are effects beside the named ones that the data does not exclude, with their probability.
-    `before` and `after` hold one entry a held-out flight, empty where none was held out.
+    possible: other effects that the data does not exclude, with their probability. before, after: one entry
+    for each held-out flight; empty if none was held out.
     """
 
     verdict: Verdict
@@ -73,44 +73,45 @@ class Trace:
     residual: UnexplainedResidual
     audits: tuple[Audit, ...]
     description: Description | None
-    """What the disturbance outside the library depends on; None where the verdict is another."""
+    """What a disturbance outside the library depends on; None for other verdicts."""
     unexplained: Unexplained | None
-    """The network's errors on what is left, where one was trained."""
+    """Errors of the network that was trained on the residual; None if none was trained."""
 
     @property
     def horizon_s(self) -> float | None:
-        """Return how far ahead held-out flights are predicted; None for whole flights."""
+        """Return the prediction horizon on held-out flights; None for whole flights."""
         return None if self.drive == "reference" else SEGMENT_S
 
     @property
     def before_score(self) -> dict[str, float] | None:
-        """Return the held-out RMSE without effects; None where nothing was held out."""
+        """Return the held-out RMSE without effects; None if no flight was held out."""
         return rmse(self.before) if self.before else None
 
     @property
     def after_score(self) -> dict[str, float] | None:
-        """Return the held-out RMSE with the model; None where nothing was held out."""
+        """Return the held-out RMSE with the model; None if no flight was held out."""
         return rmse(self.after) if self.after else None
 
     @property
     def evidence(self) -> dict[str, float]:
-        """Nats that each candidate is worth: lost without a kept effect, gained with one that was not kept.
+        """Return the nats that each candidate is worth: lost without a selected one, gained with another one.
 
-        Taken from the sets considered; a candidate that no set near the kept one holds is left out.
+        It uses the sets considered. A candidate without a considered set next to the selected one is left
+        out.
         """
-        weights, kept = self.diagnosis.posterior_weights, set(self.diagnosis.selected.effects)
-        here = float(np.log(max(weights[tuple(sorted(kept))], 1e-300)))
-        out = {}
+        weights, selected = self.diagnosis.posterior_weights, set(self.diagnosis.selected.effects)
+        log_weight = float(np.log(max(weights[tuple(sorted(selected))], 1e-300)))
+        nats = {}
         for name in self.space.candidates:
-            other = tuple(sorted(kept ^ {name}))
+            other = tuple(sorted(selected ^ {name}))
             if other in weights:
-                gain = float(np.log(max(weights[other], 1e-300))) - here
-                out[name] = -gain if name in kept else gain
-        return out
+                gain = float(np.log(max(weights[other], 1e-300))) - log_weight
+                nats[name] = -gain if name in selected else gain
+        return nats
 
     @property
     def hidden(self) -> tuple[str, ...]:
-        """Return the effects that these flights would not show at typical size, or only within an alias."""
+        """Return the effects that these flights would not show at typical size, or only in an alias."""
         return tuple(finding.subject[0] for finding in self.findings if finding.code is Code.HIDDEN)
 
     @property

@@ -1,4 +1,4 @@
-"""A trace from logs to the answer: the rooms of `trimtab.host.trace`, one after the other."""
+"""Trace flight logs to an answer: call the packages of `trimtab.host.trace` in order."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.selection import select_effects
 from trimtab.host.vehicle import Vehicle
 
-Report = Callable[[str], None]
+OnProgress = Callable[[str], None]
 Manoeuvres = Callable[[], Sequence[Manoeuvre]]
 
 
@@ -39,38 +39,39 @@ def run(
     manoeuvres: Manoeuvres | None = None,
     provenance: Mapping[str, object] | None = None,
     network: bool = False,
-    report: Report = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> Trace:
     """Trace `flights` to the effects that their model lacks, and score the answer on `held_out`.
 
-    A next flight is chosen from `manoeuvres` where the data cannot decide. With `network`, one learns what is
-    left of a cause outside the library. Raises LogsRefused and LogsRefused.
+    manoeuvres: candidates for the next flight, if the data cannot decide. network: train a network on the
+    residual of a cause outside the library. on_progress: called with each step as it begins. Raises
+    LogsRefused.
     """
     logs = read_logs(flights, held_out, vehicle)
-    report("reading segments")
-    chosen = space(logs.vehicle, observable_effects(effects, flights), logs.unknown)
+    on_progress("reading segments")
+    parameters = space(logs.vehicle, observable_effects(effects, flights), logs.unknown)
     data, audits = segments_of(logs.flights, rate_driven=TORQUE in logs.unknown)
-    form = SegmentModel.of(logs.vehicle, chosen, data)
+    segment_model = SegmentModel.of(logs.vehicle, parameters, data)
     extent = tracking_extent(logs.flights)
     whole = logs.drive == "reference" and tracking_shortfall(*extent) is None
-    diagnosis = select_effects(form, data, logs.flights if whole else (), logs.twins, report)
-    decision = decide(gather_evidence(form, diagnosis, logs.twins, logs.unknown, *extent))
-    added, nothing = decision.effects_added, diagnosis.null_fit
-    named = named_effects(chosen, diagnosis, decision.aliases) if added else ()
-    theta_scaled = diagnosis.selected.theta_scaled if added else unknowns_only(chosen, nothing)
-    model = model_of(chosen, diagnosis, theta_scaled, flights, named, added, provenance)
-    report("predicting the held-out flights")
-    before, after, adjusted = held_out_errors(logs, form, diagnosis, added, model, effects)
-    following = description = more = None
+    diagnosis = select_effects(segment_model, data, logs.flights if whole else (), logs.twins, on_progress)
+    decision = decide(gather_evidence(segment_model, diagnosis, logs.twins, logs.unknown, *extent))
+    added, null_fit = decision.effects_added, diagnosis.null_fit
+    named = named_effects(parameters, diagnosis, decision.aliases) if added else ()
+    theta_scaled = diagnosis.selected.theta_scaled if added else unknowns_only(parameters, null_fit)
+    model = model_of(parameters, diagnosis, theta_scaled, flights, named, added, provenance)
+    on_progress("predicting the held-out flights")
+    before, after, adjusted = held_out_errors(logs, segment_model, diagnosis, added, model, effects)
+    next_flight = description = network_errors = None
     if decision.to_separate is not None and manoeuvres is not None:
-        report("looking for the flight that decides")
-        following = propose(form, diagnosis.selected, *decision.to_separate, manoeuvres())
+        on_progress("looking for the flight that decides")
+        next_flight = propose(segment_model, diagnosis.selected, *decision.to_separate, manoeuvres())
     if not added:
-        report("describing what is outside the library")
-        left = disturbance_left(nothing, theta_scaled)
-        description = describe(left, nothing.data, [f.reference_id for f in flights], logs.vehicle)
+        on_progress("describing what is outside the library")
+        disturbance = disturbance_left(null_fit, theta_scaled)
+        description = describe(disturbance, null_fit.data, [f.reference_id for f in flights], logs.vehicle)
         if network and logs.drive == "reference":
-            more = unexplained(flights, held_out, model, effects, description, report)
+            network_errors = unexplained(flights, held_out, model, effects, description, on_progress)
     return Trace(
         verdict=decision.verdict,
         findings=decision.findings,
@@ -81,12 +82,12 @@ def run(
         after=after,
         adjustments_only=adjusted,
         noise_floor=noise_floor(logs, model, effects),
-        next_flight=following,
+        next_flight=next_flight,
         model=model,
-        space=chosen,
+        space=parameters,
         diagnosis=diagnosis,
         residual=decision.residual,
         audits=with_missing_twins(audits, logs.twins),
         description=description,
-        unexplained=more,
+        unexplained=network_errors,
     )

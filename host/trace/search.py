@@ -1,8 +1,8 @@
-"""The search for the set of missing effects: forward steps, swaps and drops, each screened in a
-linearisation, then fitted; the smallest set that explains the flights is kept.
+"""Search for the set of missing effects.
 
-What fits a set is a `Fitter`: command-driven segments (`host.trace.segment_fit.fit`) or whole flights over
-the closed loop (`host.trace.flight_fit.fit`).
+The search takes forward steps, swaps and drops. Each is screened in a linearisation, then fitted. The search
+selects the smallest set that explains the flights. A `Fitter` fits the sets: to command-driven segments
+(`host.trace.segment_fit.fit`) or to whole flights in closed loop (`host.trace.flight_fit.fit`).
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.parameters import ParameterSpace
 
 BEAM = 25
-"""Sets that the screening extends at each depth."""
+"""Number of sets that the screening extends at each depth."""
 
 Names = tuple[str, ...]
-Report = Callable[[str], None]
+OnProgress = Callable[[str], None]
 
 
 class Fitted(Protocol):
-    """One set of effects fitted: its evidence in nats and scaled parameters theta_scaled (P,)."""
+    """A fitted set of effects: its log evidence, nats, and scaled parameters theta_scaled (P,)."""
 
     @property
     def effects(self) -> Names: ...
@@ -40,7 +40,7 @@ F = TypeVar("F", bound=Fitted)
 
 
 class Fitter(Protocol[F]):
-    """Fits sets of effects, and judges others in the linearisation of a fit."""
+    """Fits sets of effects, and scores other sets in the linearisation of a fit."""
 
     @property
     def space(self) -> ParameterSpace: ...
@@ -51,20 +51,23 @@ class Fitter(Protocol[F]):
         ...
 
     def scorers(self, fit: F) -> list[Callable[[Names], float]]:
-        """Log evidence of any set in `fit`'s linearisation, one way or several; the last as in the fit."""
+        """Return functions that score any set by its log evidence in the linearisation of `fit`.
+
+        The last one scores as the fit itself does.
+        """
         ...
 
     def beyond(self, fit: F) -> list[Names]:
-        """Return sets with one effect more that `fit`'s linearisation does not show for what they are."""
+        """Return sets with one more effect that the linearisation of `fit` scores too low."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchResult(Generic[F]):
-    """What the search ends with.
+    """Result of a search.
 
-    `best` is the kept set, `inclusion` each candidate's posterior probability, `weights` the relative
-    posterior weight of every set considered, `sets` the evidence of every fitted one.
+    selected: fit of the selected set. inclusion_probability: posterior, of each candidate. posterior_weights:
+    relative, of every set considered. log_evidence: of every fitted set, in nats.
     """
 
     selected: F
@@ -78,31 +81,31 @@ class SearchResult(Generic[F]):
         return null_probability_of(self.posterior_weights)
 
 
-def most_parsimonious(found: SearchResult[F], within: float) -> Names:
-    """Return the smallest of the sets that may be kept whose evidence is `within` so many nats of the
-    greatest.
-    """
-    may = {names: value for names, value in found.log_evidence.items() if names in found.posterior_weights}
-    top = max(may.values())
-    close = [names for names, value in may.items() if value >= top - within]
-    return min(close, key=lambda names: (len(names), -may[names], names))
+def most_parsimonious(result: SearchResult[F], within_nats: float) -> Names:
+    """Return the smallest supported set whose log evidence is `within_nats` of the greatest."""
+    supported = {
+        names: value for names, value in result.log_evidence.items() if names in result.posterior_weights
+    }
+    top = max(supported.values())
+    close = [names for names, value in supported.items() if value >= top - within_nats]
+    return min(close, key=lambda names: (len(names), -supported[names], names))
 
 
 def most_probable(weights: Mapping[Names, float]) -> Names:
-    """Return the set of greatest weight."""
+    """Return the set of the greatest posterior weight."""
     return max(weights, key=lambda names: (weights[names], names))
 
 
 def null_probability_of(weights: Mapping[Names, float]) -> float:
-    """Share of the empty set in posterior `weights`."""
+    """Return the share of the empty set in the posterior `weights`."""
     return weights.get((), 0.0) / sum(weights.values())
 
 
-def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> SearchResult[F]:
-    """Return the missing effects, searched from the fit of `nothing`: as many as the evidence supports."""
+def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: None) -> SearchResult[F]:
+    """Search for the missing effects from `null_fit`; select as many as the evidence supports."""
     space = fitter.space
-    fits: dict[Names, F] = {(): nothing}
-    current = nothing
+    fits: dict[Names, F] = {(): null_fit}
+    current = null_fit
     for _ in range(2 * RULES.max_effects):
         trials: list[Names] = []
         for score in fitter.scorers(current):
@@ -112,46 +115,47 @@ def search(fitter: Fitter[F], nothing: F, report: Report = lambda _: None) -> Se
         for names in dict.fromkeys(trials):
             if names not in fits:
                 fits[names] = fitter.fit(names, current)
-                report(f"{', '.join(names) or 'no effect'} fitted")
+                on_progress(f"{', '.join(names) or 'no effect'} fitted")
         best = max(fits.values(), key=lambda fit: (fit.log_evidence, fit.effects))
         if best.effects == current.effects:
             break
         current = best
-    kept, scores = _judged(fitter, fits)
-    # What the kept fit's linearisation gives far more than that fit is fitted too, until nothing is left.
+    selected, scores = _select(fitter, fits)
+    # Also fit any set that scores far better in the linearisation than the selected fit, until there is none.
     for _ in range(RULES.max_effects):
-        promised = most_probable(scores)
-        if promised in fits or scores[kept.effects] > scores[promised] - RULES.tie_nats:
+        promising = most_probable(scores)
+        if promising in fits or scores[selected.effects] > scores[promising] - RULES.tie_nats:
             break
-        fits[promised] = fitter.fit(promised, kept)
-        report(f"{', '.join(promised)} fitted")
-        kept, scores = _judged(fitter, fits)
-    # What was within its tolerance or at its bounds in all fits that had it is in no other set either.
-    kept_in = {name for names, fit in fits.items() if _is_supported(fitter, fit) for name in names}
-    gone = {name for names in fits for name in names} - kept_in
-    scores = {names: score for names, score in scores.items() if not gone & set(names)}
+        fits[promising] = fitter.fit(promising, selected)
+        on_progress(f"{', '.join(promising)} fitted")
+        selected, scores = _select(fitter, fits)
+    # An effect that no fit supports (within its tolerance, or at its bounds) is in no other set either.
+    supported = {name for names, fit in fits.items() if _is_supported(fitter, fit) for name in names}
+    unsupported = {name for names in fits for name in names} - supported
+    scores = {names: score for names, score in scores.items() if not unsupported & set(names)}
     top = max(scores.values())
     weights = {names: float(np.exp(score - top)) for names, score in scores.items()}
     total = sum(weights.values())
     return SearchResult(
-        selected=kept,
+        selected=selected,
         inclusion_probability={
-            name: sum(w for names, w in weights.items() if name in names) / total for name in space.candidates
+            name: sum(weight for names, weight in weights.items() if name in names) / total
+            for name in space.candidates
         },
         posterior_weights=weights,
         log_evidence={names: fit.log_evidence for names, fit in fits.items()},
     )
 
 
-def _judged(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, float]]:
-    """Return the set that is kept of the fitted ones, and the scores."""
-    borne = {names: fit for names, fit in fits.items() if _is_supported(fitter, fit)}
-    kept = _most_parsimonious(borne)
-    return kept, _scores(fitter, kept, borne, frozenset(fits) - frozenset(borne))
+def _select(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, float]]:
+    """Return the selected fit and the scores of all sets near it."""
+    supported = {names: fit for names, fit in fits.items() if _is_supported(fitter, fit)}
+    selected = _most_parsimonious(supported)
+    return selected, _scores(fitter, selected, supported, frozenset(fits) - frozenset(supported))
 
 
 def screen(space: ParameterSpace, score: Callable[[Names], float], depth: int) -> dict[Names, float]:
-    """Return the score of every admissible set up to `depth` effects that a beam search visits."""
+    """Return the score of each admissible set of up to `depth` effects that a beam search visits."""
     scores: dict[Names, float] = {(): score(())}
     frontier: list[Names] = [()]
     for _ in range(depth):
@@ -167,72 +171,70 @@ def screen(space: ParameterSpace, score: Callable[[Names], float], depth: int) -
 
 
 def _extensions(space: ParameterSpace, names: Names) -> list[Names]:
-    """Return what may be added in one step: an effect, or an effect together with one that it requires."""
+    """Return the effects to add in one step: one effect, or one together with an effect that it requires."""
     free = [name for name in space.candidates if name not in names]
     alone = {name for name in free if space.admissible((*names, name))}
-    out: list[Names] = [(name,) for name in free if name in alone]
+    single: list[Names] = [(name,) for name in free if name in alone]
     pairs = [pair for pair in combinations(free, 2) if not set(pair) <= alone]
-    return out + [pair for pair in pairs if space.admissible((*names, *pair))]
+    return single + [pair for pair in pairs if space.admissible((*names, *pair))]
 
 
 def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
-    """Return the best set overall, the best with one more, the best with one swapped, and every set with one
-    fewer that may still be it.
+    """Return the best set, the best with one effect more, the best with one swapped, and good ones with one
+    fewer.
     """
     order = sorted(scores, key=lambda names: (-scores[names], names))
-    have = set(current)
-    more = [n for n in order if len(n) > len(have) and have <= set(n)][:1]
-    swapped = (
-        [n for n in order if len(n) == len(have) and len(set(n) & have) == len(have) - 1][:1] if have else []
-    )
-    least = scores[order[0]] - RULES.worth_fitting_nats
-    fewer = [n for n in order if len(n) == len(have) - 1 and set(n) <= have and scores[n] > least]
+    now, size = set(current), len(current)
+    more = [n for n in order if len(n) > size and now <= set(n)][:1]
+    swapped = [n for n in order if len(n) == size and len(set(n) & now) == size - 1][:1] if now else []
+    min_score = scores[order[0]] - RULES.worth_fitting_nats
+    fewer = [n for n in order if len(n) == size - 1 and set(n) <= now and scores[n] > min_score]
     return [*order[:1], *more, *swapped, *fewer]
 
 
 def _is_supported(fitter: Fitter[F], fit: F) -> bool:
-    """Return whether every effect of the set is present, and what it acts through large enough to carry it.
+    """Return whether every effect of the set is present, with a large enough effect to act through.
 
-    One that is within its tolerance is not there; one that only its bounds hold explains something else. Wind
-    on a drag within tolerance is a force of some 0.01 m/s^2, as the slow part of turbulence is.
+    An effect within its tolerance is not present. An effect at a bound explains something else. Wind on a
+    drag within tolerance is a force of about 0.01 m/s^2, as is the slow part of turbulence.
     """
     space = fitter.space
     if any(space.bounded(fit.theta_scaled)[i] for name in fit.effects for i in space.groups[name]):
         return False
     size = sizes(fitter, fit)
-    found = {name for name in fit.effects if size[name] > RULES.carrier_tolerances}
-    needs = (space.effect(name).requires_any for name in fit.effects)
-    return all(share > RULES.present_tolerances for share in size.values()) and all(
-        not any_of or found & set(any_of) for any_of in needs
+    carriers = {name for name in fit.effects if size[name] > RULES.carrier_tolerances}
+    required = (space.effect(name).requires_any for name in fit.effects)
+    return all(tolerances > RULES.present_tolerances for tolerances in size.values()) and all(
+        not any_of or carriers & set(any_of) for any_of in required
     )
 
 
 def sizes(fitter: Fitter[F], fit: F) -> dict[str, float]:
-    """How many tolerances each effect of the set is from not being there, by its greatest strength."""
+    """Return the size of each effect of the set, in tolerances: the greatest of its strength parameters."""
     space = fitter.space
     strengths = {name: [i for i in space.groups[name] if space.columns[i].strength] for name in fit.effects}
     return {
-        name: max(abs(fit.theta_scaled[i]) / fitter.prior.spike[i] for i in own)
-        for name, own in strengths.items()
+        name: max(abs(fit.theta_scaled[i]) / fitter.prior.spike[i] for i in columns)
+        for name, columns in strengths.items()
     }
 
 
 def _most_parsimonious(fits: Mapping[Names, F]) -> F:
-    """Return the smallest set within RULES.tie_nats of the greatest evidence; of several, the most
-    probable.
-    """
+    """Return the smallest set within RULES.tie_nats of the greatest evidence; of equals, the best."""
     top = max(fit.log_evidence for fit in fits.values())
     close = [fit for fit in fits.values() if fit.log_evidence > top - RULES.tie_nats]
     return min(close, key=lambda fit: (len(fit.effects), -fit.log_evidence, fit.effects))
 
 
 def _scores(
-    fitter: Fitter[F], kept: F, fits: Mapping[Names, F], left_out: frozenset[Names]
+    fitter: Fitter[F], selected: F, fits: Mapping[Names, F], left_out: frozenset[Names]
 ) -> dict[Names, float]:
-    """Log evidence of the fitted sets and, as linearised, of the kept fit's neighbours."""
-    depth = min(RULES.max_effects, len(kept.effects) + 1)
-    score = fitter.scorers(kept)[-1]
-    shift = kept.log_evidence - score(kept.effects)
+    """Return the log evidence of the fitted sets and, from the linearisation, of the selected fit's
+    neighbours.
+    """
+    depth = min(RULES.max_effects, len(selected.effects) + 1)
+    score = fitter.scorers(selected)[-1]
+    shift = selected.log_evidence - score(selected.effects)
     scores = {names: value + shift for names, value in screen(fitter.space, score, depth).items()}
     scores.update({names: fit.log_evidence for names, fit in fits.items()})
     return {names: value for names, value in scores.items() if names not in left_out}

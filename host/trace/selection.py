@@ -1,4 +1,4 @@
-"""The selection of effects: searched over whole flights where these suffice, over segments otherwise."""
+"""Select the missing effects: over whole flights if there are enough, else over segments."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.residual.unexplained import FlightRepeat
 from trimtab.host.trace.search import (
     Names,
-    Report,
+    OnProgress,
     SearchResult,
     most_parsimonious,
     most_probable,
@@ -38,13 +38,13 @@ Method = Literal["segments", "closed-loop"]
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """The missing effects and how sure they are.
+    """The selected effects and their probabilities.
 
-    selected: the segments under the selected set; null_fit: without any effect. method: what the set and its
-    parameters were found by. inclusion_probability: of each candidate. posterior_weights: relative, of every
-    set considered. log_evidence: of every fitted set, in nats. detectability: by how many
-    sigma each effect of typical size would show in these flights. repeatability: of whole flights, where
-    twins were flown, beside what was found and of a model without any effect.
+    selected: segment fit of the selected set. null_fit: segment fit without effects. method: data that
+    selected the set and its parameters. inclusion_probability: of each candidate. posterior_weights:
+    relative, of every set considered. log_evidence: of every fitted set, in nats. detectability: number of
+    sigma by which each effect of typical size would show in these flights. repeatability: of the residual of
+    whole repeat flights, with the selected set and without effects; None without repeat flights.
     """
 
     selected: SegmentFit
@@ -63,98 +63,122 @@ class Diagnosis:
 
 
 def detectability(space: ParameterSpace, gram: np.ndarray, precision: np.ndarray) -> dict[str, float]:
-    """By how many sigma each effect of typical size would show in flights of this whitened `gram`
-    (1 + P, 1 + P) of [residual | slopes], everything else moving under the prior `precision` (P,).
+    """Return by how many sigma each effect of typical size would show.
 
-    sqrt(theta' S' (I - P) S theta), of all parameters a typical step away, the strongest where one of several
-    is. An effect that acts through another one stands out as far as that one was found.
+    gram (1 + P, 1 + P): whitened, of [residual | slopes]. precision (P,): of the prior under which all other
+    parameters move. The value is sqrt(theta' S' (I - P) S theta) with all parameters of the effect one
+    typical step away. Of several candidates for one effect, the greatest counts. An effect that acts through
+    another one shows only as far as that one is present.
     """
-    whole = gram[1:, 1:] + np.diag(precision)
-    found: dict[str, float] = {}
+    hessian = gram[1:, 1:] + np.diag(precision)
+    sigmas: dict[str, float] = {}
     for candidate in space.candidates:
-        mine = np.array(space.groups[candidate])
-        rest = np.setdiff1d(np.arange(len(precision)), mine)
-        cross = whole[np.ix_(rest, mine)]
-        own = gram[np.ix_(1 + mine, 1 + mine)] - cross.T @ np.linalg.solve(whole[np.ix_(rest, rest)], cross)
+        columns = np.array(space.groups[candidate])
+        others = np.setdiff1d(np.arange(len(precision)), columns)
+        cross = hessian[np.ix_(others, columns)]
+        explained = cross.T @ np.linalg.solve(hessian[np.ix_(others, others)], cross)
+        remaining = gram[np.ix_(1 + columns, 1 + columns)] - explained
         name = space.effect(candidate).name
-        found[name] = max(found.get(name, 0.0), float(np.sqrt(max(own.sum(), 0.0))))
-    return found
+        sigmas[name] = max(sigmas.get(name, 0.0), float(np.sqrt(max(remaining.sum(), 0.0))))
+    return sigmas
 
 
 def select_effects(
-    form: SegmentModel,
+    segment_model: SegmentModel,
     data: Segments,
     flights: Sequence[FlightData],
     twins: Sequence[tuple[int, int]],
-    report: Report,
+    on_progress: OnProgress,
 ) -> Diagnosis:
-    """Select the missing effects from whole `flights` in closed loop, or from segments without any.
+    """Select the missing effects from whole `flights` in closed loop, or from segments if there are none.
 
-    `twins` pair indices of `flights`. The segments show in both cases what the selected set leaves.
+    twins: pairs of indices of repeat flights. In both cases the segments give the disturbance that the
+    selected set leaves.
     """
-    nothing = refit(form, data, (), None, iterations=3)
-    report("no effect fitted")
+    null_fit = refit(segment_model, data, (), None, iterations=3)
+    on_progress("no effect fitted")
     if not flights:
-        found, repeats = search(SegmentFitter(form=form), nothing, report), (None, None)
-        covariance = by_segments(form.space, found.selected)
-        best, method = replace(found.selected, covariance=covariance), "segments"
-        prior = form.space.prior
-        gram = evidence.whitened(best.lin, best.process, prior).flight_grams.sum(0)
-    else:
-        loop = closed_loop(flights, form.vehicle, form.space, nothing.theta_scaled)
-        order = order_of(loop)
-        fitter = FlightFitter(loop=loop, order=order)
-        found = search(fitter, fit_loop(loop, (), nothing.theta_scaled, order), report)
-        report("comparing twin flights")
-        unread = unknowns_only(form.space, nothing)
-        found = without_form_faults(found, fitter, twins)
-        kept = in_turbulence(loop, found.selected, order, twins)
-        there = tuple(name for name, size in sizes(fitter, kept).items() if size > RULES.present_tolerances)
-        if there != kept.effects:  # sizes are told better than the search does
-            found = replace(found, selected=fitter.fit(there, found.selected))
-            kept = in_turbulence(loop, found.selected, order, twins)
-        covariance = inflated_covariance(form.space, kept, strata_of(twins, len(flights)))
-        judged = kept if is_judged(found) else fitter.fit(most_probable(found.posterior_weights), kept)
-        repeats = (
-            repeatability_of(loop, judged.theta_scaled, order, twins),
-            repeatability_of(loop, unread, order, twins),
-        )
-        best = at_parameters(form, nothing, kept.effects, kept.theta_scaled, covariance, kept.log_evidence)
-        method = "closed-loop"
-        gram, prior = kept.grams.sum(0), prior_of(form.space)
+        return _from_segments(segment_model, null_fit, on_progress)
+    return _from_flights(segment_model, null_fit, flights, twins, on_progress)
+
+
+def _from_segments(segment_model: SegmentModel, null_fit: SegmentFit, on_progress: OnProgress) -> Diagnosis:
+    """Select the effects over segments."""
+    result = search(SegmentFitter(segment_model=segment_model), null_fit, on_progress)
+    selected = replace(result.selected, covariance=by_segments(segment_model.space, result.selected))
+    prior = segment_model.space.prior
+    gram = evidence.whitened(selected.lin, selected.process, prior).flight_grams.sum(0)
     return Diagnosis(
-        selected=best,
-        null_fit=nothing,
-        method=method,
-        inclusion_probability=found.inclusion_probability,
-        posterior_weights=found.posterior_weights,
-        log_evidence=found.log_evidence,
-        detectability=detectability(form.space, gram, prior.precision(best.effects)),
-        repeatability=repeats,
+        selected=selected,
+        null_fit=null_fit,
+        method="segments",
+        inclusion_probability=result.inclusion_probability,
+        posterior_weights=result.posterior_weights,
+        log_evidence=result.log_evidence,
+        detectability=detectability(segment_model.space, gram, prior.precision(selected.effects)),
+    )
+
+
+def _from_flights(
+    segment_model: SegmentModel,
+    null_fit: SegmentFit,
+    flights: Sequence[FlightData],
+    twins: Sequence[tuple[int, int]],
+    on_progress: OnProgress,
+) -> Diagnosis:
+    """Select the effects over whole flights; describe the selected set on segments."""
+    space = segment_model.space
+    loop = closed_loop(flights, segment_model.vehicle, space, null_fit.theta_scaled)
+    order = order_of(loop)
+    fitter = FlightFitter(loop=loop, order=order)
+    result = search(fitter, fit_loop(loop, (), null_fit.theta_scaled, order), on_progress)
+    on_progress("comparing twin flights")
+    result = without_form_faults(result, fitter, twins)
+    fit = in_turbulence(loop, result.selected, order, twins)
+    present = tuple(name for name, size in sizes(fitter, fit).items() if size > RULES.present_tolerances)
+    if present != fit.effects:  # this fit's sizes are more accurate than the search's
+        result = replace(result, selected=fitter.fit(present, result.selected))
+        fit = in_turbulence(loop, result.selected, order, twins)
+    judged = fit if is_judged(result) else fitter.fit(most_probable(result.posterior_weights), fit)
+    covariance = inflated_covariance(space, fit, strata_of(twins, len(flights)))
+    selected = at_parameters(
+        segment_model, null_fit, fit.effects, fit.theta_scaled, covariance, fit.log_evidence
+    )
+    return Diagnosis(
+        selected=selected,
+        null_fit=null_fit,
+        method="closed-loop",
+        inclusion_probability=result.inclusion_probability,
+        posterior_weights=result.posterior_weights,
+        log_evidence=result.log_evidence,
+        detectability=detectability(space, fit.grams.sum(0), prior_of(space).precision(selected.effects)),
+        repeatability=(
+            repeatability_of(loop, judged.theta_scaled, order, twins),
+            repeatability_of(loop, unknowns_only(space, null_fit), order, twins),
+        ),
     )
 
 
 def without_form_faults(
-    found: SearchResult[FlightFit], fitter: FlightFitter, twins: Sequence[tuple[int, int]]
+    result: SearchResult[FlightFit], fitter: FlightFitter, twins: Sequence[tuple[int, int]]
 ) -> SearchResult[FlightFit]:
-    """Return the search's outcome without effects that take up what the form of a swinging one leaves.
+    """Drop effects that explain only the error of a swinging effect's form.
 
-    What a payload on its line leaves of itself is strong and repeats; other effects explain a little of it.
+    The residual of a payload on its line is strong and repeats, and other effects explain a little of it.
     """
-    if not any(fitter.space.effect(name).memory for name in found.selected.effects):
-        return found
-    left = repeatability_of(fitter.loop, found.selected.theta_scaled, fitter.order, twins)
-    names = most_parsimonious(
-        found,
-        RULES.tie_nats
-        if left is None
-        else max(RULES.tie_nats, RULES.memory_fault_share * left.log_evidence(RULES)),
-    )
-    if len(names) >= len(found.selected.effects):
-        return found
-    return replace(found, selected=fitter.fit(names, found.selected))
+    selected = result.selected
+    if not any(fitter.space.effect(name).memory for name in selected.effects):
+        return result
+    residual = repeatability_of(fitter.loop, selected.theta_scaled, fitter.order, twins)
+    tie_nats = RULES.tie_nats
+    if residual is not None:
+        tie_nats = max(tie_nats, RULES.memory_fault_share * residual.log_evidence(RULES))
+    names = most_parsimonious(result, tie_nats)
+    if len(names) >= len(selected.effects):
+        return result
+    return replace(result, selected=fitter.fit(names, selected))
 
 
-def is_judged(found: SearchResult[Any] | Diagnosis) -> bool:
-    """Whether abstention is judged by what was kept: not by nothing where that is improbable."""
-    return bool(found.selected.effects) or is_null_probable(found.null_probability)
+def is_judged(result: SearchResult[Any] | Diagnosis) -> bool:
+    """Return whether the selected set decides on abstention: the empty set does not if it is improbable."""
+    return bool(result.selected.effects) or is_null_probable(result.null_probability)

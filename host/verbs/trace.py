@@ -96,7 +96,7 @@ def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
             manoeuvres=lambda: manoeuvres(space, airframe),
             provenance=artefacts.provenance(parents={f"log {i}": f.id for i, f in enumerate(flights)}),
             network=options.network,
-            report=lambda step: progress.advance(0.0, step),
+            on_progress=lambda step: progress.advance(0.0, step),
         )
     answer = (
         to_json(result)

@@ -194,7 +194,7 @@ class _Demo:
                 vehicle=self._order.vehicle,
                 manoeuvres=self._manoeuvres,
                 provenance=self._files.provenance({f"log {i}": f.id for i, f in enumerate(used)}),
-                report=lambda step: bar.advance(0.0, step),
+                on_progress=lambda step: bar.advance(0.0, step),
             )
             names = ", ".join(effect.name for effect in result.effects)
             text = result.verdict + (f": {names}" if names else "")

@@ -24,9 +24,9 @@ from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior, Process
 from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre
 from trimtab.host.trace.parameters import ParameterSpace
-from trimtab.host.trace.segment_fit import linearise, model, rollout
+from trimtab.host.trace.segment_fit import linearise, rollout
 from trimtab.host.trace.segment_fit.fit import SegmentFit
-from trimtab.host.trace.segment_fit.model import SegmentModel
+from trimtab.host.trace.segment_fit.model import LOCALS, SegmentModel
 from trimtab.host.vehicle import Vehicle
 
 SIGMA_MAX = 100.0
@@ -143,7 +143,7 @@ def separation(
 
 
 def propose(
-    form: SegmentModel, fit: SegmentFit, effect: str, alias: str, known: Sequence[Manoeuvre]
+    segment_model: SegmentModel, fit: SegmentFit, effect: str, alias: str, known: Sequence[Manoeuvre]
 ) -> NextFlight | None:
     """Return the manoeuvre after which `effect` and `alias` are furthest apart; None where none is known.
 
@@ -151,7 +151,7 @@ def propose(
     two acts through an effect that was not found (wind through a drag), that is taken at its typical size and
     free; so is `effect` itself where the fit has none.
     """
-    space = form.space
+    space = segment_model.space
     carriers = _carriers(space, fit.effects, (effect, alias))
     theta_scaled = fit.theta_scaled.copy()
     for name in (*carriers, *({effect} - set(fit.effects))):
@@ -162,7 +162,7 @@ def propose(
     def sigma(gram: np.ndarray) -> float:
         return separation(space, gram, present, theta_scaled, effect, alias)
 
-    so_far = _flown(form, fit, theta_scaled)
+    so_far = _flown(segment_model, fit, theta_scaled)
     # Flights that leave an alias open tell no more than that: noise in the commands makes segments believe in
     # more, of timing above all.
     while (before := sigma(so_far)) > RULES.undecided_sigma:
@@ -170,7 +170,7 @@ def propose(
 
     best, most = None, -1.0
     for candidate in known:
-        told = information(form, candidate.flat, theta_scaled, instruments)
+        told = information(segment_model, candidate.flat, theta_scaled, instruments)
         if told is None:
             continue
         expected = sigma(so_far + told)
@@ -195,29 +195,29 @@ def _measurement(space: ParameterSpace, effect: str, alias: str) -> str | None:
 
 
 def information(
-    form: SegmentModel, flat: np.ndarray, theta_scaled: np.ndarray, instruments: Instruments
+    segment_model: SegmentModel, flat: np.ndarray, theta_scaled: np.ndarray, instruments: Instruments
 ) -> np.ndarray | None:
     """Return the information (P, P) at theta_scaled (P,) of one flight along flat outputs (14, n) each DT_S.
 
     The whitened S' S, the flight's own nuisances integrated out. None where it is shorter than a segment.
     """
-    data = _along(form.vehicle, flat, instruments)
+    data = _along(segment_model.vehicle, flat, instruments)
     if data is None:
         return None
     count = len(data.flight)
     rolled = np.unique(np.round(np.linspace(0, count - 1, min(count, _ROLLED))).astype(int))
     nearest = np.abs(np.arange(count)[:, None] - rolled).argmin(axis=1)
-    part, local = data.take(rolled), np.zeros((1, model.LOCALS))
-    part = _kept_on_path(form, part, theta_scaled)
-    kept = linearise.basis(form, part, theta_scaled, local)
+    part, local = data.take(rolled), np.zeros((1, LOCALS))
+    part = _kept_on_path(segment_model, part, theta_scaled)
+    kept = linearise.basis(segment_model, part, theta_scaled, local)
     lin = linearise.project(
-        linearise.linearise(form, part, theta_scaled, local, kept), part, theta_scaled, local
+        linearise.linearise(segment_model, part, theta_scaled, local, kept), part, theta_scaled, local
     )
     lin = replace(lin, gram=lin.gram[nearest], flight=data.flight)
-    return evidence.whitened(lin, instruments.process, form.space.prior).gram[1:, 1:]
+    return evidence.whitened(lin, instruments.process, segment_model.space.prior).gram[1:, 1:]
 
 
-def _kept_on_path(form: SegmentModel, data: Segments, theta_scaled: np.ndarray) -> Segments:
+def _kept_on_path(segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray) -> Segments:
     """Return the segments with the angular acceleration that keeps roll-outs on their path.
 
     At theta_scaled (P,). The commands are the nominal vehicle's; with theta_scaled it would need others.
@@ -225,10 +225,10 @@ def _kept_on_path(form: SegmentModel, data: Segments, theta_scaled: np.ndarray) 
     Read off the body rate. Forces are left alone, they turn nothing.
     """
     start = data.x0.T[:, None, :]
-    local = np.zeros((model.LOCALS, *start.shape[1:]))
+    local = np.zeros((LOCALS, *start.shape[1:]))
     per_bin = round(BIN_S / data.dt_s)
     for _ in range(_TURNS):
-        predicted = rollout.roll_out(form, data, start, theta_scaled[:, None], local)[:, 6:9, 0]
+        predicted = rollout.roll_out(segment_model, data, start, theta_scaled[:, None], local)[:, 6:9, 0]
         short = data.rate_frd - np.transpose(predicted, (2, 0, 1))
         inner = 0.5 * (short[:, per_bin - 1 : -1 : per_bin] + short[:, per_bin::per_bin])
         edges = np.concatenate([np.zeros_like(short[:, :1]), inner, short[:, -1:]], axis=1)
@@ -238,13 +238,13 @@ def _kept_on_path(form: SegmentModel, data: Segments, theta_scaled: np.ndarray) 
     return data
 
 
-def _flown(form: SegmentModel, fit: SegmentFit, theta_scaled: np.ndarray) -> np.ndarray:
+def _flown(segment_model: SegmentModel, fit: SegmentFit, theta_scaled: np.ndarray) -> np.ndarray:
     """(P, P) as `information`, of the fitted flights, linearised at theta_scaled (P,)."""
     lin = fit.lin
     if not np.array_equal(theta_scaled, fit.theta_scaled):
-        grams = linearise.linearise(form, fit.data, theta_scaled, fit.local, fit.basis)
+        grams = linearise.linearise(segment_model, fit.data, theta_scaled, fit.local, fit.basis)
         lin = linearise.project(grams, fit.data, theta_scaled, fit.local)
-    return evidence.whitened(lin, fit.process, form.space.prior).gram[1:, 1:]
+    return evidence.whitened(lin, fit.process, segment_model.space.prior).gram[1:, 1:]
 
 
 def _carriers(space: ParameterSpace, found: Sequence[str], pair: Sequence[str]) -> list[str]:

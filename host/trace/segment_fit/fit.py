@@ -12,9 +12,9 @@ from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.evidence import Linearisation, Prior, Process
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import Names
-from trimtab.host.trace.segment_fit import linearise, model
+from trimtab.host.trace.segment_fit import linearise
 from trimtab.host.trace.segment_fit.linearise import Basis
-from trimtab.host.trace.segment_fit.model import SegmentModel
+from trimtab.host.trace.segment_fit.model import LOCALS, SegmentModel
 
 _CALM = float(np.log(0.05**2))
 START = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6**2)))
@@ -53,21 +53,21 @@ def starting_process(data: Segments) -> Process:
 class SegmentFitter:
     """Fits sets of effects to command-driven segments."""
 
-    form: SegmentModel
+    segment_model: SegmentModel
 
     @property
     def space(self) -> ParameterSpace:
         """The parameters."""
-        return self.form.space
+        return self.segment_model.space
 
     @property
     def prior(self) -> Prior:
         """Their prior."""
-        return self.form.space.prior
+        return self.segment_model.space.prior
 
     def fit(self, effects: Sequence[str], start: SegmentFit) -> SegmentFit:
         """Return the set `effects` refitted from `start`."""
-        return refit(self.form, start.data, effects, start)
+        return refit(self.segment_model, start.data, effects, start)
 
     def scorers(self, fit: SegmentFit) -> list[Callable[[Names], float]]:
         """Return two scorers of the log evidence of any set, both in the fit's linearisation.
@@ -95,7 +95,7 @@ class SegmentFitter:
 
 
 def refit(
-    form: SegmentModel,
+    segment_model: SegmentModel,
     data: Segments,
     effects: Sequence[str],
     start: SegmentFit | None,
@@ -107,13 +107,13 @@ def refit(
     The first fit, without `start`, also finds the trajectories along which the basis is computed: its columns
     are long, and along a wrong trajectory they are no longer parallel to an effect of the same shape.
     """
-    space, prior = form.space, form.space.prior
+    space, prior = segment_model.space, segment_model.space.prior
     precision = prior.precision(effects)
     if start is None:
         theta_scaled, process = np.zeros(len(space.columns)), starting_process(data)
-        local = np.zeros((int(data.flight.max()) + 1, model.LOCALS))
-        data = data.with_w(linearise.measured_turn(form, data))
-        basis = linearise.basis(form, data, theta_scaled, local)
+        local = np.zeros((int(data.flight.max()) + 1, LOCALS))
+        data = data.with_w(linearise.measured_turn(segment_model, data))
+        basis = linearise.basis(segment_model, data, theta_scaled, local)
     else:
         theta_scaled, local, process = start.lin.theta_scaled.copy(), start.lin.local, start.process
         for name in set(start.effects) - set(effects):
@@ -123,7 +123,7 @@ def refit(
         if iteration == 0 and start is not None and (theta_scaled == start.lin.theta_scaled).all():
             lin = start.lin
         else:
-            grams = linearise.linearise(form, data, theta_scaled, local, basis)
+            grams = linearise.linearise(segment_model, data, theta_scaled, local, basis)
             data = data.with_x0(grams.x0)
             lin = linearise.project(grams, data, theta_scaled, local)
         process = evidence.fit_process(lin, prior, effects, process)
@@ -139,8 +139,8 @@ def refit(
             data = data.with_w(evidence.disturbances(lin, process, step, local_step))
             theta_scaled = theta_scaled + step
             if start is None and iteration < 2:
-                data = data.with_x0(linearise.fitted_x0(form, data, theta_scaled, local, basis, 2))
-                basis = linearise.basis(form, data, theta_scaled, local)
+                data = data.with_x0(linearise.fitted_x0(segment_model, data, theta_scaled, local, basis, 2))
+                basis = linearise.basis(segment_model, data, theta_scaled, local)
     step = space.clipped(theta_scaled + np.clip(step, -4.0, 4.0)) - theta_scaled
     return SegmentFit(
         effects=tuple(sorted(effects)),
@@ -158,7 +158,7 @@ def refit(
 
 
 def at_parameters(
-    form: SegmentModel,
+    segment_model: SegmentModel,
     start: SegmentFit,
     effects: Names,
     theta_scaled: np.ndarray,
@@ -169,9 +169,9 @@ def at_parameters(
 
     Only the flights' nuisances, the disturbance and its strength are fitted.
     """
-    prior, data, local, process = form.space.prior, start.data, start.local, start.process
+    prior, data, local, process = segment_model.space.prior, start.data, start.local, start.process
     for last in (False, True):
-        grams = linearise.linearise(form, data, theta_scaled, local, start.basis)
+        grams = linearise.linearise(segment_model, data, theta_scaled, local, start.basis)
         data = data.with_x0(grams.x0)
         lin = linearise.project(grams, data, theta_scaled, local)
         process = evidence.fit_process(lin, prior, effects, process)

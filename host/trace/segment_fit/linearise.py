@@ -82,10 +82,12 @@ class _Lanes:
         self.bins = np.zeros((data.bins, 6, count))
         self.steps = np.ones(count)
 
-    def jacobian(self, form: SegmentModel, data: Segments, *, bins: bool) -> np.ndarray:
+    def jacobian(self, segment_model: SegmentModel, data: Segments, *, bins: bool) -> np.ndarray:
         """(S, lanes, n): the residual in lane 0, in the others its negative slope along the perturbation."""
         pushed = self.bins if bins else None
-        r = residuals(data, roll_out(form, data, self.x0, self.theta_scaled, self.local, pushed, self.memory))
+        r = residuals(
+            data, roll_out(segment_model, data, self.x0, self.theta_scaled, self.local, pushed, self.memory)
+        )
         A = (r[0] - r) / self.steps[:, None, None]
         A[0] = r[0]
         return np.swapaxes(A, 0, 1)
@@ -96,10 +98,10 @@ def _chunks(data: Segments, lanes: int) -> list[slice]:
     return [slice(i, i + size) for i in range(0, len(data.flight), size)]
 
 
-def basis(form: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray) -> Basis:
+def basis(segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray) -> Basis:
     """Return the basis at scaled parameters theta_scaled (P,) and flight nuisances `local` (flights, 9)."""
     count = 1 + STATES + LOCALS + 6 * data.bins
-    memory = remembered(form, data, theta_scaled[:, None])
+    memory = remembered(segment_model, data, theta_scaled[:, None])
     parts = []
     for chunk in _chunks(data, count):
         part = data.take(chunk)
@@ -116,12 +118,12 @@ def basis(form: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: n
             for i in range(6):
                 lanes.steps[first + 6 * b + i] = _BIN_STEP[i]
                 lanes.bins[b, i, first + 6 * b + i] = lanes.steps[first + 6 * b + i]
-        parts.append(lanes.jacobian(form, part, bins=True)[:, 1:])
+        parts.append(lanes.jacobian(segment_model, part, bins=True)[:, 1:])
     whole = np.concatenate(parts)
     return Basis(columns=whole, gram=whole @ np.swapaxes(whole, 1, 2))
 
 
-def measured_turn(form: SegmentModel, data: Segments) -> np.ndarray:
+def measured_turn(segment_model: SegmentModel, data: Segments) -> np.ndarray:
     """Disturbance (S, bins, 6) with the angular acceleration that the nominal model lacks along the
     measurements.
 
@@ -132,7 +134,7 @@ def measured_turn(form: SegmentModel, data: Segments) -> np.ndarray:
     if data.rate_driven:
         return w
     pre, per_bin = data.command.shape[1] - data.steps, round(BIN_S / data.dt_s)
-    vehicle = form.vehicle
+    vehicle = segment_model.vehicle
     share = 1.0 - np.exp(-data.dt_s / vehicle.motor_lag_s)
     target = nominal_thrust(vehicle, data.command, in_newton=data.in_newton)
     thrust = target[:, 0]
@@ -168,7 +170,7 @@ def _turning(data: Segments, i: int) -> np.ndarray:
 
 
 def fitted_x0(
-    form: SegmentModel,
+    segment_model: SegmentModel,
     data: Segments,
     theta_scaled: np.ndarray,
     local: np.ndarray,
@@ -182,20 +184,20 @@ def fitted_x0(
     """
     x0 = data.x0
     if memory is None:
-        memory = remembered(form, data, theta_scaled[:, None])
+        memory = remembered(segment_model, data, theta_scaled[:, None])
     normal = kept.gram[:, :STATES, :STATES] + 1e-9 * np.eye(STATES)
     for _ in range(iterations):
         residual = []
         for chunk in _chunks(data, 1):
             part = data.take(chunk)
             lanes = _Lanes(part, x0[chunk], theta_scaled, local, memory[:, :, chunk], 1)
-            residual.append(lanes.jacobian(form, part, bins=False)[:, 0])
+            residual.append(lanes.jacobian(segment_model, part, bins=False)[:, 0])
         x0 = x0 + np.linalg.solve(normal, kept.x @ np.concatenate(residual)[:, :, None])[:, :, 0]
     return x0
 
 
 def linearise(
-    form: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray, kept: Basis
+    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray, kept: Basis
 ) -> Grams:
     """Grams of all segments at scaled parameters theta_scaled (P,) and flight nuisances `local` (flights, 9).
 
@@ -204,8 +206,8 @@ def linearise(
     count = 1 + len(theta_scaled)
     points = np.repeat(theta_scaled[:, None], count, axis=1)
     points[:, 1:] += _Z_STEP * np.eye(len(theta_scaled))
-    memory = remembered(form, data, points)
-    x0 = fitted_x0(form, data, theta_scaled, local, kept, memory=memory[:, :1])
+    memory = remembered(segment_model, data, points)
+    x0 = fitted_x0(segment_model, data, theta_scaled, local, kept, memory=memory[:, :1])
     first = 1 + len(theta_scaled)
     size = first + kept.columns.shape[1]
     gram = np.empty((len(data.flight), size, size))
@@ -215,14 +217,14 @@ def linearise(
         lanes = _Lanes(part, x0[chunk], theta_scaled, local, memory[:, :, chunk], count)
         lanes.steps[1:] = _Z_STEP
         lanes.theta_scaled = points
-        A = lanes.jacobian(form, part, bins=False)
+        A = lanes.jacobian(segment_model, part, bins=False)
         columns = kept.columns[chunk]
         A[:, 0] += np.einsum(
             "szn,sz->sn", kept.bins[chunk], part.disturbance_frd.reshape(len(part.disturbance_frd), -1)
         )
         gram[chunk, :first, :first] = A @ np.swapaxes(A, 1, 2)
         gram[chunk, :first, first:] = A @ np.swapaxes(columns, 1, 2)
-    form.space.check_finite(np.einsum("sii->i", gram[:, :first, :first]))
+    segment_model.space.check_finite(np.einsum("sii->i", gram[:, :first, :first]))
     gram[:, first:, :first] = np.swapaxes(gram[:, :first, first:], 1, 2)
     return Grams(gram=gram, x0=x0, parameters=len(theta_scaled))
 

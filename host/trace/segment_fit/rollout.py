@@ -9,7 +9,7 @@ from trimtab.host.trace.segment_fit.model import CHANNELS, LOCALS, STATES, Segme
 
 
 def roll_out(
-    form: SegmentModel,
+    segment_model: SegmentModel,
     data: Segments,
     x0: np.ndarray,
     theta_scaled: np.ndarray,
@@ -25,7 +25,7 @@ def roll_out(
     """
     lanes, count = x0.shape[1:]
     total = lanes * count
-    step, pre = form.bind("step", total), data.command.shape[1] - data.steps
+    step, pre = segment_model.bind("step", total), data.command.shape[1] - data.steps
     inputs, outputs = step.inputs, step.outputs
 
     def load(name: str, value: np.ndarray) -> None:
@@ -37,11 +37,11 @@ def roll_out(
     inputs["z"][:] = each
     inputs["body"][:] = x0.reshape(STATES, total)
     inputs["local"][:] = local.reshape(LOCALS, total)
-    commands = _delayed(form, data.command, theta_scaled)
-    inputs["thrust"][:] = _spun_up(form, commands[:pre], each)
-    if form.memory:
-        memory = remembered(form, data, theta_scaled) if memory is None else memory
-        inputs["memory"][:] = memory.reshape(form.memory, total)
+    commands = _delayed(segment_model, data.command, theta_scaled)
+    inputs["thrust"][:] = _spun_up(segment_model, commands[:pre], each)
+    if segment_model.memory:
+        memory = remembered(segment_model, data, theta_scaled) if memory is None else memory
+        inputs["memory"][:] = memory.reshape(segment_model.memory, total)
     predicted = np.empty((data.steps, CHANNELS, lanes, count))
     per_bin = round(BIN_S / data.dt_s)
     w = inputs["w"].reshape(6, lanes, count)
@@ -64,14 +64,14 @@ def roll_out(
     return predicted
 
 
-def _delayed(form: SegmentModel, command: np.ndarray, theta_scaled: np.ndarray) -> np.ndarray:
+def _delayed(segment_model: SegmentModel, command: np.ndarray, theta_scaled: np.ndarray) -> np.ndarray:
     """Return commands (pre + H, 4, C S) as they arrive at theta_scaled (P, C), of those sent (S, pre + H, 4).
 
     Means over steps, so that a delay of a fraction of a step mixes two of them; before the first, the first.
     """
     each = []
-    for delay in form.delay_s(theta_scaled):
-        whole, share = divmod(float(delay) / form.dt_s, 1.0)
+    for delay in segment_model.delay_s(theta_scaled):
+        whole, share = divmod(float(delay) / segment_model.dt_s, 1.0)
         at = np.clip(np.arange(command.shape[1]) - int(whole), 0, command.shape[1] - 1)
         now, before = command[:, at], command[:, np.maximum(at - 1, 0)]
         each.append((1.0 - share) * now + share * before if share else now)
@@ -79,9 +79,9 @@ def _delayed(form: SegmentModel, command: np.ndarray, theta_scaled: np.ndarray) 
     return lanes.reshape(*lanes.shape[:2], -1)
 
 
-def _spun_up(form: SegmentModel, commands: np.ndarray, theta_scaled: np.ndarray) -> np.ndarray:
+def _spun_up(segment_model: SegmentModel, commands: np.ndarray, theta_scaled: np.ndarray) -> np.ndarray:
     """Rotor thrusts (4, lanes) after commands (n, 4, lanes), begun where the first of them settles."""
-    rotors = form.bind("rotors", commands.shape[2])
+    rotors = segment_model.bind("rotors", commands.shape[2])
     rotors.inputs["z"][:] = theta_scaled
     for k, command in enumerate(commands):
         rotors.inputs["command"][:] = command
@@ -93,19 +93,21 @@ def _spun_up(form: SegmentModel, commands: np.ndarray, theta_scaled: np.ndarray)
     return rotors.outputs["next"].copy()
 
 
-def remembered(form: SegmentModel, data: Segments, theta_scaled: np.ndarray) -> np.ndarray:
+def remembered(segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray) -> np.ndarray:
     """Return the effects' own states (M, C, S) at the segments' starts for theta_scaled (P, C).
 
     Along the measured paths of their flights.
     """
-    if not form.memory:
+    if not segment_model.memory:
         return np.empty((0, theta_scaled.shape[1], len(data.flight)))
-    own = [i for name, rows in form.space.owners.items() if form.memory_of(name) for i in rows]
+    own = [
+        i for name, rows in segment_model.space.owners.items() if segment_model.memory_of(name) for i in rows
+    ]
     kinds, lane = np.unique(theta_scaled[own], axis=1, return_inverse=True)
     values = np.repeat(theta_scaled[:, :1], kinds.shape[1], axis=1)
     values[own] = kinds
     flights, steps = data.paths.shape[:2]
-    program = form.bind("memory", flights * kinds.shape[1])
+    program = segment_model.bind("memory", flights * kinds.shape[1])
     program.inputs["z"][:] = np.repeat(values, flights, axis=1)
     body = program.inputs["body"].reshape(STATES, -1, flights)
     memory = program.inputs["memory"]
@@ -113,7 +115,7 @@ def remembered(form: SegmentModel, data: Segments, theta_scaled: np.ndarray) -> 
     body[:] = data.paths[:, 0].T[:, None]
     program()
     now = program.outputs["rest"].copy()
-    found = np.empty((steps, form.memory, kinds.shape[1], flights))
+    found = np.empty((steps, segment_model.memory, kinds.shape[1], flights))
     for k in range(steps):
         found[k] = now.reshape(found.shape[1:])
         memory[:] = now

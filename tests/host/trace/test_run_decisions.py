@@ -438,7 +438,9 @@ class KnownRefits:
         self.evidence = evidence
         self.calls: list[tuple[Names, Names]] = []
 
-    def __call__(self, form: SegmentModel, data: Any, effects: Names, start: SegmentFit) -> SegmentFit:
+    def __call__(
+        self, segment_model: SegmentModel, data: Any, effects: Names, start: SegmentFit
+    ) -> SegmentFit:
         self.calls.append((tuple(effects), start.effects))
         return build_fit(tuple(effects), log_evidence=self.evidence[tuple(effects)])
 
@@ -504,10 +506,10 @@ def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
         return build_residual(force=build_channel(repeat=lines[w] + 10.0 * axial), pairs=len(twins))
 
     monkeypatch.setattr(gathering, "unexplained_residual", residual)
-    monkeypatch.setattr(gathering, "_remainder", lambda form, diagnosis: ("selected", None))
+    monkeypatch.setattr(gathering, "_remainder", lambda segment_model, diagnosis: ("selected", None))
     monkeypatch.setattr(gathering, "disturbance_left", lambda fit, theta_scaled: "nothing")
     monkeypatch.setattr(gathering, "unknowns_only", lambda space, nothing: None)
-    monkeypatch.setattr(gathering, "segment_disagreement_nats", lambda form, nothing, effects: ASKED)
+    monkeypatch.setattr(gathering, "segment_disagreement_nats", lambda segment_model, nothing, effects: ASKED)
 
     def gather(
         selected: Names = ("drag",),
@@ -526,8 +528,8 @@ def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             method=method,
             repeatability=(AFTER, BEFORE),
         )
-        form = cast(SegmentModel, SimpleNamespace(space=LIBRARY))
-        return gather_evidence(form, diagnosis, twins, unknown, 12.0, 1.5)
+        segment_model = cast(SegmentModel, SimpleNamespace(space=LIBRARY))
+        return gather_evidence(segment_model, diagnosis, twins, unknown, 12.0, 1.5)
 
     return gather
 

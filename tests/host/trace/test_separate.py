@@ -46,7 +46,7 @@ def library(vehicle: Vehicle) -> ParameterSpace:
 
 
 @pytest.fixture(scope="module")
-def form(vehicle: Vehicle, library: ParameterSpace) -> SegmentModel:
+def segment_model(vehicle: Vehicle, library: ParameterSpace) -> SegmentModel:
     return SegmentModel(vehicle, library, dt_s=0.01, in_newton=False, rate_driven=False)
 
 
@@ -56,13 +56,13 @@ def known(vehicle: Vehicle) -> dict[str, Manoeuvre]:
 
 
 @pytest.fixture(scope="module")
-def fit(form: SegmentModel) -> SegmentFit:
+def fit(segment_model: SegmentModel) -> SegmentFit:
     """A shipped flight with a centre of mass that is taken to be off."""
     flight = read_flight(DATA / "c1.mcap")
     data, _ = segments_of([FlightData.of(flight)], rate_driven=False)
-    found = refit(form, data, ("com-offset",), None, iterations=2)
+    found = refit(segment_model, data, ("com-offset",), None, iterations=2)
     theta_scaled = found.theta_scaled.copy()
-    theta_scaled[list(form.space.groups["com-offset"])] = 0.5
+    theta_scaled[list(segment_model.space.groups["com-offset"])] = 0.5
     return replace(found, theta_scaled=theta_scaled)
 
 
@@ -127,17 +127,22 @@ def test_instruments_of_wrong_shape_are_refused() -> None:
 
 
 def test_nominal_commands_do_not_leave_the_path_of_a_vehicle_that_is_off(
-    form: SegmentModel, known: dict[str, Manoeuvre]
+    segment_model: SegmentModel, known: dict[str, Manoeuvre]
 ) -> None:
     """What a flight tells does not hang on the point it is linearised at: a torque that turns the vehicle
     over within a segment would look like information.
     """
     effect, alias = "com-offset", "torque-bias"
-    theta_scaled = np.zeros(len(form.space.columns))
-    theta_scaled[list(form.space.groups[effect])] = 1.0
+    theta_scaled = np.zeros(len(segment_model.space.columns))
+    theta_scaled[list(segment_model.space.groups[effect])] = 1.0
     at = [
         separation(
-            form.space, information(form, flat, point, INSTRUMENTS), (effect,), theta_scaled, effect, alias
+            segment_model.space,
+            information(segment_model, flat, point, INSTRUMENTS),
+            (effect,),
+            theta_scaled,
+            effect,
+            alias,
         )
         for flat in (known["doublets"].flat,)
         for point in (np.zeros(len(theta_scaled)), theta_scaled)
@@ -145,35 +150,37 @@ def test_nominal_commands_do_not_leave_the_path_of_a_vehicle_that_is_off(
     assert at[1] == pytest.approx(at[0], rel=0.1)
 
 
-def test_flight_shorter_than_a_segment_tells_nothing(form: SegmentModel, known: dict[str, Manoeuvre]) -> None:
-    theta_scaled = np.zeros(len(form.space.columns))
-    assert information(form, known["hover"].flat[:, :50], theta_scaled, INSTRUMENTS) is None
+def test_flight_shorter_than_a_segment_tells_nothing(
+    segment_model: SegmentModel, known: dict[str, Manoeuvre]
+) -> None:
+    theta_scaled = np.zeros(len(segment_model.space.columns))
+    assert information(segment_model, known["hover"].flat[:, :50], theta_scaled, INSTRUMENTS) is None
 
 
 def test_wind_and_tilt_without_accelerometer_part_by_motion_alone(
-    form: SegmentModel, known: dict[str, Manoeuvre]
+    segment_model: SegmentModel, known: dict[str, Manoeuvre]
 ) -> None:
     blind = replace(INSTRUMENTS, shares=np.array([1.0, 1.0, 0.0]))
-    drag = list(form.space.groups["linear-drag"])
-    theta_scaled = np.zeros(len(form.space.columns))
+    drag = list(segment_model.space.groups["linear-drag"])
+    theta_scaled = np.zeros(len(segment_model.space.columns))
     theta_scaled[drag] = 1.0
     sigma = {}
     size = np.zeros(len(theta_scaled))
-    size[list(form.space.groups["wind"])] = 1.0
+    size[list(segment_model.space.groups["wind"])] = 1.0
     for name, flown in known.items():
-        told = information(form, flown.flat, theta_scaled, blind)
+        told = information(segment_model, flown.flat, theta_scaled, blind)
         assert told is not None
-        sigma[name] = separation(form.space, told, ("linear-drag",), size, "wind", "frame-tilt")
+        sigma[name] = separation(segment_model.space, told, ("linear-drag",), size, "wind", "frame-tilt")
     # What hover shows is that so strong a wind would take a tilt of twice the typical size.
     assert sigma["hover"] < RULES.detectable_sigma < sigma["hover-turns"]
     assert sigma["doublets"] > 4.0 * sigma["hover"]
 
 
 def test_proposal_is_the_manoeuvre_of_most_sigma_and_counts_what_was_flown(
-    form: SegmentModel, fit: SegmentFit, known: dict[str, Manoeuvre]
+    segment_model: SegmentModel, fit: SegmentFit, known: dict[str, Manoeuvre]
 ) -> None:
-    alone = propose(form, fit, "com-offset", "torque-bias", [known["hover"]])
-    best = propose(form, fit, "com-offset", "torque-bias", list(known.values()))
+    alone = propose(segment_model, fit, "com-offset", "torque-bias", [known["hover"]])
+    best = propose(segment_model, fit, "com-offset", "torque-bias", list(known.values()))
     assert alone is not None
     assert best is not None
     assert (best.route, best.separates) == ("doublets", ("com-offset", "torque-bias"))
@@ -182,21 +189,21 @@ def test_proposal_is_the_manoeuvre_of_most_sigma_and_counts_what_was_flown(
     assert alone.so_far_sigma < alone.expected_sigma < best.expected_sigma
     assert best.decides
     assert best.total_time_s is None
-    assert propose(form, fit, "com-offset", "torque-bias", []) is None
+    assert propose(segment_model, fit, "com-offset", "torque-bias", []) is None
 
 
 def test_alias_that_acts_through_an_effect_not_found_gets_it(
-    form: SegmentModel, fit: SegmentFit, known: dict[str, Manoeuvre]
+    segment_model: SegmentModel, fit: SegmentFit, known: dict[str, Manoeuvre]
 ) -> None:
     """Without drag a wind does nothing, and a tilted frame would look as if nothing could be mistaken for
     it.
     """
     theta_scaled = fit.theta_scaled.copy()
-    theta_scaled[list(form.space.groups["frame-tilt"])] = 1.0
-    theta_scaled[list(form.space.groups["linear-drag"])] = 0.0
+    theta_scaled[list(segment_model.space.groups["frame-tilt"])] = 1.0
+    theta_scaled[list(segment_model.space.groups["linear-drag"])] = 0.0
     tilted = replace(fit, effects=("frame-tilt",), theta_scaled=theta_scaled)
-    still = propose(form, tilted, "frame-tilt", "thrust-gain", [known["hover"]])
-    windy = propose(form, tilted, "frame-tilt", "wind", [known["hover"]])
+    still = propose(segment_model, tilted, "frame-tilt", "thrust-gain", [known["hover"]])
+    windy = propose(segment_model, tilted, "frame-tilt", "wind", [known["hover"]])
     assert still is not None
     assert windy is not None
     assert windy.expected_sigma < 0.7 * still.expected_sigma
@@ -232,8 +239,8 @@ def test_log_without_inputs_tells_of_forces_and_nothing_of_torques(
 ) -> None:
     """Thrust in N and the measured body rate drive such a log."""
     poses = replace(INSTRUMENTS, shares=np.array([0.5, 0.0, 0.0]), in_newton=True, rate_driven=True)
-    form = SegmentModel(vehicle, library, dt_s=0.01, in_newton=True, rate_driven=True)
-    told = information(form, known["doublets"].flat, np.zeros(len(library.columns)), poses)
+    segment_model = SegmentModel(vehicle, library, dt_s=0.01, in_newton=True, rate_driven=True)
+    told = information(segment_model, known["doublets"].flat, np.zeros(len(library.columns)), poses)
     assert told is not None
     (drag, turn) = columns_of(library, "linear-drag", "torque-bias")
     assert told[drag, drag] > 100.0
