@@ -12,7 +12,8 @@ Both ends are state machines without I/O. `receive(message, now_us)` and `advanc
 `send(now_us)` returns the messages that are due, `next_deadline_us()` says when to call again at the latest.
 """
 
-from trimtab.protocol.upload.receiver import BlobStore, UploadReceiver
+from trimtab.protocol.upload.blob_in_hand import BlobStore
+from trimtab.protocol.upload.receiver import UploadReceiver
 from trimtab.protocol.upload.sender import SenderState, UploadSender
 from trimtab.protocol.upload.transfer import (
     CHUNK_BYTES,

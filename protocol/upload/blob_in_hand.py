@@ -1,0 +1,97 @@
+"""The blob that is being received: what it is, and which of its chunks the store holds."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import NamedTuple, Protocol
+
+from trimtab.protocol.upload.transfer import CHUNK_BYTES, Incoming, chunk_count
+
+
+class BlobStore(Protocol):
+    """Where blobs are kept: one live of each kind, and one that is gathered and then staged."""
+
+    def live(self, kind: int) -> bytes | None: ...
+    def incoming(self) -> Incoming | None: ...
+    def begin(self, kind: int, size: int, digest: bytes) -> None: ...
+    def put(self, kind: int, index: int, chunk: bytes) -> None: ...
+    def gathered(self, kind: int) -> bytes: ...
+    def stage(self, kind: int, blob: bytes) -> object: ...
+    def commit(self, kind: int) -> object: ...
+    def discard(self, kind: int) -> None: ...
+
+
+class Blob(NamedTuple):
+    """What a message says of a blob: SHA-256 digest, kind, size in bytes."""
+
+    digest: bytes = b""
+    kind: int = 0
+    size: int = 0
+
+    @property
+    def id(self) -> str:
+        """The first 6 bytes of the digest, in hexadecimal digits."""
+        return self.digest[:6].hex()
+
+
+NO_BLOB = Blob()
+
+
+class BlobInHand:
+    """The blob in hand, or NO_BLOB. Its chunks lie in the store; `held_chunks` has a 1 for each one held."""
+
+    def __init__(self, store: BlobStore) -> None:
+        self.blob = NO_BLOB
+        self.held_chunks = bytearray()
+        self._store = store
+
+    def __bool__(self) -> bool:
+        """Return whether there is a blob in hand."""
+        return self.blob is not NO_BLOB
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks of the blob."""
+        return len(self.held_chunks)
+
+    @property
+    def held(self) -> int:
+        """Number of chunks held."""
+        return self.held_chunks.count(1)
+
+    def has_digest(self, digest: bytes) -> bool:
+        """Return whether the blob in hand has this digest."""
+        return bool(self) and digest == self.blob.digest
+
+    def begin(self, blob: Blob) -> None:
+        """Begin to gather `blob`."""
+        self.blob = blob
+        self.held_chunks = bytearray(chunk_count(blob.size))
+        self._store.begin(blob.kind, blob.size, blob.digest)
+
+    def put(self, index: int, data: bytes) -> None:
+        """Store chunk `index`; `data` may have padding behind it."""
+        start = index * CHUNK_BYTES
+        stop = min(start + CHUNK_BYTES, self.blob.size)
+        self._store.put(self.blob.kind, index, data[: stop - start])
+        self.held_chunks[index] = 1
+
+    def resume(self, incoming: Incoming) -> None:
+        """Continue the upload that the store holds."""
+        self.blob = Blob(incoming.digest, incoming.kind, incoming.size)
+        self.held_chunks = incoming.held
+
+    def data(self) -> bytes:
+        """Return the bytes gathered."""
+        return self._store.gathered(self.blob.kind)
+
+    def is_intact(self) -> bool:
+        """Return whether the bytes gathered have the blob's digest."""
+        return hashlib.sha256(self.data()).digest() == self.blob.digest
+
+    def forget(self, *, discard: bool) -> None:
+        """Let go of the blob. discard: also remove its bytes from the store."""
+        if discard and self.blob.kind:
+            self._store.discard(self.blob.kind)
+        self.blob = NO_BLOB
+        self.held_chunks = bytearray()
