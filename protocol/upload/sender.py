@@ -1,27 +1,19 @@
-"""The host's end of an upload: announces a blob, sends chunks until they are all there, commits.
+"""The host's end of an upload: announce a blob, send chunks until all are held, commit.
 
-Selective repeat: every status says which chunks are held. A chunk counts as lost once one that was sent at
-least `_REORDER` later is held; only chunks that were sent once show that, of others it is not known which
-copy arrived. Where answers stay out, the announcement goes out again; the answer to it is the receiver's full
-word on what it holds, also after it was started anew. Every question has a number that answers repeat: what
-was said before, perhaps to a host that was killed, is not taken for the answer.
-
-Chunks leave at the pace of the channel and not as fast as the line takes them: the radio's queue stays
-short, so that a status soon shows what was lost and what is sent again is not behind others. Where a link has
-lost something, chunks under way are repeated whenever the sender could only wait: at the end of the blob, and
-while no status comes. Otherwise each loss among the last chunks would cost a round trip, and a spell of
-losses that lasts for a number of frames would last as long as the sender waits.
+Every status says which chunks are held; `chunk_schedule` decides which one leaves next. If no answer comes,
+the announcement goes out again. Its answer lists everything that the receiver holds, also after a restart.
+Every question has a number that its answers repeat, so an earlier answer, perhaps to a host that was killed,
+is not taken for the new one.
 """
 
 from __future__ import annotations
 
 import hashlib
-import heapq
 from collections.abc import Callable
-from typing import NamedTuple
 
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import Message, UploadResult, UploadState
+from trimtab.protocol.upload.chunk_schedule import ChunkSchedule
 from trimtab.protocol.upload.sender_table import TABLE, Action, Event, Refusal, SenderState
 from trimtab.protocol.upload.transfer import (
     BITMAP_BYTES,
@@ -36,37 +28,16 @@ from trimtab.protocol.upload.transfer import (
 WINDOW = 40
 """Chunks under way at a time: 4.4 kB, which fit the radio's queue for uploads and the air."""
 INTERVAL_US = 2_150
-"""Least time between two chunks: a slot of the radio, and a little for what comes back."""
-_COPY_INTERVALS = 2
-"""A chunk under way is repeated at most every so many intervals ..."""
-_COPY_US = 20_000
-"""... and each of them so long after it was sent last."""
-_QUIET_US = 60_000
-"""Time without a status after which chunks under way are repeated also before the end."""
+"""Least time between two chunks: one slot of the radio, and a little for what comes back."""
 _ASK_US = 10_000
-"""Time after which an announcement or a commit that is not answered goes out again."""
+"""Time after which an unanswered announcement or commit goes out again."""
 _QUERY_US = 10_000
-"""Questions are numbered from the time of the first in these: a host that follows another at once has other
-numbers, for none asks more often.
-"""
+"""Unit of time that numbers the first question. A host never asks more often, so one that follows another at
+once uses other numbers."""
 _QUERIES = 255
-_REORDER = 3
 _RESTARTS_MAX = 8
-_RTT_FIRST_US = 100_000
 _OVERDUE_MIN_US = 50_000
 _OVERDUE_MAX_US = 500_000
-_NEVER_US = 1 << 62
-
-
-class _Flight(NamedTuple):
-    """One chunk under way: its place in the order of sending, when it left, whether it left before, when its
-    last copy left.
-    """
-
-    number: int
-    sent_us: int
-    again: bool
-    copy_us: int
 
 
 class UploadSender:
@@ -75,34 +46,32 @@ class UploadSender:
     Parameters
     ----------
     blob
-        the bytes, 1 to SIZE_MAX.
+        The bytes, 1 to SIZE_MAX.
     kind
-        `blobs.Kind`.
+        One of `blobs.Kind`.
     commit
-        make it live once accepted; otherwise an accepted blob stays staged.
+        Make the blob live once it is accepted; otherwise it stays staged.
     at_tick
-        the vehicle's tick at which it takes over in flight; None makes it live at once, on the
-        floor.
-    window
-        chunks under way at a time. interval_us: least time between two chunks, which paces an
-        upload in flight.
+        The vehicle's tick at which the blob takes over in flight; None to make it live at once, on the floor.
+    window, interval_us
+        Greatest number of chunks under way, and least time between two chunks.
     patience_us
-        time without progress after which the upload fails.
+        Time without progress after which the upload fails.
 
     Attributes
     ----------
     state
-        how far it is; `over` once DONE or FAILED.
+        Progress of the upload; `over` once it is DONE or FAILED.
     reason
-        why it failed, for people; empty before.
+        Why it failed, for people; empty before.
     verdict
-        what the vehicle's check said, None before.
-    chunks
-        number of chunks; `held`: how many the vehicle has.
+        Verdict of the vehicle's check; None before.
+    chunks, held
+        Number of chunks, and of those that the vehicle holds.
     messages_sent, chunks_sent, chunks_repeated
-        counts; chunks_sent holds those repeated.
+        Counts. chunks_sent includes the repeated ones.
     restarts
-        how often the vehicle had to be told everything again.
+        How often the vehicle had lost everything.
     """
 
     def __init__(
@@ -129,29 +98,18 @@ class UploadSender:
         self.chunks = chunk_count(len(blob))
         self.messages_sent = 0
         self.chunks_sent = 0
-        self.chunks_repeated = 0
         self.restarts = 0
         self._blob = bytes(blob)
         self._kind = int(kind)
         self._commit_wanted = commit
         self._target = target_system
         self._at_tick = m.NO_TICK if at_tick is None else at_tick
-        self._window = window
-        self._interval_us = interval_us
-        self._chunk_us = 0
         self._status_us = 0
         self._patience_us = patience_us
         self._tag = tag_of(self.digest)
-        self._held = bytearray(self.chunks)
-        self._base = 0
-        self._next = 0
-        self._sent_once = bytearray(self.chunks)
-        self._flight: dict[int, _Flight] = {}
-        self._lost: list[int] = []
-        self._number = 0
+        self._schedule = ChunkSchedule(self.chunks, window=window, interval_us=interval_us)
         self._query = 0
         self._asked = False
-        self._rtt_us = _RTT_FIRST_US
         self._overdue = 0
         self._active_us: int | None = None
         self._progress_us = 0
@@ -177,22 +135,27 @@ class UploadSender:
 
     @property
     def held(self) -> int:
-        """Chunks that the vehicle is known to hold."""
-        return sum(self._held)
+        """Number of chunks that the vehicle is known to hold."""
+        return self._schedule.held.count(1)
+
+    @property
+    def chunks_repeated(self) -> int:
+        """Number of chunks sent more than once."""
+        return self._schedule.repeated
 
     @property
     def over(self) -> bool:
-        """Whether nothing more will happen."""
+        """Whether the upload has ended."""
         return self.state in (SenderState.DONE, SenderState.FAILED)
 
     def receive(self, message: Message, now_us: int) -> bool:
-        """Whether the message was about this upload."""
+        """Handle a message; return whether it was about this upload."""
         if isinstance(message, m.UploadVerdict) and message.tag == self._tag:
             self.verdict = _read_verdict(message)
             event = self._staged() if self.verdict.ok else Event.REFUSED_WHY
         elif isinstance(message, m.UploadStatus) and message.tag == self._tag:
             if self.state is SenderState.OPENING and message.query != self._query:
-                return True  # said before the vehicle heard the question
+                return True  # an answer from before the question
             event = self._status_event(message)
         else:
             return False
@@ -205,7 +168,7 @@ class UploadSender:
         return True
 
     def advance(self, now_us: int) -> None:
-        """Ask again where an answer is overdue, and give up at the end of the patience."""
+        """Ask again if an answer is overdue; give up at the end of the patience."""
         if self.over or self._active_us is None:
             return
         if now_us - self._progress_us >= self._patience_us:
@@ -223,29 +186,28 @@ class UploadSender:
             self._ask(None, now_us)
         out, self._out = self._out, []
         if self.state is SenderState.SENDING:
-            out.extend(self._chunks(now_us) or self._copies(now_us))
+            out.extend(self._chunk(index) for index in self._schedule.due(now_us, self._status_us))
         if out:
             self._active_us = now_us
             self.messages_sent += len(out)
         return out
 
     def next_deadline_us(self) -> int | None:
-        """Time by which to call `advance` and `send`; None when it is over."""
+        """Return the time by which to call `advance` and `send`; None after the end."""
         if self.over and not self._out:
             return None
         if self._active_us is None or self._out:
             return 0
         deadline_us = min(self._active_us + self._overdue_us(), self._progress_us + self._patience_us)
         if self.state is SenderState.SENDING:
-            may_send = not self._exhausted() and len(self._flight) < self._window
-            deadline_us = min(deadline_us, self._chunk_us if may_send else self._copy_due_us())
+            deadline_us = min(deadline_us, self._schedule.next_us(self._status_us))
         return deadline_us
 
     def cancel(self, now_us: int) -> None:
-        """End the upload as failed and tell the vehicle to discard what it has."""
+        """End the upload as failed and tell the vehicle to discard its chunks."""
         self._do(Event.CANCEL, None, now_us)
 
-    # Which event an answer is.
+    # Classify answers as events.
 
     def _staged(self) -> Event:
         return Event.STAGED if self._commit_wanted else Event.STAGED_ENOUGH
@@ -273,7 +235,7 @@ class UploadSender:
         return Event.CORRUPT if result == UploadResult.CORRUPT else Event.FORGOTTEN
 
     def _do(self, event: Event, message: Message | None, now_us: int) -> bool:
-        """Whether the event means something in this state."""
+        """Take the transition of `event`; return whether there is one in this state."""
         entry = TABLE(self.state, event)
         if isinstance(entry, Refusal):
             return False
@@ -283,11 +245,11 @@ class UploadSender:
         self._actions[entry.action](message, now_us)
         return True
 
-    # What is done.
+    # Actions.
 
     def _ask(self, message: Message | None, now_us: int) -> None:
-        self._number += _REORDER
-        if not self._asked:  # a repeated question keeps its number: whichever answer comes first will do
+        self._schedule.note_question()
+        if not self._asked:  # a repeated question keeps its number: any answer to it will do
             self._asked = True
             self._query = self._query % _QUERIES + 1
         size, digest = len(self._blob), self.digest
@@ -296,10 +258,7 @@ class UploadSender:
     def _restart(self, message: Message | None, now_us: int) -> None:
         self.restarts += 1
         self.verdict = None
-        self._held = bytearray(self.chunks)
-        self._flight.clear()
-        self._lost.clear()
-        self._base = self._next = 0
+        self._schedule.restart()
         self._asked = False
         self._ask(message, now_us)
 
@@ -309,101 +268,23 @@ class UploadSender:
     def _note_held(self, message: Message | None, now_us: int) -> None:
         if not isinstance(message, m.UploadStatus) or message.base > self.chunks:
             return
-        before, newest = self._held, 0
-        if self._asked and message.query == self._query:
-            # This is the whole truth, what it does not name is not there.
+        complete = self._asked and message.query == self._query
+        if complete:
             self._asked = False
-            self._held, self._base = bytearray(self.chunks), 0
         bitmap = decode_bitmap(bytes(message.bitmap), message.base)
-        for index in (*range(self._base, message.base), *bitmap):
-            if index >= self.chunks or self._held[index]:
-                continue
-            if not before[index]:
-                self._progress_us = now_us
-            self._held[index] = 1
-            flight = self._flight.pop(index, None)
-            if flight is not None and not flight.again:
-                newest = max(newest, flight.number)
-                self._rtt_us += (now_us - flight.sent_us - self._rtt_us) // 8
-        self._base = max(self._base, message.base)
-        if before is not self._held:
-            for index in range(self._base, self._next):
-                if before[index] and not self._held[index]:
-                    heapq.heappush(self._lost, index)
-        newest -= _REORDER
-        oldest_us = now_us - self._rtt_us - self._rtt_us // 2
-        overtaken = [i for i, f in self._flight.items() if f.number <= newest or f.sent_us < oldest_us]
-        for index in overtaken:
-            del self._flight[index]
-            heapq.heappush(self._lost, index)
-
-    def _chunks(self, now_us: int) -> list[Message]:
-        out: list[Message] = []
-        while len(self._flight) < self._window and now_us >= self._chunk_us:
-            index = self._pick()
-            if index is None:
-                break
-            self._number += 1
-            again = bool(self._sent_once[index])
-            self._flight[index] = _Flight(self._number, now_us, again, now_us)
-            self.chunks_repeated += again
-            self._sent_once[index] = 1
-            out.append(self._chunk(index))
-            self._pace(now_us, 1)
-        return out
-
-    def _copies(self, now_us: int) -> list[Message]:
-        """Return the chunk under way that left longest ago, where it is time to repeat one."""
-        if now_us < self._copy_due_us():
-            return []
-        index, flight = min(self._flight.items(), key=lambda item: item[1].copy_us)
-        self._flight[index] = flight._replace(again=True, copy_us=now_us)
-        self.chunks_repeated += 1
-        self._pace(now_us, _COPY_INTERVALS)
-        return [self._chunk(index)]
-
-    def _copy_due_us(self) -> int:
-        """When the next chunk under way is to be repeated; far away where none is."""
-        if not self._flight or not self.chunks_repeated:
-            return _NEVER_US
-        quiet_us = 0 if self._exhausted() else self._status_us + _QUIET_US
-        oldest_us = min(flight.copy_us for flight in self._flight.values())
-        return max(self._chunk_us, oldest_us + _COPY_US, quiet_us)
-
-    def _exhausted(self) -> bool:
-        """Whether every chunk is under way or held."""
-        return not self._lost and self._next >= self.chunks
+        if self._schedule.note_held(message.base, bitmap, now_us, complete=complete):
+            self._progress_us = now_us
 
     def _chunk(self, index: int) -> Message:
         self.chunks_sent += 1
         data = self._blob[index * CHUNK_BYTES : (index + 1) * CHUNK_BYTES].ljust(CHUNK_BYTES, b"\0")
         return m.UploadChunk(self._tag, index, self._target, data)
 
-    def _pace(self, now_us: int, intervals: int) -> None:
-        """Schedule the next chunk `intervals` later; a late chunk does not delay it."""
-        started_us = max(self._chunk_us, now_us - self._interval_us)
-        self._chunk_us = started_us + intervals * self._interval_us
-
-    def _pick(self) -> int | None:
-        """Return the next chunk to send: lost ones first, then new ones as far as a status can report
-        them.
-        """
-        while self._lost:
-            index = heapq.heappop(self._lost)
-            if not self._held[index] and index not in self._flight:
-                return index
-        while self._next < min(self.chunks, self._base + 8 * BITMAP_BYTES):
-            index = self._next
-            self._next += 1
-            if not self._held[index] and index not in self._flight:
-                return index
-        return None
-
     def _overdue_us(self) -> int:
-        """Time without an answer after which it is asked for again; it doubles where none comes."""
+        """Return the time after which a question is repeated; it doubles while no answer comes."""
         once = _ASK_US
         if self.state is SenderState.SENDING:
-            once = max(_OVERDUE_MIN_US, self._rtt_us + self._rtt_us // 4 + 10_000)
+            once = max(_OVERDUE_MIN_US, self._schedule.rtt_us + self._schedule.rtt_us // 4 + 10_000)
         return min(once << max(0, min(self._overdue - 4, 8)), max(once, _OVERDUE_MAX_US))
 
     def _abort(self, message: Message | None, now_us: int) -> None:
