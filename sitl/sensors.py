@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trimtab.firmware_model.mcu.uart import NEVER_US
+from trimtab.firmware_model.clock import NEVER_US
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.world import ImuSettings, MocapSettings
 

@@ -16,7 +16,7 @@ from time import thread_time_ns
 from typing import Any, Self
 
 from trimtab.firmware_model.law import step as law
-from trimtab.firmware_model.mcu.flight_mcu import FlightMcu
+from trimtab.firmware_model.mcu.flight_mcu import FlightMcu, flight_uart
 from trimtab.firmware_model.mcu.radio_mcu import RadioMcu
 from trimtab.firmware_model.mcu.uart import UartPort, connect
 from trimtab.firmware_model.storage.store import ReferenceStore
@@ -246,8 +246,8 @@ class SimulatedVehicle:
             store=self.store,
             uid=session_uid(seed, flight),
             vehicle_id=setting.vehicle.id_bytes,
+            uart=flight_uart(**serial),
             loop_times=self._timing.read,
-            **serial,
         )
         self._command: Any = self._flight_mcu.motor_command
         self._flight_tick = self._flight_mcu.tick

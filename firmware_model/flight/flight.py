@@ -9,6 +9,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
+from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.engine import Engine, doubles
 from trimtab.firmware_model.flight.estimate import Estimate
 from trimtab.firmware_model.flight.failsafe import BY_EVENT, Action, Condition, Failsafe, escalate
@@ -24,7 +25,6 @@ from trimtab.firmware_model.flight.watch import LEVEL, TOUCH_HEIGHT, Seen, Watch
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import mat_vec, quat_to_matrix
-from trimtab.firmware_model.mcu.uart import NEVER_US
 
 BOOT_US = 200_000
 """Time from power to standby."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from trimtab.firmware_model.clock import NEVER_US
+from trimtab.firmware_model.flight.braking import Room
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.setpoints import AttitudeTarget, Bounds, PositionTarget, Target
-from trimtab.firmware_model.flight.track import Room
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.step import NO_OFFBOARD
-from trimtab.firmware_model.mcu.uart import NEVER_US
 
 LOWEST = 0.2
 """m above the floor below which no setpoint leads: landing is a command of its own."""

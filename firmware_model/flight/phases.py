@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from trimtab.firmware_model.flight import track
+from trimtab.firmware_model.clock import NEVER_US
+from trimtab.firmware_model.flight import braking, track
 from trimtab.firmware_model.flight.feedforward import FeedForwardInput
 from trimtab.firmware_model.flight.offboard import Offboard
 from trimtab.firmware_model.flight.parameters import ParameterValues
@@ -20,7 +21,6 @@ from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import quat_to_matrix
-from trimtab.firmware_model.mcu.uart import NEVER_US
 from trimtab.protocol.parameters import BY_NAME
 from trimtab.protocol.telemetry import TICK_US
 
@@ -38,7 +38,7 @@ TAKEOFF_LEAST = BY_NAME["TAKEOFF_HEIGHT"].min
 CLEAR_HEIGHT = 0.15
 """m above the floor below which it goes straight up, whatever place is asked for: no foot is dragged."""
 
-Present = tuple[track.Node, track.YawState]
+Present = tuple[braking.Node, track.YawState]
 """The reference's state (p, v, a, j) and its yaw and yaw rate."""
 
 
@@ -148,7 +148,7 @@ class Phases:
             self._tell(f"takeoff bounded by the fence: {most:.2f} m")
         self._climb((p[0], p[1], p[2] - min(height, most)), self._yaw(), now_us)
 
-    def _climb(self, target: track.Vector, yaw_end: float, now_us: int) -> None:
+    def _climb(self, target: braking.Vector, yaw_end: float, now_us: int) -> None:
         values, p = self._parameters, self._place()
         climb = track.climb(
             p,
@@ -157,7 +157,7 @@ class Phases:
             yaw_end,
             speed=values["TAKEOFF_SPEED"],
             clear=values["TAKEOFF_CLEAR"],
-            hover_us=max(TICK_US, track.seconds_us(values["HOVER_S"])),
+            hover_us=max(TICK_US, braking.seconds_us(values["HOVER_S"])),
         )
         self._leave_floor(p)
         self.player.start(climb, now_us)
@@ -168,7 +168,7 @@ class Phases:
         self._leave_floor(p)
         self.player.start(track.hold(p, self._yaw(), track.ENDLESS_US), now_us)
 
-    def _leave_floor(self, p: track.Vector) -> None:
+    def _leave_floor(self, p: braking.Vector) -> None:
         """Start the rotors; home is here."""
         self.floor, self.home_ned = p[2], p
         self._weights[0] = self._weights[1] = 1.0
@@ -186,19 +186,19 @@ class Phases:
             speed=values["TAKEOFF_SPEED"],
             deceleration=values["LAND_DECEL"],
             room=self._room(),
-            hover_us=max(TICK_US, track.seconds_us(values["HOVER_S"])),
+            hover_us=max(TICK_US, braking.seconds_us(values["HOVER_S"])),
             upright=self._low(present[0]),
         )
         self.player.start(way, now_us)
 
     def hold_end(self, reference: track.Track, now_us: int) -> None:
         """Stay at the end of the reference for HOLD_S."""
-        hold_us = max(TICK_US, track.seconds_us(self._parameters["HOLD_S"]))
+        hold_us = max(TICK_US, braking.seconds_us(self._parameters["HOLD_S"]))
         self.player.start(track.hold(reference.end_ned, reference.end_yaw, hold_us), now_us)
 
     def stop(self, present: Present, now_us: int, hold_s: float | None = None) -> None:
         """Stop and stay, for `hold_s` or until another command."""
-        hold_us = track.ENDLESS_US if hold_s is None else max(TICK_US, track.seconds_us(hold_s))
+        hold_us = track.ENDLESS_US if hold_s is None else max(TICK_US, braking.seconds_us(hold_s))
         deceleration = self._parameters["LAND_DECEL"]
         way = track.stop(*present, deceleration=deceleration, room=self._room(), hold_us=hold_us)
         self.player.start(way, now_us)
@@ -280,13 +280,13 @@ class Phases:
         self._armed[0] = 0.0
         self.player.start(track.hold((0.0, 0.0, 0.0), 0.0, FALL_US), now_us)
 
-    def _room(self) -> track.Room:
+    def _room(self) -> braking.Room:
         return self.offboard.bounds(self.floor).room
 
-    def _low(self, node: track.Node) -> bool:
+    def _low(self, node: braking.Node) -> bool:
         return self.floor - node[2] < CLEAR_HEIGHT
 
-    def _place(self) -> track.Vector:
+    def _place(self) -> braking.Vector:
         return (self._memory[0], self._memory[1], self._memory[2])
 
     def _yaw(self) -> float:

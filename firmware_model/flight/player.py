@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.track import Track
 from trimtab.firmware_model.law.reference import cubic_at, septic_at
-from trimtab.firmware_model.mcu.uart import NEVER_US
 
 
 class Player:

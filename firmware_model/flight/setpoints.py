@@ -12,23 +12,19 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from trimtab.firmware_model.flight.track import (
+from trimtab.firmware_model.flight.braking import (
     EASE_S,
-    ENDLESS_US,
     QUINTIC_PEAK,
-    SEPTIC_PEAK,
     Node,
     Room,
-    Track,
     Vector,
-    YawState,
     braked,
     coast,
     eased,
     samples,
     seconds_us,
-    track,
 )
+from trimtab.firmware_model.flight.track import ENDLESS_US, SEPTIC_PEAK, Track, YawState, track
 
 SHORTEST_S = 0.5
 """Least length of a piece; a setpoint lasts as long as that even where it asks for little."""

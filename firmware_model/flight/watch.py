@@ -7,10 +7,10 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.failsafe import CONDITIONS, Condition
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.supervisor import Event
-from trimtab.firmware_model.mcu.uart import NEVER_US
 
 TOUCH_HEIGHT = 0.25
 """m above the floor below which a descent may have ended."""

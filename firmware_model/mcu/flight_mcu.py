@@ -1,9 +1,10 @@
-"""The flight processor: bytes in, sensors in, motor commands out; everything happens in its tick."""
+"""The flight processor: bytes and sensor values in, motor commands out. Everything happens in its tick."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight import track
 from trimtab.firmware_model.flight.engine import Engine
 from trimtab.firmware_model.flight.flight import LOOK_TICKS, Flight
@@ -11,9 +12,9 @@ from trimtab.firmware_model.flight.parameters import stored_parameters
 from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.flight.swap import agree_swap
 from trimtab.firmware_model.flight.verdict import check_blob
-from trimtab.firmware_model.mcu.uart import NEVER_US, UartPort
+from trimtab.firmware_model.mcu.uart import UartPort
 from trimtab.firmware_model.services import telemetry
-from trimtab.firmware_model.services.services import Identity, Services
+from trimtab.firmware_model.services.handlers import Handlers, Hooks, Identity
 from trimtab.firmware_model.services.telemetry import LoopTimes
 from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.protocol.blobs import FeedForward, Kind, Reference, from_bytes
@@ -36,11 +37,16 @@ RX_BYTES = 2_048
 TX_BYTES = 4_096
 LOOK_US = LOOK_TICKS * TICK_US
 FOREIGN_US = 5_000_000
-"""How often it says that it does not understand."""
+"""Time between two reports of bytes that make no message."""
 FOREIGN_LEAST = 3
-"""Wrong checksums in that time that noise does not explain."""
+"""Least number of wrong checksums in that time that noise does not explain."""
 CATCH_UP_TICKS = 20
-"""Most ticks that are caught up with at once."""
+"""Greatest number of missed ticks that one tick makes up for."""
+
+
+def flight_uart(*, baud: int = BAUD, chunk_bytes: int | None = None, idle_us: int = 0) -> UartPort:
+    """Return the flight processor's end of the line to the radio processor; see `UartPort`."""
+    return UartPort(baud=baud, rx_bytes=RX_BYTES, tx_bytes=TX_BYTES, chunk_bytes=chunk_bytes, idle_us=idle_us)
 
 
 class FlightMcu:
@@ -49,26 +55,26 @@ class FlightMcu:
     Parameters
     ----------
     engine
-        `law.step` as an engine; it is this processor's alone.
+        `law.step` as an engine, used by this processor alone.
     parameters
-        values by the names of protocol's table, defaults where missing; what was set before and
-        is in the store goes first.
+        Values by the names of the protocol's table, with defaults for missing ones. Values in the store, set
+        before, take precedence.
     store
-        non-volatile memory.
+        Non-volatile memory.
     uid
-        of this power-up, at most 18 bytes; AUTOPILOT_VERSION.uid2, little-endian.
+        Number of this power-up, at most 18 bytes; sent as AUTOPILOT_VERSION.uid2, little-endian.
     vehicle_id
-        6 bytes, id of the vehicle file that the parameters come from.
-    baud, rx_bytes, tx_bytes, chunk_bytes, idle_us
-        the line to the radio processor.
+        Id of the vehicle file that the parameters come from, 6 bytes.
+    uart
+        This end of the line to the radio processor; `flight_uart()` by default.
     loop_times
-        what the cycle counter has measured of the ticks before a time since the last call.
+        Returns what the cycle counter has measured of the ticks since the last call.
     check
-        says whether a blob may be used, as `verdict.check_blob` does.
+        Returns whether a blob may be used, as `verdict.check_blob` does.
 
-    `motor_command` is a view of four numbers in 0..1, fixed for life, new after each tick. `late_ticks`
-    counts the ticks that began later than one tick after the one before.
-    Raises ValueError for parameters that the table refuses or that contradict each other.
+    `motor_command` is a view of four numbers in 0..1, updated by each tick; the view itself never changes.
+    `late_ticks` counts the ticks that began later than one tick after the previous one. Raises ValueError for
+    parameters that the table refuses or that contradict each other.
     """
 
     def __init__(
@@ -79,17 +85,11 @@ class FlightMcu:
         store: ReferenceStore,
         uid: int,
         vehicle_id: bytes,
-        baud: int = BAUD,
-        rx_bytes: int = RX_BYTES,
-        tx_bytes: int = TX_BYTES,
-        chunk_bytes: int | None = None,
-        idle_us: int = 0,
+        uart: UartPort | None = None,
         loop_times: Callable[[int], LoopTimes] = lambda now_us: LoopTimes(0, 0, 0),
         check: Callable[..., Verdict] = check_blob,
     ) -> None:
-        self.uart = UartPort(
-            baud=baud, rx_bytes=rx_bytes, tx_bytes=tx_bytes, chunk_bytes=chunk_bytes, idle_us=idle_us
-        )
+        self.uart = flight_uart() if uart is None else uart
         self.late_ticks = 0
         self.parameters = stored_parameters(parameters, store, vehicle_id)
         self.flight = Flight(engine=engine, parameters=self.parameters)
@@ -108,18 +108,20 @@ class FlightMcu:
             agree=self._agree,
             capacity=store.bank_bytes,
         )
-        self._services = Services(
+        self._services = Handlers(
             flight=self.flight,
             parameters=self.parameters,
             upload=self._upload,
             store=store,
             identity=self._identity,
-            send=self._queue,
-            status=self._status,
-            battery_v=lambda: self._battery_v,
-            on_upload=self._uploaded,
-            on_limits=self._limits_changed,
-            keep=store.settings.change,
+            hooks=Hooks(
+                send=self._queue,
+                status=self._status,
+                battery_v=lambda: self._battery_v,
+                on_upload=self._uploaded,
+                on_limits=self._limits_changed,
+                on_parameter=store.settings.change,
+            ),
         )
         self._out: list[bytes] = []
         self._swap_us = NEVER_US
@@ -137,18 +139,22 @@ class FlightMcu:
 
     @property
     def state(self) -> State:
-        """What the vehicle is doing."""
+        """State of the flight."""
         return self.flight.state
 
     def tick(
         self, now_us: int, gyro: Sequence[float], specific_force: Sequence[float], battery_v: float
     ) -> None:
-        """Run one tick; `motor_command` is what the rotors get until the next.
+        """Run one tick. The rotors get `motor_command` until the next one.
 
         Parameters
         ----------
         now_us
-            time since power-up. gyro (rad/s), specific_force (m/s^2): FRD.
+            Time since power-up.
+        gyro, specific_force
+            FRD, in rad/s and m/s^2.
+        battery_v
+            Voltage of the battery.
         """
         if now_us >= self.uart.due_us:
             self._receive(now_us)
@@ -163,7 +169,7 @@ class FlightMcu:
             self._look(now_us)
 
     def _receive(self, now_us: int) -> None:
-        """Whatever has arrived is handled; answers leave at once."""
+        """Handle the messages that have arrived; send the answers at once."""
         flight, services = self.flight, self._services
         for message in self._codec.decode(self.uart.read(now_us)):
             if isinstance(message, AttPosMocap):
@@ -174,7 +180,7 @@ class FlightMcu:
             self._flush(now_us)
 
     def _look(self, now_us: int) -> None:
-        """Every ten ticks: what is watched, and what is reported."""
+        """Check and report, every ten ticks."""
         self._look_us = now_us - now_us % LOOK_US + LOOK_US
         flight = self.flight
         streams = self._services.streams

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 
-NEVER_US = 1 << 62
-"""A time that no clock here reaches."""
+from trimtab.firmware_model.clock import NEVER_US
 
 _BITS_PER_BYTE = 10  # one start bit, eight data bits, one stop bit
 _BYTE_UNITS = _BITS_PER_BYTE * 1_000_000

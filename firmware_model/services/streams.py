@@ -11,8 +11,8 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.flight import Flight
-from trimtab.firmware_model.mcu.uart import NEVER_US
 from trimtab.firmware_model.services import stock
 from trimtab.firmware_model.services.telemetry import HEARTBEAT_US, STATUS_US
 from trimtab.protocol import messages as m

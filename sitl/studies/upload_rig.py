@@ -12,12 +12,13 @@ from array import array
 from collections.abc import Callable
 from functools import lru_cache
 
+from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.verdict import check_blob
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.mcu.flight_mcu import LOOK_US, FlightMcu
 from trimtab.firmware_model.mcu.radio_mcu import BAUD, RadioMcu
-from trimtab.firmware_model.mcu.uart import NEVER_US, UartPort, connect
+from trimtab.firmware_model.mcu.uart import UartPort, connect
 from trimtab.firmware_model.storage.flash import Flash
 from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.vehicle import Vehicle, load_vehicle, to_parameters

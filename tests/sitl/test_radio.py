@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from trimtab.firmware_model.mcu.uart import NEVER_US
+from trimtab.firmware_model.clock import NEVER_US
 from trimtab.sitl.air_time import air_us
 from trimtab.sitl.radio import BurstLoss, RadioChannel
 from trimtab.sitl.world import RadioSettings

@@ -19,7 +19,7 @@ from typing import Any
 from trimtab.firmware_model.flight.supervisor import FLYING, State
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.firmware_model.mcu.flight_mcu import FlightMcu
+from trimtab.firmware_model.mcu.flight_mcu import FlightMcu, flight_uart
 from trimtab.firmware_model.mcu.radio_mcu import RadioMcu
 from trimtab.firmware_model.mcu.uart import UartPort, connect
 from trimtab.firmware_model.storage.store import ReferenceStore
@@ -66,7 +66,7 @@ class _Board:
             store=self.store,
             uid=7,
             vehicle_id=vehicle.id_bytes,
-            baud=port.baud,
+            uart=flight_uart(baud=port.baud),
         )
         self.port = port
         connect(port, self.mcu.uart)

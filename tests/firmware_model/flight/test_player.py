@@ -4,9 +4,9 @@ from array import array
 
 import pytest
 
+from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.player import Player
 from trimtab.firmware_model.flight.track import track
-from trimtab.firmware_model.mcu.uart import NEVER_US
 
 
 def node(x):

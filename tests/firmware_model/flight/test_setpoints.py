@@ -7,8 +7,8 @@ import random
 
 import pytest
 
+from trimtab.firmware_model.flight.braking import Room
 from trimtab.firmware_model.flight.setpoints import Bounds, PositionTarget, towards
-from trimtab.firmware_model.flight.track import Room
 
 BOUNDS = Bounds(room=Room((-10.0, -10.0, -5.0), (10.0, 10.0, -0.2)), speed=5.0, accel=4.0, yaw_rate=3.0)
 EVERY_US = 50_000

@@ -6,17 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from trimtab.firmware_model.flight.track import (
-    Room,
-    Track,
-    climb,
-    hold,
-    land,
-    level_descent,
-    seconds_us,
-    stop,
-    track,
-)
+from trimtab.firmware_model.flight.braking import Room, seconds_us
+from trimtab.firmware_model.flight.track import Track, climb, hold, land, level_descent, stop, track
 
 REST = (0.0,) * 9
 WIDE = Room((-99.0,) * 3, (99.0,) * 3)

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trimtab.firmware_model.mcu.uart import NEVER_US, UartPort, connect
+from trimtab.firmware_model.clock import NEVER_US
+from trimtab.firmware_model.mcu.uart import UartPort, connect
 
 
 def pair(baud=1_000_000, rx_bytes=64, tx_bytes=256):

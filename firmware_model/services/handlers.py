@@ -1,8 +1,7 @@
-"""What the vehicle answers: clock comparison, version, echo, missions (none), uploads.
+"""Handlers of messages: one for each type; answers go out through `send`.
 
-Parameters, commands, telemetry of other stations and files have modules of their own.
-
-One handler a message type. Handlers return nothing; their answers go out through `send`.
+This module answers clock comparison, version, echo, missions (none) and uploads. Parameters, commands,
+telemetry of other stations and files have modules of their own.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ _CAPABILITIES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Identity:
-    """Who this is: uid of the power-up, id of the vehicle file it was set up for (6 B)."""
+    """Identity of a power-up: its uid, and the id (6 B) of the vehicle file that it was set up for."""
 
     uid: int
     vehicle_id: bytes
@@ -56,19 +55,26 @@ class Identity:
             raise ValueError(f"vehicle_id must have 6 bytes, not {len(self.vehicle_id)}")
 
 
-class Services:
-    """Handlers of what arrives.
+@dataclass(frozen=True, kw_only=True)
+class Hooks:
+    """What the handlers call.
 
-    Parameters
-    ----------
-    send
-        puts a message on the line. on_upload: is told what became of uploads; on_limits: that what
-        references are checked by has changed. keep: gets the name and value of a parameter that was set.
-    status
-        the present FC_STATUS. battery_v: the battery's present voltage. store: blobs on board.
-
-    `streams` is the telemetry for other stations than Trimtab's host.
+    send: puts a message on the line. status: returns FC_STATUS at a time in us. battery_v: returns the
+    battery's voltage. on_upload: receives each event of an upload. on_limits: called when the limits that
+    references are checked by have changed. on_parameter: receives the name and value of a parameter that was
+    set.
     """
+
+    send: Callable[[Message], None]
+    status: Callable[[int], Message]
+    battery_v: Callable[[], float]
+    on_upload: Callable[[ReceiverEvent], None]
+    on_limits: Callable[[], None]
+    on_parameter: Callable[[str, float], None]
+
+
+class Handlers:
+    """Handlers of the messages that arrive. `streams`: telemetry for stations other than Trimtab's host."""
 
     def __init__(
         self,
@@ -78,22 +84,23 @@ class Services:
         upload: UploadReceiver,
         store: ReferenceStore,
         identity: Identity,
-        send: Callable[[Message], None],
-        status: Callable[[int], Message],
-        battery_v: Callable[[], float],
-        on_upload: Callable[[ReceiverEvent], None],
-        on_limits: Callable[[], None],
-        keep: Callable[[str, float], None],
+        hooks: Hooks,
     ) -> None:
+        send = hooks.send
         self._flight = flight
         self._upload = upload
         self._identity = identity
         self._send = send
-        self._on_upload = on_upload
+        self._on_upload = hooks.on_upload
         self._parameter_service = ParameterService(
-            flight=flight, parameters=parameters, send=send, text=self.text, keep=keep, on_limits=on_limits
+            flight=flight,
+            parameters=parameters,
+            send=send,
+            text=self.text,
+            keep=hooks.on_parameter,
+            on_limits=hooks.on_limits,
         )
-        self.streams = Streams(flight=flight, send=send, battery_v=battery_v)
+        self.streams = Streams(flight=flight, send=send, battery_v=hooks.battery_v)
         files = BlobFiles(store=store, upload=upload, text=self.text, on_upload=self.take)
         self._ftp = FtpServer(files, send=send)
         commands = Commands(
@@ -103,7 +110,7 @@ class Services:
             text=self.text,
             requests={
                 m.AutopilotVersion.id: lambda now_us: self._version(),
-                m.FcStatus.id: status,
+                m.FcStatus.id: hooks.status,
                 m.Heartbeat.id: lambda now_us: heartbeat(flight),
                 **self.streams.requests(),
             },
@@ -146,7 +153,7 @@ class Services:
             handler(message, now_us)
 
     def look(self, now_us: int) -> None:
-        """Send what is due: list entries and upload reports."""
+        """Send what is due: list entries, telemetry, files and upload reports."""
         self._parameter_service.look()
         self.streams.look(now_us)
         self._ftp.look(now_us)
@@ -155,12 +162,12 @@ class Services:
             self.take(self._upload.advance(now_us), now_us)
 
     def text(self, severity: int, text: str) -> None:
-        """Send `text` to people, in lines of 50 bytes."""
+        """Send `text` as STATUSTEXT, in lines of 50 bytes."""
         for line in textwrap.wrap(text, TEXT_BYTES):
             self._send(m.StatusText(severity, line.encode("ascii", errors="replace")))
 
     def take(self, events: list[ReceiverEvent], now_us: int) -> None:
-        """Pass on the upload's events and send its answers."""
+        """Pass on the events of an upload and send its answers."""
         for event in events:
             self._on_upload(event)
         for answer in self._upload.send(now_us):
