@@ -1,46 +1,46 @@
-"""Blobs that are uploaded: a reference to fly and a feed-forward block. Standard library only.
+"""Blobs to upload: a reference to fly, and a feed-forward. Standard library only.
 
 Little-endian, no padding, exact length. Both begin with a header of 46 B:
 
     magic "TRTB", kind u8, version u8, flags u16, vehicle id 6 B, origin 3 x float64, count u32, count u32
 
-A reference goes on with as many nodes as the first count says, t_us u32 and p, v, a, j (3 float32 each, NED,
-p relative to the origin; 52 B), then as many yaw rows as the second says, t_us u32, yaw, yaw rate (float32;
-12 B). A feed-forward goes on with the model id (6 B), the number of hidden layers u8, their widths (u8 each),
-then float32 numbers: the first count's of form (a), the second's of form (b). Its flags say which it has.
+In a reference, nodes follow, as many as the first count: t_us u32 and p, v, a, j (3 float32 each, NED, p
+relative to the origin; 52 B). Then yaw rows, as many as the second count: t_us u32, yaw, yaw rate (float32;
+12 B). In a feed-forward, the model id (6 B), the number of hidden layers u8 and their widths (u8 each)
+follow, then float32 numbers: as many as the first count for form (a), as the second for form (b). The flags
+name the forms.
 
-The id of a blob is the first 12 hex digits of the SHA-256 of its bytes. What travels as float32 is rounded
-when an object is built, so that what the host holds is what flies.
+The id of a blob is the first 12 hex digits of the SHA-256 of its bytes. Values that travel as float32 are
+rounded when an object is built, so the host holds exactly what flies.
 """
 
 from __future__ import annotations
 
 import hashlib
-import math
-import operator
 import struct
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
-MAGIC = b"TRTB"
-VERSION = 1
-T_US_MAX = 0xFFFF_FFFF
+from trimtab.protocol.blob_fields import (
+    HEADER_BYTES,
+    ORIGIN_BYTES,
+    VERSION,
+    BlobError,
+    Kind,
+    check_id,
+    check_increasing,
+    check_length,
+    finite_floats,
+    float32s,
+    kind_of,
+    pack_header,
+    unpack_header,
+    whole_time,
+)
+
 BLOB_BYTES_MAX = 256 * 1024
-"""Longest blob that a vehicle keeps: 5040 nodes of a reference without yaw rows."""
-
-
-class Kind(IntEnum):
-    """Kind of a blob; the value is the header's, and TRIMTAB_BLOB's on the wire."""
-
-    REFERENCE = 1
-    FEEDFORWARD = 2
-
-
-class BlobError(ValueError):
-    """Report bytes or values that make no blob; the message names the field."""
+"""Longest blob that a vehicle stores: 5040 nodes of a reference without yaw rows."""
 
 
 class Node(NamedTuple):
@@ -58,14 +58,10 @@ class YawNode(NamedTuple):
     yaw_rate: float
 
 
-_HEADER = struct.Struct("<4sBBH6s3dII")
-_ORIGIN = slice(14, 38)
-"""Bytes of the header."""
 _NODE = struct.Struct("<I12f")
 _YAW = struct.Struct("<I2f")
 _NODE_FIELDS = tuple(f"{name}_{axis}" for name in "pvaj" for axis in "ned")
 
-HEADER_BYTES = _HEADER.size
 NODE_BYTES = _NODE.size
 YAW_BYTES = _YAW.size
 
@@ -113,14 +109,16 @@ class Reference:
     free_ends: bool = False
 
     def __post_init__(self) -> None:
-        _check_id("vehicle_id", self.vehicle_id)
-        object.__setattr__(self, "origin_ned", _floats("origin_ned", self.origin_ned, 3))
+        check_id("vehicle_id", self.vehicle_id)
+        object.__setattr__(self, "origin_ned", finite_floats("origin_ned", self.origin_ned, 3))
         nodes = tuple(
-            Node(_time(f"nodes[{i}].t_us", t), _singles(f"nodes[{i}]", state, _NODE_FIELDS))
+            Node(whole_time(f"nodes[{i}].t_us", t), float32s(f"nodes[{i}]", state, _NODE_FIELDS))
             for i, (t, state) in enumerate(self.nodes)
         )
         yaws = tuple(
-            YawNode(_time(f"yaws[{i}].t_us", t), *_singles(f"yaws[{i}]", (yaw, rate), ("yaw", "yaw_rate")))
+            YawNode(
+                whole_time(f"yaws[{i}].t_us", t), *float32s(f"yaws[{i}]", (yaw, rate), ("yaw", "yaw_rate"))
+            )
             for i, (t, yaw, rate) in enumerate(self.yaws)
         )
         object.__setattr__(self, "nodes", nodes)
@@ -129,14 +127,14 @@ class Reference:
             raise BlobError(f"nodes: a reference needs at least 2, not {len(nodes)}")
         if nodes[0].t_us != 0:
             raise BlobError(f"nodes[0].t_us: must be 0, not {nodes[0].t_us}")
-        _check_increasing("nodes", [node.t_us for node in nodes])
-        _check_increasing("yaws", [yaw.t_us for yaw in yaws])
+        check_increasing("nodes", [node.t_us for node in nodes])
+        check_increasing("yaws", [yaw.t_us for yaw in yaws])
 
     def to_bytes(self) -> bytes:
         """Return the blob: `HEADER_BYTES + 52 nodes + 12 yaws` bytes."""
         flags = self._FREE_ENDS if self.free_ends else 0
         counts = (len(self.nodes), len(self.yaws))
-        head = _pack_header(self.KIND, flags, self.vehicle_id, self.origin_ned, counts)
+        head = pack_header(self.KIND, flags, self.vehicle_id, self.origin_ned, counts)
         rows = [_NODE.pack(node.t_us, *node.state) for node in self.nodes]
         rows += [_YAW.pack(*yaw) for yaw in self.yaws]
         return head + b"".join(rows)
@@ -147,10 +145,10 @@ class Reference:
 
         Raises BlobError, and nothing else, naming the field that is wrong.
         """
-        head = _unpack_header(data, cls.KIND)
+        head = unpack_header(data, cls.KIND)
         if head.flags & ~cls._FREE_ENDS:
             raise BlobError(f"flags: {head.flags:#06x} has bits unknown to version {VERSION}")
-        _check_length(data, HEADER_BYTES + head.first * NODE_BYTES + head.second * YAW_BYTES)
+        check_length(data, HEADER_BYTES + head.first * NODE_BYTES + head.second * YAW_BYTES)
         yaws_at = HEADER_BYTES + head.first * NODE_BYTES
         return cls(
             vehicle_id=head.vehicle_id,
@@ -206,11 +204,11 @@ class FeedForward:
     weights: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        _check_id("vehicle_id", self.vehicle_id)
-        _check_id("model_id", self.model_id)
+        check_id("vehicle_id", self.vehicle_id)
+        check_id("model_id", self.model_id)
         object.__setattr__(self, "layers", tuple(self.layers))
         if self.block is not None:
-            object.__setattr__(self, "block", _singles("block", self.block, _block_names()))
+            object.__setattr__(self, "block", float32s("block", self.block, _block_names()))
             gain, prediction_time_s = self.block[0], self.block[-1]
             if not gain > 0.0:
                 raise BlobError(f"block.gain: must be positive, not {gain:g}")
@@ -222,14 +220,14 @@ class FeedForward:
         if len(self.weights) != expected:
             raise BlobError(f"weights: layers {list(self.layers)} need {expected}, not {len(self.weights)}")
         names = tuple(map(str, range(expected)))
-        object.__setattr__(self, "weights", _singles("weights", self.weights, names))
+        object.__setattr__(self, "weights", float32s("weights", self.weights, names))
 
     def to_bytes(self) -> bytes:
         """Return the blob."""
         block = self.block or ()
         flags = (self._BLOCK if block else 0) | (self._NETWORK if self.layers else 0)
         counts = (len(block), len(self.weights))
-        head = _pack_header(self.KIND, flags, self.vehicle_id, (0.0, 0.0, 0.0), counts)
+        head = pack_header(self.KIND, flags, self.vehicle_id, (0.0, 0.0, 0.0), counts)
         sizes = bytes([len(self.layers), *self.layers])
         numbers = struct.pack(f"<{len(block) + len(self.weights)}f", *block, *self.weights)
         return head + bytes.fromhex(self.model_id) + sizes + numbers
@@ -240,16 +238,16 @@ class FeedForward:
 
         Raises BlobError, and nothing else, naming the field that is wrong.
         """
-        head = _unpack_header(data, cls.KIND)
+        head = unpack_header(data, cls.KIND)
         if head.flags & ~(cls._BLOCK | cls._NETWORK):
             raise BlobError(f"flags: {head.flags:#06x} has bits unknown to version {VERSION}")
-        if any(data[_ORIGIN]):  # -0.0 would be another blob of the same content
+        if any(data[ORIGIN_BYTES]):  # -0.0 would be another blob of the same content
             raise BlobError("origin: must be 0 in a feed-forward")
         sizes_at = HEADER_BYTES + 6
         if len(data) <= sizes_at:
             raise BlobError(f"length: {len(data)} bytes end before the layers")
         numbers_at = sizes_at + 1 + data[sizes_at]
-        _check_length(data, numbers_at + 4 * (head.first + head.second))
+        check_length(data, numbers_at + 4 * (head.first + head.second))
         layers = tuple(data[sizes_at + 1 : numbers_at])
         for bit, count, name in ((cls._BLOCK, head.first, "block"), (cls._NETWORK, len(layers), "layers")):
             if bool(head.flags & bit) != bool(count):
@@ -277,106 +275,9 @@ def from_bytes(data: bytes) -> Blob:
     return FeedForward.from_bytes(data) if kind_of(data) is Kind.FEEDFORWARD else Reference.from_bytes(data)
 
 
-def kind_of(data: bytes) -> Kind:
-    """Return the kind that the header states. Raises BlobError where there is no such header."""
-    if data[:4] != MAGIC:
-        raise BlobError(f"magic: {bytes(data[:4])!r} is not {MAGIC!r}")
-    if len(data) < 5 or data[4] not in tuple(Kind):
-        raise BlobError(
-            f"kind: {data[4] if len(data) > 4 else 'missing'} is not one of {list(map(int, Kind))}"
-        )
-    return Kind(data[4])
-
-
 def blob_id(data: bytes) -> str:
     """First 12 hex digits of the SHA-256 of `data`."""
     return hashlib.sha256(data).hexdigest()[:12]
-
-
-class _Head(NamedTuple):
-    flags: int
-    vehicle_id: str
-    origin: tuple[float, float, float]
-    first: int
-    second: int
-
-
-def _pack_header(
-    kind: Kind, flags: int, vehicle_id: str, origin: tuple[float, float, float], counts: tuple[int, int]
-) -> bytes:
-    return _HEADER.pack(MAGIC, kind, VERSION, flags, bytes.fromhex(vehicle_id), *origin, *counts)
-
-
-def _unpack_header(data: bytes, kind: Kind) -> _Head:
-    found = kind_of(data)
-    if found is not kind:
-        raise BlobError(f"kind: {found} ({found.name.lower()}) is not {int(kind)} ({kind.name.lower()})")
-    if len(data) < HEADER_BYTES:
-        raise BlobError(f"length: {len(data)} bytes are less than a header of {HEADER_BYTES}")
-    _, _, version, flags, vehicle, n, e, d, first, second = _HEADER.unpack_from(data)
-    if version != VERSION:
-        raise BlobError(f"version: {version} is not {VERSION}")
-    return _Head(flags, vehicle.hex(), (n, e, d), first, second)
-
-
-def _check_length(data: bytes, expected: int) -> None:
-    if len(data) != expected:
-        raise BlobError(f"length: {len(data)} bytes where the header makes it {expected}")
-
-
-def _check_id(name: str, value: str) -> None:
-    if not isinstance(value, str) or len(value) != 12 or any(c not in "0123456789abcdef" for c in value):
-        raise BlobError(f"{name}: {value!r} is not 12 lower-case hex digits")
-
-
-def _time(name: str, value: int) -> int:
-    try:
-        t_us = operator.index(value)
-    except TypeError:
-        t_us = -1
-    if not 0 <= t_us <= T_US_MAX:
-        raise BlobError(f"{name}: {value!r} is not a whole number of 0..{T_US_MAX} us")
-    return t_us
-
-
-def _check_increasing(name: str, times: Sequence[int]) -> None:
-    for i in range(1, len(times)):
-        if times[i] <= times[i - 1]:
-            raise BlobError(f"{name}[{i}].t_us: {times[i]} does not come after {times[i - 1]}")
-
-
-def _floats(name: str, values: Iterable[float], size: int) -> tuple[float, ...]:
-    """Return the values as finite floats.
-
-    Raises BlobError with their number or the one that is not finite.
-    """
-    floats = tuple(map(float, values))
-    if len(floats) != size:
-        raise BlobError(f"{name}: has {len(floats)} numbers, not {size}")
-    for i, value in enumerate(floats):
-        if not math.isfinite(value):
-            raise BlobError(f"{name}[{i}]: {value} is not finite")
-    return floats
-
-
-def _singles(name: str, values: Iterable[float], names: Sequence[str]) -> tuple[float, ...]:
-    """Return the values rounded to float32. Raises BlobError naming the one that has no finite float32."""
-    floats = tuple(map(float, values))
-    if len(floats) != len(names):
-        raise BlobError(f"{name}: has {len(floats)} numbers, not {len(names)}")
-    form = f"<{len(floats)}f"
-    try:
-        rounded = struct.unpack(form, struct.pack(form, *floats))
-    except OverflowError:
-        rounded = ()
-    if len(rounded) != len(floats) or not math.isfinite(sum(rounded)):
-        for field, value in zip(names, floats, strict=True):
-            if not abs(value) <= _FLOAT32_MAX:
-                raise BlobError(f"{name}.{field}: {value} is not finite in float32")
-    return rounded
-
-
-_FLOAT32_MAX = 3.4028235e38
 
 
 def _block_names() -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from fastcrc.crc16 import mcrf4xx
 
 from trimtab.protocol.generated import trimtab as mavlink
 from trimtab.protocol.messages import Message
-from trimtab.protocol.uwb import HEADER_BYTES, MAGIC, StreamSplitter
+from trimtab.protocol.stream import HEADER_BYTES, MAGIC, StreamSplitter
 
 _CODES = {
     "char": "s",

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from trimtab.firmware_model.clock import NEVER_US
-from trimtab.protocol.uwb import FRAME_BYTES
+from trimtab.protocol.uwb_pieces import FRAME_BYTES
 from trimtab.sitl.air_time import air_us
 from trimtab.sitl.world import RadioSettings
 

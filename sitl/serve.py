@@ -19,7 +19,7 @@ from typing import Protocol
 from urllib.parse import urlsplit
 
 from trimtab.host.base.errors import TrimtabError
-from trimtab.protocol.uwb import MAGIC, OVERHEAD_BYTES, SIGNATURE_BYTES
+from trimtab.protocol.stream import MAGIC, OVERHEAD_BYTES, SIGNATURE_BYTES
 
 _READ_BYTES = 4096
 _CLIENTS_MAX = 8

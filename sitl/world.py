@@ -15,7 +15,7 @@ from pydantic import Field, ValidationInfo, create_model, field_validator
 from trimtab.host.vehicle import ConfigurationError
 from trimtab.host.vehicle.strict_toml import Strict, read_strict
 from trimtab.protocol.telemetry import TICK_US
-from trimtab.protocol.uwb import FRAME_BYTES, FRAME_LEAST
+from trimtab.protocol.uwb_pieces import FRAME_BYTES, FRAME_LEAST
 from trimtab.sitl.air_time import air_us
 from trimtab.sitl.kinds import DRAG, KINDS
 

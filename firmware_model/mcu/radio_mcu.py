@@ -10,7 +10,9 @@ from collections import deque
 from trimtab.firmware_model.mcu.uart import UartPort
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import HOST_RADIO, VEHICLE_RADIO, RadioStats
-from trimtab.protocol.uwb import FRAME_BYTES, PIECE, Assembler, FramePacker, StreamSplitter
+from trimtab.protocol.stream import StreamSplitter
+from trimtab.protocol.uwb import FramePacker
+from trimtab.protocol.uwb_pieces import FRAME_BYTES, PIECE, Assembler
 
 BAUD = 921_600
 RX_BYTES = 4_096

@@ -19,7 +19,8 @@ from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Kind
 from trimtab.protocol.ftp import Error, Opcode, Packet
 from trimtab.protocol.messages import Message
-from trimtab.protocol.uwb import FRAME_BYTES, OVERHEAD_BYTES
+from trimtab.protocol.stream import OVERHEAD_BYTES
+from trimtab.protocol.uwb_pieces import FRAME_BYTES
 
 PIECE_BYTES = FRAME_BYTES - OVERHEAD_BYTES - 3 - 12
 """Of a file in one answer: what a frame holds behind the headers of message, target and FTP."""

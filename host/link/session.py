@@ -15,7 +15,7 @@ from trimtab.host.link.tasks import Task
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import decode_message
 from trimtab.protocol.messages import Message
-from trimtab.protocol.uwb import split
+from trimtab.protocol.stream import split
 
 Script = Generator[Task, Any, Any]
 """Yields tasks, gets back their results, returns the session's result; errors of a task are raised in it."""

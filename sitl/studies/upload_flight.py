@@ -19,7 +19,7 @@ from trimtab.host.link.summary import FlightResult
 from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Node, Reference
-from trimtab.protocol.uwb import message_id, split
+from trimtab.protocol.stream import message_id, split
 from trimtab.sitl.studies.upload_blob import NODES, reference_blob
 from trimtab.sitl.vehicle import SimulatedVehicle
 from trimtab.sitl.world import RadioSettings

@@ -31,7 +31,7 @@ from trimtab.protocol.generated import flight_pb2
 from trimtab.protocol.generated.frames import MESSAGES
 from trimtab.protocol.messages import UploadState
 from trimtab.protocol.upload import CHUNK_BYTES, SenderState
-from trimtab.protocol.uwb import FRAME_BYTES
+from trimtab.protocol.uwb_pieces import FRAME_BYTES
 from trimtab.sitl.world import RadioSettings, SerialSettings, TimingSettings
 
 DOCS = Path(__file__).parents[2] / "docs"

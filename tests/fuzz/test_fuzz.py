@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.mcu.flight_mcu import FlightMcu
 from trimtab.firmware_model.services.commands import Commands
+from trimtab.firmware_model.services.handlers import Handlers
 from trimtab.firmware_model.services.parameter_service import ParameterService
-from trimtab.firmware_model.services.services import Services
 from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.link.client import Client
 from trimtab.protocol import uwb
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import HOST, CommandLong, ParamSet, StatusText
-from trimtab.protocol.uwb import StreamSplitter, split
+from trimtab.protocol.stream import StreamSplitter, split
 from trimtab.sitl.studies.fuzz import KINDS, FuzzReport, replay, run, run_fuzz
 from trimtab.sitl.studies.fuzz.__main__ import main
 from trimtab.sitl.studies.fuzz.inputs import FLUSH, frame, pack, valid_messages
@@ -113,8 +113,8 @@ def test_message_for_another_vehicle_that_is_obeyed_is_found(monkeypatch: pytest
             message.target_system = 1
         before(self, message, now_us)
 
-    before = Services.receive
-    monkeypatch.setattr(Services, "receive", receive)
+    before = Handlers.receive
+    monkeypatch.setattr(Handlers, "receive", receive)
     assert "valid messages alone" in _crashes("vehicle-messages").crashes[0].error
 
 

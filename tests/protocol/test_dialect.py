@@ -12,7 +12,7 @@ from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.generated.frames import DIALECT_VERSION, MESSAGES
 from trimtab.protocol.messages import mavlink
-from trimtab.protocol.uwb import FRAME_BYTES
+from trimtab.protocol.uwb_pieces import FRAME_BYTES
 
 OVERHEAD = 12
 STANDARD = sorted(number for number in MESSAGES if number < 52100)

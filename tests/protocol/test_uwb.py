@@ -11,25 +11,17 @@ from hypothesis import strategies as st
 
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
-from trimtab.protocol.uwb import (
-    CAPACITY_BYTES,
+from trimtab.protocol.stream import HEADER_BYTES, LONGEST_BYTES, MAGIC, StreamSplitter, message_id, split
+from trimtab.protocol.uwb import CAPACITY_BYTES, PRIORITIES, FramePacker, Priority
+from trimtab.protocol.uwb_pieces import (
     FRAME_BYTES,
     FRAME_LEAST,
-    HEADER_BYTES,
-    LONGEST_BYTES,
-    MAGIC,
     PIECE,
     PIECE_HEADER_BYTES,
     PIECED_MOST,
     PIECES_WAIT_US,
-    PRIORITIES,
     Assembler,
-    FramePacker,
-    Priority,
-    StreamSplitter,
     cut,
-    message_id,
-    split,
 )
 
 CODEC = Codec(1, 1)

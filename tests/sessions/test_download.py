@@ -21,7 +21,7 @@ from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward, Reference
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.ftp import Opcode, Packet
-from trimtab.protocol.uwb import FRAME_BYTES
+from trimtab.protocol.uwb_pieces import FRAME_BYTES
 from trimtab.sitl.serve import serve
 from trimtab.sitl.vehicle import SimulatedVehicle
 

@@ -11,7 +11,7 @@ import pytest
 
 from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol.messages import VEHICLE, FcControl, FcEstimate, FcStatus
-from trimtab.protocol.uwb import StreamSplitter, message_id
+from trimtab.protocol.stream import StreamSplitter, message_id
 from trimtab.sitl.vehicle import SimulatedVehicle
 
 PAGE = Path(__file__).parent.parent.parent / "docs" / "concepts" / "link.md"

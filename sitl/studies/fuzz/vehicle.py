@@ -28,9 +28,10 @@ from trimtab.host.vehicle import to_parameters
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Kind
 from trimtab.protocol.messages import HOST_RADIO, VEHICLE, mavlink
+from trimtab.protocol.stream import StreamSplitter, message_id
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.protocol.upload.transfer import CHUNK_BYTES, tag_of
-from trimtab.protocol.uwb import FRAME_BYTES, PIECE, PIECE_HEADER_BYTES, StreamSplitter, message_id
+from trimtab.protocol.uwb_pieces import FRAME_BYTES, PIECE, PIECE_HEADER_BYTES
 from trimtab.sitl.studies.fuzz import inputs
 from trimtab.sitl.studies.fuzz.inputs import FLUSH, Found, frame, pack, valid_messages
 from trimtab.sitl.studies.fuzz.source import Source

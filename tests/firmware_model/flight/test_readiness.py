@@ -14,7 +14,7 @@ from trimtab.firmware_model.flight.readiness import (
     start_refusal,
 )
 from trimtab.firmware_model.flight.supervisor import Event
-from trimtab.firmware_model.services.services import TEXT_BYTES
+from trimtab.firmware_model.services.handlers import TEXT_BYTES
 from trimtab.host.vehicle import list_vehicles, load_vehicle, to_parameters
 from trimtab.protocol.parameters import DEFAULTS
 

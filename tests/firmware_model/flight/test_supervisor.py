@@ -13,7 +13,7 @@ from trimtab.firmware_model.flight.supervisor import (
     State,
     update,
 )
-from trimtab.firmware_model.services.services import TEXT_BYTES
+from trimtab.firmware_model.services.handlers import TEXT_BYTES
 
 
 def test_update_every_state_and_event_moves_or_refuses_with_a_reason():

@@ -9,7 +9,7 @@ from trimtab.firmware_model.mcu.uart import UartPort, connect
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import HOST, HOST_RADIO, VEHICLE
-from trimtab.protocol.uwb import FRAME_BYTES
+from trimtab.protocol.uwb_pieces import FRAME_BYTES
 
 
 @pytest.fixture

@@ -26,7 +26,8 @@ from trimtab.host.route import (
     route_file,
 )
 from trimtab.host.vehicle import ConfigurationError, Vehicle, load_vehicle
-from trimtab.protocol.blobs import BLOB_BYTES_MAX, HEADER_BYTES, NODE_BYTES
+from trimtab.protocol.blob_fields import HEADER_BYTES
+from trimtab.protocol.blobs import BLOB_BYTES_MAX, NODE_BYTES
 
 SHIPPED = (
     "circuit",
