@@ -8,7 +8,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator, Mapping
 
-from trimtab.firmware_model.law import checks
+from trimtab.firmware_model.law.limits import from_parameters
 from trimtab.firmware_model.law.step import parameter_vector
 from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.protocol.parameters import BY_NAME, INDEX, PARAMETERS, complete
@@ -26,7 +26,7 @@ class ParameterValues(Mapping[str, float]):
     def __init__(self, values: Mapping[str, float]) -> None:
         self._values = complete(values)
         self.vector = array("d", parameter_vector(self._values))
-        self.airframe, self.limits = checks.from_parameters(self._values)
+        self.airframe, self.limits = from_parameters(self._values)
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
@@ -46,7 +46,7 @@ class ParameterValues(Mapping[str, float]):
         changed = {**self._values, name: rounded}
         try:
             vector = array("d", parameter_vector(changed))
-            judged_by = checks.from_parameters(changed)
+            judged_by = from_parameters(changed)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         self._values, self.vector = changed, vector

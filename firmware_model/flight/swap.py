@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from trimtab.firmware_model.flight.track import Track
 from trimtab.firmware_model.flight.verdict import Reason
-from trimtab.firmware_model.law.checks import Limits, check_ends
+from trimtab.firmware_model.law.checks import check_ends
+from trimtab.firmware_model.law.limits import Limits
 from trimtab.firmware_model.law.smoothness import jump_text, jumps
 from trimtab.protocol.blobs import Reference
 from trimtab.protocol.messages import UploadResult

@@ -6,7 +6,8 @@ from dataclasses import replace
 from enum import IntEnum
 
 from trimtab.firmware_model.flight.parameters import ParameterValues
-from trimtab.firmware_model.law import checks
+from trimtab.firmware_model.law.checks import check_reference
+from trimtab.firmware_model.law.reference_verdict import ReferenceReason
 from trimtab.protocol.blobs import BlobError, FeedForward, Reference, from_bytes
 from trimtab.protocol.upload import Verdict
 
@@ -48,9 +49,9 @@ def check_blob(
         blob = from_bytes(data)
     except BlobError as error:
         return _refused(Reason.BAD_BLOB, str(error))
-    found = int(blob.KIND)
-    if found != kind:
-        return _refused(Reason.OTHER_KIND, f"announced as kind {kind}, but it is kind {found}")
+    own_kind = int(blob.KIND)
+    if own_kind != kind:
+        return _refused(Reason.OTHER_KIND, f"announced as kind {kind}, but it is kind {own_kind}")
     if blob.vehicle_id != vehicle_id:
         return _refused(Reason.OTHER_VEHICLE, f"made for vehicle {blob.vehicle_id}, this is {vehicle_id}")
     if isinstance(blob, Reference):
@@ -66,7 +67,7 @@ def battery_verdict(parameters: ParameterValues, battery_v: float) -> Verdict | 
     if not 0.0 < battery_v < bound:
         return None
     text = f"battery at {battery_v:.2f} V, below {bound:.2f} V"
-    return _refused(checks.Reason.BATTERY, text, battery_v, bound)
+    return _refused(ReferenceReason.BATTERY, text, battery_v, bound)
 
 
 def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: float) -> Verdict:
@@ -76,7 +77,7 @@ def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: fl
     if battery_v > 0.0:
         full = (battery_v / parameters["BAT_FULL_V"]) ** 2  # thrust goes with the square of the voltage
         available = max(low + 1e-6, min(high, (1.0 - BATTERY_RESERVE) * full))
-    found = checks.check_reference(
+    judged = check_reference(
         blob.nodes,
         blob.yaw_nodes(),
         parameters.airframe,
@@ -84,18 +85,18 @@ def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: fl
         origin=blob.origin_ned,
         ends_at_rest=not blob.free_ends,
     )
-    if found.ok:
+    if judged.ok:
         return Verdict(ok=True)
-    reason, text = found.reason_code, found.text
-    if reason is checks.Reason.THRUST_HIGH and found.bound < high:
-        reason = checks.Reason.BATTERY
-        text = f"{found.quantity} {found.value:.4g} of max, the battery gives {found.bound:.4g}"
+    reason, text = judged.reason_code, judged.text
+    if reason is ReferenceReason.THRUST_HIGH and judged.bound < high:
+        reason = ReferenceReason.BATTERY
+        text = f"{judged.quantity} {judged.value:.4g} of max, the battery gives {judged.bound:.4g}"
     return Verdict(
         ok=False,
-        node=found.node if 0 <= found.node < 0xFFFF else None,
+        node=judged.node if 0 <= judged.node < 0xFFFF else None,
         reason=int(reason),
-        value=found.value,
-        bound=found.bound,
+        value=judged.value,
+        bound=judged.bound,
         message=text,
     )
 
@@ -120,5 +121,7 @@ def _check_feedforward(blob: FeedForward) -> Verdict:
     return Verdict(ok=True)
 
 
-def _refused(reason: Reason | checks.Reason, message: str, value: float = 0.0, bound: float = 0.0) -> Verdict:
+def _refused(
+    reason: Reason | ReferenceReason, message: str, value: float = 0.0, bound: float = 0.0
+) -> Verdict:
     return Verdict(ok=False, reason=int(reason), value=value, bound=bound, message=message)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from trimtab.firmware_model.law.checks import Limits as CheckedLimits
+from trimtab.firmware_model.law.limits import Limits as CheckedLimits
 from trimtab.host.models.region import Region
 from trimtab.host.plan.dynamics import Dynamics
 from trimtab.host.vehicle import Limits

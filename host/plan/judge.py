@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from trimtab.firmware_model.law.checks import Verdict, check_reference, from_parameters
+from trimtab.firmware_model.law.checks import check_reference
+from trimtab.firmware_model.law.limits import from_parameters
+from trimtab.firmware_model.law.reference_verdict import ReferenceVerdict
 from trimtab.host.codegen import NUMPY
 from trimtab.host.plan.box import GATES, KEEP_OUT, YAW_RATE, checked
 from trimtab.host.plan.dynamics import ResidualModel
@@ -29,7 +31,7 @@ class Judged:
     table: Table
     ok: bool
     message: str
-    verdict: Verdict
+    verdict: ReferenceVerdict
     margins: Mapping[str, float]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from trimtab.firmware_model.law.checks import Verdict
+from trimtab.firmware_model.law.reference_verdict import ReferenceVerdict
 from trimtab.host.base.errors import Refused, SolverError, UsageError
 from trimtab.host.plan.dynamics import Weights
 from trimtab.host.plan.problem import SolveStatus
@@ -121,7 +121,7 @@ class Plan:
 class PlanRefused(Refused):
     """No reference within the limits; `verdict` says where the nearest one breaks them, if one was found."""
 
-    def __init__(self, message: str, verdict: Verdict | None = None) -> None:
+    def __init__(self, message: str, verdict: ReferenceVerdict | None = None) -> None:
         super().__init__(message)
         self.verdict = verdict
 

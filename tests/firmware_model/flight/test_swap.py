@@ -9,7 +9,7 @@ import pytest
 from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.flight.swap import agree_swap
 from trimtab.firmware_model.flight.track import track
-from trimtab.firmware_model.law.checks import from_parameters
+from trimtab.firmware_model.law.limits import from_parameters
 from trimtab.firmware_model.law.reference import septic
 from trimtab.firmware_model.law.smoothness import JUMPS
 from trimtab.protocol import messages as m

@@ -9,15 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trimtab.firmware_model.law.checks import (
-    Airframe,
-    Limits,
-    Reason,
-    Verdict,
-    check_reference,
-    from_parameters,
-)
+from trimtab.firmware_model.law.checks import check_reference
+from trimtab.firmware_model.law.limits import Airframe, Limits, from_parameters
 from trimtab.firmware_model.law.reference import septic
+from trimtab.firmware_model.law.reference_verdict import ReferenceReason, ReferenceVerdict
 from trimtab.protocol.parameters import DEFAULTS
 from trimtab.protocol.upload.transfer import MESSAGE_BYTES
 
@@ -53,7 +48,7 @@ def _check(nodes, yaw=YAW, limits=LIMITS, **options):
 def test_check_of_a_gentle_flight_is_ok_with_margins_to_every_limit():
     verdict = _check(_leg())
     assert verdict.ok
-    assert verdict.reason_code == Reason.NONE
+    assert verdict.reason_code == ReferenceReason.NONE
     peak = 35 / 16 * 4.0 / 4.0  # of a septic from rest to rest
     assert verdict.margins["speed_m_s"] == pytest.approx(LIMITS.speed_max_m_s - peak, abs=1e-6)
     assert verdict.margins["geofence_m"] == pytest.approx(1.8, abs=1e-6)
@@ -66,13 +61,13 @@ def test_check_of_a_gentle_flight_is_ok_with_margins_to_every_limit():
 @pytest.mark.parametrize(
     ("change", "reason", "margin"),
     [
-        ({"speed_max_m_s": 2.0}, Reason.SPEED, "speed_m_s"),
-        ({"tilt_max_deg": 8.0}, Reason.TILT, "tilt_deg"),
-        ({"body_rate_max_rad_s": (6.0, 0.1, 3.0)}, Reason.BODY_RATE, "body_rate_rad_s"),
-        ({"jerk_max_m_s3": 2.0}, Reason.JERK, "jerk_m_s3"),
-        ({"thrust_headroom": (0.2165, 0.65)}, Reason.THRUST_LOW, "thrust_low"),
-        ({"thrust_headroom": (0.08, 0.22)}, Reason.THRUST_HIGH, "thrust_high"),
-        ({"geofence_m": ((-10.0, 3.5), (-10.0, 10.0), (-6.0, 0.3))}, Reason.GEOFENCE, "geofence_m"),
+        ({"speed_max_m_s": 2.0}, ReferenceReason.SPEED, "speed_m_s"),
+        ({"tilt_max_deg": 8.0}, ReferenceReason.TILT, "tilt_deg"),
+        ({"body_rate_max_rad_s": (6.0, 0.1, 3.0)}, ReferenceReason.BODY_RATE, "body_rate_rad_s"),
+        ({"jerk_max_m_s3": 2.0}, ReferenceReason.JERK, "jerk_m_s3"),
+        ({"thrust_headroom": (0.2165, 0.65)}, ReferenceReason.THRUST_LOW, "thrust_low"),
+        ({"thrust_headroom": (0.08, 0.22)}, ReferenceReason.THRUST_HIGH, "thrust_high"),
+        ({"geofence_m": ((-10.0, 3.5), (-10.0, 10.0), (-6.0, 0.3))}, ReferenceReason.GEOFENCE, "geofence_m"),
     ],
 )
 def test_check_against_a_tighter_limit_names_it(change, reason, margin):
@@ -102,7 +97,7 @@ def test_check_finds_a_violation_strictly_between_nodes():
     limits = replace(LIMITS, jerk_max_m_s3=1e4, tilt_max_deg=85.0, body_rate_max_rad_s=(99.0,) * 3)
     limits = replace(limits, thrust_headroom=(0.0, 1.0), speed_max_m_s=5.0)
     verdict = _check(nodes, limits=limits)
-    assert (verdict.node, verdict.reason_code) == (0, Reason.SPEED)
+    assert (verdict.node, verdict.reason_code) == (0, ReferenceReason.SPEED)
     assert verdict.margins["speed_m_s"] == pytest.approx(5.0 - 35 / 16 * 3.0, abs=0.01)
 
 
@@ -111,7 +106,7 @@ def test_check_of_nodes_whose_derivatives_all_do_not_fit_refuses_one_of_them():
     nodes = [(t, (*s[:6], s[6] + (0.5 if k % 4 < 2 else -0.5), *s[7:])) for k, (t, s) in enumerate(_leg())]
     assert all(math.hypot(*state[9:12]) < 10.0 for _, state in nodes)
     verdict = _check([(0, _leg()[0][1]), *nodes[1:-1], (nodes[-1][0], _leg()[-1][1])])
-    assert (verdict.reason_code, verdict.quantity) == (Reason.NOT_SMOOTH, "acceleration")
+    assert (verdict.reason_code, verdict.quantity) == (ReferenceReason.NOT_SMOOTH, "acceleration")
 
 
 def test_check_samples_long_pieces_densely():
@@ -125,14 +120,14 @@ def test_check_samples_long_pieces_densely():
 def test_check_sees_the_yaw_profile():
     spin = [(0, 0.0, 0.0), (4_000_000, 14.0, 0.0)]
     verdict = _check(_leg(), spin)
-    assert (verdict.reason_code, verdict.quantity) == (Reason.BODY_RATE, "body rate z")
+    assert (verdict.reason_code, verdict.quantity) == (ReferenceReason.BODY_RATE, "body rate z")
     assert verdict.margins["body_rate_rad_s"] == pytest.approx(3.0 - 1.5 * 14.0 / 4.0, abs=0.01)
 
 
 def test_check_sees_a_jerk_of_the_heading_between_two_samples():
     quick = [(0, 0.0, 0.0), (2_001_000, 0.0, 0.0), (2_005_000, 0.2, 0.0), (2_009_000, 0.0, 0.0)]
     verdict = _check(_leg(), quick, limits=replace(LIMITS, thrust_headroom=(-999.0, 999.0)))
-    assert verdict.reason_code == Reason.BODY_RATE
+    assert verdict.reason_code == ReferenceReason.BODY_RATE
 
 
 def test_check_sees_a_jerk_of_the_heading_in_a_long_piece():
@@ -141,7 +136,7 @@ def test_check_sees_a_jerk_of_the_heading_in_a_long_piece():
     start_us = 8 * 125_000 + 1_000
     spike = [(0, 0.0, 0.0), *((start_us + 61_000 * k, 2.0 * (k == 1), 0.0) for k in range(3))]
     verdict = _check(hover, spike, limits=replace(LIMITS, thrust_headroom=(-99.0, 99.0)))
-    assert (verdict.reason_code, verdict.quantity) == (Reason.BODY_RATE, "body rate z")
+    assert (verdict.reason_code, verdict.quantity) == (ReferenceReason.BODY_RATE, "body rate z")
     assert verdict.margins["body_rate_rad_s"] == pytest.approx(3.0 - 1.5 * 2.0 / 0.061, abs=0.5)
 
 
@@ -152,7 +147,7 @@ def test_check_counts_the_torque_of_a_yaw_acceleration():
     verdict = _check(hover, turns)
     share = 0.752 * 9.81 / 4 / 8.5
     torque_share = 4.3e-3 * 6.0 * 0.119 / 0.06**2 / (4 * 0.022 * 8.5)
-    assert verdict.reason_code == Reason.THRUST_HIGH
+    assert verdict.reason_code == ReferenceReason.THRUST_HIGH
     assert verdict.margins["body_rate_rad_s"] > 0.0
     assert verdict.margins["thrust_high"] == pytest.approx(0.65 - share - torque_share, rel=1e-5)
     assert verdict.margins["thrust_low"] == pytest.approx(share - torque_share - 0.08, rel=1e-5)
@@ -176,7 +171,7 @@ def test_check_holds_yaw_outside_its_nodes():
 def test_check_refuses_a_yaw_rate_that_jumps_into_or_out_of_a_hold(yaw, node, rests):
     """The flight's own ends are holds only where they are at rest."""
     verdict = _check(_leg(), yaw)
-    assert (verdict.reason_code, verdict.quantity) == (Reason.NOT_AT_REST, "yaw rate")
+    assert (verdict.reason_code, verdict.quantity) == (ReferenceReason.NOT_AT_REST, "yaw rate")
     assert verdict.node == node
     assert _check(_leg(), yaw, ends_at_rest=False).ok is not rests
 
@@ -187,7 +182,7 @@ def test_check_keeps_the_flight_above_the_floor_whatever_the_geofence():
     nodes = [(0, high), (3_000_000, low), (6_000_000, high)]
     for options in ({}, {"ends_at_rest": False}):
         verdict = _check(nodes, **options)
-        assert (verdict.node, verdict.reason_code, verdict.quantity) == (0, Reason.TOO_LOW, "height")
+        assert (verdict.node, verdict.reason_code, verdict.quantity) == (0, ReferenceReason.TOO_LOW, "height")
         assert verdict.value < verdict.bound == 0.0
         assert verdict.margins["floor_m"] == pytest.approx(-0.25)
         assert verdict.margins["geofence_m"] == pytest.approx(0.05)
@@ -198,16 +193,16 @@ def test_check_moves_geofence_and_floor_with_the_origin():
     nodes = [(t, (s[0], s[1], s[2] + 1.5, *s[3:])) for t, s in _leg()]
     assert _check(nodes, origin=(0.0, 0.0, -1.5)).margins == pytest.approx(_check(_leg()).margins)
     verdict = _check(nodes, origin=(8.0, 0.0, -1.5))
-    assert (verdict.reason_code, verdict.quantity) == (Reason.GEOFENCE, "north")
+    assert (verdict.reason_code, verdict.quantity) == (ReferenceReason.GEOFENCE, "north")
     assert verdict.value > verdict.bound == 10.0
 
 
 def test_check_of_the_flights_ends_wants_rest_and_height():
     moving = _with(_leg(), 40, v0=0.01)
-    assert (_check(moving).reason_code, _check(moving).node) == (Reason.NOT_AT_REST, 40)
-    assert _check(moving, ends_at_rest=False).reason_code != Reason.NOT_AT_REST
+    assert (_check(moving).reason_code, _check(moving).node) == (ReferenceReason.NOT_AT_REST, 40)
+    assert _check(moving, ends_at_rest=False).reason_code != ReferenceReason.NOT_AT_REST
     low = _leg(height=0.4)
-    assert (_check(low).reason_code, _check(low).node) == (Reason.TOO_LOW, 0)
+    assert (_check(low).reason_code, _check(low).node) == (ReferenceReason.TOO_LOW, 0)
     assert _check(low, ends_at_rest=False).ok
     assert _check(low, limits=replace(LIMITS, end_height_m=0.3)).ok
 
@@ -215,16 +210,16 @@ def test_check_of_the_flights_ends_wants_rest_and_height():
 @pytest.mark.parametrize(
     ("nodes", "yaw", "reason", "node"),
     [
-        ([], YAW, Reason.TOO_FEW_NODES, 0),
-        (_leg()[:1], YAW, Reason.TOO_FEW_NODES, 1),
-        (_leg(), [], Reason.TOO_FEW_NODES, 41),
-        (_with(_leg(), 7, j1=math.nan), YAW, Reason.NOT_FINITE, 7),
-        (_with(_leg(), 7, p2=-math.inf), YAW, Reason.NOT_FINITE, 7),
-        (_with(_leg(), 7, v0=1e7), YAW, Reason.NOT_FINITE, 7),
-        (_leg(), [(0, 0.0, 0.0), (10, math.nan, 0.0)], Reason.NOT_FINITE, 1),
-        (_leg()[1:], YAW, Reason.TIME_ORDER, 0),
-        ([*_leg()[:5], *_leg()[4:]], YAW, Reason.TIME_ORDER, 5),
-        (_leg(), [(5, 0.0, 0.0), (5, 0.0, 0.0)], Reason.TIME_ORDER, 1),
+        ([], YAW, ReferenceReason.TOO_FEW_NODES, 0),
+        (_leg()[:1], YAW, ReferenceReason.TOO_FEW_NODES, 1),
+        (_leg(), [], ReferenceReason.TOO_FEW_NODES, 41),
+        (_with(_leg(), 7, j1=math.nan), YAW, ReferenceReason.NOT_FINITE, 7),
+        (_with(_leg(), 7, p2=-math.inf), YAW, ReferenceReason.NOT_FINITE, 7),
+        (_with(_leg(), 7, v0=1e7), YAW, ReferenceReason.NOT_FINITE, 7),
+        (_leg(), [(0, 0.0, 0.0), (10, math.nan, 0.0)], ReferenceReason.NOT_FINITE, 1),
+        (_leg()[1:], YAW, ReferenceReason.TIME_ORDER, 0),
+        ([*_leg()[:5], *_leg()[4:]], YAW, ReferenceReason.TIME_ORDER, 5),
+        (_leg(), [(5, 0.0, 0.0), (5, 0.0, 0.0)], ReferenceReason.TIME_ORDER, 1),
     ],
 )
 def test_check_of_what_is_no_reference_names_node_and_reason(nodes, yaw, reason, node):
@@ -248,14 +243,14 @@ def test_check_of_any_numbers_returns_a_verdict(nodes, yaw, sort):
         nodes = [(0 if k == 0 else t, s) for k, (t, s) in enumerate(sorted(nodes, key=lambda node: node[0]))]
         yaw = sorted(yaw, key=lambda node: node[0])
     verdict = _check(nodes, yaw, ends_at_rest=False)
-    assert isinstance(verdict, Verdict)
+    assert isinstance(verdict, ReferenceVerdict)
     assert len(verdict.text.encode()) <= MESSAGE_BYTES
-    assert verdict.ok == (verdict.reason_code == Reason.NONE)
+    assert verdict.ok == (verdict.reason_code == ReferenceReason.NONE)
 
 
 def test_reason_codes_stay_what_they_are():
-    assert [reason.value for reason in Reason] == list(range(15))
-    assert (Reason.NOT_FINITE, Reason.GEOFENCE, Reason.THRUST_HIGH) == (2, 6, 12)
+    assert [reason.value for reason in ReferenceReason] == list(range(15))
+    assert (ReferenceReason.NOT_FINITE, ReferenceReason.GEOFENCE, ReferenceReason.THRUST_HIGH) == (2, 6, 12)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,10 @@ from dataclasses import replace
 import pytest
 
 from trimtab.firmware_model.law import smoothness
-from trimtab.firmware_model.law.checks import Reason, check_reference, from_parameters
+from trimtab.firmware_model.law.checks import check_reference
+from trimtab.firmware_model.law.limits import from_parameters
 from trimtab.firmware_model.law.reference import septic
+from trimtab.firmware_model.law.reference_verdict import ReferenceReason
 from trimtab.firmware_model.law.smoothness import SMOOTH_M_S2, SMOOTH_S, worst_misfit
 from trimtab.host.models.model import Model
 from trimtab.host.plan import plan, table
@@ -67,7 +69,11 @@ def test_acceleration_off_by_half_a_metre_is_refused_with_its_node(reference) ->
     for k in (1, 2, *chance.sample(range(3, last - 2), 12), last - 2, last - 1):
         for axis in range(3):
             verdict = _check(_off(nodes, k, 2, axis, chance.choice((-0.5, 0.5))))
-            assert (verdict.reason_code, verdict.node) == (Reason.NOT_SMOOTH, k), (k, axis, verdict.message)
+            assert (verdict.reason_code, verdict.node) == (ReferenceReason.NOT_SMOOTH, k), (
+                k,
+                axis,
+                verdict.message,
+            )
             assert verdict.quantity == "acceleration"
             assert f"node {k} at " in verdict.message
     for k in (0, last):  # an end that should rest is refused as one that does not

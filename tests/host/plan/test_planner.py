@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trimtab.firmware_model.law.checks import check_reference, from_parameters
+from trimtab.firmware_model.law.checks import check_reference
+from trimtab.firmware_model.law.limits import from_parameters
 from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import load_effects
 from trimtab.host.models.model import Model
