@@ -30,6 +30,7 @@ from trimtab.protocol.messages import (
     is_vehicle,
 )
 from trimtab.protocol.parameters import PARAMETERS
+from trimtab.sitl import ports
 from trimtab.sitl import serve as server
 from trimtab.sitl.vehicle import SimulatedVehicle
 
@@ -167,17 +168,17 @@ def test_tcp_does_not_mix_the_messages_of_two_clients() -> None:
 @given(st.lists(st.one_of(st.binary(max_size=9), st.just(beat(9))), max_size=9), st.integers(0, 200))
 def test_whole_bytes_never_cut_a_message(parts: list[bytes], cut: int) -> None:
     data = b"".join(parts)[:cut]
-    whole = server.whole_bytes(data)
+    whole = ports.whole_bytes(data)
     assert 0 <= whole <= len(data)
     rest = data[whole:]
     assert rest == b"" or (rest[0] == 0xFD and len(rest) < 280)
-    assert server.whole_bytes(data[:whole]) == whole
+    assert ports.whole_bytes(data[:whole]) == whole
 
 
 def test_udp_answers_everybody_who_spoke_lately(monkeypatch: pytest.MonkeyPatch) -> None:
     wall_us = [0]
-    monkeypatch.setattr(server, "_wall_us", lambda: wall_us[0])
-    line = server.open_port("udp:127.0.0.1:0")
+    monkeypatch.setattr(ports, "wall_us", lambda: wall_us[0])
+    line = ports.open_port("udp:127.0.0.1:0")
     with contextlib.closing(line), contextlib.ExitStack() as stack:
         host, port = line.address.removeprefix("udp:").split(":")
         one, two = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
@@ -271,7 +272,7 @@ def test_late_machine_stretches_time_and_is_counted(monkeypatch: pytest.MonkeyPa
             return super().run_until(t_us)
 
     vehicle = Steps()
-    monkeypatch.setattr(server, "_wall_us", wall_us)
+    monkeypatch.setattr(server, "wall_us", wall_us)
     statistics = server.serve(vehicle, port="pty", stop=lambda: len(vehicle.targets) >= 100)
     assert vehicle.targets == [2000 * k for k in range(1, 101)]
     assert statistics.overruns > 5
@@ -296,7 +297,7 @@ def test_late_machine_stretches_time_and_is_counted(monkeypatch: pytest.MonkeyPa
     ],
 )
 def test_port_that_cannot_be_served_is_refused(port: str, mocap: str | None, told: str) -> None:
-    with pytest.raises(server.ServeError, match=told) as caught:
+    with pytest.raises(ports.ServeError, match=told) as caught:
         server.serve(Echo(), port=port, mocap=mocap, stop=lambda: True)
     assert caught.value.exit_code == 2
 
@@ -304,5 +305,5 @@ def test_port_that_cannot_be_served_is_refused(port: str, mocap: str | None, tol
 def test_port_that_is_taken_is_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = f"tcp:127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(server.ServeError, match="in use by another program, close that or choose"):
+        with pytest.raises(ports.ServeError, match="in use by another program, close that or choose"):
             server.serve(Echo(), port=port, stop=lambda: True)

@@ -23,9 +23,9 @@ from trimtab.host.route import load_route
 from trimtab.host.vehicle import ConfigurationError, load_vehicle, to_parameters
 from trimtab.protocol.blobs import BlobError, Reference, from_bytes
 from trimtab.sitl.draw import draw_world
-from trimtab.sitl.studies.fuzz import inputs
+from trimtab.sitl.studies.fuzz import mutations
+from trimtab.sitl.studies.fuzz.board import Broken
 from trimtab.sitl.studies.fuzz.source import Source
-from trimtab.sitl.studies.fuzz.vehicle import Broken
 from trimtab.sitl.world import load_world
 
 _SUFFIX = {"vehicle": ".toml", "route": ".toml", "world": ".toml", "model": ".model.toml"}
@@ -58,7 +58,7 @@ class BlobTarget:
 
 def blobs(target: BlobTarget, rng: Random, source: Source) -> bytes:
     """Return references and feed-forwards with damage."""
-    return inputs.mutated_file(rng, rng.choice((source.reference, source.feedforward)))
+    return mutations.mutated_file(rng, rng.choice((source.reference, source.feedforward)))
 
 
 class _InFolder:
@@ -99,7 +99,7 @@ class LogTarget(_InFolder):
 
 def logs(target: LogTarget, rng: Random, source: Source) -> bytes:
     """Return a real flight's log with damage."""
-    return inputs.mutated_file(rng, source.log)
+    return mutations.mutated_file(rng, source.log)
 
 
 class TextTarget(_InFolder):
@@ -123,7 +123,7 @@ class TextTarget(_InFolder):
 def texts(target: TextTarget, rng: Random, source: Source) -> bytes:
     """Return the shipped files with other numbers, words and lines."""
     what = rng.choice(("vehicle", "route", "route", "world", "world", "model"))
-    return what.encode() + b"\n" + inputs.mutated_text(rng, rng.choice(source.texts[what]))
+    return what.encode() + b"\n" + mutations.mutated_text(rng, rng.choice(source.texts[what]))
 
 
 def _check_told(error: Exception) -> None:

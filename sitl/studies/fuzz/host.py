@@ -32,10 +32,10 @@ from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Kind, Reference
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import mavlink
-from trimtab.sitl.studies.fuzz import inputs
+from trimtab.sitl.studies.fuzz import inputs, mutations
+from trimtab.sitl.studies.fuzz.board import Broken
 from trimtab.sitl.studies.fuzz.inputs import FLUSH, frame, pack, valid_messages
 from trimtab.sitl.studies.fuzz.source import Source
-from trimtab.sitl.studies.fuzz.vehicle import Broken
 
 LONGEST = 1_600
 STEP_US = 7_000
@@ -175,7 +175,7 @@ def messages(target: HostTarget, rng: Random, source: Source) -> bytes:
 
 def recorded(target: HostTarget, rng: Random, source: Source) -> bytes:
     """Return what a vehicle once sent, damaged."""
-    return inputs.mutated(rng, source.down, LONGEST)
+    return mutations.mutated(rng, source.down, LONGEST)
 
 
 def datagrams(target: HostTarget, rng: Random, source: Source) -> tuple[bytes, ...]:
@@ -190,7 +190,7 @@ def _datagram(target: HostTarget, rng: Random, source: Source) -> bytes:
     if draw < 0.45:
         return inputs.random_message(rng, (m.AttPosMocap.id,), lambda _: m.CAMERAS)
     if draw < 0.6:
-        return inputs.mutated(rng, source.poses, 300)
+        return mutations.mutated(rng, source.poses, 300)
     stamp_us = max(0, target.now_us - rng.choice((0, 4_000, 5_000, 30_000, -20_000)))
     made = Codec(*m.CAMERAS).encode(m.AttPosMocap(stamp_us, [1.0, 0.0, 0.0, 0.0], 0.1, 0.2, -0.3))
-    return made if draw < 0.9 else inputs.mutated_file(rng, made)
+    return made if draw < 0.9 else mutations.mutated_file(rng, made)

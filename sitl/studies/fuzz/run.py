@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Any, NamedTuple
 
-from trimtab.sitl.studies.fuzz import files, host, vehicle
+from trimtab.sitl.studies.fuzz import files, host, radio, vehicle
 from trimtab.sitl.studies.fuzz.source import Source, record
 
 BATCH = 1_000
@@ -41,7 +41,7 @@ KINDS: dict[str, Kind] = {
     "vehicle-bytes": Kind(170, vehicle.VehicleTarget, vehicle.raw),
     "vehicle-messages": Kind(260, vehicle.VehicleTarget, vehicle.messages),
     "vehicle-recording": Kind(130, vehicle.VehicleTarget, vehicle.recorded),
-    "radio": Kind(90, vehicle.RadioTarget, vehicle.radio_frames),
+    "radio": Kind(90, radio.RadioTarget, radio.radio_frames),
     "host-bytes": Kind(80, host.HostTarget, host.raw),
     "host-messages": Kind(120, host.HostTarget, host.messages),
     "host-recording": Kind(60, host.HostTarget, host.recorded),

@@ -17,94 +17,20 @@ from random import Random
 from typing import Any
 
 from trimtab.firmware_model.flight.supervisor import FLYING, State
-from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.firmware_model.mcu.flight_mcu import FlightMcu, flight_uart
-from trimtab.firmware_model.mcu.radio_mcu import RadioMcu
-from trimtab.firmware_model.mcu.uart import UartPort, connect
-from trimtab.firmware_model.storage.store import ReferenceStore
-from trimtab.host.codegen import function_engine
-from trimtab.host.vehicle import to_parameters
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Kind
-from trimtab.protocol.messages import HOST_RADIO, VEHICLE, mavlink
-from trimtab.protocol.stream import StreamSplitter, message_id
+from trimtab.protocol.messages import VEHICLE, mavlink
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.protocol.upload.transfer import CHUNK_BYTES, tag_of
-from trimtab.protocol.uwb_pieces import FRAME_BYTES, PIECE, PIECE_HEADER_BYTES
-from trimtab.sitl.studies.fuzz import inputs
+from trimtab.sitl.studies.fuzz import inputs, mutations
+from trimtab.sitl.studies.fuzz.board import Board, Broken, fast_port
 from trimtab.sitl.studies.fuzz.inputs import FLUSH, Found, frame, pack, valid_messages
 from trimtab.sitl.studies.fuzz.source import Source
-from trimtab.sitl.vehicle import traced_law
 
-BAUD = 100 * 921_600
-"""So fast that an input arrives within one tick."""
 LONGEST = 1_600
 """Bytes of an input: with FLUSH less than the receive buffer, so that none are lost."""
-_TOLD = (m.FcStatus.id, m.StatusText.id, m.SysStatus.id)
-"""Messages that count bad bytes or speak of them."""
 _COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
-
-
-class Broken(Exception):
-    """Something happened that must not; the text says what."""
-
-
-class _Board:
-    """A flight processor with its store; `port` is the other end of its line."""
-
-    def __init__(self, source: Source, port: UartPort, *, loaded: bool) -> None:
-        vehicle = source.vehicle
-        self.store = ReferenceStore()
-        if loaded:
-            for kind, blob in ((Kind.REFERENCE, source.reference), (Kind.FEEDFORWARD, source.feedforward)):
-                self.store.stage(kind, blob)
-                self.store.commit(kind)
-        self.engine = function_engine(traced_law(), law.INPUTS, law.OUTPUTS)
-        self.mcu = FlightMcu(
-            engine=self.engine,
-            parameters=to_parameters(vehicle),
-            store=self.store,
-            uid=7,
-            vehicle_id=vehicle.id_bytes,
-            uart=flight_uart(baud=port.baud),
-        )
-        self.port = port
-        connect(port, self.mcu.uart)
-        self._splitter = StreamSplitter()
-        self._vector: Any = None
-        self._values: tuple[float, ...] = ()
-        self._looks = 0
-
-    def _parameters(self) -> tuple[float, ...]:
-        """All values; read anew where the law's own were replaced, else every 16th time: there are many."""
-        parameters = self.mcu.parameters
-        self._looks += 1
-        if parameters.vector is not self._vector or self._looks % 16 == 0:
-            self._vector, self._values = parameters.vector, tuple(parameters.values())
-        return self._values
-
-    def state(self) -> tuple[Any, ...]:
-        """Return what only a valid message, or time, may change."""
-        flight, store = self.mcu.flight, self.store
-        return (
-            flight.state,
-            flight.failsafe,
-            flight.action,
-            flight.rotors_on,
-            self._parameters(),
-            *(part(kind) for kind in Kind for part in (store.live, store.staged)),
-            b"".join(self.engine.inputs.values()),
-        )
-
-    def said(self, now_us: int) -> list[bytes]:
-        """Messages sent since the last call, without their numbers, and without those that count damage."""
-        frames = self._splitter.feed(self.port.read(now_us))
-        return [f[5:-2] for f in frames if message_id(f) not in _TOLD]
-
-
-def _fast_port() -> UartPort:
-    return UartPort(baud=BAUD, rx_bytes=1 << 16, tx_bytes=1 << 16)
 
 
 _STATE = ("state", "failsafe", "action", "rotors", "parameters", "live reference", "staged reference",
@@ -126,7 +52,7 @@ class VehicleTarget:
         loaded = name != "empty"
         self._rng = rng
         self._source = source
-        self._a, self._b = (_Board(source, _fast_port(), loaded=loaded) for _ in range(2))
+        self._a, self._b = (Board(source, fast_port(), loaded=loaded) for _ in range(2))
         self.now_us = 0
         self._asked = self._armed = self._was_flying = False
         self._chunk = 0
@@ -307,81 +233,4 @@ def messages(target: VehicleTarget, rng: Random, source: Source) -> bytes:
 
 def recorded(target: VehicleTarget, rng: Random, source: Source) -> bytes:
     """Return what a host once sent, damaged."""
-    return inputs.mutated(rng, source.up, LONGEST)
-
-
-class RadioTarget:
-    """Radio processors: the vehicle's between air and flight processor, the host's between port and air.
-
-    Frames without a valid message must not change the flight processor, whose twin hears nothing; whatever
-    the host's port gets, only valid messages leave for the air, whole or in pieces that make one.
-    """
-
-    def __init__(self, source: Source, rng: Random, situation: int) -> None:
-        self._rng = rng
-        self._radios = [RadioMcu() for _ in range(2)]
-        self._a, self._b = (_Board(source, radio.uart, loaded=True) for radio in self._radios)
-        self._ground = RadioMcu(address=HOST_RADIO)
-        self._port = _fast_port()
-        connect(self._port, self._ground.uart)
-        self.now_us = 0
-        self.valid = 0
-        self._tail = b""
-        self._pieces: dict[int, list[bytes]] = {}
-
-    def give(self, data: bytes) -> None:
-        """Send the bytes through the air into the host's port."""
-        self._port.write(data, self.now_us)
-        found = valid_messages(self._tail + data)
-        self.valid += len(found)
-        if not found:
-            self._tail = (self._tail + data)[-len(FLUSH) :]
-            for start in range(0, len(data), FRAME_BYTES) if self._rng.random() < 0.9 else (0,):
-                self._radios[0].air_receive(data[start : start + FRAME_BYTES], self.now_us)
-                self._tick()
-        self._tick()
-        for _ in range(4):
-            sent = self._ground.air_send(self.now_us)
-            if sent is not None:
-                self._check_sent(sent)
-
-    def _check_sent(self, sent: bytes) -> None:
-        """Check that a frame holds whole messages, or the next piece of one too long for a frame."""
-        what = f"the ground radio sends {sent.hex()}"
-        if len(sent) > FRAME_BYTES:
-            raise Broken(what)
-        data, most = sent, len(sent)
-        if sent[0] == PIECE:
-            number, index, count = sent[1], sent[2] >> 4, sent[2] & 0x0F
-            pieces = self._pieces.setdefault(number, [])
-            if index != len(pieces) or index >= count:
-                raise Broken(f"{what}, a piece out of order")
-            pieces.append(sent[PIECE_HEADER_BYTES:])
-            if index + 1 < count:
-                return
-            data, most = b"".join(self._pieces.pop(number)), 1
-        whole = valid_messages(data)
-        if sum(len(one.frame) for one in whole) != len(data) or len(whole) > most:
-            raise Broken(what)
-
-    def _tick(self) -> None:
-        self.now_us += TICK_US
-        now_us = self.now_us
-        self._ground.tick(now_us)
-        self._port.read(now_us)
-        for board, radio in zip((self._a, self._b), self._radios, strict=True):
-            radio.tick(now_us)
-            board.mcu.tick(now_us, (0.0, 0.0, 0.0), (0.0, 0.0, -GRAVITY), 16.0)
-            radio.air_send(now_us)
-        if self._a.state() != self._b.state():
-            raise Broken("frames without a valid message changed the flight processor")
-
-
-def radio_frames(target: RadioTarget, rng: Random, source: Source) -> bytes:
-    """Frames of any bytes, of messages, and of recordings."""
-    draw = rng.random()
-    if draw < 0.4:
-        return inputs.random_bytes(rng, 300)
-    if draw < 0.6:
-        return inputs.random_message(rng)
-    return inputs.mutated(rng, source.up, 3 * FRAME_BYTES)
+    return mutations.mutated(rng, source.up, LONGEST)

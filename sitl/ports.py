@@ -1,0 +1,261 @@
+"""Ports at which a simulated vehicle is served: a pty, TCP or UDP."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import socket
+import time
+import tty
+from collections.abc import Callable
+from typing import Protocol
+
+from trimtab.host.base.errors import TrimtabError
+from trimtab.protocol.stream import MAGIC, OVERHEAD_BYTES, SIGNATURE_BYTES
+
+_READ_BYTES = 4096
+_CLIENTS_MAX = 8
+_PEER_US = 10_000_000  # a datagram peer that has been silent for longer is answered no more
+_BACKLOG_BYTES = 65536  # towards a client that does not read; older bytes are then dropped, as by a full UART
+
+
+class ServeError(TrimtabError, RuntimeError):
+    """A port or URL cannot be served."""
+
+    exit_code = 2
+
+
+class Port(Protocol):
+    """A byte stream to whoever is there. `address` is what a client opens.
+
+    What a client sends is read in whole messages where there may be several clients.
+    """
+
+    address: str
+
+    def waits_on(self) -> list[int | socket.socket]: ...
+    def read(self) -> bytes: ...
+    def write(self, data: bytes) -> None: ...
+    def close(self) -> None: ...
+
+
+def open_port(spec: str) -> Port:
+    """Return the port a specification names. Raises ServeError where it is malformed or taken."""
+    if spec == "pty":
+        return _Pty()
+    scheme, _, rest = spec.partition(":")
+    if scheme not in ("tcp", "udp"):
+        raise ServeError(f"port {spec}: choose pty, tcp:HOST:PORT or udp:HOST:PORT")
+    host, number = host_port(rest.removeprefix("//"), spec)
+    try:
+        return _Tcp(host, number) if scheme == "tcp" else _Udp(host, number)
+    except OSError as error:
+        raise ServeError(f"port {spec}: {remedy(error)}") from None
+
+
+class _Pty:
+    """A pseudo terminal. Its slave stays open here, so that a client may come and go."""
+
+    def __init__(self) -> None:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.address = os.ttyname(self._slave)
+        self._backlog = bytearray()
+
+    def waits_on(self) -> list[int | socket.socket]:
+        return [self._master]
+
+    def read(self) -> bytes:
+        try:
+            return os.read(self._master, _READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            if error.errno == errno.EIO:  # no client has the slave open
+                return b""
+            raise
+
+    def write(self, data: bytes) -> None:
+        self._backlog += data
+        del self._backlog[:-_BACKLOG_BYTES]
+        if not self._backlog:
+            return
+        try:
+            del self._backlog[: os.write(self._master, self._backlog)]
+        except BlockingIOError:
+            return
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise
+            self._backlog.clear()
+
+    def close(self) -> None:
+        os.close(self._master)
+        os.close(self._slave)
+
+
+class _Client:
+    """One TCP client: what it has begun to say, and what it has not taken yet."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.socket = connection
+        self.gone = False
+        self._begun = b""
+        self._backlog = bytearray()
+
+    def read(self) -> bytes:
+        """Whole messages, and bytes that belong to none."""
+        try:
+            data = self.socket.recv(_READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self.gone = True
+        whole = whole_bytes(data := self._begun + data)
+        self._begun = data[whole:]
+        return data[:whole]
+
+    def write(self, data: bytes) -> None:
+        self._backlog += data
+        del self._backlog[:-_BACKLOG_BYTES]
+        if not self._backlog:
+            return
+        try:
+            del self._backlog[: self.socket.send(self._backlog)]
+        except BlockingIOError:
+            return
+        except OSError:
+            self.gone = True
+
+
+class _Tcp:
+    """A listening socket that serves several clients at a time; at most so many, the oldest make room."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._listener = socket.create_server((host, port))
+        self._listener.setblocking(False)
+        self.address = "tcp:{}:{}".format(*self._listener.getsockname()[:2])
+        self._clients: list[_Client] = []
+
+    def waits_on(self) -> list[int | socket.socket]:
+        return [self._listener, *(client.socket for client in self._clients)]
+
+    def read(self) -> bytes:
+        self._accept()
+        data = b"".join(client.read() for client in self._clients)
+        self._drop(lambda client: client.gone)
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._accept()
+        for client in self._clients:
+            client.write(data)
+        self._drop(lambda client: client.gone)
+
+    def close(self) -> None:
+        self._drop(lambda client: True)
+        self._listener.close()
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except BlockingIOError:
+            return
+        self._clients.append(_Client(connection))
+        if len(self._clients) > _CLIENTS_MAX:
+            self._clients[0].gone = True
+            self._drop(lambda client: client.gone)
+
+    def _drop(self, which: Callable[[_Client], bool]) -> None:
+        for client in [client for client in self._clients if which(client)]:
+            client.socket.close()
+            self._clients.remove(client)
+
+
+class _Udp:
+    """A bound socket that answers everybody who spoke lately."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.socket(address_family(host), socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._socket.bind((host, port))
+        self.address = "udp:{}:{}".format(*self._socket.getsockname()[:2])
+        self._heard_us: dict[tuple[str, int], int] = {}
+
+    def waits_on(self) -> list[int | socket.socket]:
+        return [self._socket]
+
+    def read(self) -> bytes:
+        try:
+            data, peer = self._socket.recvfrom(_READ_BYTES)
+        except (BlockingIOError, ConnectionError):
+            return b""
+        self._heard_us.pop(peer, None)
+        self._heard_us[peer] = wall_us()
+        if len(self._heard_us) > _CLIENTS_MAX:
+            del self._heard_us[next(iter(self._heard_us))]
+        return data
+
+    def write(self, data: bytes) -> None:
+        if not data:
+            return
+        last_us = wall_us() - _PEER_US
+        for peer, heard_us in list(self._heard_us.items()):
+            # The newest is answered however long ago it spoke: it may only be listening.
+            if heard_us < last_us and len(self._heard_us) > 1:
+                del self._heard_us[peer]
+                continue
+            with contextlib.suppress(BlockingIOError, ConnectionError):
+                self._socket.sendto(data, peer)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def whole_bytes(data: bytes) -> int:
+    """How many bytes of `data` come before a MAVLink 2 message that has only begun; by its header alone."""
+    at = data.find(MAGIC)
+    while 0 <= at < len(data):
+        after = at + OVERHEAD_BYTES
+        if len(data) > at + 2:
+            after += data[at + 1] + (SIGNATURE_BYTES if data[at + 2] & 1 else 0)
+        if after > len(data):
+            return at
+        at = data.find(MAGIC, after)
+    return len(data)
+
+
+def remedy(error: OSError) -> str:
+    """Why nothing can be served at an address and what to do."""
+    if error.errno == errno.EADDRINUSE:
+        return "in use by another program, close that or choose another number"
+    if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
+        return "no address of this machine, give 127.0.0.1, or 0.0.0.0 for every one it has"
+    if error.errno == errno.EACCES:
+        return "not allowed, choose a number from 1024 on"
+    return f"{os.strerror(error.errno or 0)}, choose another address"
+
+
+def host_port(text: str, spec: str, least: int = 0) -> tuple[str, int]:
+    """Host and port number, where 0 means any that is free. Raises ServeError."""
+    host, colon, number = text.rpartition(":")
+    whole = number.isascii() and number.isdigit()
+    if not colon or not host or not whole or not least <= int(number) <= 65535:
+        raise ServeError(f"{spec}: needs HOST:PORT with a port number of {least} to 65535")
+    return host.strip("[]"), int(number)
+
+
+def address_family(host: str) -> socket.AddressFamily:
+    """Return the address family of a host."""
+    return socket.AF_INET6 if ":" in host else socket.AF_INET
+
+
+def wall_us() -> int:
+    """Return the time of the wall clock."""
+    return time.monotonic_ns() // 1000
