@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from trimtab.host.models.drive import DRIVE_ROWS
 from trimtab.host.models.network import Network
-from trimtab.host.models.phi import DRIVE_ROWS, Phi
+from trimtab.host.models.phi import Phi
 from trimtab.host.models.reference import FLAT_ROWS, feedforward_rows, flat_outputs
 from trimtab.protocol.blobs import FeedForward, Reference
 

@@ -13,7 +13,8 @@ from trimtab.firmware_model.law.allocation import command_to_thrust
 from trimtab.host.log import Control, Flight, Observer
 from trimtab.host.log.prepare import STEP_S, Prepared, prepare
 from trimtab.host.models.bias import accelerometer_bias, standing_errors
-from trimtab.host.models.phi import INTEGRAL, Phi, flight_constants
+from trimtab.host.models.drive import flight_constants
+from trimtab.host.models.phi import INTEGRAL, Phi
 from trimtab.host.models.reference import block
 from trimtab.host.vehicle import Vehicle, to_parameters
 from trimtab.protocol.blobs import FeedForward, Reference

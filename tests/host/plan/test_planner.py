@@ -163,7 +163,8 @@ def test_min_residual_is_tracked_better_under_drag_than_min_snap(seed: int) -> N
 
 def _tracking_rmse(made: Plan) -> float:
     """RMSE of position in m, by RK4 at 5 ms."""
-    from trimtab.host.models.phi import Phi, flight_constants
+    from trimtab.host.models.drive import flight_constants
+    from trimtab.host.models.phi import Phi
     from trimtab.host.models.reference import flat_outputs
 
     phi = Phi(
