@@ -9,6 +9,7 @@ from trimtab.firmware_model.law.estimator import EstimatorGains
 from trimtab.firmware_model.law.ops import Ops
 from trimtab.firmware_model.law.rotations import euler_to_matrix, mat_vec
 from trimtab.host.models import estimator
+from trimtab.host.models.airframe import RATE, THETA, P, Part, V
 from trimtab.host.models.bias import standing_errors
 from trimtab.host.models.drive import (
     ESTIMATED_P,
@@ -17,7 +18,7 @@ from trimtab.host.models.drive import (
     ESTIMATED_V,
     FlightConstants,
 )
-from trimtab.host.models.dynamics import RATE, THETA, P, Part, V, gravity_ned, mocap_latency_s
+from trimtab.host.models.slots import gravity_ned, mocap_latency_s
 
 Scalar = Any
 

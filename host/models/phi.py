@@ -34,6 +34,7 @@ from trimtab.host.codegen.ops import CASADI, NUMPY
 from trimtab.host.codegen.rk4 import RungeKutta, runge_kutta
 from trimtab.host.effects import Effect
 from trimtab.host.models import continuous_law, estimator
+from trimtab.host.models.airframe import RATE, STATE_SIZE, THRUST, Part, V
 from trimtab.host.models.drive import (
     COMMANDED_THRUST,
     DRIVE_ROWS,
@@ -47,21 +48,7 @@ from trimtab.host.models.drive import (
     flat_reference,
     flight_constants,
 )
-from trimtab.host.models.dynamics import (
-    RATE,
-    STATE_SIZE,
-    THRUST,
-    Part,
-    V,
-    command_delay_s,
-    memory_at_rest,
-    memory_rates,
-    memory_size,
-    motor_lag_s,
-    rigid_body,
-    rotor_torque,
-    thrust_rates,
-)
+from trimtab.host.models.dynamics import rigid_body, rotor_torque, thrust_rates
 from trimtab.host.models.feedback import (
     Feedback,
     estimate_with_error_states,
@@ -69,6 +56,7 @@ from trimtab.host.models.feedback import (
     logged_estimate,
 )
 from trimtab.host.models.lanes import LaneProgram, lane_program
+from trimtab.host.models.slots import command_delay_s, memory_at_rest, memory_rates, memory_size, motor_lag_s
 from trimtab.host.vehicle import Vehicle, to_parameters
 from trimtab.protocol.parameters import DEFAULTS
 

@@ -20,20 +20,12 @@ from trimtab.firmware_model.law.ops import Ops
 from trimtab.firmware_model.law.rotations import euler_rates, euler_to_matrix, mat_vec
 from trimtab.host.codegen import CASADI, NUMPY
 from trimtab.host.effects import Effect
-from trimtab.host.models.dynamics import (
-    RATE,
-    THETA,
-    THRUST,
-    P,
-    Part,
-    V,
-    residual_acceleration_ned,
-    residual_loads,
-    rigid_body,
-)
+from trimtab.host.models.airframe import RATE, THETA, THRUST, P, Part, V
+from trimtab.host.models.dynamics import rigid_body
 from trimtab.host.models.model import Model
 from trimtab.host.models.network import Network
 from trimtab.host.models.region import Region
+from trimtab.host.models.residual import residual_acceleration_ned, residual_loads
 from trimtab.host.plan.stage import StageModel
 from trimtab.host.vehicle import Limits, Vehicle
 

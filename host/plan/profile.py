@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trimtab.host.codegen import NUMPY
-from trimtab.host.models.dynamics import RATE, THETA, THRUST, P, V
+from trimtab.host.models.airframe import RATE, THETA, THRUST, P, V
 from trimtab.host.plan.box import KEEP_OUT
 from trimtab.host.plan.dynamics import ResidualModel
 from trimtab.host.plan.table import Table, evaluate, flat_states

@@ -16,7 +16,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from trimtab.host.models.dynamics import P
+from trimtab.host.models.airframe import P
 from trimtab.host.plan.box import SolverBox
 from trimtab.host.plan.dynamics import YAW, ResidualModel
 from trimtab.host.plan.heading import yaw_nodes

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trimtab.host.base.errors import UsageError
-from trimtab.host.models.dynamics import RATE, THETA, THRUST, P, V
+from trimtab.host.models.airframe import RATE, THETA, THRUST, P, V
 from trimtab.host.plan.box import SolverBox
 from trimtab.host.plan.dynamics import (
     INPUTS,

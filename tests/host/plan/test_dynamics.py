@@ -8,7 +8,8 @@ import pytest
 
 from trimtab.host.codegen import NUMPY
 from trimtab.host.effects import load_effects
-from trimtab.host.models.dynamics import Part, rigid_body
+from trimtab.host.models.airframe import Part
+from trimtab.host.models.dynamics import rigid_body
 from trimtab.host.models.model import Model, Values
 from trimtab.host.models.network import Layout, Network
 from trimtab.host.plan.dynamics import Dynamics, ResidualModel, Weights

@@ -12,7 +12,7 @@ import pytest
 from trimtab.firmware_model.law.checks import check_reference, from_parameters
 from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import load_effects
-from trimtab.host.models.dynamics import THETA
+from trimtab.host.models.airframe import THETA
 from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.plan import Plan, ResidualModel, plan
 from trimtab.host.plan.dynamics import Dynamics

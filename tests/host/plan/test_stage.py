@@ -11,7 +11,7 @@ import pytest
 
 from trimtab.host.codegen import CASADI
 from trimtab.host.effects import load_effects
-from trimtab.host.models.dynamics import THRUST, Part
+from trimtab.host.models.airframe import THRUST, Part
 from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.plan.dynamics import INPUTS, PATH_ROWS, STATES, Dynamics, ResidualModel, Weights
 from trimtab.host.plan.intervals import Engine, Intervals
