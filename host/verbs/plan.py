@@ -82,8 +82,8 @@ def command(
     from trimtab.host.effects import load_effects
     from trimtab.host.models.file import read_model
     from trimtab.host.plan import plan as make_plan
-    from trimtab.host.plan.dynamics import ResidualModel
     from trimtab.host.plan.files import check_name, figures, write_plan
+    from trimtab.host.plan.residual import ResidualModel
     from trimtab.host.plan.sensitivity import sensitivity
     from trimtab.host.plan.table import from_reference
     from trimtab.host.route import route_file

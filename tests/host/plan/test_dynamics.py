@@ -12,7 +12,8 @@ from trimtab.host.models.airframe import Part
 from trimtab.host.models.dynamics import rigid_body
 from trimtab.host.models.model import Model, Values
 from trimtab.host.models.network import Layout, Network
-from trimtab.host.plan.dynamics import Dynamics, ResidualModel, Weights
+from trimtab.host.plan.dynamics import Dynamics, Weights
+from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.vehicle import load_vehicle
 
 EFFECTS = load_effects()
@@ -196,7 +197,6 @@ def _acceleration(x: np.ndarray, parts: tuple[Part, ...]) -> np.ndarray:
 
 def test_residual_is_the_augmented_less_the_nominal_acceleration_with_torque_by_arm_and_mass() -> None:
     parts = (
-        (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)),
         (EFFECTS["mass"], (1.1,)),
         (EFFECTS["inertia"], (1.2, 0.9, 1.1)),
         (EFFECTS["rotor-loss"], (0.1, 0.0, 0.0, 0.0)),
@@ -206,17 +206,16 @@ def test_residual_is_the_augmented_less_the_nominal_acceleration_with_torque_by_
     change = _acceleration(x, parts) - _acceleration(x, ())
     arm_m = 0.088 * np.sqrt(2.0)
     change[3:] *= np.array(VEHICLE.inertia_kg_m2)[:, None] / (arm_m * VEHICLE.mass_kg)
-    found = ResidualModel(parts=parts, count_loads=True).rows(NUMPY, VEHICLE, list(x))
+    found = ResidualModel(parts=parts).rows(NUMPY, VEHICLE, list(x))
     np.testing.assert_allclose(np.array(found), change, atol=1e-12)
 
 
-def test_residual_beside_a_drag_is_the_drags_unless_loads_count_too() -> None:
+def test_residual_beside_a_drag_is_the_drags() -> None:
     drag, offset = (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["com-offset"], (0.004, -0.002))
     x = _flight(5)
     alone = ResidualModel(parts=(drag,)).rows(NUMPY, VEHICLE, list(x))
     np.testing.assert_array_equal(ResidualModel(parts=(drag, offset)).rows(NUMPY, VEHICLE, list(x)), alone)
-    both = ResidualModel(parts=(drag, offset), count_loads=True)
-    assert len(both.rows(NUMPY, VEHICLE, list(x))) == 6
+    np.testing.assert_allclose(np.array(alone), (_acceleration(x, (drag,)) - _acceleration(x, ()))[:3])
     assert len(ResidualModel(parts=(offset,)).rows(NUMPY, VEHICLE, list(x))) == 6
 
 
@@ -226,20 +225,20 @@ def test_residual_of_effects_within_tolerance_counts_their_force_alone() -> None
     x = _flight(5)
 
     def rows(*parts: Part) -> np.ndarray:
-        model = ResidualModel(parts=parts, adjusted=frozenset({"thrust-gain"}), count_loads=True)
+        model = ResidualModel(parts=parts, adjusted=frozenset({"thrust-gain"}))
         return np.array(model.rows(NUMPY, VEHICLE, list(x)))
 
     np.testing.assert_array_equal(rows(drag, gain), rows(drag))
-    np.testing.assert_allclose(rows(drag, offset, gain)[:3], rows(drag), atol=1e-12)
-    np.testing.assert_allclose(rows(drag, offset, gain)[3:], 1.005 * rows(drag, offset)[3:], atol=1e-12)
+    np.testing.assert_array_equal(rows(offset, gain)[:3], 0.0)
+    np.testing.assert_allclose(rows(offset, gain)[3:], 1.005 * rows(offset)[3:], atol=1e-12)
 
 
 def test_constant_bias_leaves_the_cost_and_the_figures_unchanged() -> None:
-    own = ((EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["com-offset"], (0.004, -0.002)))
+    offset = ((EFFECTS["com-offset"], (0.004, -0.002)),)
     bias = ((EFFECTS["torque-bias"], (2.0, -1.0, 0.5)), (EFFECTS["frame-tilt"], (0.02, 0.01)))
     x, found, figures = _flight(1)[:, 0], [], []
-    for parts in (own, own + bias):
-        dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts, count_loads=True))
+    for parts in (offset, offset + bias):
+        dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts))
         state, rest = ca.SX.sym("x", 16), dynamics.model.at_rest(VEHICLE, 0.3)
         p = ca.SX(dynamics.parameters(np.zeros(1), rest=rest))
         found.append(_evaluate(dynamics.residual(state, p), (state, x)))
@@ -249,9 +248,14 @@ def test_constant_bias_leaves_the_cost_and_the_figures_unchanged() -> None:
     np.testing.assert_allclose(figures[1], figures[0], atol=1e-12)
 
 
-def test_figures_count_what_the_cost_counts_without_wind_or_a_network() -> None:
-    parts = ((EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["rotor-loss"], (0.1, 0.0, 0.0, 0.0)))
-    dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts, count_loads=True))
+@pytest.mark.parametrize(
+    ("name", "theta"), [("linear-drag", (0.4, 0.3, 0.2)), ("rotor-loss", (0.1, 0.0, 0.0, 0.0))]
+)
+def test_figures_count_what_the_cost_counts_without_wind_or_a_network(
+    name: str, theta: tuple[float, ...]
+) -> None:
+    parts = ((EFFECTS[name], theta),)
+    dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts))
     x = _flight(1)[:, 0]
     symbol, p = (
         ca.SX.sym("x", 16),

@@ -233,8 +233,7 @@ def test_plan_with_free_total_time_stays_in_its_box() -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        Settings(shared_steps=False, step_penalty=0.05),
-        Settings(weigh_time=False),
+        Settings(step_box=(0.9, 1.1)),
         Settings(relative_weights=False, weights=Weights(control=0.34, thrust_rate=0.02)),
     ],
 )
