@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
@@ -19,6 +18,7 @@ from scipy.sparse import csc_matrix
 from trimtab.host.plan.intervals import Engine
 from trimtab.host.plan.places import Places
 from trimtab.host.plan.problem import Problem
+from trimtab.host.plan.sparse import Pattern, ranks
 from trimtab.host.route.shapes import Shape
 
 Array = NDArray[np.float64]
@@ -315,28 +315,3 @@ class Assembly:
         """Return x (nx, N + 1), u (nu, N) and h (legs,) of a vector w."""
         h = np.ones(self.problem.legs) if self._h_at is None else w[self._h_at[self._first_of]]
         return w[self._x_at].T, w[self._u_at].T, h
-
-
-def ranks(ascending: Index) -> Index:
-    """Which of those of the same value each is, from 0."""
-    return np.arange(len(ascending)) - np.searchsorted(ascending, ascending)
-
-
-class Pattern:
-    """Entries of a sparse matrix, column by column: rows, columns (nonzeros,), starts (width + 1,)."""
-
-    def __init__(self, parts: Sequence[tuple[Index, Index]], height: int, width: int) -> None:
-        self._shape = (height, width)
-        keys = np.sort(np.concatenate([columns * height + rows for rows, columns in parts]), kind="stable")
-        self._keys = keys[np.append(True, keys[1:] != keys[:-1])]
-        self.count = len(self._keys)
-        self.columns, self.rows = np.divmod(self._keys, height)
-        self.starts = np.searchsorted(self.columns, np.arange(width + 1))
-
-    def find(self, rows: Index, columns: Index) -> Index:
-        """Where entries stand among the nonzeros."""
-        return np.searchsorted(self._keys, columns * self._shape[0] + rows)
-
-    def sparsity(self) -> ca.Sparsity:
-        """As CasADi's."""
-        return ca.Sparsity(*self._shape, self.starts.tolist(), self.rows.tolist())
