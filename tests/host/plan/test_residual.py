@@ -127,7 +127,8 @@ def test_residual_of_effects_within_tolerance_counts_their_force_alone() -> None
 
     def rows(*parts: Part) -> np.ndarray:
         model = ResidualModel(parts=parts, adjusted=frozenset({"thrust-gain"}))
-        return np.array(model.rows(NUMPY, VEHICLE, list(x)))
+        values = model.rows(NUMPY, VEHICLE, list(x))
+        return np.array([np.broadcast_to(row, x.shape[1:]) for row in values])
 
     np.testing.assert_array_equal(rows(drag, gain), rows(drag))
     np.testing.assert_array_equal(rows(offset, gain)[:3], 0.0)
