@@ -18,8 +18,9 @@ import numpy as np
 from trimtab.host.codegen import compile_function
 from trimtab.host.codegen.buffered import Buffered
 from trimtab.host.learn.kernel import MEASURED, vector_jacobian
+from trimtab.host.models.drive import DRIVE_ROWS, FLIGHT
 from trimtab.host.models.network import Layout
-from trimtab.host.models.phi import DRIVE_ROWS, FLIGHT, Phi
+from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import roll_out
 from trimtab.host.models.segments import Segments
 

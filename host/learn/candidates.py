@@ -14,9 +14,9 @@ import numpy as np
 
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.learn.evaluate import Errors
-from trimtab.host.models.dynamics import mocap_latency_s
 from trimtab.host.models.network import Network
 from trimtab.host.models.phi import Phi
+from trimtab.host.models.slots import mocap_latency_s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -18,9 +18,9 @@ from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.learn.adjoint import Rollouts
 from trimtab.host.learn.lanes import LaneRollouts
 from trimtab.host.learn.linear import effect_scales, linearised
-from trimtab.host.models.dynamics import mocap_latency_s
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments
+from trimtab.host.models.slots import mocap_latency_s
 
 _BLOCK = 32
 """Segments at a time: a hundred megabytes."""

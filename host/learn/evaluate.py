@@ -10,11 +10,12 @@ import numpy as np
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.effects import Effect
 from trimtab.host.log import Flight
-from trimtab.host.models.dynamics import Part, mocap_latency_s
+from trimtab.host.models.airframe import Part
 from trimtab.host.models.model import Model
 from trimtab.host.models.network import Network
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
+from trimtab.host.models.slots import mocap_latency_s
 from trimtab.host.models.states import States, flight_states
 
 

@@ -20,8 +20,9 @@ import numpy as np
 from trimtab.host.codegen.compiler import Compiler
 from trimtab.host.codegen.ops import CASADI
 from trimtab.host.codegen.simd import LAYERS, lane_source, simd_library
+from trimtab.host.models.drive import DRIVE_ROWS
 from trimtab.host.models.network import Layout
-from trimtab.host.models.phi import DRIVE_ROWS, Phi
+from trimtab.host.models.phi import Phi
 
 MEASURED = 12
 """States compared with the flight: p, v, Theta, body rate."""

@@ -16,11 +16,11 @@ from trimtab.host.learn.quick import CondensedSettings, CondensedTrained, train_
 from trimtab.host.learn.train import LOSS_SIGMA, Settings, Trained, train
 from trimtab.host.log import Flight
 from trimtab.host.log.errors import TooLittleData
-from trimtab.host.models.dynamics import mocap_latency_s
 from trimtab.host.models.model import Model
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.region import Region
 from trimtab.host.models.segments import Segments, cut
+from trimtab.host.models.slots import mocap_latency_s
 from trimtab.host.models.states import States, flight_states
 
 SEGMENT_STEPS = 50

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from trimtab.host.base.artefacts import content_id
 from trimtab.host.effects import Effect
-from trimtab.host.models.dynamics import Part
+from trimtab.host.models.airframe import Part
 from trimtab.host.models.network import Network
 from trimtab.host.models.region import Region
 

@@ -13,18 +13,19 @@ from trimtab.firmware_model.law.allocation import command_to_thrust
 from trimtab.host.log import Control, Flight, Observer
 from trimtab.host.log.prepare import STEP_S, Prepared, prepare
 from trimtab.host.models.bias import accelerometer_bias, standing_errors
-from trimtab.host.models.phi import INTEGRAL, Phi, flight_constants
+from trimtab.host.models.drive import FlightConstants, flight_constants
+from trimtab.host.models.phi import INTEGRAL, Phi
 from trimtab.host.models.reference import block
 from trimtab.host.vehicle import Vehicle, to_parameters
 from trimtab.protocol.blobs import FeedForward, Reference
 from trimtab.protocol.parameters import DEFAULTS
 
 PLAUSIBLE_VOLTAGE = (0.5, 1.3)
-"""Of the full voltage: what lies outside is no measurement."""
+"""Bounds of a plausible battery voltage, as a share of the full voltage."""
 _RATE_SIGMA = 0.01
-"""rad/s: a gyro of 0.02 averaged over 10 ms and more, and what averaging over a step costs."""
+"""rad/s: a gyro noise of 0.02 averaged over 10 ms or more, and the error of averaging over a step."""
 _LEAST_SIGMA = (2e-4, 3e-3, 1e-3)
-"""m, m/s, rad: no smoother is better than its model of the motion."""
+"""m, m/s, rad: lower bounds, because a smoother is no better than its model of the motion."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,9 +33,10 @@ class States:
     """A flight's tracking phase at t_s (n,), seconds since the reference's start, every `step_s`.
 
     x (n, 12): p, v (NED), Theta, body rate (FRD); sigma (12,) of each. thrust (n, 4): lagged nominal rotor
-    thrusts, N. integral (n, 3): the law's. voltage_ratio (n,). constants (16,): `flight_constants`.
-    observer (n, 3): the disturbance observed on board, m/s^2, NED; None where none was logged. seen (n,):
-    whether poses are near; None: everywhere. notes: what was cut or left out of the log.
+    thrusts, N. integral (n, 3): the law's rate integral. voltage_ratio (n,). constants (16,):
+    `flight_constants`. observer (n, 3): the disturbance observed on board, m/s^2, NED; None where none was
+    logged. seen (n,): whether there are poses near the sample; None where there are everywhere. notes: what
+    was left out of the log.
     """
 
     flight_id: str
@@ -58,8 +60,9 @@ class States:
     def initial(self, phi: Phi, k: int = 0) -> np.ndarray:
         """Return phi's state (size,) at sample k.
 
-        The estimator's errors are what the accelerometer's bias makes.
+        The estimator's errors are the constant ones that the accelerometer's bias causes.
         """
+        constants = FlightConstants(*self.constants)
         x = np.zeros(phi.size)
         x[0:12], x[12:16] = self.x[k], self.thrust[k]
         if phi.drive != "inputs":
@@ -67,12 +70,13 @@ class States:
             if phi.errors.stop <= phi.size:
                 R = Rotation.from_euler("ZYX", self.x[k, 8:5:-1]).as_matrix()
                 gains = law_step.estimator_gains(phi.firmware)
-                excess = R @ self.constants[7:10]
-                for i, per_bias in enumerate(standing_errors(gains, *self.constants[4:6])):
+                excess = R @ constants.accelerometer_bias
+                errors = standing_errors(gains, constants.mocap_age_s, constants.mocap_interval_s)
+                for i, per_bias in enumerate(errors):
                     x[phi.errors.start + 3 * i : phi.errors.start + 3 * i + 3] = per_bias * excess
             if phi.observes:
                 d_hat = np.zeros(3) if self.observer is None else self.observer[k]
-                x[phi.observer] = [*d_hat, self.constants[0] * self.thrust[k].sum()]
+                x[phi.observer] = [*d_hat, constants.gain * self.thrust[k].sum()]
             if phi.commands.stop > phi.commands.start:
                 x[phi.commands] = self.thrust[k]
         x[phi.memory] = phi.at_rest(x)
@@ -82,56 +86,22 @@ class States:
 def flight_states(
     flights: Sequence[Flight], *, step_s: float = STEP_S, latency_s: float = 0.0
 ) -> list[States]:
-    """Return the states of the flights' tracking phases; poses are taken to be `latency_s` older than
-    stamped.
+    """Return the states of the flights' tracking phases, with poses `latency_s` older than stamped.
 
-    Together they cost less than one by one. Raises TooLittleData as `trimtab.host.log.prepare` does.
+    All flights at once take less time than one by one. Raises TooLittleData as `trimtab.host.log.prepare`
+    does.
     """
     return [_states(prepared) for prepared in prepare(flights, step_s=step_s, latency_s=latency_s)]
 
 
 def _states(prepared: Prepared) -> States:
     """Return the states of a flight that was smoothed."""
-    flight, start_s, at, x = prepared.flight, prepared.start_s, prepared.at_s, prepared.x
-    control, estimate = flight.control, flight.estimate
-    reference, tracking = flight.reference, flight.tracking
+    flight, times_s = prepared.flight, prepared.at_s
+    control, reference = flight.control, flight.reference
     assert control is not None
-    assert estimate is not None
     assert reference is not None
-    assert tracking is not None
-    least_p, least_v, least_theta = _LEAST_SIGMA
-    spread = np.sqrt(np.maximum(np.einsum("nii->ni", prepared.path_covariance), 0.0))
-    sigma = np.repeat(
-        [
-            max(float(np.median(spread[:, 0])), least_p),
-            max(float(np.median(spread[:, 1])), least_v),
-            max(float(np.median(prepared.theta_sigma)), least_theta),
-            _RATE_SIGMA,
-        ],
-        3,
-    )
-    # A tick's errors are integrated over the tick after it: in the mean, what is logged is half a tick ahead.
+    # A tick integrates its errors over the following tick: on average the logged value is half a tick ahead.
     integral_s = control.sensed_us[:, 1] * 1e-6
-    integral = np.column_stack([np.interp(at, integral_s, control.rate_integral[:, i]) for i in range(3)])
-    tracked = (estimate.t_us >= tracking[0]) & (estimate.t_us <= tracking[1])
-    # The telemetry's age grows from a pose's use to the next one's; at its use it is half an interval less.
-    age_s = (
-        float(np.mean(estimate.mocap_age_s[tracked])) - 0.5 * prepared.interval_s if tracked.any() else 0.0
-    )
-    gains = law_step.estimator_gains(law_step.parameter_vector(_parameters(flight)))
-    estimated = np.column_stack([np.interp(at, estimate.t_us * 1e-6, estimate.p[:, i]) for i in range(3)])
-    R = Rotation.from_euler("ZYX", x[:, 8:5:-1]).as_matrix()
-    imu_bias, per_gravity = accelerometer_bias(
-        estimated - x[:, 0:3],
-        R,
-        x[:, 3:6],
-        np.gradient(x[:, 3:6], prepared.step_s, axis=0),
-        x[:, 9:12],
-        gains=gains,
-        age_s=max(age_s, 0.0),
-        interval_s=prepared.interval_s,
-        step_s=prepared.step_s,
-    )
     return States(
         flight_id=flight.id,
         reference_id=flight.reference_id or reference.id,
@@ -140,31 +110,74 @@ def _states(prepared: Prepared) -> States:
         feedforward=flight.feedforward,
         parameters=flight.firmware_parameters,
         step_s=prepared.step_s,
-        t_s=at - start_s,
-        x=x,
-        sigma=sigma,
-        thrust=_thrusts(flight.vehicle, control, at),
-        integral=integral,
-        voltage_ratio=np.interp(at, *battery_of(flight)),
-        constants=flight_constants(
-            block(flight.feedforward),
-            mocap_age_s=max(age_s, 0.0),
-            mocap_interval_s=prepared.interval_s,
-            accelerometer_bias=imu_bias,
-            bias_per_gravity=per_gravity,
-        ),
-        observer=_observed(flight.observer, at),
+        t_s=times_s - prepared.start_s,
+        x=prepared.x,
+        sigma=_sigma(prepared),
+        thrust=_thrusts(flight.vehicle, control, times_s),
+        integral=_interpolated(times_s, integral_s, control.rate_integral),
+        voltage_ratio=np.interp(times_s, *battery_of(flight)),
+        constants=_constants(prepared),
+        observer=_observed(flight.observer, times_s),
         seen=prepared.seen,
         notes=prepared.notes,
     )
 
 
-def _observed(observer: Observer | None, at: np.ndarray) -> np.ndarray | None:
-    """Return the disturbance observed (n, 3) at times (n,) s, None where none was logged."""
-    if observer is None:
-        return None
-    t_s = observer.t_us * 1e-6
-    return np.column_stack([np.interp(at, t_s, observer.disturbance[:, i]) for i in range(3)])
+def _sigma(prepared: Prepared) -> np.ndarray:
+    """Return the standard deviation (12,) of the smoothed states."""
+    least_p, least_v, least_theta = _LEAST_SIGMA
+    spread = np.sqrt(np.maximum(np.einsum("nii->ni", prepared.path_covariance), 0.0))
+    return np.repeat(
+        [
+            max(float(np.median(spread[:, 0])), least_p),
+            max(float(np.median(spread[:, 1])), least_v),
+            max(float(np.median(prepared.theta_sigma)), least_theta),
+            _RATE_SIGMA,
+        ],
+        3,
+    )
+
+
+def _constants(prepared: Prepared) -> np.ndarray:
+    """Return the constants (16,) of the flight, with the accelerometer's bias estimated."""
+    flight, times_s, x = prepared.flight, prepared.at_s, prepared.x
+    estimate, tracking = flight.estimate, flight.tracking
+    assert estimate is not None
+    assert tracking is not None
+    tracked = (estimate.t_us >= tracking[0]) & (estimate.t_us <= tracking[1])
+    # Telemetry's age of a pose grows until the next one: at the pose's use it is half an interval less.
+    age_s = (
+        float(np.mean(estimate.mocap_age_s[tracked])) - 0.5 * prepared.interval_s if tracked.any() else 0.0
+    )
+    age_s = max(age_s, 0.0)
+    imu_bias, per_gravity = accelerometer_bias(
+        _interpolated(times_s, estimate.t_us * 1e-6, estimate.p) - x[:, 0:3],
+        Rotation.from_euler("ZYX", x[:, 8:5:-1]).as_matrix(),
+        x[:, 3:6],
+        np.gradient(x[:, 3:6], prepared.step_s, axis=0),
+        x[:, 9:12],
+        gains=law_step.estimator_gains(law_step.parameter_vector(_parameters(flight))),
+        age_s=age_s,
+        interval_s=prepared.interval_s,
+        step_s=prepared.step_s,
+    )
+    return flight_constants(
+        block(flight.feedforward),
+        mocap_age_s=age_s,
+        mocap_interval_s=prepared.interval_s,
+        accelerometer_bias=imu_bias,
+        bias_per_gravity=per_gravity,
+    )
+
+
+def _interpolated(times_s: np.ndarray, at_s: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return the columns (n, k), known at at_s, at times_s: linear interpolation."""
+    return np.column_stack([np.interp(times_s, at_s, column) for column in columns.T])
+
+
+def _observed(observer: Observer | None, times_s: np.ndarray) -> np.ndarray | None:
+    """Return the observed disturbance (n, 3) at times (n,), None where none was logged."""
+    return None if observer is None else _interpolated(times_s, observer.t_us * 1e-6, observer.disturbance)
 
 
 def _parameters(flight: Flight) -> Mapping[str, float]:
@@ -172,8 +185,8 @@ def _parameters(flight: Flight) -> Mapping[str, float]:
     return to_parameters(flight.vehicle) if table is None else {**DEFAULTS, **table}
 
 
-def _thrusts(vehicle: Vehicle, control: Control, at: np.ndarray) -> np.ndarray:
-    """Nominal rotor thrusts (n, 4), N: what was commanded, behind the vehicle file's lag."""
+def _thrusts(vehicle: Vehicle, control: Control, times_s: np.ndarray) -> np.ndarray:
+    """Return the nominal rotor thrusts (n, 4), N: the commands with the vehicle file's lag."""
     commanded = command_to_thrust(control.motor_mean, vehicle.thrust_max_n, *vehicle.thrust_curve)
     edges = np.concatenate([control.t0_us[:1], control.t1_us]) * 1e-6
     stay = np.exp(-np.diff(edges) / vehicle.motor_lag_s)
@@ -181,12 +194,13 @@ def _thrusts(vehicle: Vehicle, control: Control, at: np.ndarray) -> np.ndarray:
     thrust[0] = commanded[0]
     for k, share in enumerate(stay):
         thrust[k + 1] = commanded[k] + share * (thrust[k] - commanded[k])
-    return np.column_stack([np.interp(at, edges, thrust[:, i]) for i in range(4)])
+    return _interpolated(times_s, edges, thrust)
 
 
 def battery_of(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (n,) s and battery voltage over full voltage (n,); what no battery of this vehicle can
-    show is left out. One pair of 0 s and 1 where nothing was logged.
+    """Return times (n,) s and battery voltage over full voltage (n,), implausible values left out.
+
+    Where nothing plausible was logged, return a single 1 at 0 s.
     """
     if flight.battery is not None:
         ratio = flight.battery.battery_v / flight.vehicle.battery.full_v

@@ -7,7 +7,7 @@ paper's effort u'u weighs the thrusts themselves, as there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,24 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.firmware_model.law.ops import Ops
 from trimtab.firmware_model.law.rotations import euler_rates, euler_to_matrix, mat_vec
 from trimtab.host.codegen import CASADI, NUMPY
-from trimtab.host.effects import Effect
-from trimtab.host.models.dynamics import (
-    RATE,
-    THETA,
-    THRUST,
-    P,
-    Part,
-    V,
-    residual_acceleration_ned,
-    residual_loads,
-    rigid_body,
-)
-from trimtab.host.models.model import Model
-from trimtab.host.models.network import Network
-from trimtab.host.models.region import Region
+from trimtab.host.models.airframe import RATE, THETA, THRUST, P, Part, V
+from trimtab.host.models.dynamics import rigid_body
+from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.stage import StageModel
 from trimtab.host.vehicle import Limits, Vehicle
 
@@ -48,137 +35,10 @@ REST = slice(8, 14)
 EFFECTS = REST.stop
 _STEP = 1e-6
 """Of slopes by differences."""
-_AWAY_M = 100.0
-"""Height of what counts as rest: out of reach of the floor, whose effect a path can avoid."""
-_NIL = 1e-6
-"""m/s^2 by which a residual that is constant may vary for rounding."""
 TILT_ROW, SPEED_ROW, JERK_ROW = 0, 1, 2
 PATH_ROWS = 3
 """Path rows: cos tilt; squared speed and squared jerk as shares of their squared limits. Where the heading is
 free its rate in rad/s is one more."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ResidualModel:
-    """What is known beyond the nominal vehicle: effects with values, a network on top, where they hold.
-
-    adjusted: those of the effects that only moved within their tolerance. They are part of every prediction,
-    but give no plan something to avoid: what they change of thrust, mass and torque counts as known. So do,
-    beside a network or a drag, all effects without specific force, unless `count_loads`: counted beside a
-    drag, they made no plan fly closer (docs/guide/planning.md).
-    """
-
-    parts: tuple[Part, ...] = ()
-    adjusted: frozenset[str] = frozenset()
-    network: Network | None = None
-    region: Region | None = None
-    id: str | None = None
-    count_loads: bool = False
-
-    @classmethod
-    def of(cls, model: Model, effects: Mapping[str, Effect]) -> ResidualModel:
-        """Effects and adjustments of a model file, and its network. Raises ValueError for unknown effects."""
-        return cls(
-            parts=tuple(model.parts(effects)),
-            adjusted=frozenset(model.adjustments),
-            network=model.network,
-            region=model.region,
-            id=model.id,
-        )
-
-    @property
-    def _known(self) -> frozenset[str]:
-        """Names of the effects whose loads are nothing to avoid."""
-        if self.count_loads or not self.has_force:
-            return self.adjusted
-        return self.adjusted | {part[0].name for part in self.parts if part[0].specific_force_frd is None}
-
-    @property
-    def has_force(self) -> bool:
-        """Whether it predicts a force beyond tolerance, by an effect such as a drag or by a network."""
-        forces = {effect.name for effect, _ in self.parts if effect.specific_force_frd}
-        return self.network is not None or bool(forces - self.adjusted)
-
-    def has_residual(self, vehicle: Vehicle) -> bool:
-        """Whether it predicts a residual that a path can change: a network, or effects beyond tolerance whose
-        residual is not the same in every state.
-        """
-        if self.network is not None:
-            return True
-        named = ResidualModel(parts=tuple(part for part in self.parts if part[0].name not in self.adjusted))
-        return bool(np.ptp(named._values(vehicle, _states(vehicle)), axis=1).max() > _NIL)
-
-    def rows(
-        self, ops: Ops, vehicle: Vehicle, x: Sequence[Any], parts: Sequence[Part] | None = None
-    ) -> list[Any]:
-        """Return the effects' residual, m/s^2: what they change of the nominal vehicle's acceleration at x.
-
-        3 rows NED, and where an effect beyond tolerance can change the torque 3 more about the body axes:
-        that torque over arm length and mass, the acceleration by a force that gives it at an arm's end. One
-        arm for all axes, the rotors' mean distance from the z axis: what counts is how far the vehicle is
-        turned, not how hard its rotors find it to turn back about that axis. x: as in `trimtab.host.models`,
-        thrusts in N. parts: in place of the model's, the same effects with other arithmetic's values.
-        """
-        parts = self.parts if parts is None else parts
-        d = residual_acceleration_ned(ops, vehicle, parts, x)
-        known = [part for part in parts if part[0].name in self._known]
-        push, torque = residual_loads(ops, vehicle, parts, known, x)
-        if push is not None:
-            d = [a + b for a, b in zip(d, push, strict=True)]
-        arm_m = float(np.mean([np.hypot(*rotor.position_m[:2]) for rotor in vehicle.rotors]))
-        return [*d, *(tau / (arm_m * vehicle.mass_kg) for tau in torque or ())]
-
-    def along(self, vehicle: Vehicle, x: Array) -> Array:
-        """(3 or 6, n) rows of the residual with the network's at states (16, n), for figures.
-
-        Thrust, mass and torque count by what they change from hover on, where the law's trim holds them.
-        """
-        hover = _hover(vehicle, 0.0)[:, None]
-        trim = self._values(vehicle, hover)
-        trim[:3] -= self._force(vehicle, hover)
-        d = self._values(vehicle, x) - trim
-        if self.network is not None:
-            d[:3] += self.network.acceleration_ned(x[V], x[THETA])
-        return d
-
-    def at_rest(self, vehicle: Vehicle, yaw: float) -> Array:
-        """(6,) rows of the residual with the network's, of the nominal vehicle at rest: no plan avoids it.
-
-        Forces are those at the world's origin, loads those far from the floor.
-        """
-        high = _hover(vehicle, yaw)[:, None]
-        origin = high.copy()
-        origin[P] = 0.0
-        d = self._values(vehicle, high)
-        d[:3] += self._force(vehicle, origin) - self._force(vehicle, high)
-        if self.network is not None:
-            d[:3] += self.network.acceleration_ned(high[V], high[THETA])
-        return np.concatenate([d[:, 0], np.zeros(6 - len(d))])
-
-    def _force(self, vehicle: Vehicle, x: Array) -> Array:
-        """(3, 1) the acceleration by the effects' forces at a state (16, 1)."""
-        return np.array(residual_acceleration_ned(NUMPY, vehicle, self.parts, list(x))).reshape(3, 1)
-
-    def _values(self, vehicle: Vehicle, x: Array) -> Array:
-        """(3 or 6, n) rows without the network at states (16, n)."""
-        rows = self.rows(NUMPY, vehicle, list(x))
-        return np.array([np.broadcast_to(row, x.shape[1:]) for row in rows], dtype=float)
-
-
-def _hover(vehicle: Vehicle, yaw: float) -> Array:
-    """(16,) the nominal vehicle at rest, thrusts in N."""
-    x = np.zeros(STATES)
-    x[P.stop - 1], x[THETA.stop - 1], x[THRUST] = -_AWAY_M, yaw, vehicle.mass_kg * GRAVITY / 4.0
-    return x
-
-
-def _states(vehicle: Vehicle) -> Array:
-    """(16, n) some states of flight, high and low, thrusts in N."""
-    away = np.random.default_rng(0).uniform(-1.0, 1.0, (STATES, 16))
-    x = _hover(vehicle, 0.0)[:, None] * (1.0 + 0.5 * away)
-    x[P], x[V] = away[P] - 1.5 * np.array([[0.0], [0.0], [1.0]]), 3.0 * away[V]
-    x[THETA], x[RATE] = 0.5 * away[THETA], away[RATE]
-    return x
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -336,7 +196,7 @@ class Dynamics:
         raise ValueError("the model has no state of rest near level flight: its values cannot be right")
 
     def stage_model(
-        self, *, minimise_residual: bool, weigh_time: bool, free_yaw: bool = False, track_path: bool = False
+        self, *, minimise_residual: bool, free_yaw: bool = False, track_path: bool = False
     ) -> StageModel:
         """Return the interval's model; path rows as TILT_ROW and so on; weights, limits, values are
         parameters.
@@ -382,5 +242,4 @@ class Dynamics:
             path=path,
             network=self.model.network,
             augmented=self.augmented,
-            weigh_time=weigh_time,
         )

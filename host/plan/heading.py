@@ -12,7 +12,8 @@ from trimtab.firmware_model.law.reference import cubic_at, cubic_coefficients
 from trimtab.firmware_model.law.rotations import euler_rates
 from trimtab.host.base.errors import UsageError
 from trimtab.host.codegen import NUMPY
-from trimtab.host.models.dynamics import RATE, THETA, P, Part, V, rigid_body
+from trimtab.host.models.airframe import RATE, THETA, P, Part, V
+from trimtab.host.models.dynamics import rigid_body
 from trimtab.host.plan.dynamics import Dynamics
 from trimtab.host.plan.problem import Solution
 from trimtab.host.vehicle import Vehicle

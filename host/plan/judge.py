@@ -13,9 +13,9 @@ from trimtab.firmware_model.law.limits import from_parameters
 from trimtab.firmware_model.law.reference_verdict import ReferenceVerdict
 from trimtab.host.codegen import NUMPY
 from trimtab.host.plan.box import GATES, KEEP_OUT, YAW_RATE, checked
-from trimtab.host.plan.dynamics import ResidualModel
 from trimtab.host.plan.heading import fastest_turn
 from trimtab.host.plan.profile import profile, sample_times
+from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.table import Table, evaluate, from_reference, round_times, to_reference
 from trimtab.host.route import Gate, Route
 from trimtab.host.route.shapes import Shape

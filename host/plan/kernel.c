@@ -2,9 +2,9 @@
 
    A lane is an interval, z = (x, u, h). Behind simd.h and layers.h, the functions f, df, ddf (dynamics), own, down
    and ddown (cost and path at the interval's start), with a network seen, dseen, ddseen, given, dgiven and ddgiven;
-   the sizes NX, NU, NP, ROWS, D_ROWS (of the residual); the patterns A (d f/dx), B (d f/du), BEND (Hessian of f), PATH (d path/d(x, u)), OWN
-   (Hessian at the start), each as NAME_NNZ, NAME_ROW and NAME_COL. NETWORK, AUGMENTED, RESIDUAL and WEIGH_TIME are 0
-   or 1; with a network SEEN, UNITS, LAST (widest layer) and the calls FORWARD, SLOPES and BENDS. */
+   the sizes NX, NU, NP, ROWS, D_ROWS (of the residual); the patterns A (d f/dx), B (d f/du), BEND (Hessian of f),
+   PATH (d path/d(x, u)), OWN (Hessian at the start), each as NAME_NNZ, NAME_ROW and NAME_COL. NETWORK, AUGMENTED and
+   RESIDUAL are 0 or 1; with a network SEEN, UNITS, LAST (widest layer) and the calls FORWARD, SLOPES and BENDS. */
 
 #define NZ (NX + NU + 1)
 #define NXU (NX + NU)
@@ -160,7 +160,7 @@ static void value_of(const double *xi, Interval at, V *x_next, V *cost, V *path)
 #endif
     for (int i = 0; i < D_ROWS; ++i) effort += d[i] * d[i];
 #endif
-    *cost = WEIGH_TIME ? effort * step : effort;
+    *cost = effort * step;
 }
 
 /* Running cost, its slope by (x, u), residual d and its slope (D_ROWS, NX), path slopes. */
@@ -188,7 +188,7 @@ static void slopes_of(const double *xi, Interval at, int dynamics, V *x_slope, V
     Evaluation e[4];
     Start s;
     Net net;
-    V step = *at.h * *at.h0, weight = WEIGH_TIME ? step : splat(1.0);
+    V step = *at.h * *at.h0;
     if (dynamics) {
         integrate(xi, at, 1, e);
         for (int r = 0; r < NX; ++r) {
@@ -204,8 +204,8 @@ static void slopes_of(const double *xi, Interval at, int dynamics, V *x_slope, V
         }
     }
     start_of(xi, at, dynamics ? e : 0, &s, &net);
-    for (int c = 0; c < NXU; ++c) cost_slope[c] = weight * s.slope[c];
-    cost_slope[NXU] = WEIGH_TIME ? *at.h0 * s.cost : splat(0.0);
+    for (int c = 0; c < NXU; ++c) cost_slope[c] = step * s.slope[c];
+    cost_slope[NXU] = *at.h0 * s.cost;
     memcpy(path_slope, s.path, sizeof s.path);
 }
 
@@ -214,7 +214,7 @@ static void hessian_of(const double *xi, Interval at, const V *sigma, const V *l
     Evaluation e[4];
     Start s;
     Net net;
-    V step = *at.h * *at.h0, scale = WEIGH_TIME ? *sigma * step : *sigma, H[NZ * NZ];
+    V step = *at.h * *at.h0, scale = *sigma * step, H[NZ * NZ];
     integrate(xi, at, 1, e);
     start_of(xi, at, e, &s, &net);
     for (int c = 0; c < NZ * NZ; ++c) H[c] = splat(0.0);
@@ -283,7 +283,7 @@ static void hessian_of(const double *xi, Interval at, const V *sigma, const V *l
     for (int p = 0; p < 6; ++p) for (int q = p; q < 6; ++q) H[(3 + p) * NZ + 3 + q] += bend[p * 6 + q];
 #endif
 #endif
-    if (WEIGH_TIME) for (int c = 0; c < NXU; ++c) H[c * NZ + NXU] += *sigma * *at.h0 * s.slope[c];
+    for (int c = 0; c < NXU; ++c) H[c * NZ + NXU] += *sigma * *at.h0 * s.slope[c];
     for (int p = 0, n = 0; p < NZ; ++p) for (int q = p; q < NZ; ++q, ++n) upper[n] = H[p * NZ + q];
 }
 

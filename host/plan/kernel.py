@@ -174,7 +174,6 @@ class _Parts:
             "AUGMENTED": int(model.augmented),
             "RESIDUAL": int(model.residual is not None),
             "D_ROWS": self.residual_rows,
-            "WEIGH_TIME": int(model.weigh_time),
         }
         defines: list[str] = []
         if network is not None:

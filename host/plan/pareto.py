@@ -12,10 +12,10 @@ import numpy as np
 from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import Effect
 from trimtab.host.models.model import Model
-from trimtab.host.plan.dynamics import ResidualModel
 from trimtab.host.plan.flown import Flown
 from trimtab.host.plan.planner import plan
 from trimtab.host.plan.profile import profile
+from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.result import Plan, PlanRefused, PlanUnsolved, Settings
 from trimtab.host.plan.table import from_reference
 from trimtab.host.route import LimitsOverride, Route

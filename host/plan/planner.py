@@ -25,9 +25,10 @@ from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import Effect, load_effects
 from trimtab.host.models.model import Model
 from trimtab.host.plan.box import within_region
-from trimtab.host.plan.dynamics import Dynamics, ResidualModel
+from trimtab.host.plan.dynamics import Dynamics
 from trimtab.host.plan.heading import check_turnable
 from trimtab.host.plan.job import Job
+from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.result import Kind, Plan, Settings, label, parse_kind
 from trimtab.host.plan.rounds import plan_shooting
 from trimtab.host.plan.shooting import NODES_MAX

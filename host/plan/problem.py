@@ -26,14 +26,13 @@ class Problem:
     leg_of: (N,) leg of each interval, ascending from 0. h0_s: (N,) nominal steps. parameters: (np, N).
     x_bounds: two of (nx, N + 1); u_bounds: two of (nu, N); path_bounds: two of (rows, N); h_bounds: low,
     high, in units of h0_s; where both are 1 the steps are no unknowns. total_bounds_s: low, high of the whole
-    time; equal ones pin it. x_start: (nx, N + 1); u_start: (nu, N); h_start: (steps,). step_penalty: cost of
-    (h - 1)^2 for each step size. gates: (12, N) frame, row by row, and centre of the gate at each node, whose
-    rows are the first after the vehicle's path rows (`trimtab.host.plan.places`); None without any. near:
-    the start is near the solution; multipliers: those there, if known.
+    time; equal ones pin it. x_start: (nx, N + 1); u_start: (nu, N); h_start: (legs,). gates: (12, N)
+    frame, row by row, and centre of the gate at each node; None without any. Their rows follow the vehicle's
+    path rows (`trimtab.host.plan.places`). near: the start is near the solution; multipliers: those there, if
+    known.
     """
 
     leg_of: NDArray[np.int64]
-    shared_steps: bool
     h0_s: Array
     parameters: Array
     x_bounds: tuple[Array, Array]
@@ -44,7 +43,6 @@ class Problem:
     x_start: Array
     u_start: Array
     h_start: Array
-    step_penalty: float
     gates: Array | None = None
     near: bool = False
     multipliers: Multipliers | None = None
@@ -60,20 +58,15 @@ class Problem:
         ):
             if array.shape[1] != columns:
                 raise ValueError(f"{name} has {array.shape[1]} columns, {columns} wanted")
-        if self.h_start.shape != (self.steps,):
-            raise ValueError(f"h_start has shape {self.h_start.shape}, {self.steps} step sizes wanted")
+        if self.h_start.shape != (self.legs,):
+            raise ValueError(f"h_start has shape {self.h_start.shape}, {self.legs} step sizes wanted")
         if not 0.0 < self.h_bounds[0] <= 1.0 <= self.h_bounds[1]:
             raise ValueError(f"the step box {self.h_bounds} must be positive and hold 1")
 
     @property
-    def step_of(self) -> NDArray[np.int64]:
-        """(N,) the step size variable of each interval."""
-        return self.leg_of if self.shared_steps else np.arange(len(self.leg_of))
-
-    @property
-    def steps(self) -> int:
-        """How many step sizes there are."""
-        return int(self.step_of[-1]) + 1
+    def legs(self) -> int:
+        """Number of legs, each with one step size."""
+        return int(self.leg_of[-1]) + 1
 
     @property
     def steps_free(self) -> bool:
@@ -113,7 +106,7 @@ class SolveStatus(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """The last iterate. x: (nx, N + 1); u: (nu, N); h: (steps,) in units of h0; t_s: (N + 1,) node times.
+    """The last iterate. x: (nx, N + 1); u: (nu, N); h: (legs,) in units of h0; t_s: (N + 1,) node times.
 
     violation: by how much it misses the constraint rows at most. multipliers: where the solver tells them.
     solver: whose it is.

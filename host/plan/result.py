@@ -44,10 +44,8 @@ class Settings:
 
     relative_weights: weights are in units of the mean squared residual predicted along the min-snap path (not
     below 0.5 m/s^2), so that a small drag is avoided as thoroughly as a large one; False takes them as they
-    are. weigh_time: the cost is an
-    integral; False is the paper's sum without steps (eq. 11), which rewards long ones. shared_steps: one step
-    size a leg, else one an interval. step_box: bounds of a step in units of its nominal value. step_penalty:
-    cost of (h/h0 - 1)^2 for each step size. total_time_box: bounds of the whole time in units of the route's.
+    are. step_box: bounds of a step in units of its nominal value. total_time_box: bounds of the whole time in
+    units of the route's.
     enough: change of the cost, as a share, in each of two iterations running, at which a point whose rows are
     met within the tolerance is acceptable; 0 for none; rows of coarser grids may miss by ten tolerances.
     rounds: how often the problem may be solved, each time in a box tightened by what the finished reference
@@ -56,10 +54,7 @@ class Settings:
 
     weights: Weights = field(default_factory=Weights)
     relative_weights: bool = True
-    weigh_time: bool = True
-    shared_steps: bool = True
     step_box: tuple[float, float] = (0.7, 1.4)
-    step_penalty: float = 0.0
     total_time_box: tuple[float, float] = (1.0, 1.0)
     tolerance: float = 1e-3
     enough: float = 1e-3

@@ -16,15 +16,16 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from trimtab.host.models.dynamics import P
+from trimtab.host.models.airframe import P
 from trimtab.host.plan.box import SolverBox
-from trimtab.host.plan.dynamics import YAW, ResidualModel
+from trimtab.host.plan.dynamics import YAW
 from trimtab.host.plan.heading import yaw_nodes
 from trimtab.host.plan.intervals import Engine
 from trimtab.host.plan.job import Effort, Job
 from trimtab.host.plan.judge import Judged, measure
 from trimtab.host.plan.problem import Enough, Problem, Solution, SolveStatus
 from trimtab.host.plan.profile import profile
+from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.result import Plan, PlanRefused, PlanUnsolved
 from trimtab.host.plan.shooting import (
     NODE_S,
@@ -147,17 +148,15 @@ class _Run:
         self.free_yaw = job.yaw_rate_max_rad_s is not None
         self._tracked = None if first is None else from_reference(first.reference)
         self.box = SolverBox.inside(job.limits, job.yaw_rate_max_rad_s)
-        settings = job.settings
         self.engine = Engine(
             job.dynamics.stage_model(
                 minimise_residual=job.kind == "min-residual",
-                weigh_time=settings.weigh_time,
                 free_yaw=self.free_yaw,
                 track_path=first is not None,
             )
         )
         self._yaws = self._path_yaws = job.yaws() if first is None else first.reference.yaw_nodes()
-        self._weights = settings.weights.scaled(_scale(job, grid))
+        self._weights = job.settings.weights.scaled(_scale(job, grid))
         self._rest = np.zeros(6)
         if job.kind == "min-residual":
             heading = 0.0 if self.free_yaw else self._yaws[0].yaw
@@ -328,8 +327,6 @@ class _Run:
             start=start,
             h_bounds=settings.step_box,
             total_bounds_s=(-np.inf, np.inf) if grid.times_fixed else (low * total_s, high * total_s),
-            shared_steps=settings.shared_steps,
-            step_penalty=settings.step_penalty,
             end_velocities_ned=job.route.end_velocities_ned,
             gates=job.route.gates or (),
             shapes=len(job.route.keep_out),

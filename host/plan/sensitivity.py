@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from trimtab.firmware_model.law.rotations import euler_rates
 from trimtab.host.codegen import CASADI, held_interrupts
-from trimtab.host.models.dynamics import STATE_SIZE, THETA, V
-from trimtab.host.plan.dynamics import ResidualModel
+from trimtab.host.models.airframe import STATE_SIZE, THETA, V
+from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.table import Table, flat_states
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import YawNode

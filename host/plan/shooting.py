@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trimtab.host.base.errors import UsageError
-from trimtab.host.models.dynamics import RATE, THETA, THRUST, P, V
+from trimtab.host.models.airframe import RATE, THETA, THRUST, P, V
 from trimtab.host.plan.box import SolverBox
 from trimtab.host.plan.dynamics import (
     INPUTS,
@@ -116,7 +116,7 @@ def on_grid(
     at = np.searchsorted(old.leg_of + _share(old), passed, side="right") - 1
     share = np.maximum((passed - 1e-9 - (old.leg_of + _share(old))[at]) * old.counts[old.leg_of[at]], 0.0)
     intervals = engine.over(problem.h0_s[at], problem.parameters[:, at])
-    intervals.set(solution.x[:, at].T, solution.u[:, at].T, share * solution.h[problem.step_of][at])
+    intervals.set(solution.x[:, at].T, solution.u[:, at].T, share * solution.h[problem.leg_of][at])
     intervals.values()
     x = intervals.x_next.dense(engine.model.nx)[:, :, 0].T
     return np.hstack([x, solution.x[:, -1:]]), solution.u[:, at]
@@ -166,8 +166,6 @@ def make_problem(
     start: tuple[Array, Array],
     h_bounds: tuple[float, float],
     total_bounds_s: tuple[float, float],
-    shared_steps: bool,
-    step_penalty: float,
     end_velocities_ned: Sequence[Sequence[float]],
     gates: Sequence[Gate],
     shapes: int,
@@ -220,10 +218,8 @@ def make_problem(
     # The reference starts and ends with no jerk: the first and the last interval change no thrust.
     change = np.full((INPUTS, count), np.inf)
     change[:, [0, -1]] = 0.0
-    steps = len(grid.counts) if shared_steps else count
     return Problem(
         leg_of=grid.leg_of,
-        shared_steps=shared_steps,
         h0_s=grid.h0_s[grid.leg_of],
         parameters=dynamics.parameters(
             yaw[:-1],
@@ -240,8 +236,7 @@ def make_problem(
         total_bounds_s=total_bounds_s,
         x_start=start[0],
         u_start=start[1],
-        h_start=np.ones(steps),
-        step_penalty=step_penalty,
+        h_start=np.ones(len(grid.counts)),
         gates=_frames(gates, waypoints_ned, grid) if gates else None,
     )
 
@@ -287,7 +282,7 @@ def _within(
 ) -> tuple[Array, Array]:
     """Return times and states at these shares of every interval, and at the end: (m,), (16, m)."""
     intervals = engine.over(problem.h0_s, problem.parameters)
-    h = solution.h[problem.step_of]
+    h = solution.h[problem.leg_of]
     rows = []
     for share in shares:
         intervals.set(solution.x[:, :-1].T, solution.u.T, share * h)

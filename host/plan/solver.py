@@ -155,7 +155,7 @@ def _solution(assembly: Assembly, w: Array, status: SolveStatus, iterations: int
         x=x,
         u=u,
         h=h,
-        t_s=np.concatenate([[0.0], np.cumsum(h[problem.step_of] * problem.h0_s)]),
+        t_s=np.concatenate([[0.0], np.cumsum(h[problem.leg_of] * problem.h0_s)]),
         cost=assembly.objective(w),
         iterations=iterations,
         solve_s=0.0,

@@ -36,8 +36,7 @@ class StageModel:
     derivative(x, u, p): (nx,) continuous dynamics without the network. residual(x, p): 3 rows or more, m/s^2,
     the part of the cost |residual|^2 that is not the network's, or None for no such cost. effort(x, u, p):
     scalar, already weighted. path(x, u, p): rows bounded at every node. network: added to the residual's
-    first 3 rows, and where `augmented` to rows 3:6 of the dynamics. weigh_time: cost per second of the
-    interval, else per interval.
+    first 3 rows, and where `augmented` to rows 3:6 of the dynamics.
     """
 
     nx: int
@@ -49,7 +48,6 @@ class StageModel:
     path: Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
     network: Network | None
     augmented: bool
-    weigh_time: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,21 +259,18 @@ class _Builder:
         model = self.model
         arguments = [self.x, self.u, self.h, self.h0, self.p]
         names = ["x", "u", "h", "h0_s", "p"]
-        weight = self.step if model.weigh_time else ca.SX(1)
-        cost = self.running * weight
+        cost = self.running * self.step
         path = model.path(self.x, self.u, self.p)
 
         x_slope = _embed(ca.SX.eye(model.nx), slice(0, model.nx), slice(0, model.nx), (model.nx, self.nz))
         x_slope = x_slope + self.step * self._mean_sensitivity() + self._mean_slope() @ self.dh
-        cost_slope = ca.vertcat(self.running_gradient * weight, ca.SX(1, 1))
-        if model.weigh_time:
-            cost_slope = cost_slope + self.dh.T * self.running
+        cost_slope = ca.vertcat(self.running_gradient * self.step, ca.SX(1, 1)) + self.dh.T * self.running
         path_slope = ca.jacobian(path, self.xu)
 
         sigma = ca.SX.sym("sigma")
         lam_x = ca.SX.sym("lam_x", model.nx)
         lam_path = ca.SX.sym("lam_path", path.shape[0])
-        bend = self._step_hessian(lam_x) + self._cost_hessian(sigma, weight)
+        bend = self._step_hessian(lam_x) + self._cost_hessian(sigma)
         path_bend = ca.hessian(ca.dot(lam_path, path), self.xu)[0]
         bend = bend + _embed(path_bend, slice(0, self.nz - 1), slice(0, self.nz - 1), (self.nz, self.nz))
         return Stage(
@@ -319,23 +314,21 @@ class _Builder:
         mixed = cross @ self.dh
         return total + mixed + mixed.T
 
-    def _cost_hessian(self, sigma: ca.SX, weight: ca.SX) -> ca.SX:
+    def _cost_hessian(self, sigma: ca.SX) -> ca.SX:
         """Hessian in z of sigma cost."""
         model, nz = self.model, self.nz
         states, both = slice(0, model.nx), slice(0, nz - 1)
-        block = ca.hessian(self._effort, self.xu)[0] * (sigma * weight)
+        block = ca.hessian(self._effort, self.xu)[0] * (sigma * self.step)
         total = _embed(block, both, both, (nz, nz))
         if self.residual_jacobian is not None:
-            jacobian, mu = self.residual_jacobian, 2 * sigma * weight * self.residual
-            bend = self._d_bend(self.x, self.p, mu) + 2 * sigma * weight * (jacobian.T @ jacobian)
+            jacobian, mu = self.residual_jacobian, 2 * sigma * self.step * self.residual
+            bend = self._d_bend(self.x, self.p, mu) + 2 * sigma * self.step * (jacobian.T @ jacobian)
             total = total + _embed(bend, states, states, (nz, nz))
             if model.network is not None:
                 learned = self._d_network_bend(mu[:3])
                 total = total + _embed(learned, NETWORK_INPUTS, NETWORK_INPUTS, (nz, nz))
-        if model.weigh_time:
-            mixed = sigma * (ca.vertcat(self.running_gradient, ca.SX(1, 1)) @ self.dh)
-            total = total + mixed + mixed.T
-        return total
+        mixed = sigma * (ca.vertcat(self.running_gradient, ca.SX(1, 1)) @ self.dh)
+        return total + mixed + mixed.T
 
 
 @held_interrupts()

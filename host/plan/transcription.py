@@ -1,18 +1,16 @@
 """Direct multiple shooting: many intervals joined into one sparse problem.
 
 The unknowns are the states at N + 1 nodes, the inputs of N intervals and the step sizes in units of their
-nominal value, one for each interval or one shared by all intervals of a leg (paper eq. 11 with every h in a
-box). Everything stands in the order of the nodes, so that a solver for optimal control (Fatrop) sees a chain
-of stages and one for sparse problems (Ipopt) a narrow band: a step size is an input of its leg's first
-interval and a state of the others, and where the whole time is bounded it is a state too. Values that bounds
-fix are rows.
+nominal value, one for each leg (paper eq. 11 with every h in a box). All are in the order of the nodes. A
+solver for optimal control (Fatrop) then sees a chain of stages, and one for sparse problems (Ipopt) a narrow
+band. A step size is an input of its leg's first interval and a state of the others. Where the total time is
+bounded, the elapsed time is a state too. Values that bounds fix become rows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
@@ -20,6 +18,7 @@ from scipy.sparse import csc_matrix
 from trimtab.host.plan.intervals import Engine
 from trimtab.host.plan.places import Places
 from trimtab.host.plan.problem import Problem
+from trimtab.host.plan.sparse import Pattern, ranks
 from trimtab.host.route.shapes import Shape
 
 Array = NDArray[np.float64]
@@ -54,8 +53,8 @@ class Assembly:
 
     def _place_unknowns(self) -> None:
         problem, count, nx, nu = self.problem, self.count, self.nx, self.nu
-        step_of = problem.step_of
-        first = np.concatenate([[True], step_of[1:] != step_of[:-1]])
+        leg_of = problem.leg_of
+        first = np.concatenate([[True], leg_of[1:] != leg_of[:-1]])
         free = problem.steps_free
         self._timed = free and bool(np.isfinite(problem.total_bounds_s).any())
         self._h_is_input = first & free
@@ -76,7 +75,7 @@ class Assembly:
         self._h_state_at = h_state
         self._first_of = np.flatnonzero(first)
         # Seconds that a step size of 1 gives all the intervals that share it.
-        self._shared_s: Array = np.bincount(step_of, weights=problem.h0_s).astype(float)[step_of]
+        self._shared_s: Array = np.bincount(leg_of, weights=problem.h0_s).astype(float)[leg_of]
 
     def _place_rows(self) -> None:
         """Rows with their bounds; equal bounds on unknowns become rows."""
@@ -182,16 +181,12 @@ class Assembly:
         self._hessian_from = output.at[kept]
         up = np.minimum(rows, columns)[kept]
         over = np.maximum(rows, columns)[kept]
-        extra: list[tuple[Index, Index]] = []
-        if self._h_at is not None:
-            diagonal = self._h_at[self._first_of]
-            extra.append((diagonal, diagonal))
+        parts = [(up, over)]
         if self._places is not None:
             i, j = np.triu_indices(3)
-            extra.append((self._x_at[:-1][:, i].ravel(), self._x_at[:-1][:, j].ravel()))
-        self.upper = Pattern([(up, over), *extra], self.width, self.width)
-        self._hessian_to = self.upper.find(up, over)
-        self._hessian_extra = [self.upper.find(*more) for more in extra]
+            parts.append((self._x_at[:-1][:, i].ravel(), self._x_at[:-1][:, j].ravel()))
+        self.upper = Pattern(parts, self.width, self.width)
+        self._hessian_to, *self._hessian_places_to = (self.upper.find(*part) for part in parts)
 
     @property
     def whole_hessian(self) -> tuple[tuple[Index, Index], Index]:
@@ -228,10 +223,7 @@ class Assembly:
         self._set(w)
         self._need("values", self._intervals.values)
         cost = self._intervals.cost
-        total = float(cost.flat[cost.at].sum())
-        if self._h_at is not None and self.problem.step_penalty:
-            total += self.problem.step_penalty * float(((w[self._h_at[self._first_of]] - 1.0) ** 2).sum())
-        return total
+        return float(cost.flat[cost.at].sum())
 
     def gradient(self, w: Array) -> Array:
         """Its slope (width,)."""
@@ -240,9 +232,6 @@ class Assembly:
             self._need("gradient", self._intervals.gradient)
         out = np.zeros(self.width)
         out[self._gradient_to] = self._intervals.cost_slope.flat[self._gradient_from]
-        if self._h_at is not None and self.problem.step_penalty:
-            at = self._h_at[self._first_of]
-            out[at] += 2.0 * self.problem.step_penalty * (w[at] - 1.0)
         return out
 
     def rows(self, w: Array) -> Array:
@@ -295,13 +284,10 @@ class Assembly:
         self._intervals.bend(sigma, -lam[self._gap_at], path[:, : self._own_rows])
         out = np.zeros(self.upper.count)
         out[self._hessian_to] = self._intervals.hessian.flat[self._hessian_from]
-        extra = iter(self._hessian_extra)
-        if self._h_at is not None:
-            out[next(extra)] += 2.0 * self.problem.step_penalty * sigma
         if self._places is not None:
             bend = self._places.second(w[self._x_at[:-1, :3]], path[:, self._own_rows :])
             i, j = np.triu_indices(3)
-            out[next(extra)] += bend[:, i, j].ravel()
+            out[self._hessian_places_to[0]] += bend[:, i, j].ravel()
         return out
 
     def lagrangian_gradient(self, w: Array, sigma: float, lam: Array) -> Array:
@@ -317,40 +303,15 @@ class Assembly:
         w = np.zeros(self.width)
         w[self._x_at], w[self._u_at] = p.x_start.T, p.u_start.T
         if self._h_at is not None:
-            w[self._h_at] = p.h_start[p.step_of]
+            w[self._h_at] = p.h_start[p.leg_of]
         if self._timed:
-            total = np.cumsum(np.bincount(p.step_of, weights=p.h0_s) * p.h_start)
+            total = np.cumsum(np.bincount(p.leg_of, weights=p.h0_s) * p.h_start)
             k = np.flatnonzero(self._t_at >= 0)
-            w[self._t_at[k]] = total[p.step_of[k - 1]]
+            w[self._t_at[k]] = total[p.leg_of[k - 1]]
         w[self._fixed_at] = self.g_low[self._fix_at]
         return np.clip(w, self.low, self.high)
 
     def split(self, w: Array) -> tuple[Array, Array, Array]:
-        """Return x (nx, N + 1), u (nu, N) and h (steps,) of a vector w."""
-        h = np.ones(self.problem.steps) if self._h_at is None else w[self._h_at[self._first_of]]
+        """Return x (nx, N + 1), u (nu, N) and h (legs,) of a vector w."""
+        h = np.ones(self.problem.legs) if self._h_at is None else w[self._h_at[self._first_of]]
         return w[self._x_at].T, w[self._u_at].T, h
-
-
-def ranks(ascending: Index) -> Index:
-    """Which of those of the same value each is, from 0."""
-    return np.arange(len(ascending)) - np.searchsorted(ascending, ascending)
-
-
-class Pattern:
-    """Entries of a sparse matrix, column by column: rows, columns (nonzeros,), starts (width + 1,)."""
-
-    def __init__(self, parts: Sequence[tuple[Index, Index]], height: int, width: int) -> None:
-        self._shape = (height, width)
-        keys = np.sort(np.concatenate([columns * height + rows for rows, columns in parts]), kind="stable")
-        self._keys = keys[np.append(True, keys[1:] != keys[:-1])]
-        self.count = len(self._keys)
-        self.columns, self.rows = np.divmod(self._keys, height)
-        self.starts = np.searchsorted(self.columns, np.arange(width + 1))
-
-    def find(self, rows: Index, columns: Index) -> Index:
-        """Where entries stand among the nonzeros."""
-        return np.searchsorted(self._keys, columns * self._shape[0] + rows)
-
-    def sparsity(self) -> ca.Sparsity:
-        """As CasADi's."""
-        return ca.Sparsity(*self._shape, self.starts.tolist(), self.rows.tolist())

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trimtab.host.plan.box import GATES, KEEP_OUT, YAW_RATE
-from trimtab.host.plan.dynamics import ResidualModel
 from trimtab.host.plan.files import figures
 from trimtab.host.plan.judge import Passing, inside_gates, passings
 from trimtab.host.plan.pareto import Point, tabulate
 from trimtab.host.plan.problem import SolveStatus
 from trimtab.host.plan.profile import Profile, profile, with_nodes
+from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.result import Plan
 from trimtab.host.plan.sensitivity import Sensitivity, sensitivity
 from trimtab.host.plan.table import from_reference

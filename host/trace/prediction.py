@@ -16,10 +16,10 @@ import numpy as np
 from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.effects import Effect
 from trimtab.host.log.errors import TooLittleData
-from trimtab.host.models.dynamics import mocap_latency_s as latency_of
 from trimtab.host.models.model import Model
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
+from trimtab.host.models.slots import mocap_latency_s as latency_of
 from trimtab.host.models.states import flight_states
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.cutting import DT_S, SEGMENT_S, segments_of

@@ -13,7 +13,7 @@ from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, Veh
 
 if TYPE_CHECKING:
     from trimtab.host.models.model import Model
-    from trimtab.host.plan.dynamics import ResidualModel
+    from trimtab.host.plan.residual import ResidualModel
     from trimtab.host.plan.result import Plan
     from trimtab.host.route import LimitsOverride, Route
     from trimtab.host.vehicle import Vehicle
@@ -128,7 +128,7 @@ def _read(route: str, options: PlanOptions) -> PlanTask:
     from trimtab.host.base.errors import UsageError
     from trimtab.host.effects import load_effects
     from trimtab.host.models.file import read_model
-    from trimtab.host.plan.dynamics import ResidualModel
+    from trimtab.host.plan.residual import ResidualModel
     from trimtab.host.route import route_file
     from trimtab.host.workspace import open_workspace
 

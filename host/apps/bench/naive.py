@@ -40,16 +40,16 @@ def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: floa
     """
     began = time.process_time()
     interval = _interval(model)
-    count, steps = len(problem.leg_of), problem.steps
+    count = len(problem.leg_of)
     if problem.path_bounds[0].shape[0] != interval.size1_out(2):
         raise ValueError("keep-out shapes are not written here")
     x, u = ca.MX.sym("x", model.nx, count + 1), ca.MX.sym("u", model.nu, count)
-    h = ca.MX.sym("h", steps)
-    step_s = (h[problem.step_of.tolist()] * ca.DM(problem.h0_s)).T
+    h = ca.MX.sym("h", problem.legs)
+    step_s = (h[problem.leg_of.tolist()] * ca.DM(problem.h0_s)).T
     x_next, cost, path = interval.map(count)(x[:, :-1], u, step_s, ca.DM(problem.parameters))
     nlp = {
         "x": ca.veccat(x, u, h),
-        "f": ca.sum2(cost) + problem.step_penalty * ca.sumsqr(h - 1.0),
+        "f": ca.sum2(cost),
         "g": ca.veccat(x[:, 1:] - x_next, path, ca.sum2(step_s)),
     }
     run = ca.nlpsol("naive", "ipopt", nlp, ipopt(tolerance, most_s))
@@ -121,7 +121,7 @@ def _interval(model: StageModel) -> ca.Function:
     k3 = parts.slope(x + 0.5 * step_s * k2, u, p)
     k4 = parts.slope(x + step_s * k3, u, p)
     x_next = x + step_s / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    cost = (step_s if model.weigh_time else 1.0) * parts.cost(x, u, p)
+    cost = step_s * parts.cost(x, u, p)
     return ca.Function("interval", [x, u, step_s, p], [x_next, cost, parts.path(x, u, p)])
 
 
@@ -129,7 +129,7 @@ def _given(model: StageModel, problem: Problem) -> dict[str, Array]:
     """Start and bounds in the order of the unknowns and rows."""
 
     def unknowns(x: Array, u: Array, h: Array | float) -> Array:
-        steps = np.broadcast_to(np.asarray(h, dtype=float), (problem.steps,))
+        steps = np.broadcast_to(np.asarray(h, dtype=float), (problem.legs,))
         return np.concatenate([x.ravel("F"), u.ravel("F"), steps])
 
     low, high = (

@@ -39,13 +39,13 @@ def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: floa
     parts = pieces(model)
     if problem.path_bounds[0].shape[0] != parts.path.size1_out(0):
         raise ValueError("keep-out shapes are not written here")
-    if not (problem.shared_steps and problem.steps_free):
+    if not problem.steps_free:
         raise ValueError("only one free step size a leg is written here")
     began = time.process_time()
     ocp = rockit.Ocp()
     ends: list[ca.MX] = []
     total_s = ca.MX(0)
-    for leg in range(problem.steps):
+    for leg in range(problem.legs):
         stage, x = _add_leg(rockit, ocp, leg, model, parts, problem)
         if ends:
             ocp.subject_to(ends[-1] == stage.at_t0(x))
@@ -93,9 +93,7 @@ def _add_leg(
         _bound(stage, rows, bounds[0][:, intervals], bounds[1][:, intervals])
     least, most = problem.h_bounds
     ocp.subject_to((least * nominal_s <= stage.T) <= most * nominal_s)
-    weight = stage.DT_control if model.weigh_time else 1.0
-    ocp.add_objective(stage.sum(weight * parts.cost(x, u, p)))
-    ocp.add_objective(problem.step_penalty * (stage.T / nominal_s - 1.0) ** 2)
+    ocp.add_objective(stage.sum(stage.DT_control * parts.cost(x, u, p)))
     stage.set_initial(x, np.clip(problem.x_start, *problem.x_bounds)[:, nodes])
     stage.set_initial(u, np.clip(problem.u_start, *problem.u_bounds)[:, intervals])
     return stage, x

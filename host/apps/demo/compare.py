@@ -17,7 +17,7 @@ from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.apps.demo.plans import Planned
 from trimtab.host.log import Flight
 from trimtab.host.log.tracking import reference_at
-from trimtab.host.models.dynamics import mocap_latency_s
+from trimtab.host.models.slots import mocap_latency_s
 from trimtab.host.trace.result import Trace
 
 Array = np.ndarray

@@ -11,8 +11,8 @@ from trimtab.host.codegen import NUMPY
 from trimtab.host.effects import Effect
 from trimtab.host.log import Flight
 from trimtab.host.log.tracking import reference_at
-from trimtab.host.models.dynamics import mocap_latency_s
 from trimtab.host.models.model import Model
+from trimtab.host.models.slots import mocap_latency_s
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.prediction import predict_flights
 from trimtab.protocol.blobs import FeedForward, Reference

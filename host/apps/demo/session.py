@@ -28,7 +28,7 @@ from trimtab.host.log import Flight, read_flight
 from trimtab.host.models.file import write_model
 from trimtab.host.models.model import Model
 from trimtab.host.plan import Plan
-from trimtab.host.plan.dynamics import ResidualModel
+from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.report.trace import page
 from trimtab.host.trace.answer import to_json
 from trimtab.host.trace.result import Trace

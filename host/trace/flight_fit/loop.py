@@ -14,9 +14,9 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from trimtab.host.codegen.ops import NUMPY
-from trimtab.host.models.dynamics import mocap_latency_s as latency_of
 from trimtab.host.models.phi import INTEGRAL, Phi
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
+from trimtab.host.models.slots import mocap_latency_s as latency_of
 from trimtab.host.models.states import States, flight_states
 from trimtab.host.trace.data.signals import FlightData, Signals
 from trimtab.host.trace.flight_fit.recording import PER_BIN, SAMPLE_S, Recording, interpolation, record

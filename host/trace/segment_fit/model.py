@@ -15,7 +15,8 @@ from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.rotations import euler_to_matrix, mat_t_vec
 from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.codegen.ops import CASADI
-from trimtab.host.models import dynamics
+from trimtab.host.models import dynamics, slots
+from trimtab.host.models.airframe import Part
 from trimtab.host.models.lanes import LaneProgram, Lanes, lane_program
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.parameters import ParameterSpace
@@ -57,7 +58,7 @@ class SegmentModel:
         self.dt_s = dt_s
         self.in_newton = in_newton
         self.rate_driven = rate_driven
-        self.memory = dynamics.memory_size(space.effects[name] for name in space.parts)
+        self.memory = slots.memory_size(space.effects[name] for name in space.parts)
         self._bound: dict[tuple[str, int], Lanes] = {}
 
     @classmethod
@@ -79,10 +80,10 @@ class SegmentModel:
     def delay_s(self, theta_scaled: np.ndarray) -> np.ndarray:
         """Delay (C,) of the commands for scaled parameters theta_scaled (P, C)."""
         return np.broadcast_to(
-            np.asarray(dynamics.command_delay_s(CASADI, self._parts(theta_scaled))), theta_scaled.shape[1:]
+            np.asarray(slots.command_delay_s(CASADI, self._parts(theta_scaled))), theta_scaled.shape[1:]
         )
 
-    def _parts(self, theta_scaled: Any) -> list[dynamics.Part]:
+    def _parts(self, theta_scaled: Any) -> list[Part]:
         """Every effect with its values for scaled parameters theta_scaled: rows of an array, or scalars."""
         theta = self.space.theta(self._values(theta_scaled))
         return [(self.space.effects[name], theta[name]) for name in self.space.parts]
@@ -113,7 +114,7 @@ class SegmentModel:
     def _rotors(self) -> LaneProgram:
         """Return the rotor thrusts a step later: (thrust, z, command) -> next."""
         columns, (thrust, theta_scaled, command) = self._symbols("thrust", "z", "command")
-        lag = dynamics.motor_lag_s(CASADI, self.vehicle, self._parts(theta_scaled))
+        lag = slots.motor_lag_s(CASADI, self.vehicle, self._parts(theta_scaled))
         keep = casadi.exp(-self.dt_s / lag)
         target = self._commanded(theta_scaled, command)
         after = [t + (now - t) * keep for t, now in zip(target, thrust, strict=True)]
@@ -142,8 +143,8 @@ class SegmentModel:
             short = sum(R[3 * i + 2] * (out[3 + i] - acceleration[i]) for i in range(3))
             rotor = rotor + 0.25 * vehicle.mass_kg * short
         x = [*body, *(rotor,) * 4]
-        rates = dynamics.memory_rates(CASADI, vehicle, parts, x, memory)
-        rest = dynamics.memory_at_rest(CASADI, vehicle, parts, x)
+        rates = slots.memory_rates(CASADI, vehicle, parts, x, memory)
+        rest = slots.memory_at_rest(CASADI, vehicle, parts, x)
         out = [
             casadi.vertcat(*map(casadi.SX, column)) if column else casadi.SX(0, 1) for column in (rates, rest)
         ]
@@ -156,7 +157,7 @@ class SegmentModel:
         body, thrust, theta_scaled, memory, local, w, command, measured, rate = scalars[:9]
         (voltage,), (t_s,), (shift,) = scalars[9:]
         dt, vehicle, parts = self.dt_s, self.vehicle, self._parts(theta_scaled)
-        lag = dynamics.motor_lag_s(CASADI, vehicle, parts)
+        lag = slots.motor_lag_s(CASADI, vehicle, parts)
         target = self._commanded(theta_scaled, command)
         middle_keep, keep = casadi.exp(-0.5 * dt / lag), casadi.exp(-dt / lag)
         middle = [t + (now - t) * middle_keep for t, now in zip(target, thrust, strict=True)]
@@ -171,7 +172,7 @@ class SegmentModel:
         def slopes(x: list, rotor: list, own: list) -> tuple[list[Scalar], list[Scalar]]:
             full = [*x, *rotor]
             out = dynamics.rigid_body(CASADI, vehicle, parts, full, voltage, t_s, force_ned, torque_frd, own)
-            own_rates = dynamics.memory_rates(CASADI, vehicle, parts, full, own)
+            own_rates = slots.memory_rates(CASADI, vehicle, parts, full, own)
             return ([*out[:9], 0.0, 0.0, 0.0] if self.rate_driven else out), own_rates
 
         k1, m1 = slopes(body, thrust, memory)
@@ -179,7 +180,7 @@ class SegmentModel:
         own = [a + 0.5 * dt * b for a, b in zip(memory, m1, strict=True)]
         k2, m2 = slopes(half, middle, own)
 
-        late = shift - dynamics.mocap_latency_s(CASADI, parts)
+        late = shift - slots.mocap_latency_s(CASADI, parts)
         position = [body[i] + late * (body[3 + i] + 0.5 * late * k1[3 + i]) for i in range(3)]
         R = _turned(euler_to_matrix(CASADI, body[6:9]), [local[i] + late * body[9 + i] for i in range(3)])
         predicted = [
@@ -198,9 +199,9 @@ class SegmentModel:
         return lane_program(casadi.Function("step", columns, outputs, names, [f"{n}_out" for n in blocks]))
 
 
-def _specific_force(parts: list[dynamics.Part], body: list, slope: list) -> Sequence[Scalar]:
+def _specific_force(parts: list[Part], body: list, slope: list) -> Sequence[Scalar]:
     """Return the specific force in FRD, m/s^2, of a state and its derivative."""
-    tilted_ned = dynamics.gravity_ned(CASADI, parts) or (0.0, 0.0, 0.0)
+    tilted_ned = slots.gravity_ned(CASADI, parts) or (0.0, 0.0, 0.0)
     force_ned = [slope[3 + i] - tilted_ned[i] - (GRAVITY if i == 2 else 0.0) for i in range(3)]
     return mat_t_vec(euler_to_matrix(CASADI, body[6:9]), force_ned)
 

@@ -9,7 +9,7 @@ import pytest
 
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.effects import compose_feedforward, load_effects
-from trimtab.host.models import dynamics
+from trimtab.host.models import dynamics, slots
 
 EFFECTS = load_effects()
 S = 0.088
@@ -114,7 +114,7 @@ def test_com_offset_moves_the_lever_of_every_rotor():
 
 def test_mocap_latency_adds_to_the_pose_path_only():
     parts = [(EFFECTS["mocap-latency"], (0.012,))]
-    assert dynamics.mocap_latency_s(FLOAT, parts) == 0.012
+    assert slots.mocap_latency_s(FLOAT, parts) == 0.012
     np.testing.assert_array_equal(rates(parts, state(7)), rates([], state(7)))
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from trimtab.host.effects import load_effects
-from trimtab.host.models.phi import Phi, flight_constants
+from trimtab.host.models.drive import flight_constants
+from trimtab.host.models.phi import Phi
 from trimtab.host.models.reference import flat_outputs
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.states import States

@@ -11,8 +11,9 @@ from trimtab.host.effects import load_effects
 from trimtab.host.learn.adjoint import Rollouts, loss_of
 from trimtab.host.learn.lanes import LaneRollouts
 from trimtab.host.learn.train import LOSS_SIGMA
+from trimtab.host.models.drive import FLIGHT
 from trimtab.host.models.network import Layout
-from trimtab.host.models.phi import FLIGHT, Phi
+from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import roll_out
 from trimtab.host.models.segments import cut
 from trimtab.host.vehicle import load_vehicle

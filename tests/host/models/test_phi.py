@@ -8,8 +8,9 @@ import pytest
 from trimtab.firmware_model.law import feedforward as law_feedforward
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.effects import load_effects
+from trimtab.host.models.drive import DRIVE_ROWS, flight_constants
 from trimtab.host.models.network import Layout, Network
-from trimtab.host.models.phi import DRIVE_ROWS, Phi, flight_constants
+from trimtab.host.models.phi import Phi
 from trimtab.host.models.reference import feedforward_rows, flat_outputs
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.vehicle import to_parameters

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from trimtab.host.effects import load_effects
-from trimtab.host.models.phi import Phi, flight_constants
+from trimtab.host.models.drive import flight_constants
+from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import roll_out
 from trimtab.host.vehicle import load_vehicle
 

@@ -1,4 +1,4 @@
-"""The planner's dynamics: units, rest, jerk, and the model it takes from a file."""
+"""The planner's dynamics: units, rest, jerk and weights."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from trimtab.host.codegen import NUMPY
 from trimtab.host.effects import load_effects
-from trimtab.host.models.dynamics import Part, rigid_body
-from trimtab.host.models.model import Model, Values
 from trimtab.host.models.network import Layout, Network
-from trimtab.host.plan.dynamics import Dynamics, ResidualModel, Weights
+from trimtab.host.plan.dynamics import Dynamics, Weights
+from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.vehicle import load_vehicle
 
 EFFECTS = load_effects()
@@ -100,63 +98,6 @@ def test_jerk_equals_the_acceleration_s_finite_difference() -> None:
     assert float(squared(state, rates)) == pytest.approx(float(jerk @ jerk), rel=1e-6)
 
 
-def test_residual_of_a_model_without_a_force_is_nothing_to_minimise() -> None:
-    assert not ResidualModel(parts=((EFFECTS["motor-lag"], (0.01,)),)).has_residual(VEHICLE)
-    assert ResidualModel(parts=((EFFECTS["quadratic-drag"], (0.02,)),)).has_residual(VEHICLE)
-
-
-@pytest.mark.parametrize(
-    ("name", "theta", "varies"),
-    [
-        ("torque-bias", (2.0, 1.0, 0.5), False),
-        ("frame-tilt", (0.02, 0.01), False),
-        ("battery-sag", (1.7,), False),
-        ("com-offset", (0.0, 0.0), False),
-        ("com-offset", (0.004, 0.0), True),
-        ("thrust-gain", (0.9,), True),
-        ("mass", (1.1,), True),
-        ("inertia", (1.2, 1.0, 1.0), True),
-        ("gyroscopic", (4.0,), True),
-        ("ground-effect", (0.012,), True),
-        ("rotor-loss", (0.1, 0.0, 0.0, 0.0), True),
-    ],
-)
-def test_residual_that_is_the_same_in_every_state_is_nothing_to_minimise(
-    name: str, theta: tuple[float, ...], varies: bool
-) -> None:
-    parts = ((EFFECTS[name], theta),)
-    assert ResidualModel(parts=parts).has_residual(VEHICLE) is varies
-    assert not ResidualModel(parts=parts, adjusted=frozenset({name})).has_residual(VEHICLE)
-
-
-def test_residual_of_a_drag_that_only_moved_within_tolerance_is_nothing_to_minimise() -> None:
-    drag = {"linear-drag": {"dx": 0.012, "dy": -0.004, "dz": 0.0}, "quadratic-drag": {"c": 0.001}}
-
-    def has_residual(effects: Values, adjustments: Values) -> bool:
-        model = Model(
-            vehicle_id=VEHICLE.id, vehicle_name=VEHICLE.name, effects=effects, adjustments=adjustments
-        )
-        return ResidualModel.of(model, EFFECTS).has_residual(VEHICLE)
-
-    assert not has_residual({"motor-lag": {"extra_s": 0.01}}, drag)
-    assert has_residual(drag, {})
-
-
-def test_residual_model_of_a_file_holds_effects_and_adjustments() -> None:
-    model = Model(
-        vehicle_id=VEHICLE.id,
-        vehicle_name=VEHICLE.name,
-        effects={"linear-drag": {"dx": 0.4}},
-        adjustments={"mass": {"factor": 1.01}},
-    )
-    taken = ResidualModel.of(model, EFFECTS)
-    assert [(effect.name, theta) for effect, theta in taken.parts] == [
-        ("linear-drag", (0.4, 0.0, 0.0)),
-        ("mass", (1.01,)),
-    ]
-    assert taken.id == model.id
-
-
 def test_weights_that_are_not_positive_raise() -> None:
     with pytest.raises(ValueError, match="thrust_rate"):
         Weights(thrust_rate=0.0)
@@ -176,86 +117,3 @@ def test_residual_at_rest_is_left_out_of_the_cost() -> None:
     d += network.acceleration_ned(state[3:6, None], state[6:9, None])[:, 0]
     assert np.abs(rest).max() > 0.3
     np.testing.assert_allclose(d, 0.0, atol=1e-12)
-
-
-def _flight(count: int) -> np.ndarray:
-    """(16, n) states of flight well over the floor, thrusts in N."""
-    rng = np.random.default_rng(4)
-    x = np.concatenate([0.4 * rng.standard_normal((12, count)), rng.uniform(0.5, 1.5, (4, count))])
-    x[2] -= 2.5
-    x[12:] *= VEHICLE.mass_kg * 9.80665 / 4.0
-    return x
-
-
-def _acceleration(x: np.ndarray, parts: tuple[Part, ...]) -> np.ndarray:
-    """(6, n) acceleration NED and angular acceleration."""
-    rows = rigid_body(NUMPY, VEHICLE, parts, list(x))
-    return np.array([np.broadcast_to(row, x.shape[1:]) for row in [*rows[3:6], *rows[9:12]]])
-
-
-def test_residual_is_the_augmented_less_the_nominal_acceleration_with_torque_by_arm_and_mass() -> None:
-    parts = (
-        (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)),
-        (EFFECTS["mass"], (1.1,)),
-        (EFFECTS["inertia"], (1.2, 0.9, 1.1)),
-        (EFFECTS["rotor-loss"], (0.1, 0.0, 0.0, 0.0)),
-        (EFFECTS["com-offset"], (0.004, -0.002)),
-    )
-    x = _flight(5)
-    change = _acceleration(x, parts) - _acceleration(x, ())
-    arm_m = 0.088 * np.sqrt(2.0)
-    change[3:] *= np.array(VEHICLE.inertia_kg_m2)[:, None] / (arm_m * VEHICLE.mass_kg)
-    found = ResidualModel(parts=parts, count_loads=True).rows(NUMPY, VEHICLE, list(x))
-    np.testing.assert_allclose(np.array(found), change, atol=1e-12)
-
-
-def test_residual_beside_a_drag_is_the_drags_unless_loads_count_too() -> None:
-    drag, offset = (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["com-offset"], (0.004, -0.002))
-    x = _flight(5)
-    alone = ResidualModel(parts=(drag,)).rows(NUMPY, VEHICLE, list(x))
-    np.testing.assert_array_equal(ResidualModel(parts=(drag, offset)).rows(NUMPY, VEHICLE, list(x)), alone)
-    both = ResidualModel(parts=(drag, offset), count_loads=True)
-    assert len(both.rows(NUMPY, VEHICLE, list(x))) == 6
-    assert len(ResidualModel(parts=(offset,)).rows(NUMPY, VEHICLE, list(x))) == 6
-
-
-def test_residual_of_effects_within_tolerance_counts_their_force_alone() -> None:
-    drag, gain = (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["thrust-gain"], (1.005,))
-    offset = (EFFECTS["com-offset"], (0.004, -0.002))
-    x = _flight(5)
-
-    def rows(*parts: Part) -> np.ndarray:
-        model = ResidualModel(parts=parts, adjusted=frozenset({"thrust-gain"}), count_loads=True)
-        return np.array(model.rows(NUMPY, VEHICLE, list(x)))
-
-    np.testing.assert_array_equal(rows(drag, gain), rows(drag))
-    np.testing.assert_allclose(rows(drag, offset, gain)[:3], rows(drag), atol=1e-12)
-    np.testing.assert_allclose(rows(drag, offset, gain)[3:], 1.005 * rows(drag, offset)[3:], atol=1e-12)
-
-
-def test_constant_bias_leaves_the_cost_and_the_figures_unchanged() -> None:
-    own = ((EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["com-offset"], (0.004, -0.002)))
-    bias = ((EFFECTS["torque-bias"], (2.0, -1.0, 0.5)), (EFFECTS["frame-tilt"], (0.02, 0.01)))
-    x, found, figures = _flight(1)[:, 0], [], []
-    for parts in (own, own + bias):
-        dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts, count_loads=True))
-        state, rest = ca.SX.sym("x", 16), dynamics.model.at_rest(VEHICLE, 0.3)
-        p = ca.SX(dynamics.parameters(np.zeros(1), rest=rest))
-        found.append(_evaluate(dynamics.residual(state, p), (state, x)))
-        figures.append(dynamics.model.along(VEHICLE, x[:, None]))
-    assert np.abs(rest).max() > 0.1
-    np.testing.assert_allclose(found[1], found[0], atol=1e-12)
-    np.testing.assert_allclose(figures[1], figures[0], atol=1e-12)
-
-
-def test_figures_count_what_the_cost_counts_without_wind_or_a_network() -> None:
-    parts = ((EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["rotor-loss"], (0.1, 0.0, 0.0, 0.0)))
-    dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts, count_loads=True))
-    x = _flight(1)[:, 0]
-    symbol, p = (
-        ca.SX.sym("x", 16),
-        dynamics.parameters(np.zeros(1), rest=dynamics.model.at_rest(VEHICLE, 0.0)),
-    )
-    scaled = x / np.array([1.0] * 12 + [dynamics.hover_n] * 4)
-    counted = _evaluate(dynamics.residual(symbol, ca.SX(p)), (symbol, scaled))
-    np.testing.assert_allclose(dynamics.model.along(VEHICLE, x[:, None])[:, 0], counted, atol=1e-12)

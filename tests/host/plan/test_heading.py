@@ -13,7 +13,7 @@ from trimtab.firmware_model.law.checks import check_reference
 from trimtab.firmware_model.law.limits import from_parameters
 from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import load_effects
-from trimtab.host.models.dynamics import THETA
+from trimtab.host.models.airframe import THETA
 from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.plan import Plan, ResidualModel, plan
 from trimtab.host.plan.dynamics import Dynamics
@@ -146,13 +146,13 @@ def test_residual_at_rest_turns_with_a_free_heading() -> None:
     dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(network=Network(layout=layout, xi=xi)))
     rest = dynamics.model.at_rest(VEHICLE, 0.0)
     assert rest == pytest.approx([0.5, -0.2, 0.1, 0.0, 0.0, 0.0])
-    value = build_stage(dynamics.stage_model(minimise_residual=True, weigh_time=False, free_yaw=True)).value
+    value = build_stage(dynamics.stage_model(minimise_residual=True, free_yaw=True)).value
     p = dynamics.parameters(np.zeros(1), rest=rest)[:, 0]
     costs = []
     for yaw in (0.0, 1.2, -2.9):
         x = dynamics.steady(yaw)
         costs.append(float(ca.DM(value(x, np.zeros(4), 1.0, 0.05, p)[1])))
-    assert costs == pytest.approx([0.02 * 4.0] * 3, abs=1e-9)
+    assert costs == pytest.approx([0.05 * 0.02 * 4.0] * 3, abs=1e-9)
 
 
 def test_min_control_r_with_a_free_heading_is_refused() -> None:

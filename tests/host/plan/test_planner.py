@@ -164,7 +164,8 @@ def test_min_residual_is_tracked_better_under_drag_than_min_snap(seed: int) -> N
 
 def _tracking_rmse(made: Plan) -> float:
     """RMSE of position in m, by RK4 at 5 ms."""
-    from trimtab.host.models.phi import Phi, flight_constants
+    from trimtab.host.models.drive import flight_constants
+    from trimtab.host.models.phi import Phi
     from trimtab.host.models.reference import flat_outputs
 
     phi = Phi(
@@ -233,8 +234,7 @@ def test_plan_with_free_total_time_stays_in_its_box() -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        Settings(shared_steps=False, step_penalty=0.05),
-        Settings(weigh_time=False),
+        Settings(step_box=(0.9, 1.1)),
         Settings(relative_weights=False, weights=Weights(control=0.34, thrust_rate=0.02)),
     ],
 )

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from trimtab.firmware_model.law.rotations import euler_to_matrix, matrix_to_euler
 from trimtab.host.codegen import NUMPY
 from trimtab.host.effects import load_effects
-from trimtab.host.models.dynamics import THETA, V, residual_acceleration_ned
+from trimtab.host.models.airframe import THETA, V
 from trimtab.host.models.network import Layout, Network
+from trimtab.host.models.residual import residual_acceleration_ned
 from trimtab.host.plan import ResidualModel
 from trimtab.host.plan.sensitivity import Sensitivity, sensitivity
 from trimtab.host.plan.table import flat_states, snap_table

@@ -11,11 +11,12 @@ import pytest
 
 from trimtab.host.codegen import CASADI
 from trimtab.host.effects import load_effects
-from trimtab.host.models.dynamics import THRUST, Part
+from trimtab.host.models.airframe import THRUST, Part
 from trimtab.host.models.network import Frame, Layout, Network
-from trimtab.host.plan.dynamics import INPUTS, PATH_ROWS, STATES, Dynamics, ResidualModel, Weights
+from trimtab.host.plan.dynamics import INPUTS, PATH_ROWS, STATES, Dynamics, Weights
 from trimtab.host.plan.intervals import Engine, Intervals
 from trimtab.host.plan.kernel import kernel_source
+from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel, build_stage
 from trimtab.host.vehicle import load_vehicle
 
@@ -29,18 +30,21 @@ _DRAG = (
     (_EFFECTS["thrust-gain"], (0.95,)),
 )
 _LOADS = {
-    "mass": (*_DRAG[:2], (_EFFECTS["mass"], (1.1,)), (_EFFECTS["frame-tilt"], (0.02, -0.01))),
+    "mass": ((_EFFECTS["mass"], (1.1,)), (_EFFECTS["frame-tilt"], (0.02, -0.01))),
     "thrust": (
         (_EFFECTS["ground-effect"], (0.02,)),
         (_EFFECTS["rotor-loss"], (0.1, 0.0, -0.05, 0.0)),
-        (_EFFECTS["slung-payload"], (0.1, 0.4, 0.05)),
     ),
     "torque": (
         (_EFFECTS["com-offset"], (0.004, -0.006)),
         (_EFFECTS["gyroscopic"], (6.0,)),
         (_EFFECTS["inertia"], (1.2, 0.9, 1.1)),
-        (_EFFECTS["thrust-inflow"], (0.5,)),
         (_EFFECTS["torque-bias"], (2.0, 1.0, -0.5)),
+    ),
+    "force and torque": (
+        *_DRAG[:2],
+        (_EFFECTS["slung-payload"], (0.1, 0.4, 0.05)),
+        (_EFFECTS["thrust-inflow"], (0.5,)),
     ),
 }
 
@@ -52,16 +56,12 @@ def _dynamics(
     if frame is not None:
         layout = Layout(hidden=(8, 5), frame=frame)
         learned = Network(layout=layout, xi=0.4 * np.random.default_rng(0).standard_normal(layout.size))
-    model = ResidualModel(parts=parts, adjusted=adjusted, network=learned, count_loads=True)
+    model = ResidualModel(parts=parts, adjusted=adjusted, network=learned)
     return Dynamics(vehicle=_VEHICLE, model=model, augmented=augmented)
 
 
-def _stage_model(
-    augmented: bool, frame: Frame | None, minimise: bool, weigh_time: bool, free_yaw: bool = False
-) -> StageModel:
-    return _dynamics(augmented, frame).stage_model(
-        minimise_residual=minimise, weigh_time=weigh_time, free_yaw=free_yaw
-    )
+def _stage_model(augmented: bool, frame: Frame | None, minimise: bool, free_yaw: bool = False) -> StageModel:
+    return _dynamics(augmented, frame).stage_model(minimise_residual=minimise, free_yaw=free_yaw)
 
 
 def _network(network: Network, state: ca.SX) -> ca.SX:
@@ -97,7 +97,7 @@ def _unrolled(model: StageModel) -> tuple[list[ca.SX], ca.SX, ca.SX, ca.SX]:
         d = model.residual(x, p)
         d = d + ca.vertcat(learned(x), ca.SX(d.shape[0] - 3, 1))
         cost = cost + ca.dot(d, d)
-    cost = cost * step if model.weigh_time else cost
+    cost = cost * step
     return [x, u, h, h0, p], x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4), cost, model.path(x, u, p)
 
 
@@ -134,21 +134,19 @@ def _on_both_engines(*cases: tuple[Any, ...], compiled: tuple[tuple[Any, ...], .
 
 
 @pytest.mark.parametrize(
-    ("augmented", "frame", "minimise", "weigh_time", "engine"),
+    ("augmented", "frame", "minimise", "engine"),
     _on_both_engines(
-        *itertools.product((True, False), _FRAMES, (True, False), (True, False)),
-        compiled=((True, None, True, True), (True, "body", True, True)),
+        *itertools.product((True, False), _FRAMES, (True, False)),
+        compiled=((True, None, True), (True, "body", True)),
     ),
 )
 def test_derivatives_of_intervals_equal_those_of_the_unrolled_step(
-    augmented: bool, frame: Frame | None, minimise: bool, weigh_time: bool, engine: str, require
+    augmented: bool, frame: Frame | None, minimise: bool, engine: str, require
 ) -> None:
     if engine == "c":
         require("compiler")
     dynamics = _dynamics(augmented, frame)
-    _check_derivatives(
-        dynamics, dynamics.stage_model(minimise_residual=minimise, weigh_time=weigh_time), engine
-    )
+    _check_derivatives(dynamics, dynamics.stage_model(minimise_residual=minimise), engine)
 
 
 @pytest.mark.parametrize("engine", ["vm", pytest.param("c", marks=pytest.mark.full)])
@@ -157,7 +155,7 @@ def test_derivatives_of_intervals_with_a_free_heading_equal_those_of_the_unrolle
 ) -> None:
     if engine == "c":
         require("compiler")
-    model = _stage_model(True, "body", True, True, free_yaw=True)
+    model = _stage_model(True, "body", True, free_yaw=True)
     assert model.path(*(ca.SX.zeros(n) for n in (model.nx, model.nu, model.np))).numel() == PATH_ROWS + 1
     _check_derivatives(_dynamics(True, "body"), model, engine)
 
@@ -167,9 +165,14 @@ def test_derivatives_of_intervals_with_a_free_heading_equal_those_of_the_unrolle
     _on_both_engines(
         *(
             (*loads, augmented, frame)
-            for loads in (("mass", 3), ("thrust", 6), ("torque", 6))
+            for *loads, frame in (
+                ("mass", 3, None),
+                ("thrust", 6, None),
+                ("torque", 6, None),
+                ("force and torque", 6, None),
+                ("force and torque", 6, "body"),
+            )
             for augmented in (True, False)
-            for frame in (None, "body")
         ),
         compiled=(("torque", 6, False, None),),
     ),
@@ -184,7 +187,7 @@ def test_derivatives_with_a_residual_of_thrust_and_torque_equal_those_of_the_unr
     d = dynamics.residual(x, ca.SX(dynamics.parameters(np.zeros(1))))
     assert d.shape == (rows, 1)
     assert ca.jacobian(d, x[THRUST]).nnz() > 0
-    model = dynamics.stage_model(minimise_residual=True, weigh_time=True)
+    model = dynamics.stage_model(minimise_residual=True)
     _check_derivatives(dynamics, model, engine)
 
 
@@ -241,18 +244,15 @@ def _evaluated(
 
 
 def test_other_weights_limits_and_values_need_no_other_kernel() -> None:
-    first = _dynamics(True, "world", (*_DRAG, *_LOADS["torque"]))
+    first = _dynamics(True, "world", (*_LOADS["torque"], *_LOADS["force and torque"]))
     layout = Layout(hidden=(8, 5))
     other = ResidualModel(
         parts=tuple((effect, tuple(0.5 * value for value in theta)) for effect, theta in first.model.parts),
         adjusted=first.model.adjusted,
         network=Network(layout=layout, xi=np.ones(layout.size)),
-        count_loads=True,
     )
     models = [
-        Dynamics(vehicle=_VEHICLE, model=model, augmented=True).stage_model(
-            minimise_residual=True, weigh_time=True
-        )
+        Dynamics(vehicle=_VEHICLE, model=model, augmented=True).stage_model(minimise_residual=True)
         for model in (first.model, other)
     ]
     assert kernel_source(models[0]) == kernel_source(models[1])
@@ -263,8 +263,7 @@ def test_cost_of_a_tracked_path_is_its_weight_times_the_squared_distance() -> No
     tracked = np.array([[1.0], [2.0], [-1.5]])
     p = dynamics.parameters(np.zeros(1), weights=Weights(tracking=7.0), tracked_ned=tracked)
     plain, tracking = (
-        dynamics.stage_model(minimise_residual=False, weigh_time=True, track_path=track)
-        for track in (False, True)
+        dynamics.stage_model(minimise_residual=False, track_path=track) for track in (False, True)
     )
     x = dynamics.steady(0.0)
     x[:3] = (1.5, 2.0, -1.0)
@@ -277,7 +276,7 @@ def test_cost_of_a_tracked_path_is_its_weight_times_the_squared_distance() -> No
 
 
 def test_stage_functions_of_the_same_model_have_the_same_instructions() -> None:
-    first, second = (build_stage(_stage_model(True, "world", True, True)) for _ in range(2))
+    first, second = (build_stage(_stage_model(True, "world", True)) for _ in range(2))
     assert first.hessian.serialize() == second.hessian.serialize()
 
 

@@ -27,7 +27,7 @@ from trimtab.host.vehicle import load_vehicle
 INF = np.inf
 
 
-def _cart(weigh_time: bool = True) -> StageModel:
+def _cart() -> StageModel:
     """A point mass: x = (p, v), u = force; cost u^2; bounded row: v."""
     return StageModel(
         nx=2,
@@ -39,14 +39,12 @@ def _cart(weigh_time: bool = True) -> StageModel:
         path=lambda x, u, p: x[1],
         network=None,
         augmented=False,
-        weigh_time=weigh_time,
     )
 
 
 def _problem(
     *,
     legs: tuple[int, ...] = (20, 20),
-    shared: bool = True,
     total: tuple[float, float] = (1.0, 1.0),
     steps: tuple[float, float] = (0.5, 2.0),
 ) -> Problem:
@@ -58,7 +56,6 @@ def _problem(
     leg_of = np.repeat(np.arange(len(legs)), legs)
     return Problem(
         leg_of=leg_of,
-        shared_steps=shared,
         h0_s=np.full(count, 1.0 / count),
         parameters=np.ones((1, count)),
         x_bounds=(low, high),
@@ -68,8 +65,7 @@ def _problem(
         total_bounds_s=total,
         x_start=np.zeros((2, count + 1)),
         u_start=np.zeros((1, count)),
-        h_start=np.ones(len(legs) if shared else count),
-        step_penalty=0.3,
+        h_start=np.ones(len(legs)),
     )
 
 
@@ -89,7 +85,6 @@ def _point() -> StageModel:
         path=lambda x, u, p: ca.dot(u, u),
         network=None,
         augmented=False,
-        weigh_time=True,
     )
 
 
@@ -106,7 +101,6 @@ def _around(count: int = 30) -> Problem:
     start[0] = np.linspace(0.0, 1.0, count + 1)
     return Problem(
         leg_of=np.zeros(count, dtype=int),
-        shared_steps=True,
         h0_s=np.full(count, 1.0 / count),
         parameters=np.ones((1, count)),
         x_bounds=(low, high),
@@ -117,13 +111,11 @@ def _around(count: int = 30) -> Problem:
         x_start=start,
         u_start=np.zeros((3, count)),
         h_start=np.ones(1),
-        step_penalty=0.0,
     )
 
 
 _CASES = {
-    "shared steps": {},
-    "a step an interval": {"shared": False},
+    "two legs": {},
     "free total time": {"total": (-INF, INF)},
     "bounded total time": {"total": (0.9, 1.1)},
     "fixed steps": {"steps": (1.0, 1.0)},
@@ -334,8 +326,7 @@ def test_solve_of_the_rest_to_rest_cart_reaches_the_known_optimum() -> None:
 
 
 def test_solve_with_total_time_free_takes_all_it_may() -> None:
-    problem = replace(_problem(total=(0.8, 1.25)), step_penalty=0.0)
-    solution = _solve(_cart(), problem)
+    solution = _solve(_cart(), _problem(total=(0.8, 1.25)))
     assert solution.t_s[-1] == pytest.approx(1.25, abs=1e-6)
     assert solution.cost == pytest.approx(12.0 / 1.25**3, rel=2e-3)
 
@@ -347,19 +338,6 @@ def test_solve_keeps_path_and_step_bounds() -> None:
     assert solution.x[1].max() <= 1.2 + 1e-7
     assert (solution.h >= 0.5 - 1e-7).all()
     assert solution.t_s[-1] == pytest.approx(1.0, abs=1e-9)
-
-
-def test_solve_per_interval_may_use_uneven_steps_at_no_higher_cost() -> None:
-    shared = _solve(_cart(), replace(_problem(), step_penalty=0.0))
-    single = _solve(_cart(), replace(_problem(shared=False), step_penalty=0.0))
-    assert single.cost <= shared.cost + 1e-9
-
-
-def test_unweighted_sum_rewards_long_steps_where_force_is_needed() -> None:
-    # The paper's sum without h_k: a force held for longer costs no more, so steps crowd where none is needed.
-    problem = replace(_problem(legs=(10, 10, 10, 10)), step_penalty=0.0)
-    weighted, plain = _solve(_cart(), problem), _solve(_cart(weigh_time=False), problem)
-    assert plain.h[0] > weighted.h[0] + 0.05
 
 
 def test_solve_without_a_way_says_infeasible() -> None:

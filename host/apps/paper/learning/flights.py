@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trimtab.host.effects import load_effects
+from trimtab.host.models.drive import flight_constants
 from trimtab.host.models.network import Network
-from trimtab.host.models.phi import Phi, flight_constants
+from trimtab.host.models.phi import Phi
 from trimtab.host.models.reference import flat_outputs
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.segments import Segments

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from trimtab.host.apps.paper.learning.flights import STEP_S, Flights, accelerations
+from trimtab.host.models.drive import flight_constants
 from trimtab.host.models.network import Network
-from trimtab.host.models.phi import Phi, flight_constants
+from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import roll_out
 
 

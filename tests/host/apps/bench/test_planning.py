@@ -88,7 +88,7 @@ def test_naive_problem_with_free_steps_and_time_has_our_optimum(
     model: ResidualModel, courses: list[Route]
 ) -> None:
     weights = Weights(control=0.04, thrust_rate=0.004, time=1.0)
-    settings = replace(planning.FREE_TIME, weights=weights, shared_steps=False, step_penalty=0.1)
+    settings = replace(planning.FREE_TIME, weights=weights)
     job = make_job(courses[0], VEHICLE, kind="min-residual", model=model, settings=settings)
     _assert_same_optimum(naive.solve, job, rel=1e-5)
 
