@@ -1,6 +1,6 @@
-"""The flight itself: law, state and failsafes, tick by tick. Knows no bytes and no messages.
+"""The flight: law, state and failsafes, tick by tick, without bytes and messages.
 
-Commands come in as events, poses as numbers; what people should read goes out as `texts`.
+Commands come in as events and poses as numbers. Texts for people go out in `texts`.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from trimtab.firmware_model.flight.engine import Engine, doubles
 from trimtab.firmware_model.flight.estimate import Estimate
 from trimtab.firmware_model.flight.failsafe import BY_EVENT, Action, Condition, Failsafe, escalate
 from trimtab.firmware_model.flight.feedforward import FeedForwardInput
+from trimtab.firmware_model.flight.gate import Gate
 from trimtab.firmware_model.flight.parameters import ParameterValues
-from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, TAKEOFF_LEAST, Phases, Present
-from trimtab.firmware_model.flight.readiness import Facts, Rest, contradiction, reasons, start_refusal
+from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, Phases, Present
+from trimtab.firmware_model.flight.readiness import Rest
 from trimtab.firmware_model.flight.setpoints import Target
 from trimtab.firmware_model.flight.supervisor import FLYING, Event, State, update
 from trimtab.firmware_model.flight.track import Track
-from trimtab.firmware_model.flight.verdict import battery_verdict
-from trimtab.firmware_model.flight.watch import LEVEL, TOUCH_HEIGHT, Seen, Watch, fence
+from trimtab.firmware_model.flight.watch import LEVEL, TOUCH_HEIGHT, Seen, Watch
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import mat_vec, quat_to_matrix
@@ -29,23 +29,20 @@ from trimtab.firmware_model.law.rotations import mat_vec, quat_to_matrix
 BOOT_US = 200_000
 """Time from power to standby."""
 LOOK_TICKS = 10
-"""Conditions, readiness and touchdown are looked at every so many ticks."""
+"""Number of ticks between two checks of conditions, readiness and touchdown."""
 _CRITICAL, _WARNING, _INFO = 2, 4, 6  # MAV_SEVERITY
 
 OBSERVED = (State.TRACKING, State.HOLD, State.OFFBOARD)
-"""States in which the disturbance observer runs, as it does in a take-off, once the vehicle is or has been
-well above the floor; in TRACKING at once. In a landing what it found stays: the floor would be taken for a
-disturbance.
-"""
+"""States in which the disturbance observer runs once the vehicle is or was well above the floor; in TRACKING
+it runs at once. It also runs in a take-off. In a landing its estimate stays constant, because the floor would
+look like a disturbance."""
 _END = {
     State.TRACKING: Event.REFERENCE_ENDED,
     State.HOLD: Event.HELD,
     State.LANDING: Event.TOUCHDOWN,
     State.FAILSAFE: Event.TOUCHDOWN,
 }
-"""What the end of a state's track means; for descents it is the timeout of touchdown. A takeoff knows itself
-what it is for.
-"""
+"""Event at the end of a state's track; for descents the timeout of touchdown. A take-off has its own."""
 
 
 class Flight:
@@ -54,12 +51,14 @@ class Flight:
     Parameters
     ----------
     engine
-        `law.step` as an engine. parameters: values on board.
+        `law.step` as an engine.
+    parameters
+        Values on board.
 
-    `reference` is the track to fly, None for none; `feedforward` the law's feed-forward. Both may be replaced
-    in standby, the reference also by `swap` while it is tracked. `changed` is set whenever state or failsafe
-    change, for whoever reports them. `conditions`: rows of the failsafe table that held at the last look, bit
-    k for Failsafe k.
+    `reference` is the track to fly or None, `feedforward` the law's feed-forward. Both may be replaced in
+    standby; `swap` replaces the reference while it is tracked. `changed` is set when state or failsafe
+    change, for those who report them. `conditions`: rows of the failsafe table that held at the last check,
+    bit k for Failsafe k.
     """
 
     def __init__(self, *, engine: Engine, parameters: ParameterValues) -> None:
@@ -101,6 +100,15 @@ class Flight:
         self._rest = Rest()
         self._poses_waiting = self.poses.waiting
         self._flying = False
+        self._gate = Gate(
+            parameters=parameters,
+            watch=self.watch,
+            estimate=self._estimate,
+            rest=self._rest,
+            phases=self._phases,
+            memory=self._memory,
+            cos_tilt=self._cos_tilt,
+        )
         for view in (*inputs.values(), *self.outputs.values()):
             view[:] = memoryview(bytes(8 * len(view))).cast("d")
         self._estimate.begin()
@@ -111,47 +119,54 @@ class Flight:
 
     @property
     def rotors_on(self) -> bool:
-        """Whether the law drives the rotors."""
+        """Return whether the law drives the rotors."""
         return self._phases.rotors_on
 
     @property
     def gyro(self) -> tuple[float, float, float]:
-        """The gyro's sample of the last tick (rad/s, FRD)."""
+        """Return the gyro sample of the last tick (rad/s, FRD)."""
         return (self._gyro[0], self._gyro[1], self._gyro[2])
 
     @property
     def home_ned(self) -> tuple[float, float, float] | None:
-        """Where the last take-off began, None before the first."""
+        """Return the position of the last take-off; None before the first."""
         return self._phases.home_ned
 
     @property
     def height_m(self) -> float:
-        """Estimated height above the floor of the last take-off."""
+        """Return the estimated height above the floor of the last take-off."""
         return self._phases.floor - self._memory[2]
 
     def has_pose(self, now_us: int) -> bool:
-        """Whether poses come."""
-        return self.poses.used > 0 and now_us - self.watch.pose_us <= self.watch.pose_lost_us
+        """Return whether poses arrive."""
+        return self._gate.has_pose(now_us)
 
     # Commands and measurements.
 
     def command(self, event: Event, now_us: int, height_m: float | None = None) -> str | None:
-        """Why `event` was refused, None where it took effect. height_m: of a takeoff, else TAKEOFF_HEIGHT."""
+        """Apply `event`; return why it was refused, or None. height_m: of a take-off, else TAKEOFF_HEIGHT."""
         outcome = update(self.state, event)
-        refusal = outcome.refusal or self._refusal(event, now_us)
+        refusal = outcome.refusal or self._gate.refusal(
+            event,
+            now_us,
+            state=self.state,
+            reference=self.reference,
+            climbing=self._climb_end is Event.CLIMBED,
+            flown=self.tracking_us is not None,
+        )
         if refusal is None and (outcome.state is not self.state or event is Event.HOLD):
             self._enter(outcome.state, event, now_us, height_m)
         return refusal
 
     def setpoint(self, target: Target, now_us: int) -> None:
-        """Follow the target at once, or as soon as the mode follows setpoints."""
+        """Follow the target now, or as soon as the mode follows setpoints."""
         self._offboard.offer(target, now_us)
         if self.state is State.OFFBOARD:
             self.watch.setpoint_us = now_us
             self._phases.follow(now_us)
 
     def pose(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
-        """Whether the pose (NED; q_ned_frd, w first) measured at `time_us` will be used at the next tick."""
+        """Take a pose (NED; q_ned_frd, w first) of `time_us`; return whether the next tick uses it."""
         if self.state is State.BOOT:
             return False
         flying = self._flying
@@ -224,7 +239,7 @@ class Flight:
         self._look_at_state(now_us)
 
     def _look_at_state(self, now_us: int) -> None:
-        """Disarm an idle vehicle, notice touchdown, and learn in the air what the thrust is worth."""
+        """Disarm an idle vehicle, detect touchdown, and learn the thrust ratio in the air."""
         if self.state is State.ARMED and now_us - self.state_us > self.parameters.us("IDLE_S"):
             self._tell(_INFO, "disarmed: nothing started")
             self.command(Event.IDLED, now_us)
@@ -249,7 +264,7 @@ class Flight:
         )
         self.watch.see(now_us, seen)
 
-    # What the states do when they are entered.
+    # Entry actions of the states.
 
     def _enter(self, state: State, event: Event, now_us: int, height_m: float | None = None) -> None:
         before, self.state, self.state_us, self.changed = self.state, state, now_us, True
@@ -285,7 +300,7 @@ class Flight:
             phases.land(present, now_us)
 
     def _stand_by(self, before: State, now_us: int) -> None:
-        """Stop the rotors and begin to calibrate at rest."""
+        """Stop the rotors; begin to calibrate at rest."""
         self.action = Action.NONE
         self._rest.begin(now_us)
         self.feedforward.resume()
@@ -294,7 +309,7 @@ class Flight:
             self._tell(_INFO, "disarmed")
 
     def _arm(self) -> None:
-        """Forget the last flight."""
+        """Forget the last flight and report a missing reference."""
         self.failsafe = Failsafe.NONE
         self.tracking_us = None
         self._tell(_INFO, "armed")
@@ -302,7 +317,7 @@ class Flight:
             self._tell(_WARNING, "no live reference: start will be refused")
 
     def _hold(self, event: Event, present: Present, now_us: int) -> None:
-        """Hold at the end of the reference, or stop here; for a time where setpoints were lost."""
+        """Hold at the end of the reference, or stop here; for a limited time after lost setpoints."""
         if event is Event.REFERENCE_ENDED and self.reference is not None:
             self._phases.hold_end(self.reference, now_us)
             return
@@ -310,7 +325,7 @@ class Flight:
         self._phases.stop(present, now_us, self.parameters["FS_OFFB_HOLD_S"] if lost else None)
 
     def _climb(self, before: State, present: Present, height_m: float | None, now_us: int) -> None:
-        """To a height or to the first node of the reference, from the floor or in the air."""
+        """Climb to a height or to the first node of the reference, from the floor or in the air."""
         phases, reference = self._phases, self.reference
         if self._climb_end is Event.RISEN:
             phases.rise(height_m, now_us)
@@ -321,7 +336,7 @@ class Flight:
         else:
             phases.go_to_start(reference, present, now_us)
 
-    # Trouble, touchdown, readiness.
+    # Failsafes and touchdown.
 
     def _strike(self, condition: Condition, now_us: int) -> None:
         """Send the condition's event to the supervisor, and act if its action outranks the present one."""
@@ -383,52 +398,17 @@ class Flight:
         )
 
     def _take_pose(self, now_us: int) -> bool:
-        """Whether a pose is in the engine's inputs; after a pause in standby it sets the estimate."""
+        """Put a waiting pose into the engine's inputs and return whether there is one.
+
+        After a pause in standby the pose also sets the estimate.
+        """
         self.watch.pose_us = now_us
         resting = self.state is State.STANDBY
         return self._estimate.take_pose(now_us, self.watch.pose_lost_us if resting else None)
 
-    def _refusal(self, event: Event, now_us: int) -> str | None:
-        """Why a command that the table allows is refused all the same."""
-        state = self.state
-        if event is Event.ARM and state is State.STANDBY:
-            return next(iter(self.arming_reasons(now_us)), None)
-        if event is Event.START and state in (State.ARMED, State.TAKEOFF, State.HOLD):
-            rising = state is State.TAKEOFF
-            if rising and self._climb_end is Event.CLIMBED:
-                return None  # said twice, done once
-            flown = self.tracking_us is not None
-            return start_refusal(self.reference, rising=rising, flown=flown, battery=self._battery())
-        if event is Event.TAKEOFF and state is State.ARMED and self._phases.headroom < TAKEOFF_LEAST:
-            return f"fence less than {TAKEOFF_LEAST:g} m above"
-        if event is Event.OFFBOARD and not self._offboard.arriving(now_us):
-            return "no setpoints: stream them first"
-        return None
-
     def arming_reasons(self, now_us: int) -> list[str]:
-        """Every reason why arming would be refused in standby; none where it would not."""
-        memory, values = self._memory, self.parameters
-        facts = Facts(
-            calibrated=self.calibration.bias is not None,
-            posed=self.has_pose(now_us),
-            still=self._rest.still,
-            askew_deg=self._rest.askew_deg,
-            cos_tilt=self._cos_tilt[0],
-            p=(memory[0], memory[1], memory[2]),
-            fence=fence(values),
-            holding=frozenset(row.event for row in self.watch.holding()),
-            battery=self._battery(),
-            contradiction=contradiction(values),
-        )
-        return reasons(facts)
-
-    def _battery(self) -> str | None:
-        """Why the live reference is not flown with this battery."""
-        volts = self.watch.volts
-        if self.reference is None or volts is None:
-            return None
-        verdict = battery_verdict(self.parameters, volts)
-        return None if verdict is None else verdict.message
+        """Return every reason why arming would be refused in standby."""
+        return self._gate.arming_reasons(now_us, self.reference)
 
     def _tell(self, severity: int, text: str) -> None:
         self.texts.append((severity, text))

@@ -203,7 +203,7 @@ def motors(
 
 
 def feedforward_terms(ops: Ops, block: Vector, ref: Reference, ff_accel_ned: Vector) -> tuple[Vector, Vector]:
-    """Residual acceleration along the reference and its derivative (NED): the block's, plus the network's."""
+    """Return residual acceleration along the reference and its derivative (NED): block plus network."""
     R_flat, _ = flat_attitude(ops, ref.a, ref.yaw)
     rate = flat_rates(ops, ref.a, ref.j, ref.yaw, ref.yaw_rate)
     accel = feedforward.specific_force_ned(ops, block, ref.v, R_flat)
@@ -214,32 +214,15 @@ def feedforward_terms(ops: Ops, block: Vector, ref: Reference, ff_accel_ned: Vec
 def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
     """Return the output blocks of one tick; inputs must be finite.
 
-    `mocap_new`, `armed`, `observing` and the first value of `offboard` are 0 or 1. Where `observing`
-    is 0 the observer's estimate stays as it is.
+    `mocap_new`, `armed`, `observing` and the first value of `offboard` are 0 or 1. While `observing` is 0 the
+    observer's estimate stays constant.
     """
-    memory, parameters = inputs["memory"], inputs["parameters"]
-    gyro, force, block = inputs["gyro"], inputs["specific_force"], inputs["feedforward"]
+    memory, parameters, block = inputs["memory"], inputs["parameters"], inputs["feedforward"]
+    gyro, force = inputs["gyro"], inputs["specific_force"]
+    est, R, rate = _estimate(ops, inputs)
+    d_hat = _disturbance(ops, inputs, est, R)
 
-    # Estimate.
-    est = Estimate(memory[EST_P], memory[EST_V], memory[EST_Q], memory[EST_BIAS])
-    est, rate, a, _ = predict(ops, est, gyro, force, TICK_S)
-    interval = ops.where(inputs["mocap_new"][0] > 0.5, inputs["mocap_interval_s"][0], 0.0)
-    age = inputs["mocap_age_s"][0] + block[feedforward.PREDICTION_TIME]
-    pose = (inputs["mocap_p"], inputs["mocap_q"])
-    est = correct(ops, est, rate, a, *pose, age, interval, estimator_gains(parameters))
-    most = parameters[_AT["EST_BIAS_MAX"]]
-    est = est._replace(bias=[ops.clip(b, -most, most) for b in est.bias])
-    R = quat_to_matrix(ops, est.q)
-    rate = [g - b for g, b in zip(gyro, est.bias, strict=True)]
-
-    # What else accelerates the vehicle.
-    obs_gain, lag_s = observer(parameters)
-    v_dot = [(now - before) / TICK_S for now, before in zip(est.v, memory[EST_V], strict=True)]
-    seen = disturbance_seen(v_dot, R, memory[OBSERVER_THRUST.start], parameters[0])
-    observing = ops.where(inputs["observing"][0] > 0.5, obs_gain, 0.0)
-    d_hat = observe(ops, observing, memory[OBSERVER], seen, TICK_S)
-
-    # Reference and what is known of the residual along it.
+    # Reference and the known residual along it.
     piece, yaw_piece = inputs["piece"], inputs["yaw_piece"]
     p_r, v_r, a_r, j_r, _ = septic_at(piece[1:], piece[0])
     yaw, yaw_rate = cubic_at(yaw_piece[1:], yaw_piece[0])
@@ -273,6 +256,7 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
         for i, d, limit in zip(integral, integral_dot, integral_limit(parameters), strict=True)
     ]
     given = gain * (thrust[0] + thrust[1] + thrust[2] + thrust[3])
+    _, lag_s = observer(parameters)
     lagged = lagged_thrust(memory[OBSERVER_THRUST.start], given, lag_s, TICK_S)
     observed = [on * x for x in (*d_hat, lagged)]
     # The last command is the one that acted over the interval this tick closes.
@@ -294,12 +278,36 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
     }
 
 
+def _estimate(ops: Ops, inputs: Mapping[str, Vector]) -> tuple[Estimate, Vector, list[Scalar]]:
+    """Return the state estimate, its R_ned_frd (9 values) and the body rate (rad/s, FRD)."""
+    memory, parameters = inputs["memory"], inputs["parameters"]
+    gyro, block = inputs["gyro"], inputs["feedforward"]
+    est = Estimate(memory[EST_P], memory[EST_V], memory[EST_Q], memory[EST_BIAS])
+    est, rate, a, _ = predict(ops, est, gyro, inputs["specific_force"], TICK_S)
+    interval = ops.where(inputs["mocap_new"][0] > 0.5, inputs["mocap_interval_s"][0], 0.0)
+    age = inputs["mocap_age_s"][0] + block[feedforward.PREDICTION_TIME]
+    pose = (inputs["mocap_p"], inputs["mocap_q"])
+    est = correct(ops, est, rate, a, *pose, age, interval, estimator_gains(parameters))
+    bias_max = parameters[_AT["EST_BIAS_MAX"]]
+    est = est._replace(bias=[ops.clip(b, -bias_max, bias_max) for b in est.bias])
+    R = quat_to_matrix(ops, est.q)
+    return est, R, [g - b for g, b in zip(gyro, est.bias, strict=True)]
+
+
+def _disturbance(ops: Ops, inputs: Mapping[str, Vector], est: Estimate, R: Vector) -> Vector:
+    """Return the observer's estimate of the disturbance acceleration (m/s^2, NED)."""
+    memory, parameters = inputs["memory"], inputs["parameters"]
+    obs_gain, _ = observer(parameters)
+    v_dot = [(now - before) / TICK_S for now, before in zip(est.v, memory[EST_V], strict=True)]
+    seen = disturbance_seen(v_dot, R, memory[OBSERVER_THRUST.start], parameters[0])
+    observing = ops.where(inputs["observing"][0] > 0.5, obs_gain, 0.0)
+    return observe(ops, observing, memory[OBSERVER], seen, TICK_S)
+
+
 def _offboard(
     ops: Ops, k: Gains, block: Vector, R: Vector, collective: Scalar, rate_cmd: Vector
 ) -> tuple[Scalar, list[Scalar]]:
-    """Return collective thrust and body rate: as the block commands where it is switched on, else as
-    given.
-    """
+    """Return collective thrust and body rate: the block's commands if it is on, else those given."""
     direct = block[0] > 0.5
     error = attitude_error(quat_to_matrix(ops, block[6:10]), R)
     asked = [w - block[5] * gain * e for w, gain, e in zip(block[2:5], k.attitude, error, strict=True)]

@@ -187,7 +187,7 @@ class FlightMcu:
         flight.look(now_us, self._battery_v)
         if self._swap_us < NEVER_US and flight.state is not State.TRACKING:
             self._call_off(now_us)
-        if not self._gives_way(now_us):
+        if not (self._on_floor() and self._upload.under_way(now_us)):  # else the upload has the air to itself
             self._report_at_rate(now_us)
         if now_us >= self._status_us or flight.changed:
             self._status_us = now_us - now_us % telemetry.STATUS_US + telemetry.STATUS_US
@@ -204,10 +204,6 @@ class FlightMcu:
             self._notice_foreign(now_us)
         self._flush(now_us)
 
-    def _gives_way(self, now_us: int) -> bool:
-        """Whether an upload has the air to itself: while chunks come and the vehicle stands on the floor."""
-        return self._on_floor() and self._upload.under_way(now_us)
-
     def _report_at_rate(self, now_us: int) -> None:
         streams = self._services.streams
         try:
@@ -218,7 +214,7 @@ class FlightMcu:
             self.unsendable += 1
 
     def _notice_foreign(self, now_us: int) -> None:
-        """Messages of another dialect's version look like known ones with wrong checksums: say so."""
+        """Report messages of another dialect version: they look like known ones with wrong checksums."""
         self._foreign_us = now_us + FOREIGN_US
         fresh, self._foreign = self._codec.bad_checksums - self._foreign, self._codec.bad_checksums
         if fresh >= FOREIGN_LEAST:
@@ -226,14 +222,12 @@ class FlightMcu:
             self._services.text(mavlink.MAV_SEVERITY_WARNING, text)
 
     def _catch_up(self, now_us: int, gyro: Sequence[float], specific_force: Sequence[float]) -> None:
-        """Run the ticks that were missed, with what is sensed now: the law's step is always one tick."""
+        """Run the missed ticks with the present sensor values: the law's step is always one tick."""
         self.late_ticks += 1
         self.flight.watch.late(now_us)
         first_us = max(self._last_us + TICK_US, now_us - CATCH_UP_TICKS * TICK_US)
         for missed_us in range(first_us, now_us, TICK_US):
             self.flight.tick(missed_us, gyro, specific_force)
-
-    # Sending.
 
     def _queue(self, message: Message) -> None:
         try:
@@ -242,7 +236,7 @@ class FlightMcu:
             self.unsendable += 1
 
     def _flush(self, now_us: int) -> None:
-        """Send what is queued: whole where there is room, else as many messages as fit."""
+        """Send the queue: all of it if there is room, else as many messages as fit."""
         out, self._out = self._out, []
         data = b"".join(out)
         if len(data) <= self.uart.tx_free(now_us):
@@ -287,7 +281,7 @@ class FlightMcu:
     def _uploaded(self, event: ReceiverEvent) -> None:
         self.flight.changed = True
         if event.event is UploadEvent.COMMITTED and self._on_floor():
-            self._load(event.kind)  # in flight it has been taken over already
+            self._load(event.kind)  # in flight it has already taken over
 
     def _limits_changed(self) -> None:
         """Check the live and the staged blobs again."""
@@ -295,10 +289,10 @@ class FlightMcu:
         now_us = self._last_us
         self._services.take(self._upload.limits_changed(now_us), now_us)
 
-    # A reference that takes over in flight.
+    # Takeover in flight.
 
     def _agree(self, kind: int, data: bytes, at_tick: int, now_us: int) -> Agreement:
-        """Whether this blob takes over at a tick; what was agreed before no longer holds."""
+        """Return whether this blob takes over at a tick; this ends any earlier agreement."""
         self._swap_us, flight = NEVER_US, self.flight
         if kind != Kind.REFERENCE:
             return Agreement(result=UploadResult.BAD_REQUEST)
@@ -337,7 +331,7 @@ class FlightMcu:
         self.flight.changed = True
 
     def _load(self, kind: int) -> None:
-        """Fly the live blob of this kind if it (still) passes the check."""
+        """Fly the live blob of this kind if it passes the check."""
         data = self._store.live(kind)
         verdict = None if data is None else self._check(kind, data)
         if verdict is not None and not verdict.ok:

@@ -103,20 +103,7 @@ class Handlers:
         self.streams = Streams(flight=flight, send=send, battery_v=hooks.battery_v)
         files = BlobFiles(store=store, upload=upload, text=self.text, on_upload=self.take)
         self._ftp = FtpServer(files, send=send)
-        commands = Commands(
-            flight=flight,
-            upload=upload,
-            send=send,
-            text=self.text,
-            requests={
-                m.AutopilotVersion.id: lambda now_us: self._version(),
-                m.FcStatus.id: hooks.status,
-                m.Heartbeat.id: lambda now_us: heartbeat(flight),
-                **self.streams.requests(),
-            },
-            on_upload=self.take,
-            more=self.streams.commands(),
-        )
+        commands = self._commands(hooks.status)
         setpoints = SetpointService(take=flight.setpoint, text=self.text)
         self._handlers: dict[type, Callable[[Any, int], None]] = {
             m.Timesync: self._timesync,
@@ -138,6 +125,23 @@ class Handlers:
             m.UploadCommit: self._upload_message,
             m.UploadAbort: self._upload_message,
         }
+
+    def _commands(self, status: Callable[[int], Message]) -> Commands:
+        """Return the handler of commands. status: returns FC_STATUS at a time in us."""
+        return Commands(
+            flight=self._flight,
+            upload=self._upload,
+            send=self._send,
+            text=self.text,
+            requests={
+                m.AutopilotVersion.id: lambda now_us: self._version(),
+                m.FcStatus.id: status,
+                m.Heartbeat.id: lambda now_us: heartbeat(self._flight),
+                **self.streams.requests(),
+            },
+            on_upload=self.take,
+            more=self.streams.commands(),
+        )
 
     def receive(self, message: Message, now_us: int) -> None:
         """Handle the message if it addresses this vehicle and its kind is known."""

@@ -53,8 +53,8 @@ def run(
     data, audits = segments_of(logs.flights, rate_driven=TORQUE in logs.unknown)
     segment_model = SegmentModel.of(logs.vehicle, parameters, data)
     extent = tracking_extent(logs.flights)
-    whole = logs.drive == "reference" and tracking_shortfall(*extent) is None
-    diagnosis = select_effects(segment_model, data, logs.flights if whole else (), logs.twins, on_progress)
+    in_loop = logs.flights if logs.drive == "reference" and tracking_shortfall(*extent) is None else ()
+    diagnosis = select_effects(segment_model, data, in_loop, logs.twins, on_progress)
     decision = decide(gather_evidence(segment_model, diagnosis, logs.twins, logs.unknown, *extent))
     added, null_fit = decision.effects_added, diagnosis.null_fit
     named = named_effects(parameters, diagnosis, decision.aliases) if added else ()
@@ -62,7 +62,7 @@ def run(
     model = model_of(parameters, diagnosis, theta_scaled, flights, named, added, provenance)
     on_progress("predicting the held-out flights")
     before, after, adjusted = held_out_errors(logs, segment_model, diagnosis, added, model, effects)
-    next_flight = description = network_errors = None
+    next_flight = description = learned = None
     if decision.to_separate is not None and manoeuvres is not None:
         on_progress("looking for the flight that decides")
         next_flight = propose(segment_model, diagnosis.selected, *decision.to_separate, manoeuvres())
@@ -71,7 +71,7 @@ def run(
         disturbance = disturbance_left(null_fit, theta_scaled)
         description = describe(disturbance, null_fit.data, [f.reference_id for f in flights], logs.vehicle)
         if network and logs.drive == "reference":
-            network_errors = unexplained(flights, held_out, model, effects, description, on_progress)
+            learned = unexplained(flights, held_out, model, effects, description, on_progress)
     return Trace(
         verdict=decision.verdict,
         findings=decision.findings,
@@ -89,5 +89,5 @@ def run(
         residual=decision.residual,
         audits=with_missing_twins(audits, logs.twins),
         description=description,
-        unexplained=network_errors,
+        unexplained=learned,
     )

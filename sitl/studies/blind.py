@@ -9,7 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from multiprocessing.connection import wait as wait_for_any
@@ -70,14 +70,15 @@ def run(
     programme: Programme = BLIND,
     report: Report = lambda done, total, detail: None,
 ) -> dict[str, Any]:
-    """Return the study's outcome as plain data: `answer` (the machine's object), `lines` (for people),
-    `table`, `thin`, `real`, `baselines`, `confusion`, `deviations` (errors in reported sd by family),
-    `wrong`, `scores`.
+    """Run the blind study, or resume it; return its outcome as plain data.
 
-    folder: state and results, made or gone on with. real: file of groups of flights that are traced beside
-    the worlds. programme: what is flown in every world. jobs: processes at a time.
-    Raises StudyError where the folder is another study's or in use, a route cannot be planned or a world not
-    flown; SealBroken where a truth is not the one that was sealed.
+    The outcome has `answer` (the machine's object), `lines` (for people), `table`, `thin`, `real`,
+    `baselines`, `confusion`, `deviations` (errors in reported sd by family), `wrong` and `scores`.
+
+    folder: state and results; an existing study continues. real: file with groups of recorded flights to
+    trace beside the worlds. programme: flights in every world. jobs: number of processes. Raises StudyError
+    if the folder belongs to another study or is in use, if a route cannot be planned or a world cannot be
+    flown; SealBroken if a truth has changed since it was sealed.
     """
     planned = plan_worlds(seed, worlds, library())
     groups = [] if real is None else read_groups(real)
@@ -110,26 +111,25 @@ def run(
         _work(tasks, ledger, jobs, report)
         scores = [_scores(task) for task in tasks]
         done = len(tasks) * (_FLOWN + _JUDGED)
-        flown = judge_real(groups, folder, lambda said: report(done, done, said))
-    figures, others = summary(scores), baseline_rows(scores)
+        recorded = judge_real(groups, folder, lambda detail: report(done, done, detail))
+    return _outcome({"seed": seed, "worlds": worlds, "folder": str(folder)}, scores, recorded)
+
+
+def _outcome(
+    setup: Mapping[str, Any], scores: list[dict[str, Any]], recorded: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """Return the outcome of a study from the scores of its worlds and of recorded flights."""
+    figures, baselines = summary(scores), baseline_rows(scores)
     return {
-        "answer": {
-            "study": "blind",
-            "seed": seed,
-            "worlds": worlds,
-            "folder": str(folder),
-            **figures,
-            "baselines": others,
-            "real": flown,
-        },
-        "lines": lines(figures, scores, others, flown),
+        "answer": {"study": "blind", **setup, **figures, "baselines": baselines, "real": recorded},
+        "lines": lines(figures, scores, baselines, recorded),
         "table": table(figures),
         "thin": thin_table(figures),
-        "real": real_table(flown),
-        "baselines": baseline_table(others),
+        "real": real_table(recorded),
+        "baselines": baseline_table(baselines),
         "confusion": confusion(scores),
         "deviations": deviations(scores),
-        "wrong": [(score["world"], what) for score in scores if (what := failure(score)) is not None],
+        "wrong": [(s["world"], reason) for s in scores if (reason := failure(s)) is not None],
         "scores": scores,
     }
 

@@ -123,9 +123,7 @@ def refit(
         if iteration == 0 and start is not None and (theta_scaled == start.lin.theta_scaled).all():
             lin = start.lin
         else:
-            grams = linearise.linearise(segment_model, data, theta_scaled, local, basis)
-            data = data.with_x0(grams.x0)
-            lin = linearise.project(grams, data, theta_scaled, local)
+            lin, data = _linearised(segment_model, data, theta_scaled, local, basis)
         process = evidence.fit_process(lin, prior, effects, process)
         white = evidence.whitened(lin, process, prior)
         step, covariance = evidence.bounded(white.gram, theta_scaled, precision, space.bounds)
@@ -155,6 +153,15 @@ def refit(
         data=data,
         basis=basis,
     )
+
+
+def _linearised(
+    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray, basis: Basis
+) -> tuple[Linearisation, Segments]:
+    """Return the linearisation at a point, and the data with the initial states fitted there."""
+    grams = linearise.linearise(segment_model, data, theta_scaled, local, basis)
+    data = data.with_x0(grams.x0)
+    return linearise.project(grams, data, theta_scaled, local), data
 
 
 def at_parameters(

@@ -1,4 +1,4 @@
-"""From the scores of many worlds to the figures of a blind study, each with its count and exact interval."""
+"""Compute the figures of a blind study from the scores of its worlds, each with count and exact interval."""
 
 from __future__ import annotations
 
@@ -11,41 +11,94 @@ from scipy.stats import binomtest
 from trimtab.sitl.studies.worlds import THIN
 
 SURE_SIGMA = 15.0
-"""Parameter errors count where the truth is at least typical and so many sigma of the bound."""
+"""A parameter's error counts if its truth is at least typical and this many sigma of the bound."""
 
 REFUSED = 2
-"""Exit code of logs that say too little or do not belong together."""
+"""Exit code for logs that contain too little or do not belong together."""
 
 OUTCOMES = ("right", "undecided", "nothing-missing", "refused", "outside-library", "wrong", "failed")
-"""Of thin data: traced with true names only, the other verdicts, traced with a name that is not true."""
+"""Outcomes of thin data. right: traced with true names only. wrong: traced with a false name."""
 
 THIN_GOOD = OUTCOMES[:4]
-"""Those that claim nothing untrue."""
+"""Outcomes that claim nothing false."""
 
 TRACING = "trimtab trace"
 FAMILIES = ("force", "torque", "timing", "aerodynamic")
+CLASSES = ("single", "pair", "none", "outside", "thin")
 Scores = Sequence[Mapping[str, Any]]
 
 
 def exact_interval(hits: int, count: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Clopper-Pearson interval of a share of `hits` in `count`. Raises ValueError for an impossible count."""
+    """Return the Clopper-Pearson interval of `hits` in `count`. Raises ValueError for an impossible count."""
     if not 0 <= hits <= count or count < 1:
         raise ValueError(f"{hits} hits of {count} are no share")
-    found = binomtest(hits, count).proportion_ci(confidence, method="exact")
-    return float(found.low), float(found.high)
+    interval = binomtest(hits, count).proportion_ci(confidence, method="exact")
+    return float(interval.low), float(interval.high)
 
 
 def summary(scores: Scores) -> dict[str, Any]:
-    """Return the figures of a study as plain data: the machine's keys, None where nothing was counted.
+    """Return the figures of a study as plain data, by the machine's keys; None if nothing was counted.
 
-    `n` and `interval` have the keys of the figures; `by_family` has coverage and width once more by family,
-    `thin` counts outcomes by case.
+    `n` and `interval` have the keys of the figures. `by_family` repeats coverage and width by family. `thin`
+    counts outcomes by case.
     """
-    single, pair, none, outside, thin = (
-        [s for s in scores if s["class"] == c] for c in ("single", "pair", "none", "outside", "thin")
-    )
+    by_class = {c: [s for s in scores if s["class"] == c] for c in CLASSES}
+    inside, thin = [*by_class["single"], *by_class["pair"]], by_class["thin"]
+    hits = _hits(by_class)
+    rows = [row for s in inside for row in s["parameters"]]
+    errors = relative_errors(inside)
+    covered = [_covers(row) for row in rows]
+    widths = [row["sd"] / row["bound_sd"] for row in rows if row["sd"]]
+    judged = [s for s in inside if s["after_m"] is not None and s["floor_m"]]
+    over = [s["after_m"] / s["floor_m"] for s in judged]
+    sizes = [size for s in inside for size in s["alias_sizes"]]
+    times = [s["trace_s"] for s in scores if s["class"] != "thin" and s["trace_s"] is not None]
+    steady = [e["error"] for e in errors if e["family"] != "torque"]
+    turning = [e["error"] for e in errors if e["family"] == "torque"]
+    thin_cases = {case: [s for s in thin if s["case"] == case] for case in THIN}
+    return {
+        **{name: _share(flags) for name, flags in hits.items()},
+        "alias_size_mean": _mean(sizes),
+        "alias_size_max": max(sizes, default=None),
+        "parameter_error_median": _quantile(steady, 0.5),
+        "parameter_error_p90": _quantile(steady, 0.9),
+        "parameter_error_torque_median": _quantile(turning, 0.5),
+        "parameter_error_torque_p90": _quantile(turning, 0.9),
+        "coverage_2sigma": _share(covered),
+        "width_over_bound": _quantile(widths, 0.5),
+        "by_family": {name: _family([row for row in rows if row["family"] == name]) for name in FAMILIES},
+        "thin": {case: _thin(group) for case, group in thin_cases.items() if group},
+        "after_over_floor_median": _quantile(over, 0.5),
+        "after_over_floor_p90": _quantile(over, 0.9),
+        "before_mm_median": _millimetres(judged, "before_m"),
+        "after_mm_median": _millimetres(judged, "after_m"),
+        "floor_mm_median": _millimetres(judged, "floor_m"),
+        "trace_s_median": _quantile(times, 0.5),
+        "trace_s_max": max(times, default=None),
+        "n": {
+            **{name: len(flags) for name, flags in hits.items()},
+            "alias_size_mean": len(sizes),
+            "parameter_error": len(steady),
+            "parameter_error_torque": len(turning),
+            "coverage_2sigma": len(covered),
+            "width_over_bound": len(widths),
+            "after_over_floor": len(over),
+            "trace_s": len(times),
+            "worlds": len(scores),
+        },
+        "interval": {
+            **{name: _interval(flags) for name, flags in hits.items()},
+            "coverage_2sigma": _interval(covered),
+        },
+    }
+
+
+def _hits(by_class: Mapping[str, Scores]) -> dict[str, list[bool]]:
+    """Return for each share of worlds whether each world that counts is a hit."""
+    single, pair, none = by_class["single"], by_class["pair"], by_class["none"]
+    outside, thin = by_class["outside"], by_class["thin"]
     inside = [*single, *pair]
-    hits = {
+    return {
         "top1": [s["top1"] for s in single if s["identifiable"]],
         "top1_all": [s["top1"] for s in single],
         "pairs_exact": [s["exact"] for s in pair],
@@ -58,55 +111,10 @@ def summary(scores: Scores) -> dict[str, Any]:
         "thin_wrong": [s["wrong"] for s in thin],
         "thin_told": [s["told"] for s in thin],
     }
-    rows = [row for s in inside for row in s["parameters"]]
-    errors = relative_errors(inside)
-    covered = [_covers(row) for row in rows]
-    widths = [row["sd"] / row["bound_sd"] for row in rows if row["sd"]]
-    judged = [s for s in inside if s["after_m"] is not None and s["floor_m"]]
-    over = [s["after_m"] / s["floor_m"] for s in judged]
-    sizes = [size for s in inside for size in s["alias_sizes"]]
-    times = [s["trace_s"] for s in scores if s["class"] != "thin" and s["trace_s"] is not None]
-    steady = [e["error"] for e in errors if e["family"] != "torque"]
-    turning = [e["error"] for e in errors if e["family"] == "torque"]
-    return {
-        **{name: _share(found) for name, found in hits.items()},
-        "alias_size_mean": _mean(sizes),
-        "alias_size_max": max(sizes, default=None),
-        "parameter_error_median": _quantile(steady, 0.5),
-        "parameter_error_p90": _quantile(steady, 0.9),
-        "parameter_error_torque_median": _quantile(turning, 0.5),
-        "parameter_error_torque_p90": _quantile(turning, 0.9),
-        "coverage_2sigma": _share(covered),
-        "width_over_bound": _quantile(widths, 0.5),
-        "by_family": {name: _family([row for row in rows if row["family"] == name]) for name in FAMILIES},
-        "thin": {case: _thin(found) for case in THIN if (found := [s for s in thin if s["case"] == case])},
-        "after_over_floor_median": _quantile(over, 0.5),
-        "after_over_floor_p90": _quantile(over, 0.9),
-        "before_mm_median": _millimetres(judged, "before_m"),
-        "after_mm_median": _millimetres(judged, "after_m"),
-        "floor_mm_median": _millimetres(judged, "floor_m"),
-        "trace_s_median": _quantile(times, 0.5),
-        "trace_s_max": max(times, default=None),
-        "n": {
-            **{name: len(found) for name, found in hits.items()},
-            "alias_size_mean": len(sizes),
-            "parameter_error": len(steady),
-            "parameter_error_torque": len(turning),
-            "coverage_2sigma": len(covered),
-            "width_over_bound": len(widths),
-            "after_over_floor": len(over),
-            "trace_s": len(times),
-            "worlds": len(scores),
-        },
-        "interval": {
-            **{name: _interval(found) for name, found in hits.items()},
-            "coverage_2sigma": _interval(covered),
-        },
-    }
 
 
 def _family(rows: Scores) -> dict[str, Any]:
-    """Coverage and width of the parameters of one family."""
+    """Return coverage and width of the parameters of one family."""
     covered = [_covers(row) for row in rows]
     return {
         "coverage_2sigma": _share(covered),
@@ -117,7 +125,7 @@ def _family(rows: Scores) -> dict[str, Any]:
 
 
 def outcome(score: Mapping[str, Any]) -> str:
-    """Return what came of a world with thin data: one of OUTCOMES."""
+    """Return the outcome of a world with thin data: one of OUTCOMES."""
     if score["verdict"] == "traced":
         return "wrong" if score["wrong"] else "right"
     if score["verdict"] == "failed":
@@ -126,9 +134,9 @@ def outcome(score: Mapping[str, Any]) -> str:
 
 
 def _thin(scores: Scores) -> dict[str, int]:
-    """Worlds of one case: how many, how many of each outcome, and how many answers say what is missing."""
-    found = [outcome(s) for s in scores]
-    counts = {word: found.count(word) for word in OUTCOMES}
+    """Count the worlds of one case: all, by outcome, and those whose answers name the missing data."""
+    outcomes = [outcome(s) for s in scores]
+    counts = {name: outcomes.count(name) for name in OUTCOMES}
     return {"n": len(scores), **counts, "told": sum(s["told"] for s in scores)}
 
 
