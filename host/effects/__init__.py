@@ -5,8 +5,9 @@ through which it enters the model, what closing the loop on it means, and where 
 true of one effect alone stands in its file, and the code that uses it reads it there.
 """
 
-from trimtab.host.effects.effect import SLOTS, Closing, Context, Effect, ExactAlias, Parameter, number
+from trimtab.host.effects.effect import SLOTS, Closing, Context, Effect, ExactAlias
 from trimtab.host.effects.feedforward import compose_feedforward
+from trimtab.host.effects.parameter import Parameter, number
 from trimtab.host.effects.registry import EffectError, load_effects
 
 __all__ = [

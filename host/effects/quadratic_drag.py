@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.effect import Closing, Effect
+from trimtab.host.effects.parameter import Parameter
 
 _SPEED_SQUARED_FLOOR = 1e-12  # keeps the derivative of |v| finite at rest; 1e-6 m/s of speed
 

@@ -12,7 +12,7 @@ from trimtab.host.base.errors import TrimtabError
 from trimtab.host.effects import flat_imports
 from trimtab.host.effects.effect import Effect
 
-_NOT_EFFECTS = {"__init__", "effect", "registry", "feedforward", "flat_imports", "unknowns"}
+_NOT_EFFECTS = {"__init__", "effect", "registry", "feedforward", "flat_imports", "parameter", "unknowns"}
 
 
 class EffectError(TrimtabError, ValueError):

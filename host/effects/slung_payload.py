@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.rotations import mat_t_vec
-from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.effect import Closing, Effect
+from trimtab.host.effects.parameter import Parameter
 
 _AIR = 0.023  # 1/m, drag of a cube of 6 cm and 100 g
 _TAUT = 20.0  # 1/s, at which the line's length comes back to what it is

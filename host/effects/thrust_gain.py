@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from trimtab.host.effects.effect import Closing, Effect, ExactAlias, Parameter
+from trimtab.host.effects.effect import Closing, Effect, ExactAlias
+from trimtab.host.effects.parameter import Parameter
 from trimtab.host.effects.unknowns import THRUST, THRUST_CURVE
 
 

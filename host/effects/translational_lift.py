@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from trimtab.host.effects.effect import Closing, Effect, Parameter
+from trimtab.host.effects.effect import Closing, Effect
+from trimtab.host.effects.parameter import Parameter
 from trimtab.host.effects.unknowns import THRUST
 
 

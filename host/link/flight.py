@@ -10,43 +10,35 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, LinkError, Refused, UsageError
-from trimtab.host.link.client import NEVER_US, Client
+from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, Refused, UsageError
 from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.flight_order import FlightEnd, FlightOrder
+from trimtab.host.link.flight_tasks import AwaitPoses, FollowFlight, Interrupted
+from trimtab.host.link.parameter_tasks import ReadParameters, SetParameter
 from trimtab.host.link.recorder import Recorder
 from trimtab.host.link.session import Session
-from trimtab.host.link.swap import Swap, SwapEnd
+from trimtab.host.link.swap import Swap
 from trimtab.host.link.tasks import (
-    PATIENCE_US,
     Command,
     FindVehicle,
     FreshStatus,
     Identity,
-    ReadParameters,
-    SetParameter,
     SettleClock,
     Task,
-    make_live,
 )
+from trimtab.host.link.upload_tasks import make_live
 from trimtab.host.link.whose import check_same_vehicle, neutral_feedforward
 from trimtab.host.log import LogError, LogWriter, Provenance, failsafe_name
-from trimtab.host.vehicle import Vehicle, to_parameters
+from trimtab.host.vehicle import to_parameters
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import FeedForward, Kind, Reference
-from trimtab.protocol.messages import Message, mavlink
+from trimtab.protocol.messages import mavlink
 from trimtab.protocol.parameters import differences, equal
 from trimtab.protocol.telemetry import TICK_US
 
 ARM_PATIENCE_US = 10_000_000
-SILENCE_US = 30_000_000
-"""A vehicle that lost its host lands by itself; after this long in silence it is given up."""
-STRAY_US = 2_000_000
-"""A status that was overtaken by arming still says standby; after this long standby is believed."""
-POSES_FIRST = 5
 PHASES = {
     mavlink.TRIMTAB_STATE_BOOT: "boot",
     mavlink.TRIMTAB_STATE_STANDBY: "standby",
@@ -60,141 +52,6 @@ PHASES = {
 }
 ON_REQUEST = "landing on request"
 """The phase after an interrupt, until the vehicle says that it lands."""
-_STANDBY = mavlink.TRIMTAB_STATE_STANDBY
-
-
-@dataclass(frozen=True, kw_only=True)
-class FlightOrder:
-    """What to fly, and where to log it.
-
-    Fields:
-        port, cameras: how messages call the vehicle's port and the camera system.
-        upload: send what is not live on board; otherwise that is an error.
-        as_flashed: fly with parameters on board that differ from the vehicle file.
-        parameters: set on board before the flight, over the vehicle file's; they stay there.
-        model_id: of the model the plan was made with. session: more for the log's provenance.
-        camera_delay_us: least time from exposure to arrival; None where host and cameras share a clock.
-        then: a reference to send in flight, which takes over `swap_us` after the first one's start.
-    """
-
-    vehicle: Vehicle
-    reference: Reference
-    log_path: Path
-    feedforward: FeedForward | None = None
-    port: str = "vehicle"
-    cameras: str = "the camera system"
-    upload: bool = True
-    as_flashed: bool = False
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    model_id: str | None = None
-    session: Mapping[str, str] = field(default_factory=dict)
-    camera_delay_us: int | None = None
-    then: Reference | None = None
-    swap_us: int = 0
-
-    def __post_init__(self) -> None:
-        for name, blob in (
-            ("reference", self.reference),
-            ("feed-forward", self.feedforward),
-            ("reference", self.then),
-        ):
-            if blob is not None and blob.vehicle_id != self.vehicle.id:
-                raise UsageError(
-                    f"the {name} {blob.id} was made for vehicle {blob.vehicle_id}, not for "
-                    f"{self.vehicle.name} ({self.vehicle.id}); plan it anew or give the right --vehicle"
-                )
-
-
-@dataclass(frozen=True, kw_only=True)
-class FlightEnd:
-    """How a flight ended: `whole` says that the reference was flown to its end, `failsafe` names why not.
-
-    swap: what became of the second reference, None where there was none.
-    """
-
-    whole: bool
-    failsafe: str | None
-    interrupted: bool
-    swap: SwapEnd | None = None
-
-
-class Interrupted(Exception):
-    """Somebody wants the flight to end; raised in the script by `FlightDirector.interrupt`."""
-
-
-class AwaitPoses(Task):
-    """Result: None once poses flow to the vehicle. Raises LinkError where none arrive."""
-
-    CHECK_US = 20_000
-
-    def __init__(self, session: Session, cameras: str) -> None:
-        super().__init__()
-        self._session = session
-        self._cameras = cameras
-
-    def begin(self, client: Client, now_us: int) -> None:
-        self._end_us = now_us + PATIENCE_US
-        self._first = self._session.forwarded
-        self.deadline_us = now_us + self.CHECK_US
-
-    def advance(self, client: Client, now_us: int) -> None:
-        if self._session.forwarded >= self._first + POSES_FIRST:
-            self.finish()
-        elif now_us >= self._end_us:
-            raise LinkError(f"{self._cameras}: no poses in {PATIENCE_US / 1e6:g} s; check that it sends here")
-        else:
-            self.deadline_us = now_us + self.CHECK_US
-
-
-class FollowFlight(Task):
-    """Result: the last FC_STATUS, in standby again. Raises LinkError after too long a silence."""
-
-    wants = (m.FcStatus, *Swap.wants)
-    CHECK_US = 500_000
-
-    def __init__(self, on_phase: Callable[[m.FcStatus], None], swap: Swap | None) -> None:
-        super().__init__()
-        self._on_phase = on_phase
-        self._swap = swap
-        self._armed = False
-
-    def begin(self, client: Client, now_us: int) -> None:
-        self._begin_us = now_us
-        self._check_us = now_us + self.CHECK_US
-        self._wake()
-
-    def _wake(self) -> None:
-        swap_us = NEVER_US if self._swap is None else self._swap.deadline_us
-        self.deadline_us = min(self._check_us, swap_us)
-
-    def receive(self, client: Client, message: Message, now_us: int) -> None:
-        if not isinstance(message, m.FcStatus):
-            if self._swap is not None:
-                self._swap.receive(client, message, now_us)
-                self._wake()
-            return
-        if self._swap is not None:
-            self._swap.status(client, message, now_us)
-            self._wake()
-        self._on_phase(message)
-        if message.state > _STANDBY:
-            self._armed = True
-        elif self._armed or now_us - self._begin_us > STRAY_US:
-            self.finish(message)
-
-    def advance(self, client: Client, now_us: int) -> None:
-        if self._swap is not None and now_us >= self._swap.deadline_us:
-            self._swap.advance(client, now_us)
-        if now_us < self._check_us:
-            self._wake()
-            return
-        heard_us = self._begin_us if client.heard_us is None else client.heard_us
-        if now_us - heard_us >= SILENCE_US:
-            raise LinkError(
-                f"the vehicle has been silent for {SILENCE_US / 1e6:g} s; it lands by itself, go and see"
-            )
-        self._check_us = now_us + self.CHECK_US
-        self._wake()
 
 
 class FlightDirector:

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator
 
 from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, TrimtabError
 from trimtab.host.link.drivers import DriveStatistics, Interrupts, run_lockstep, run_port
-from trimtab.host.link.flight import FlightDirector, FlightOrder
+from trimtab.host.link.flight import FlightDirector
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.ports import Cameras, open_port
 from trimtab.host.link.summary import FlightResult, summarise
 from trimtab.host.link.vehicle import Vehicle

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.host.link.drivers import DriveStatistics
-from trimtab.host.link.flight import FlightDirector, FlightEnd
+from trimtab.host.link.flight import FlightDirector
+from trimtab.host.link.flight_order import FlightEnd
 from trimtab.host.log import Flight, link_report, read_flight, topics
 from trimtab.host.log.tracking import tracking_error
 

@@ -6,20 +6,13 @@ raises one of `trimtab.host.base.errors` out of `receive` or `advance`.
 
 from __future__ import annotations
 
-from collections.abc import Generator
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any
 
 from trimtab.host.base.errors import LinkError, Refused
 from trimtab.host.link.client import NEVER_US, Client
 from trimtab.protocol import messages as m
-from trimtab.protocol.blobs import Blob
-from trimtab.protocol.messages import Message, UploadState, mavlink
-from trimtab.protocol.parameter_wire import decode, encode, type_of
-from trimtab.protocol.parameters import BY_NAME, NAME_MAX, equal, float32
-from trimtab.protocol.upload import SenderState, UploadSender
-from trimtab.protocol.upload.transfer import tag_of
+from trimtab.protocol.messages import Message, mavlink
 
 PATIENCE_US = 5_000_000
 RETRY_US = 300_000
@@ -147,93 +140,6 @@ class FindVehicle(Task):
         return f"no vehicle, nothing was received in {seconds}; check the port and that the vehicle is on"
 
 
-class ReadParameters(Task):
-    """Result: all parameters on board by name. Raises LinkError where they do not arrive."""
-
-    wants = (m.ParamValue,)
-
-    def __init__(self, patience_us: int = PATIENCE_US) -> None:
-        super().__init__()
-        self._patience_us = patience_us
-        self._values: dict[int, tuple[str, float]] = {}
-        self._count: int | None = None
-        self._progress_us = 0
-
-    def begin(self, client: Client, now_us: int) -> None:
-        self._progress_us = now_us
-        self._list(client, now_us)
-
-    def _list(self, client: Client, now_us: int) -> None:
-        client.send(m.ParamRequestList(*m.VEHICLE))
-        self.deadline_us = now_us + RETRY_US
-
-    def receive(self, client: Client, message: Message, now_us: int) -> None:
-        assert isinstance(message, m.ParamValue)
-        if message.param_index >= message.param_count:
-            return
-        self._count = message.param_count
-        if message.param_index not in self._values:
-            self._progress_us = now_us
-        self._values[message.param_index] = (message.param_id, _value(message))
-        # While the list flows nothing is asked again.
-        self.deadline_us = now_us + RETRY_US
-        if len(self._values) == self._count:
-            self.finish(dict(self._values[index] for index in sorted(self._values)))
-
-    def advance(self, client: Client, now_us: int) -> None:
-        if now_us - self._progress_us >= self._patience_us:
-            what = "none" if self._count is None else f"{len(self._values)} of {self._count}"
-            raise LinkError(f"the vehicle's parameters do not arrive ({what} did); check the link")
-        if self._count is None:
-            self._list(client, now_us)
-            return
-        missing = [index for index in range(self._count) if index not in self._values]
-        for index in missing[:8]:
-            client.send(m.ParamRequestRead(*m.VEHICLE, b"", index))
-        self.deadline_us = now_us + RETRY_US
-
-
-class SetParameter(Task):
-    """Result: the value on board. Raises Refused where the vehicle keeps another, LinkError on silence.
-
-    Values are the same where they are in float32. ValueError where it is not finite, or no whole number where
-    the table asks for one.
-    """
-
-    wants = (m.ParamValue,)
-
-    def __init__(self, name: str, value: float, attempts: int = 10) -> None:
-        super().__init__()
-        if not 0 < len(name) <= NAME_MAX or not name.isascii():
-            raise ValueError(f"a parameter's name has 1 to {NAME_MAX} ASCII characters, not {name!r}")
-        self._name = name
-        self._value = float32(value)
-        self._type = type_of(BY_NAME.get(name))
-        self._raw = encode(self._value, self._type)
-        self._attempts = attempts
-
-    def begin(self, client: Client, now_us: int) -> None:
-        self._said = client.said
-        self.advance(client, now_us)
-
-    def advance(self, client: Client, now_us: int) -> None:
-        if self._attempts == 0:
-            raise LinkError(f"{self._name} was set but the vehicle does not answer; check the link")
-        self._attempts -= 1
-        client.send(m.ParamSet(*m.VEHICLE, self._name.encode(), self._raw, self._type))
-        self.deadline_us = now_us + RETRY_US
-
-    def receive(self, client: Client, message: Message, now_us: int) -> None:
-        assert isinstance(message, m.ParamValue)
-        if message.param_id != self._name:
-            return
-        value = _value(message)
-        if not isfinite(value) or not equal(value, self._value):
-            said = " ".join(client.said_since(self._said))
-            raise Refused(f"{self._name} stays {value:g} on board" + (f" ({said})" if said else ""))
-        self.finish(value)
-
-
 class Command(Task):
     """Result: None once the vehicle accepted. Raises Refused with the vehicle's words, LinkError on silence.
 
@@ -297,86 +203,6 @@ class Command(Task):
         return (reasons or said or [f"its reason was lost on the way, result {self._refused}"])[-1]
 
 
-class SendBlob(Task):
-    """Result: the UploadSender once the blob is live. Raises Refused, or LinkError on silence."""
-
-    wants = (m.UploadStatus, m.UploadVerdict)
-
-    def __init__(self, blob: bytes, kind: int, *, what: str) -> None:
-        super().__init__()
-        self.sender = UploadSender(blob, kind)
-        self._what = what
-
-    def begin(self, client: Client, now_us: int) -> None:
-        self._pump(client, now_us)
-
-    def receive(self, client: Client, message: Message, now_us: int) -> None:
-        if self.sender.receive(message, now_us):
-            self._pump(client, now_us)
-
-    def advance(self, client: Client, now_us: int) -> None:
-        self.sender.advance(now_us)
-        self._pump(client, now_us)
-
-    def _pump(self, client: Client, now_us: int) -> None:
-        for message in self.sender.send(now_us):
-            client.send(message)
-        if self.sender.state is SenderState.DONE:
-            self.finish(self.sender)
-        elif self.sender.over:
-            if self.sender.silent:
-                raise LinkError(f"{self._what}: {self.sender.reason}; check the link and send it again")
-            raise Refused(f"{self._what}: {self.sender.reason.strip()}")
-        else:
-            self.deadline_us = self.sender.next_deadline_us() or now_us
-
-
-class AbortBlob(Task):
-    """Result: None once the vehicle holds nothing of the blob any more, or does not say so."""
-
-    wants = (m.UploadStatus,)
-
-    def __init__(self, sender: UploadSender, attempts: int = 5) -> None:
-        super().__init__()
-        self._sender = sender
-        self._attempts = attempts
-        self._messages: list[Message] = []
-
-    def begin(self, client: Client, now_us: int) -> None:
-        self._sender.cancel(now_us)
-        self._messages = self._sender.send(now_us)
-        self.advance(client, now_us)
-
-    def advance(self, client: Client, now_us: int) -> None:
-        if self._attempts == 0 or not self._messages:  # nothing to abort where the upload was over
-            self.finish()
-            return
-        self._attempts -= 1
-        for message in self._messages:
-            client.send(message)
-        self.deadline_us = now_us + RETRY_US
-
-    def receive(self, client: Client, message: Message, now_us: int) -> None:
-        assert isinstance(message, m.UploadStatus)
-        if message.tag == tag_of(self._sender.digest) and message.state in (
-            UploadState.IDLE,
-            UploadState.LIVE,
-        ):
-            self.finish()
-
-
-def make_live(blob: Blob, what: str) -> Generator[Task, Any, UploadSender]:
-    """Yield the sender of a blob that is live now, for scripts; at Ctrl-C the vehicle is told to forget
-    it.
-    """
-    task = SendBlob(blob.to_bytes(), blob.KIND, what=what)
-    try:
-        return (yield task)
-    except KeyboardInterrupt:
-        yield AbortBlob(task.sender)
-        raise
-
-
 class FreshStatus(Task):
     """Result: the first FC_STATUS of a vehicle that has booted. Raises LinkError where none arrives."""
 
@@ -411,17 +237,6 @@ class SettleClock(Task):
             raise LinkError("the vehicle does not answer TIMESYNC; check the link")
         else:
             self.deadline_us = now_us + self.CHECK_US
-
-
-def _value(message: m.ParamValue) -> float:
-    """Return the value that a PARAM_VALUE stands for.
-
-    Raises LinkError where its type is none that we know.
-    """
-    try:
-        return decode(message.param_value, message.param_type)
-    except ValueError as error:
-        raise LinkError(f"{message.param_id} comes in a type we do not know ({error})") from None
 
 
 def _command(number: int, parameters: tuple[float, ...] = (), confirmation: int = 0) -> Message:

@@ -12,7 +12,8 @@ from trimtab.host.link.download import NAMES, id_on_board, read_back
 from trimtab.host.link.drivers import run_lockstep, run_port
 from trimtab.host.link.ports import open_port
 from trimtab.host.link.session import Session
-from trimtab.host.link.tasks import FindVehicle, FreshStatus, Identity, Task, make_live
+from trimtab.host.link.tasks import FindVehicle, FreshStatus, Identity, Task
+from trimtab.host.link.upload_tasks import make_live
 from trimtab.host.link.vehicle import Vehicle
 from trimtab.host.link.whose import check_same_vehicle, neutral_feedforward
 from trimtab.protocol import messages as m

@@ -4,6 +4,7 @@ from trimtab.host.log.errors import LogError
 from trimtab.host.log.flight import read_flight
 from trimtab.host.log.imported import write_imported
 from trimtab.host.log.info import describe, to_lines
+from trimtab.host.log.provenance import Provenance
 from trimtab.host.log.recover import Recovery, recover
 from trimtab.host.log.topics import FLIGHT_TOPICS, IMPORTED_TOPICS, Topic
 from trimtab.host.log.tracks import (
@@ -20,7 +21,7 @@ from trimtab.host.log.tracks import (
     Status,
     failsafe_name,
 )
-from trimtab.host.log.writer import LogWriter, Provenance, partial_path
+from trimtab.host.log.writer import LogWriter, partial_path
 
 __all__ = [
     "FAILSAFE_WORDS",

@@ -1,21 +1,24 @@
-"""Writes the log of a flight that other people recorded, from arrays."""
+"""Write the log of a flight that other people recorded, from arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from itertools import count
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from trimtab.host.log import topics
+from trimtab.host.log.provenance import Provenance
 from trimtab.host.log.tracks import Battery, Mocap, RecordedImu, RecordedInputs
-from trimtab.host.log.writer import LogWriter, Provenance
+from trimtab.host.log.writer import LogWriter
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.generated import flight_pb2
 
 DISPLAY_INTERVAL_US = 50_000
+
+_Row = tuple[int, int, str, Any]
+"""Log time, publish time (us), topic and message."""
 
 
 def write_imported(
@@ -29,36 +32,45 @@ def write_imported(
     tracking_us: tuple[int, int] | None = None,
     session: Mapping[str, str] | None = None,
 ) -> dict[str, int]:
-    """Write the log at `path`; the number of messages a topic.
+    """Write the log at `path`; return the number of messages of each topic.
 
-    All times are us from the flight's first sample, on one clock, none negative. `tracking_us` is the part
-    that learning and tracing use, the whole of the poses unless given. `session` says where the data came
-    from: its entries go into the log's provenance.
+    All times are us from the flight's first sample, on one clock, none negative. tracking_us: the part that
+    learning and tracing use; all poses by default. session: origin of the data, for the log's provenance.
     """
     start_us, end_us = tracking_us or (int(mocap.t_us[0]), int(mocap.t_us[-1]))
     if not 0 <= start_us < end_us:
         raise ValueError(f"tracking from {start_us} to {end_us} us is no interval after the first sample")
-    given = [track for track in (mocap, inputs, imu, battery) if track is not None]
-    first_us = min(int(track.t_us[0]) for track in given)
+    first_us = min(int(track.t_us[0]) for track in (mocap, inputs, imu, battery) if track is not None)
     if first_us < 0:
         raise ValueError(f"a sample lies {-first_us} us before the start; shift the times")
-    told = {**(session or {}), "tracking_us": f"{start_us} {end_us}"}
+    metadata = {**(session or {}), "tracking_us": f"{start_us} {end_us}"}
     if inputs is not None:
-        told["input_level"] = inputs.level
-    order = count()
-    rows: list[tuple[int, int, int, str, Any]] = []
+        metadata["input_level"] = inputs.level
+    rows = [*_poses(mocap), *_inputs(inputs), *_imu(imu), *_battery(battery)]
+    counts: dict[str, int] = {}
+    provenance = Provenance(vehicle=vehicle, kind="imported", session=metadata)
+    shown_us = -DISPLAY_INTERVAL_US
+    with LogWriter(path, provenance, topics.IMPORTED_TOPICS) as writer:
+        for log_us, publish_us, topic, message in sorted(rows, key=lambda row: row[0]):
+            writer.write(topic, message, log_us, publish_us)
+            counts[topic] = counts.get(topic, 0) + 1
+            if topic == topics.MOCAP_POSE and publish_us >= shown_us + DISPLAY_INTERVAL_US:
+                shown_us = publish_us
+                writer.display(topics.DISPLAY_POSE, log_us, publish_us, message.p_ned_m, message.q_ned_frd)
+                counts[topics.DISPLAY_POSE] = counts.get(topics.DISPLAY_POSE, 0) + 1
+    return counts
 
-    def add(topic: str, log_us: int, publish_us: int, message: Any) -> None:
-        rows.append((log_us, next(order), publish_us, topic, message))
 
-    for k, (t_us, arrival_us) in enumerate(
-        zip(mocap.t_us.tolist(), mocap.t_arrival_us.tolist(), strict=True)
-    ):
+def _poses(mocap: Mocap) -> Iterator[_Row]:
+    arrivals = zip(mocap.t_us.tolist(), mocap.t_arrival_us.tolist(), strict=True)
+    for k, (t_us, arrival_us) in enumerate(arrivals):
         pose = flight_pb2.MocapPose(source_us=t_us, p_ned_m=mocap.p[k], q_ned_frd=mocap.q[k])
-        add(topics.MOCAP_POSE, arrival_us, t_us, pose)
+        yield arrival_us, t_us, topics.MOCAP_POSE, pose
+
+
+def _inputs(inputs: RecordedInputs | None) -> Iterator[_Row]:
     if inputs is not None:
-        _add_rows(
-            add,
+        yield from _rows(
             topics.RECORDED_INPUTS,
             flight_pb2.RecordedInputs,
             inputs.t_us,
@@ -70,40 +82,31 @@ def write_imported(
             a_ref_ned_m_s2=inputs.a_ref,
             yaw_ref_rad=inputs.yaw_ref,
         )
+
+
+def _imu(imu: RecordedImu | None) -> Iterator[_Row]:
     if imu is not None:
-        _add_rows(
-            add,
+        yield from _rows(
             topics.RECORDED_IMU,
             flight_pb2.RecordedImu,
             imu.t_us,
             gyro_rad_s=imu.gyro,
             specific_force_m_s2=imu.specific_force,
         )
+
+
+def _battery(battery: Battery | None) -> Iterator[_Row]:
     if battery is not None:
         for t_us, volt in zip(battery.t_us.tolist(), battery.battery_v.tolist(), strict=True):
             message = flight_pb2.RecordedBattery(source_us=t_us, battery_v=volt)
-            add(topics.RECORDED_BATTERY, t_us, t_us, message)
-
-    counts: dict[str, int] = {}
-    provenance = Provenance(vehicle=vehicle, kind="imported", session=told)
-    shown_us = -DISPLAY_INTERVAL_US
-    with LogWriter(path, provenance, topics.IMPORTED_TOPICS) as writer:
-        for log_us, _, publish_us, topic, message in sorted(rows, key=lambda row: row[:2]):
-            writer.write(topic, message, log_us, publish_us)
-            counts[topic] = counts.get(topic, 0) + 1
-            if topic == topics.MOCAP_POSE and publish_us >= shown_us + DISPLAY_INTERVAL_US:
-                shown_us = publish_us
-                writer.display(topics.DISPLAY_POSE, log_us, publish_us, message.p_ned_m, message.q_ned_frd)
-                counts[topics.DISPLAY_POSE] = counts.get(topics.DISPLAY_POSE, 0) + 1
-    return counts
+            yield t_us, t_us, topics.RECORDED_BATTERY, message
 
 
-def _add_rows(add: Any, topic: str, kind: Any, t_us: np.ndarray, **fields: np.ndarray | None) -> None:
-    """Add one message a row with every field that is there."""
+def _rows(topic: str, kind: Any, t_us: np.ndarray, **fields: np.ndarray | None) -> Iterator[_Row]:
+    """Yield one message for each row, with every field that is not None."""
     columns = {
         name: values.reshape(len(t_us), -1).tolist() for name, values in fields.items() if values is not None
     }
     for k, stamp_us in enumerate(t_us.tolist()):
-        add(
-            topic, stamp_us, stamp_us, kind(source_us=stamp_us, **{n: rows[k] for n, rows in columns.items()})
-        )
+        message = kind(source_us=stamp_us, **{name: rows[k] for name, rows in columns.items()})
+        yield stamp_us, stamp_us, topic, message

@@ -10,8 +10,8 @@ from typing import Any
 from trimtab.host.log.errors import LogError
 from trimtab.host.log.flight import to_flight
 from trimtab.host.log.mcap_file import McapFile
-from trimtab.host.log.scan import find_damaged, scan
-from trimtab.host.log.writer import PROVENANCE
+from trimtab.host.log.provenance import PROVENANCE
+from trimtab.host.log.scan import Scan, find_damaged, scan
 
 SUFFIX = ".recovered.mcap"
 
@@ -46,71 +46,66 @@ def default_output(path: Path) -> Path:
 
 
 def recover(path: Path, output: Path | None = None) -> Recovery:
-    """Every whole chunk of the file at `path`, written anew with its provenance to `output`.
+    """Write every whole chunk of the file at `path`, with its provenance, to `output`.
 
-    The file at `path` stays as it is, and `output` appears whole or not at all.
-
-    Raises LogError where the file holds no whole chunk, or what there is makes no flight.
+    The file at `path` stays as it is. `output` appears whole or not at all. Raises LogError if the file has
+    no whole chunk, or if its chunks make no flight.
     """
     source = find_damaged(path)
-    found = scan(source)
-    times = [message.log_time_us for message in found.messages]
-    duration_s = (max(times) - min(times)) * 1e-6 if times else 0.0
-    if found.whole:
-        return Recovery(
-            source=source,
-            output=None,
-            messages=len(times),
-            chunks=found.chunks,
-            duration_s=duration_s,
-            damage="",
-        )
-    if not times or PROVENANCE not in found.metadata:
-        raise LogError(f"{source}: cut before its first whole chunk, nothing is left to recover; fly again")
-    to_flight(found)
-    target = output or default_output(source)
+    records = scan(source)
+    times = [message.log_time_us for message in records.messages]
+    target = None
+    if not records.whole:
+        if not times or PROVENANCE not in records.metadata:
+            raise LogError(
+                f"{source}: cut before its first whole chunk, nothing is left to recover; fly again"
+            )
+        to_flight(records)
+        target = output or default_output(source)
+        _write_atomic(records, target)
+    return Recovery(
+        source=source,
+        output=target,
+        messages=len(times),
+        chunks=records.chunks,
+        duration_s=(max(times) - min(times)) * 1e-6 if times else 0.0,
+        damage="" if records.whole else records.damage,
+    )
+
+
+def _write_atomic(records: Scan, target: Path) -> None:
+    """Write the records to `target`, whole or not at all. Raises LogError."""
     growing = target.with_name(target.name + ".recovering")
     try:
         with growing.open("wb") as stream:
-            writer = McapFile(stream)
-            for name, entries in found.metadata.items():
-                writer.add_metadata(name, entries)
-            writer.add_metadata("recovery", {"damage": found.damage, "bytes": str(found.size)})
-            for name, (media_type, data) in found.attachments.items():
-                writer.add_attachment(name, media_type, data)
-            schemas = {
-                number: writer.add_schema(schema.name, schema.data, schema.encoding)
-                for number, schema in found.schemas.items()
-            }
-            channels = {
-                number: writer.add_channel(
-                    channel.topic,
-                    schemas.get(channel.schema_id, 0),
-                    channel.metadata,
-                    channel.message_encoding,
-                )
-                for number, channel in found.channels.items()
-            }
-            for entry in found.messages:
-                writer.add_message(
-                    channels[entry.channel_id],
-                    entry.log_time_us,
-                    entry.publish_time_us,
-                    entry.data,
-                    entry.sequence,
-                )
-            writer.finish()
+            _write(records, McapFile(stream))
         growing.replace(target)
     except OSError as error:
         raise LogError(f"{target}: cannot be written ({error.strerror}), give another -o") from error
     finally:
         with contextlib.suppress(OSError):
             growing.unlink()
-    return Recovery(
-        source=source,
-        output=target,
-        messages=len(times),
-        chunks=found.chunks,
-        duration_s=duration_s,
-        damage=found.damage,
-    )
+
+
+def _write(records: Scan, writer: McapFile) -> None:
+    """Write the records, and what was recovered, to an MCAP file."""
+    for name, entries in records.metadata.items():
+        writer.add_metadata(name, entries)
+    writer.add_metadata("recovery", {"damage": records.damage, "bytes": str(records.size)})
+    for name, (media_type, data) in records.attachments.items():
+        writer.add_attachment(name, media_type, data)
+    schemas = {
+        number: writer.add_schema(schema.name, schema.data, schema.encoding)
+        for number, schema in records.schemas.items()
+    }
+    channels = {
+        number: writer.add_channel(
+            channel.topic, schemas.get(channel.schema_id, 0), channel.metadata, channel.message_encoding
+        )
+        for number, channel in records.channels.items()
+    }
+    for entry in records.messages:
+        writer.add_message(
+            channels[entry.channel_id], entry.log_time_us, entry.publish_time_us, entry.data, entry.sequence
+        )
+    writer.finish()

@@ -16,7 +16,7 @@ import numpy as np
 
 from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import Effect, Parameter
-from trimtab.host.effects.effect import LOOP_DISCREPANCY
+from trimtab.host.effects.parameter import LOOP_DISCREPANCY
 from trimtab.host.effects.unknowns import MOUNTING_TILT, THRUST_CURVE, TORQUE, UNKNOWN
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior

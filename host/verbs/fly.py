@@ -14,7 +14,7 @@ from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, Veh
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trimtab.host.link.flight import FlightOrder
+    from trimtab.host.link.flight_order import FlightOrder
     from trimtab.host.link.summary import FlightResult
 
 CAMERA_DELAY_MS = 4.0
@@ -148,7 +148,7 @@ def _order(reference: Path, options: FlyOptions) -> FlightOrder:
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
     from trimtab.host.link.blob_files import model_of, read_feedforward, read_reference
-    from trimtab.host.link.flight import FlightOrder
+    from trimtab.host.link.flight_order import FlightOrder
     from trimtab.host.link.swap import swap_time_us
     from trimtab.host.workspace import open_workspace
 

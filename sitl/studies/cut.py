@@ -24,8 +24,8 @@ from trimtab.host.log import (
     write_imported,
 )
 from trimtab.host.log.flight import scan_closed, to_flight
+from trimtab.host.log.provenance import PROVENANCE
 from trimtab.host.log.scan import Entry
-from trimtab.host.log.writer import PROVENANCE
 from trimtab.host.vehicle import Vehicle
 
 _Rows = TypeVar("_Rows", Battery, Control, Mocap)

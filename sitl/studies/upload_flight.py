@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.vehicle import load_vehicle

@@ -21,7 +21,7 @@ from trimtab.host.imports.profiles import PROFILES
 from trimtab.host.imports.recording import Unknown
 from trimtab.host.imports.write import DECLARED_MASS_SIGMA
 from trimtab.host.link.client import TIMESYNC_FIRST_US, TIMESYNC_US
-from trimtab.host.link.flight import SILENCE_US
+from trimtab.host.link.flight_tasks import SILENCE_US
 from trimtab.host.link.tasks import PATIENCE_US
 from trimtab.host.log import FLIGHT_TOPICS, IMPORTED_TOPICS
 from trimtab.host.trace.decision.findings import Verdict

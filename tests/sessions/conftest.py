@@ -13,7 +13,7 @@ import pytest
 
 from trimtab.host import cli
 from trimtab.host.base import output
-from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.vehicle import vehicle_class

@@ -16,11 +16,13 @@ import pytest
 from trimtab.host.base.errors import LinkError, Refused, UsageError
 from trimtab.host.link import fly as fly_module
 from trimtab.host.link.drivers import run_lockstep
-from trimtab.host.link.flight import FlightDirector, FlightOrder
+from trimtab.host.link.flight import FlightDirector
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.fly import FlightEnded, FlightInterrupted, fly_lockstep
+from trimtab.host.link.parameter_tasks import SetParameter
 from trimtab.host.link.session import Session
 from trimtab.host.link.summary import FlightResult
-from trimtab.host.link.tasks import FreshStatus, SetParameter
+from trimtab.host.link.tasks import FreshStatus
 from trimtab.host.link.upload import upload_lockstep
 from trimtab.host.link.whose import neutral_feedforward
 from trimtab.host.log import Flight, LogError, describe, read_flight, recover, topics

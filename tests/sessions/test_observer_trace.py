@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from trimtab.host.effects import load_effects
-from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.trace.data.signals import FlightData

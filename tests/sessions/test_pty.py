@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.fly import fly_port
 from trimtab.host.link.upload import upload_port
 from trimtab.host.log import read_flight

@@ -20,7 +20,7 @@ from scipy.interpolate import make_interp_spline
 
 from trimtab.host.codegen import find_compiler
 from trimtab.host.codegen.compiler import ENGINE_VARIABLE
-from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.upload import upload_lockstep
 from trimtab.host.link.vehicle import vehicle_class

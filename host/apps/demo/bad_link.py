@@ -17,7 +17,7 @@ import numpy as np
 from trimtab.host.apps.demo.plans import plan_first
 from trimtab.host.apps.demo.routes import draw_routes
 from trimtab.host.apps.demo.seeds import host_seed, world_seed
-from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.fly import FlightEnded, fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.vehicle import vehicle_class

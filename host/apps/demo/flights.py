@@ -16,7 +16,7 @@ from typing import Any
 
 from trimtab.host.base import artefacts
 from trimtab.host.base.errors import FlightFailed
-from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.fly import FlightEnded, fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.upload import UploadResult, upload_port

@@ -15,8 +15,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from trimtab.host.log.provenance import PROVENANCE
 from trimtab.host.log.scan import scan
-from trimtab.host.log.writer import PROVENANCE
 from trimtab.protocol import blobs
 from trimtab.sitl.studies.equivalence.inputs import REAL_GROUPS, TraceCase, make_worlds, world_cases
 

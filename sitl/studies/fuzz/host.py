@@ -16,17 +16,11 @@ from typing import Any
 from trimtab.host.base.errors import SESSION_ERRORS
 from trimtab.host.link.client import Client
 from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.parameter_tasks import ReadParameters, SetParameter
 from trimtab.host.link.recorder import Recorder
 from trimtab.host.link.session import Script, Session
-from trimtab.host.link.tasks import (
-    Command,
-    FindVehicle,
-    FreshStatus,
-    ReadParameters,
-    SendBlob,
-    SetParameter,
-    SettleClock,
-)
+from trimtab.host.link.tasks import Command, FindVehicle, FreshStatus, SettleClock
+from trimtab.host.link.upload_tasks import SendBlob
 from trimtab.host.log import LogWriter, Provenance
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Kind, Reference

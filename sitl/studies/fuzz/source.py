@@ -9,7 +9,7 @@ from pathlib import Path
 
 from trimtab.firmware_model.law.reference import septic
 from trimtab.firmware_model.storage.store import ReferenceStore
-from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.route import list_routes
 from trimtab.host.vehicle import Vehicle, list_vehicles, load_vehicle

@@ -16,7 +16,7 @@ from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, Judged, Learned
 from trimtab.host.learn.candidates import Trial
 from trimtab.host.learn.evaluate import Errors
 from trimtab.host.learn.train import Trained
-from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.log.errors import TooLittleData

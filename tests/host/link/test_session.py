@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from trimtab.host.link.client import Client
 from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.parameter_tasks import ReadParameters
 from trimtab.host.link.session import Session
-from trimtab.host.link.tasks import FindVehicle, ReadParameters, SettleClock, Task
+from trimtab.host.link.tasks import FindVehicle, SettleClock, Task
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
 

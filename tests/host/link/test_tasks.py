@@ -9,19 +9,10 @@ from typing import Any
 import pytest
 
 from trimtab.host.base.errors import LinkError, Refused
+from trimtab.host.link.parameter_tasks import ReadParameters, SetParameter
 from trimtab.host.link.session import Script, Session
-from trimtab.host.link.tasks import (
-    Command,
-    FindVehicle,
-    FreshStatus,
-    Identity,
-    ReadParameters,
-    SendBlob,
-    SetParameter,
-    SettleClock,
-    Task,
-    make_live,
-)
+from trimtab.host.link.tasks import Command, FindVehicle, FreshStatus, Identity, SettleClock, Task
+from trimtab.host.link.upload_tasks import SendBlob, make_live
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Kind, Node, Reference
 from trimtab.protocol.codec import Codec

@@ -11,7 +11,7 @@ import pytest
 
 from trimtab.host.effects import load_effects
 from trimtab.host.learn.evaluate import predict, whole_flights
-from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.log import Flight, read_flight

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from trimtab.host.effects import Closing, Effect, ExactAlias
-from trimtab.host.effects.effect import Parameter
+from trimtab.host.effects.parameter import Parameter
 from trimtab.host.log import Battery, Flight, Mocap
 from trimtab.host.models.model import Model
 from trimtab.host.trace.data.segments import Segments

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from trimtab.host.effects import load_effects
-from trimtab.host.link.flight import FlightOrder
+from trimtab.host.link.flight_order import FlightOrder
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight

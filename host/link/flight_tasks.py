@@ -1,0 +1,102 @@
+"""Tasks that await poses and follow a flight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from trimtab.host.base.errors import LinkError
+from trimtab.host.link.client import NEVER_US, Client
+from trimtab.host.link.session import Session
+from trimtab.host.link.swap import Swap
+from trimtab.host.link.tasks import (
+    PATIENCE_US,
+    Task,
+)
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import Message, mavlink
+
+POSES_FIRST = 5
+SILENCE_US = 30_000_000
+"""A vehicle that lost its host lands by itself; after this long in silence it is given up."""
+STRAY_US = 2_000_000
+"""A status that was overtaken by arming still says standby; after this long standby is believed."""
+_STANDBY = mavlink.TRIMTAB_STATE_STANDBY
+
+
+class Interrupted(Exception):
+    """Somebody wants the flight to end; raised in the script by `FlightDirector.interrupt`."""
+
+
+class AwaitPoses(Task):
+    """Result: None once poses flow to the vehicle. Raises LinkError where none arrive."""
+
+    CHECK_US = 20_000
+
+    def __init__(self, session: Session, cameras: str) -> None:
+        super().__init__()
+        self._session = session
+        self._cameras = cameras
+
+    def begin(self, client: Client, now_us: int) -> None:
+        self._end_us = now_us + PATIENCE_US
+        self._first = self._session.forwarded
+        self.deadline_us = now_us + self.CHECK_US
+
+    def advance(self, client: Client, now_us: int) -> None:
+        if self._session.forwarded >= self._first + POSES_FIRST:
+            self.finish()
+        elif now_us >= self._end_us:
+            raise LinkError(f"{self._cameras}: no poses in {PATIENCE_US / 1e6:g} s; check that it sends here")
+        else:
+            self.deadline_us = now_us + self.CHECK_US
+
+
+class FollowFlight(Task):
+    """Result: the last FC_STATUS, in standby again. Raises LinkError after too long a silence."""
+
+    wants = (m.FcStatus, *Swap.wants)
+    CHECK_US = 500_000
+
+    def __init__(self, on_phase: Callable[[m.FcStatus], None], swap: Swap | None) -> None:
+        super().__init__()
+        self._on_phase = on_phase
+        self._swap = swap
+        self._armed = False
+
+    def begin(self, client: Client, now_us: int) -> None:
+        self._begin_us = now_us
+        self._check_us = now_us + self.CHECK_US
+        self._wake()
+
+    def _wake(self) -> None:
+        swap_us = NEVER_US if self._swap is None else self._swap.deadline_us
+        self.deadline_us = min(self._check_us, swap_us)
+
+    def receive(self, client: Client, message: Message, now_us: int) -> None:
+        if not isinstance(message, m.FcStatus):
+            if self._swap is not None:
+                self._swap.receive(client, message, now_us)
+                self._wake()
+            return
+        if self._swap is not None:
+            self._swap.status(client, message, now_us)
+            self._wake()
+        self._on_phase(message)
+        if message.state > _STANDBY:
+            self._armed = True
+        elif self._armed or now_us - self._begin_us > STRAY_US:
+            self.finish(message)
+
+    def advance(self, client: Client, now_us: int) -> None:
+        if self._swap is not None and now_us >= self._swap.deadline_us:
+            self._swap.advance(client, now_us)
+        if now_us < self._check_us:
+            self._wake()
+            return
+        heard_us = self._begin_us if client.heard_us is None else client.heard_us
+        if now_us - heard_us >= SILENCE_US:
+            raise LinkError(
+                f"the vehicle has been silent for {SILENCE_US / 1e6:g} s; it lands by itself, go and see"
+            )
+        self._check_us = now_us + self.CHECK_US
+        self._wake()

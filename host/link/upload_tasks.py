@@ -1,0 +1,95 @@
+"""Tasks that upload a blob and make it live."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import Any
+
+from trimtab.host.base.errors import LinkError, Refused
+from trimtab.host.link.client import Client
+from trimtab.host.link.tasks import RETRY_US, Task
+from trimtab.protocol import messages as m
+from trimtab.protocol.blobs import Blob
+from trimtab.protocol.messages import Message, UploadState
+from trimtab.protocol.upload import SenderState, UploadSender
+from trimtab.protocol.upload.transfer import tag_of
+
+
+class SendBlob(Task):
+    """Result: the UploadSender once the blob is live. Raises Refused, or LinkError on silence."""
+
+    wants = (m.UploadStatus, m.UploadVerdict)
+
+    def __init__(self, blob: bytes, kind: int, *, what: str) -> None:
+        super().__init__()
+        self.sender = UploadSender(blob, kind)
+        self._what = what
+
+    def begin(self, client: Client, now_us: int) -> None:
+        self._pump(client, now_us)
+
+    def receive(self, client: Client, message: Message, now_us: int) -> None:
+        if self.sender.receive(message, now_us):
+            self._pump(client, now_us)
+
+    def advance(self, client: Client, now_us: int) -> None:
+        self.sender.advance(now_us)
+        self._pump(client, now_us)
+
+    def _pump(self, client: Client, now_us: int) -> None:
+        for message in self.sender.send(now_us):
+            client.send(message)
+        if self.sender.state is SenderState.DONE:
+            self.finish(self.sender)
+        elif self.sender.over:
+            if self.sender.silent:
+                raise LinkError(f"{self._what}: {self.sender.reason}; check the link and send it again")
+            raise Refused(f"{self._what}: {self.sender.reason.strip()}")
+        else:
+            self.deadline_us = self.sender.next_deadline_us() or now_us
+
+
+class AbortBlob(Task):
+    """Result: None once the vehicle holds nothing of the blob any more, or does not say so."""
+
+    wants = (m.UploadStatus,)
+
+    def __init__(self, sender: UploadSender, attempts: int = 5) -> None:
+        super().__init__()
+        self._sender = sender
+        self._attempts = attempts
+        self._messages: list[Message] = []
+
+    def begin(self, client: Client, now_us: int) -> None:
+        self._sender.cancel(now_us)
+        self._messages = self._sender.send(now_us)
+        self.advance(client, now_us)
+
+    def advance(self, client: Client, now_us: int) -> None:
+        if self._attempts == 0 or not self._messages:  # nothing to abort where the upload was over
+            self.finish()
+            return
+        self._attempts -= 1
+        for message in self._messages:
+            client.send(message)
+        self.deadline_us = now_us + RETRY_US
+
+    def receive(self, client: Client, message: Message, now_us: int) -> None:
+        assert isinstance(message, m.UploadStatus)
+        if message.tag == tag_of(self._sender.digest) and message.state in (
+            UploadState.IDLE,
+            UploadState.LIVE,
+        ):
+            self.finish()
+
+
+def make_live(blob: Blob, what: str) -> Generator[Task, Any, UploadSender]:
+    """Yield the sender of a blob that is live now, for scripts; at Ctrl-C the vehicle is told to forget
+    it.
+    """
+    task = SendBlob(blob.to_bytes(), blob.KIND, what=what)
+    try:
+        return (yield task)
+    except KeyboardInterrupt:
+        yield AbortBlob(task.sender)
+        raise

@@ -1,0 +1,247 @@
+"""Read the topics of a log into arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from trimtab.host.log import topics
+from trimtab.host.log.scan import Entry
+from trimtab.host.log.tracks import (
+    Battery,
+    Control,
+    Estimate,
+    Floats,
+    LinkHealth,
+    Mocap,
+    Observer,
+    RecordedImu,
+    RecordedInputs,
+    Status,
+    Times,
+)
+from trimtab.protocol.generated import flight_pb2
+
+CAMERAS_SET_US = 25_000
+"""Jump of the cameras' clock against the host's above which the clock was set."""
+
+
+def decoded(entries: Mapping[str, Sequence[Entry]], topic: str, kind: Any) -> list[tuple[Entry, Any]]:
+    """Return every message of a topic with its entry, in file order."""
+    parse = kind.FromString
+    return [(entry, parse(entry.data)) for entry in entries.get(topic, ())]
+
+
+def _finite(kind: type[Any], **arrays: Any) -> Any:
+    """Return a `kind` of the rows with finite numbers only; None if there are none.
+
+    A faulty vehicle may report anything. The log keeps it; the arrays leave it out and count it.
+    """
+    keep = np.ones(len(next(iter(arrays.values()))), dtype=bool)
+    for values in arrays.values():
+        keep &= np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    if not keep.any():
+        return None
+    return kind(left_out=int((~keep).sum()), **{name: values[keep] for name, values in arrays.items()})
+
+
+def _times(values: Sequence[int]) -> Times:
+    return np.array(values, dtype=np.int64)
+
+
+def _columns(messages: Sequence[Any], get: Callable[[Any], Sequence[float]], width: int) -> Floats:
+    """Return a repeated field, (n, width). Raises ValueError for a message with another number of values."""
+    rows = [get(message)[:] for message in messages]  # five times as fast as iterating over each
+    if any(len(row) != width for row in rows):
+        raise ValueError(f"a message without its {width} values")
+    return np.array(rows, dtype=float).reshape(len(rows), width)
+
+
+def _scalars(messages: Sequence[Any], name: str) -> Floats:
+    return np.array([getattr(message, name) for message in messages], dtype=float)
+
+
+def _counts(messages: Sequence[Any], name: str) -> Times:
+    return _times([getattr(message, name) for message in messages])
+
+
+def read_mocap(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Mocap | None:
+    """Return the poses, on the host's clock; None if the log has none."""
+    pairs = decoded(entries, topics.MOCAP_POSE, flight_pb2.MocapPose)
+    if not pairs:
+        return None
+    messages = [message for _, message in pairs]
+    source_us = _counts(messages, "source_us")
+    shifts_us = source_us - _times([entry.publish_time_us for entry, _ in pairs])
+    start = 0
+    for end in np.flatnonzero(np.abs(np.diff(shifts_us)) > CAMERAS_SET_US) + 1:
+        shifts_us[start:end] = shifts_us[end - 1]  # the last offset is the most accurate
+        start = end
+    shifts_us[start:] = shift_us
+    return _finite(
+        Mocap,
+        t_us=source_us - shifts_us,
+        t_arrival_us=_times([entry.log_time_us for entry, _ in pairs]),
+        p=_columns(messages, lambda m: m.p_ned_m, 3),
+        q=_columns(messages, lambda m: m.q_ned_frd, 4),
+    )
+
+
+def read_estimate(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Estimate | None:
+    """Return the estimates; None if the log has none."""
+    messages = [m for _, m in decoded(entries, topics.FC_ESTIMATE, flight_pb2.Estimate)]
+    if not messages:
+        return None
+    return _finite(
+        Estimate,
+        t_us=_counts(messages, "source_us") - shift_us,
+        p=_columns(messages, lambda m: m.p_ned_m, 3),
+        v=_columns(messages, lambda m: m.v_ned_m_s, 3),
+        q=_columns(messages, lambda m: m.q_ned_frd, 4),
+        rate=_columns(messages, lambda m: m.rate_frd_rad_s, 3),
+        gyro_bias=_columns(messages, lambda m: m.gyro_bias_rad_s, 3),
+        mocap_age_s=_scalars(messages, "mocap_age_us") * 1e-6,
+    )
+
+
+def read_control(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Control | None:
+    """Return the control intervals; None if the log has none."""
+    every = decoded(entries, topics.FC_CONTROL, flight_pb2.Control)
+    messages = [m for _, m in every if m.interval_us]
+    if not messages:
+        return None
+    t1_us = _counts(messages, "source_us") - shift_us
+    return _finite(
+        Control,
+        t0_us=t1_us - _counts(messages, "interval_us"),
+        t1_us=t1_us,
+        collective=_scalars(messages, "collective_n"),
+        rate_cmd=_columns(messages, lambda m: m.rate_cmd_rad_s, 3),
+        torque=_columns(messages, lambda m: m.torque_cmd_n_m, 3),
+        rate_integral=_columns(messages, lambda m: m.rate_integral, 3),
+        motor_mean=_columns(messages, lambda m: m.motor_mean, 4),
+        gyro_mean=_columns(messages, lambda m: m.gyro_mean_rad_s, 3),
+        force_mean=_columns(messages, lambda m: m.force_mean_m_s2, 3),
+    )
+
+
+def read_observer(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Observer | None:
+    """Return the observer's estimates; None if the log has none."""
+    every = decoded(entries, topics.FC_CONTROL, flight_pb2.Control)
+    messages = [m for _, m in every if len(m.observer_ned_m_s2)]
+    if not messages:
+        return None
+    return _finite(
+        Observer,
+        t_us=_counts(messages, "source_us") - shift_us,
+        disturbance=_columns(messages, lambda m: m.observer_ned_m_s2, 3),
+    )
+
+
+def read_status(pairs: Sequence[tuple[Entry, Any]], shift_us: int) -> Status | None:
+    """Return the statuses; None if the log has none."""
+    messages = [message for _, message in pairs]
+    if not messages:
+        return None
+    return _finite(
+        Status,
+        t_us=_counts(messages, "source_us") - shift_us,
+        state=_counts(messages, "state"),
+        failsafe=_counts(messages, "failsafe"),
+        battery_v=_scalars(messages, "battery_v"),
+        loop_max_us=_counts(messages, "loop_max_us"),
+        loop_overruns=_counts(messages, "loop_overruns"),
+        receive_overruns=_counts(messages, "receive_overruns"),
+        saturated_ticks=_counts(messages, "saturated_ticks"),
+        flight_ticks=_counts(messages, "flight_ticks"),
+        poses_used=_counts(messages, "poses_used"),
+        loop_mean_us=_counts(messages, "loop_mean_us"),
+        jitter_us=_counts(messages, "jitter_us"),
+        mocap_age_max_us=_counts(messages, "mocap_age_max_us"),
+        bad_bytes=_counts(messages, "bad_bytes"),
+        conditions=_counts(messages, "conditions"),
+        action=_counts(messages, "action"),
+    )
+
+
+def read_link(entries: Mapping[str, Sequence[Entry]]) -> LinkHealth | None:
+    """Return the health of the link; None if the log has none."""
+    pairs = decoded(entries, topics.LINK, flight_pb2.Link)
+    messages = [message for _, message in pairs]
+    if not messages:
+        return None
+    counters = {
+        name: _counts(messages, name)
+        for name in (
+            "frames_sent", "frames_received", "frames_lost", "frames_repeated",
+            "messages_sent", "messages_received", "messages_lost",
+            "bytes_sent", "bytes_received", "bad_bytes",
+        )
+    }  # fmt: skip
+    clocks = {
+        name: _scalars(messages, name)
+        for name in ("rtt_us", "rtt_last_us", "clock_offset_us", "clock_offset_sd_us", "camera_offset_us")
+    }
+    reported = [message.radios for message in messages if message.HasField("radios")]
+    names = [field.name for field in flight_pb2.Radios.DESCRIPTOR.fields]
+    times = _times([entry.log_time_us for entry, _ in pairs])
+    health = _finite(LinkHealth, t_us=times, **counters, **clocks)
+    if health is None or not reported:
+        return health
+    return replace(health, radios={name: getattr(reported[-1], name) for name in names})
+
+
+def _optional(messages: Sequence[Any], name: str, width: int) -> Floats | None:
+    """Return a repeated field, (n, width), or (n,) for width 1; None if it is always empty."""
+    if not len(getattr(messages[0], name)):
+        return None
+    values = _columns(messages, lambda m: getattr(m, name), width)
+    return values[:, 0] if width == 1 else values
+
+
+def read_inputs(entries: Mapping[str, Sequence[Entry]], told: Mapping[str, str]) -> RecordedInputs | None:
+    """Return the recorded inputs of an imported flight; None if the log has none."""
+    pairs = decoded(entries, topics.RECORDED_INPUTS, flight_pb2.RecordedInputs)
+    messages = [message for _, message in pairs]
+    if not messages:
+        return None
+    return RecordedInputs(
+        t_us=_times([entry.publish_time_us for entry, _ in pairs]),
+        level=told["input_level"],
+        motor=_optional(messages, "motor_command", 4),
+        thrust_n=_optional(messages, "thrust_n", 1),
+        torque_n_m=_optional(messages, "torque_n_m", 3),
+        p_ref=_optional(messages, "p_ref_ned_m", 3),
+        v_ref=_optional(messages, "v_ref_ned_m_s", 3),
+        a_ref=_optional(messages, "a_ref_ned_m_s2", 3),
+        yaw_ref=_optional(messages, "yaw_ref_rad", 1),
+    )
+
+
+def read_imu(entries: Mapping[str, Sequence[Entry]]) -> RecordedImu | None:
+    """Return the recorded IMU samples of an imported flight; None if the log has none."""
+    pairs = decoded(entries, topics.RECORDED_IMU, flight_pb2.RecordedImu)
+    messages = [message for _, message in pairs]
+    if not messages:
+        return None
+    return RecordedImu(
+        t_us=_times([entry.publish_time_us for entry, _ in pairs]),
+        gyro=_optional(messages, "gyro_rad_s", 3),
+        specific_force=_optional(messages, "specific_force_m_s2", 3),
+    )
+
+
+def read_battery(entries: Mapping[str, Sequence[Entry]], status: Status | None) -> Battery | None:
+    """Return the battery voltage; None if the log has none."""
+    if status is not None:
+        return Battery(t_us=status.t_us, battery_v=status.battery_v)
+    pairs = decoded(entries, topics.RECORDED_BATTERY, flight_pb2.RecordedBattery)
+    if not pairs:
+        return None
+    return Battery(
+        t_us=_times([entry.publish_time_us for entry, _ in pairs]),
+        battery_v=_scalars([message for _, message in pairs], "battery_v"),
+    )
