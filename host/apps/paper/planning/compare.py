@@ -118,7 +118,7 @@ def flown(
                 "residuals": found,
             }
         )
-    return {"world": world, "kept": learned.kept.what, "courses": rows}
+    return {"world": world, "kept": learned.selected.what, "courses": rows}
 
 
 def residual_models(flights: Sequence[Flight], effects: Mapping[str, Effect]) -> dict[str, ResidualModel]:
