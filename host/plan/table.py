@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from trimtab.firmware_model.law.allocation import allocation_matrix, invert4
 from trimtab.firmware_model.law.flatness import Body, flat_full
 from trimtab.firmware_model.law.reference import cubic_acceleration, cubic_coefficients, hermite_yaw, septic
 from trimtab.firmware_model.law.rotations import matrix_to_euler
 from trimtab.host.codegen import NUMPY
 from trimtab.host.plan.snap import REST, SnapSpline, solve_snap
 from trimtab.host.vehicle import Vehicle
+from trimtab.host.vehicle.allocation import allocation_inverse
 from trimtab.protocol.blobs import Node, Reference, YawNode
 
 Array = NDArray[np.float64]
@@ -134,10 +134,7 @@ def flat_states(vehicle: Vehicle, table: Table, yaws: Sequence[YawNode], times_u
         NUMPY, list(a), list(j), list(snap), yaw, yaw_rate, body, yaw_acceleration_at(yaws, times_us)
     )
     euler: Any = matrix_to_euler(NUMPY, R)
-    positions = [rotor.position_m for rotor in vehicle.rotors]
-    spins = [rotor.spin_sign for rotor in vehicle.rotors]
-    inverse = invert4(allocation_matrix(positions, spins, vehicle.torque_per_thrust_m))
-    thrust = np.array(inverse).reshape(4, 4) @ np.array([collective, *torque])
+    thrust = allocation_inverse(vehicle) @ np.array([collective, *torque])
     return np.concatenate([p, v, np.array(euler), np.array(rate), thrust])
 
 
