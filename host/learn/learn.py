@@ -1,4 +1,4 @@
-"""From flights to a model with a learned residual: split by reference, learn, keep what predicts best."""
+"""From flights to a model with a learned residual: split by reference, learn, select by whole flights."""
 
 from __future__ import annotations
 
@@ -11,25 +11,29 @@ import numpy as np
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.effects import Effect
 from trimtab.host.learn.candidates import Candidate, Trial, best, note
-from trimtab.host.learn.evaluate import Errors, model_errors, model_parts, whole_flights
+from trimtab.host.learn.evaluate import Errors, model_errors, model_parts
 from trimtab.host.learn.quick import CondensedSettings, CondensedTrained, train_condensed
+from trimtab.host.learn.split import Split
 from trimtab.host.learn.train import LOSS_SIGMA, Settings, Trained, train
 from trimtab.host.log import Flight
 from trimtab.host.log.errors import TooLittleData
+from trimtab.host.models.airframe import Part
 from trimtab.host.models.model import Model
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.region import Region
 from trimtab.host.models.segments import Segments, cut
 from trimtab.host.models.slots import mocap_latency_s
-from trimtab.host.models.states import States, flight_states
+from trimtab.host.models.states import States
 
 SEGMENT_STEPS = 50
-"""Of 20 ms: a second."""
+"""Steps of 20 ms in a segment of one second."""
 
 DEFAULT_FORMS = ("linear-drag", "com-offset")
-"""Effects to learn beside a network: an acceleration that grows with speed, and the torque that the law's
-rate integral stands against. Every segment begins with that integral: to a network, which gives no torque,
-the swing that a model without the torque makes there looks like an acceleration, and whole flights have none.
+"""Effects to learn beside a network: an acceleration that grows with speed, and a constant torque.
+
+The law's rate integral balances that torque, and every segment begins with that integral. A model without
+the torque therefore swings at the start of every segment. A network, which gives no torque, would learn that
+swing as an acceleration, and whole flights have no such swing.
 """
 
 
@@ -37,8 +41,8 @@ the swing that a model without the torque makes there looks like an acceleration
 class Judged:
     """Whole-flight errors on one set of flights.
 
-    nominal: of the vehicle file alone. base: with the effects of the model learned upon, the same where there
-    was none. learned: of the model that is kept. outside: share of samples beyond the region learned in.
+    nominal: of the vehicle file alone. base: with the effects of the model learned upon; equal to nominal
+    without one. learned: of the selected model. outside: share of samples outside the model's region.
     """
 
     flights: tuple[str, ...]
@@ -50,11 +54,11 @@ class Judged:
 
     @property
     def ratio(self) -> float:
-        """Position error with what was learned over that without."""
+        """Position error with the learned model over that without it."""
         return self.learned.position_rmse_m / self.base.position_rmse_m
 
     def to_json(self) -> dict[str, Any]:
-        """Return the errors, those of the nominal vehicle and of the base, and which flights."""
+        """Return all the errors, and which flights they are of."""
         return {
             **self.learned.to_json(),
             "nominal": self.nominal.to_json(),
@@ -67,18 +71,19 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """The model that is kept, and how good it is; `test` None: nothing was held out.
+    """The selected model and its errors; `test` is None where nothing was held out.
 
-    trials: what could be kept, from nothing to what was asked for, with the errors that decide; kept: the one
-    that is. trained: what was asked for. log_latency_s: how much older poses are than stamped in the log,
-    where that was learned. notes: why less is kept than was asked for, what was cut or left out of the logs.
+    trials: the candidates, from nothing learned to everything asked for, with the errors that decide.
+    selected: the trial of the model. trained: the training of everything asked for. log_latency_s: how much
+    older poses are than stamped in the log, where that was learned. notes: why less was selected than was
+    asked for, and what was left out of the logs.
     """
 
     model: Model
     train: Judged
     test: Judged | None
     trials: tuple[Trial, ...]
-    kept: Trial
+    selected: Trial
     trained: Trained | CondensedTrained
     segments: int
     log_latency_s: float = 0.0
@@ -86,7 +91,7 @@ class Learned:
 
     @property
     def improved(self) -> bool:
-        """Whether flights are predicted better with the model than without: those used and those held out."""
+        """Whether the model improves the prediction, both of the flights used and of those held out."""
         return all(judged.ratio < 1.0 for judged in (self.train, self.test) if judged is not None)
 
 
@@ -105,147 +110,139 @@ def learn(
 ) -> Learned:
     """Return a model learned from `flights` of one vehicle, or less where less predicts better.
 
-    Held out for the test are `hold_out`; None: the flights of every fourth reference where there are three or
-    more. A reference is never on both sides. `base` is a model whose effects (found in `effects`) stay as
-    they are: what is learned is what they leave. `forms` are effects of the library that are learned beside
-    the network, on the condensed loss alone.
+    Segments decide when learning stops. Whole flights decide what the model gets: nothing, the effects, or
+    the network too (`trimtab.host.learn.candidates.best`).
 
-    Segments decide when learning stops, whole flights what is kept (`trimtab.host.learn.candidates.best`):
-    nothing, the effects, or the network too. `as_asked` keeps what was asked for all the same. Raises
-    TooLittleData, also for flights of two vehicles.
+    hold_out: flights for the test; None for those of every fourth reference, of three or more. base: a model
+    whose effects stay as they are; the residual that they leave is learned. effects: the library, by name.
+    forms: effects of the library that are learned beside the network, on the condensed loss only. as_asked:
+    select everything that was asked for, even where less predicts better.
+
+    Raises TooLittleData, also for flights of two vehicles.
     """
     settings = settings or CondensedSettings()
-    kept_aside = hold_out or ()
-    _check_one_vehicle([*flights, *kept_aside])
     rng = np.random.default_rng(seed)
     library = effects or {}
     parts = model_parts(base, library)
-    latency_s = float(mocap_latency_s(FLOAT, parts))
-    states = flight_states(flights, latency_s=latency_s)
-    if hold_out is None:
-        used, test = split_by_reference(states, rng)
-    else:
-        test = flight_states(kept_aside, latency_s=latency_s)
-        shared = {s.reference_id for s in test} & {s.reference_id for s in states}
-        if shared:
-            names = ", ".join(sorted(shared))
-            raise TooLittleData(
-                f"held-out flights share the reference {names} with the others; hold out others"
-            )
-        used = states
-    logs = {flight.id: flight for flight in [*flights, *kept_aside]}
-    vehicle = flights[0].vehicle
-    known = tuple(effect for effect, _ in parts)
-    grown = (*known, *(library[name] for name in forms))
-    common: dict[str, Any] = {"vehicle": vehicle, "parameters": states[0].parameters}
+    data = Split.of(flights, hold_out, float(mocap_latency_s(FLOAT, parts)), rng)
+    grown = (*(effect for effect, _ in parts), *(library[name] for name in forms))
     late = any(effect.mocap_latency_s is not None for effect in grown)
-    phi = Phi(estimator=late, effects=grown, **common)
-    theta = phi.theta(parts)
-    fitted, checked = _segments(used, phi, rng)
-    weight = 1.0 / np.square(LOSS_SIGMA)
-    before, after = Phi(effects=known, **common), Phi(effects=grown, **common)
-
-    candidates = [Candidate(phi=before, theta=before.theta(parts))]
-    if isinstance(settings, CondensedSettings):
-        free = range(sum(len(effect.parameters) for effect in known), len(theta))
-        alone = [replace(settings, layout=None)] if forms and settings.layout is not None else []
-        found = [
-            train_condensed(
-                phi,
-                theta,
-                fitted,
-                checked,
-                wanted,
-                rng,
-                weight=weight,
-                free=free,
-                on_iteration=on_epoch if wanted is settings else None,
-            )
-            for wanted in (*alone, settings)
-        ]
-        candidates += [
-            Candidate(phi=after, theta=f.theta, forms=tuple(forms), network=f.network, delay_s=f.delay_s)
-            for f in found
-        ]
-        trained = found[-1]
-    else:
-        trained = train(phi, theta, fitted, checked, settings, rng, weight=weight, on_epoch=on_epoch)
-        candidates.append(replace(candidates[0], network=trained.network))
-
-    def errors(of: Candidate, chosen: Sequence[States]) -> Errors:
-        if of.latency_s != latency_s:
-            chosen = flight_states([logs[s.flight_id] for s in chosen], latency_s=of.latency_s)
-        return whole_flights(of.phi, of.theta, chosen, of.network)
-
-    trials = tuple(
-        Trial(what=each.what, train=errors(each, used), test=errors(each, test) if test else None)
-        for each in candidates
-    )
-    winner = trials[-1] if as_asked else best(trials)
-    kept = candidates[trials.index(winner)]
-    values = {effect.name: values for effect, values in kept.phi.parts(kept.theta)}
-    learned_in = region(used)
-    model = Model(
-        vehicle_id=vehicle.id,
-        vehicle_name=vehicle.name,
-        effects={
-            **({} if base is None else base.effects),
-            **{
-                name: dict(zip(library[name].keys, map(float, values[name]), strict=True))
-                for name in kept.forms
-            },
-        },
-        adjustments={} if base is None else base.adjustments,
-        covariance=None if base is None else base.covariance,
-        sources={
-            **({} if base is None else base.sources),
-            **{name: library[name].source_id for name in kept.forms},
-        },
-        network=kept.network,
-        region=learned_in,
-        data=tuple(sorted({s.flight_id for s in used} | set(() if base is None else base.data))),
-        provenance=provenance or {},
-    )
-
-    def judged(chosen: Sequence[States], bare: Errors, learned: Errors) -> Judged:
-        return Judged(
-            flights=tuple(s.flight_id for s in chosen),
-            references=tuple(dict.fromkeys(s.reference_id for s in chosen)),
-            nominal=bare if base is None else model_errors([logs[s.flight_id] for s in chosen], None, {}),
-            base=bare,
-            learned=learned,
-            outside=float(learned_in.outside(*_states_and_thrust(chosen)).mean()),
-        )
-
+    phi = Phi(vehicle=flights[0].vehicle, effects=grown, estimator=late, parameters=data.used[0].parameters)
+    segments = _segments(data.used, phi, rng)
+    candidates, trained = _candidates(phi, parts, forms, segments, settings, rng, on_epoch)
+    trials = tuple(data.trial(candidate) for candidate in candidates)
+    selected = trials[-1] if as_asked else best(trials)
+    candidate = candidates[trials.index(selected)]
+    model = _model(base, candidate, library, data, provenance or {})
+    nothing, test = trials[0], None
+    if nothing.test and selected.test:
+        test = _judged(data, data.test, nothing.test, selected.test, base, model)
     return Learned(
         model=model,
-        train=judged(used, trials[0].train, winner.train),
-        test=judged(test, trials[0].test, winner.test) if trials[0].test and winner.test else None,
+        train=_judged(data, data.used, nothing.train, selected.train, base, model),
+        test=test,
         trials=trials,
-        kept=winner,
+        selected=selected,
         trained=trained,
-        segments=fitted.count,
-        log_latency_s=kept.delay_s,
+        segments=segments[0].count,
+        log_latency_s=candidate.delay_s,
         notes=(
-            *note(trials, winner),
-            *_few(fitted, settings),
-            *(line for s in [*used, *test] for line in s.notes),
+            *note(trials, selected),
+            *_small_batch(segments[0], settings),
+            *(line for states in [*data.used, *data.test] for line in states.notes),
         ),
     )
 
 
-def split_by_reference(
-    states: Sequence[States], rng: np.random.Generator
-) -> tuple[list[States], list[States]]:
-    """Flights to learn from and flights held out: every fourth reference, at least one of three or more."""
-    references = sorted({s.reference_id for s in states})
-    if len(references) < 3:
-        return list(states), []
-    shuffled = [references[i] for i in rng.permutation(len(references))]
-    held = set(shuffled[: max(1, len(references) // 4)])
-    return (
-        [s for s in states if s.reference_id not in held],
-        [s for s in states if s.reference_id in held],
+def _judged(
+    data: Split, chosen: Sequence[States], before: Errors, learned: Errors, base: Model | None, model: Model
+) -> Judged:
+    """Return the errors on some of the flights, without and with the learned model."""
+    assert model.region is not None
+    flights = [data.logs[s.flight_id] for s in chosen]
+    return Judged(
+        flights=tuple(s.flight_id for s in chosen),
+        references=tuple(dict.fromkeys(s.reference_id for s in chosen)),
+        nominal=before if base is None else model_errors(flights, None, {}),
+        base=before,
+        learned=learned,
+        outside=float(model.region.outside(*_states_and_thrust(chosen)).mean()),
+    )
+
+
+def _candidates(
+    phi: Phi,
+    parts: Sequence[Part],
+    forms: Sequence[str],
+    segments: tuple[Segments, Segments],
+    settings: Settings | CondensedSettings,
+    rng: np.random.Generator,
+    on_epoch: Callable[[int, float], None] | None,
+) -> tuple[list[Candidate], Trained | CondensedTrained]:
+    """Return all candidates, from nothing learned to everything asked for, and how the last was trained.
+
+    phi has the effects of `parts`, which stay as they are, then those of `forms`.
+    """
+    theta = phi.theta(parts)
+    weight = 1.0 / np.square(LOSS_SIGMA)
+    with_estimator = replace(phi, estimator=True)
+    before = replace(with_estimator, effects=tuple(effect for effect, _ in parts))
+    nothing = Candidate(phi=before, theta=before.theta(parts))
+    if not isinstance(settings, CondensedSettings):
+        trained = train(phi, theta, *segments, settings, rng, weight=weight, on_epoch=on_epoch)
+        return [nothing, replace(nothing, network=trained.network)], trained
+    free = range(len(nothing.theta), len(theta))
+    effects_alone = [replace(settings, layout=None)] if forms and settings.layout is not None else []
+    runs = [
+        train_condensed(
+            phi,
+            theta,
+            *segments,
+            each,
+            rng,
+            weight=weight,
+            free=free,
+            on_iteration=on_epoch if each is settings else None,
+        )
+        for each in (*effects_alone, settings)
+    ]
+    learned = [
+        Candidate(
+            phi=with_estimator,
+            theta=run.theta,
+            forms=tuple(forms),
+            network=run.network,
+            delay_s=run.delay_s,
+        )
+        for run in runs
+    ]
+    return [nothing, *learned], runs[-1]
+
+
+def _model(
+    base: Model | None,
+    candidate: Candidate,
+    library: Mapping[str, Effect],
+    data: Split,
+    provenance: Mapping[str, Any],
+) -> Model:
+    """Return the base model with what the candidate adds."""
+    vehicle = candidate.phi.vehicle
+    model = base or Model(vehicle_id=vehicle.id, vehicle_name=vehicle.name)
+    values = {effect.name: values for effect, values in candidate.phi.parts(candidate.theta)}
+    effects = {
+        name: dict(zip(library[name].keys, map(float, values[name]), strict=True)) for name in candidate.forms
+    }
+    return replace(
+        model,
+        vehicle_id=vehicle.id,
+        vehicle_name=vehicle.name,
+        effects={**model.effects, **effects},
+        sources={**model.sources, **{name: library[name].source_id for name in candidate.forms}},
+        network=candidate.network,
+        region=region(data.used),
+        data=tuple(sorted({s.flight_id for s in data.used} | set(model.data))),
+        provenance=provenance,
     )
 
 
@@ -255,12 +252,12 @@ def region(states: Sequence[States]) -> Region:
 
 
 def _states_and_thrust(states: Sequence[States]) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 12) and collective thrusts (n,), N, of all samples."""
+    """Return the states (n, 12) and collective thrusts (n,), N, of all samples."""
     return np.concatenate([s.x for s in states]), np.concatenate([s.thrust for s in states]).sum(axis=1)
 
 
 def _segments(used: Sequence[States], phi: Phi, rng: np.random.Generator) -> tuple[Segments, Segments]:
-    """Segments to fit and segments to stop by: a fifth of them, drawn over all flights."""
+    """Return segments to fit, and a fifth of all, drawn at random, that decide when to stop."""
     try:
         segments = cut(used, phi, steps=SEGMENT_STEPS)
     except ValueError as error:
@@ -274,29 +271,11 @@ def _segments(used: Sequence[States], phi: Phi, rng: np.random.Generator) -> tup
     return segments.take(order[checks:]), segments.take(order[:checks])
 
 
-def _few(segments: Segments, settings: Settings | CondensedSettings) -> list[str]:
-    """Return a note where a batch holds all there is."""
+def _small_batch(segments: Segments, settings: Settings | CondensedSettings) -> list[str]:
+    """Return a note where a batch holds all segments."""
     if isinstance(settings, CondensedSettings) or segments.count >= settings.batch:
         return []
     return [
         f"{segments.count} segments of a second are fewer than a batch of {settings.batch}: every batch "
         "holds all of them; more flights would help"
     ]
-
-
-def _check_one_vehicle(flights: Sequence[Flight]) -> None:
-    if not flights:
-        raise TooLittleData("no flights to learn from; name one or more logs")
-    first = flights[0]
-    for flight in flights[1:]:
-        if flight.vehicle.id != first.vehicle.id:
-            one, other = (f"{f.vehicle.name} ({f.vehicle.id})" for f in (flight, first))
-            raise TooLittleData(
-                f"{flight.path.name} is of vehicle {one}, {first.path.name} of {other}; "
-                "learn from one vehicle at a time"
-            )
-        if flight.firmware_parameters != first.firmware_parameters:
-            raise TooLittleData(
-                f"{flight.path.name} flew with other firmware parameters than {first.path.name}; "
-                "learn from flights of one setting"
-            )

@@ -1,4 +1,4 @@
-"""Learning on the condensed loss: condense, fit, and condense again about what was learned."""
+"""Learning on the condensed loss: condense, fit, and condense again about the result."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments
 
 _COPIES = 4
-"""Headings that every segment counts in, where a network sees the world's frame."""
+"""Headings that every segment is turned to, for a network in the world's frame."""
 
-_HELD = 1e-6
-"""Of its sigma is what a start moves that is taken as measured."""
+_FIXED_START = 1e-6
+"""Share of its sigma that a start may move where it is taken as measured."""
 
 _SMALLEST = Layout(hidden=(1,))
-"""Of roll-outs without a network."""
+"""Layout of roll-outs without a network."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CondensedSettings:
-    """How to learn. layout None: effects alone. l2 is on the weights, for a loss of unit mean diagonal.
+    """How to learn on the condensed loss.
 
-    A pass condenses about what the last one learned; `patience` iterations without a better validation loss
-    end it. free_start: segments start where they fit best, not as measured. delay: estimate how much
-    later the poses are than stamped.
+    layout: of the network, None for effects alone. passes: each condenses about the result of the one before.
+    patience: iterations without a better validation loss that end a pass. l2: penalty on the weights, for a
+    loss of unit mean diagonal. free_start: segments start where they fit best, not as measured. delay:
+    estimate how much later the poses are than stamped.
     """
 
     layout: Layout | None = field(default_factory=lambda: Layout(hidden=(32, 32)))
@@ -52,8 +53,9 @@ class CondensedSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CondensedTrained:
-    """What was learned, the last pass, and true roll-outs' loss of validation before and after, from free
-    starts in neither.
+    """The learned network, parameters and delay, and the fit of each pass.
+
+    before, after: validation loss of true roll-outs from the measured starts, without and with the result.
     """
 
     network: Network | None
@@ -65,7 +67,7 @@ class CondensedTrained:
 
     @property
     def epochs(self) -> int:
-        """Iterations of all passes."""
+        """Number of iterations of all passes."""
         return sum(each.iterations for each in self.fitted)
 
 
@@ -81,81 +83,104 @@ def train_condensed(
     free: Sequence[int] | None = None,
     on_iteration: Callable[[int, float], None] | None = None,
 ) -> CondensedTrained:
-    """Return the residual of phi learned from `segments`: its effects' parameters, begun at theta (P,), a
-    network.
+    """Return the residual of phi learned from `segments`: parameters of its effects and a network.
 
-    The measured states were taken to be as late as theta has it.
-
-    weight (12,): diagonal L of the loss. free: which of theta are learned; default all. `on_iteration` hears
-    how many iterations of all passes were made, and the validation loss.
+    theta: (P,) parameters to begin at; the measured states have the latency that it gives. weight: (12,)
+    diagonal L of the loss. free: indices of theta that are learned; default all. on_iteration: called with
+    the number of iterations of all passes so far, and the validation loss.
     """
     chosen = np.arange(len(theta)) if free is None else np.array(free, dtype=int)
     scale = effect_scales(phi)[chosen]
     basis = Basis(layout=settings.layout, parameters=len(chosen), delay=settings.delay)
-    engine = rollouts(phi, _SMALLEST, theta, batch=1, step_s=segments.step_s, weight=weight)
     start = np.zeros(basis.size)
     if settings.layout is not None:
         start[: basis.weights] = settings.layout.initial(rng)
-    begun = (theta - phi.theta_neutral)[chosen] / scale
-    start[basis.weights : basis.weights + len(chosen)] = begun
-    turned = settings.layout is not None and settings.layout.frame == "world" and settings.any_heading
-    headings = rng.uniform(-np.pi, np.pi, (_COPIES, segments.count)) if turned else None
-    found: list[Fitted] = []
+    start[basis.weights : basis.weights + len(chosen)] = (theta - phi.theta_neutral)[chosen] / scale
+    headings = _headings(settings, segments.count, rng)
+    condenser = _Condenser(phi, theta, basis, chosen, settings, segments.step_s, weight)
+    fits: list[Fitted] = []
     network, learned, delay_s = np.zeros(basis.weights), theta.copy(), 0.0
     for turn in range(settings.passes):
 
-        def heard(iteration: int, loss: float, turn: int = turn) -> None:
+        def report(iteration: int, loss: float, turn: int = turn) -> None:
             if on_iteration is not None:
                 on_iteration(turn * settings.iterations + iteration, loss)
 
-        fitted_on, checked_on = (
-            Examples(
-                condensed=condense(
-                    engine,
-                    part,
-                    weight=weight,
-                    start_sigma=start_sigma(phi, part) * (1.0 if settings.free_start else _HELD),
-                    acceleration=accelerations(basis, network, part.measured[:, :, 3:9]),
-                    theta=learned,
-                    free=chosen.tolist(),
-                    delay_s=delay_s,
-                    taken_s=latency_s(phi, theta),
-                ),
-                states=part.measured[:, :, 3:9],
-            )
-            for part in (segments, validation)
+        fitted = fit(
+            basis,
+            condenser.examples(segments, network, learned, delay_s),
+            condenser.examples(validation, network, learned, delay_s),
+            start,
+            iterations=settings.iterations,
+            patience=settings.patience,
+            l2=settings.l2,
+            headings=headings,
+            on_iteration=report,
         )
-        found.append(
-            fit(
-                basis,
-                fitted_on,
-                checked_on,
-                start,
-                iterations=settings.iterations,
-                patience=settings.patience,
-                l2=settings.l2,
-                headings=headings,
-                on_iteration=heard,
-            )
-        )
-        network, delay_s = found[-1].xi, found[-1].delay_s
-        learned[chosen] = phi.theta_neutral[chosen] + scale * found[-1].eta
-        start = np.concatenate([network, found[-1].eta, [delay_s / DELAY_S] * settings.delay])
+        fits.append(fitted)
+        network, delay_s = fitted.xi, fitted.delay_s
+        learned[chosen] = phi.theta_neutral[chosen] + scale * fitted.eta
+        start = np.concatenate([network, fitted.eta, [delay_s / DELAY_S] * settings.delay])
     whole = None if settings.layout is None else Network(layout=settings.layout, xi=network)
     return CondensedTrained(
         network=whole,
         theta=learned,
         delay_s=delay_s,
-        fitted=tuple(found),
+        fitted=tuple(fits),
         before=rolled_loss(phi, theta, None, validation, weight),
         after=rolled_loss(phi, learned, whole, validation, weight),
     )
 
 
+def _headings(settings: CondensedSettings, count: int, rng: np.random.Generator) -> np.ndarray | None:
+    """Return the headings (copies, count) that segments are turned to; None where they are not turned."""
+    layout = settings.layout
+    if layout is None or layout.frame != "world" or not settings.any_heading:
+        return None
+    return rng.uniform(-np.pi, np.pi, (_COPIES, count))
+
+
+class _Condenser:
+    """Condenses the loss of segments about a model learned so far."""
+
+    def __init__(
+        self,
+        phi: Phi,
+        theta: np.ndarray,
+        basis: Basis,
+        free: np.ndarray,
+        settings: CondensedSettings,
+        step_s: float,
+        weight: np.ndarray,
+    ) -> None:
+        self._phi, self._basis, self._weight, self._free = phi, basis, weight, free.tolist()
+        self._engine = rollouts(phi, _SMALLEST, theta, batch=1, step_s=step_s, weight=weight)
+        self._latency_s = latency_s(phi, theta)
+        self._start_share = 1.0 if settings.free_start else _FIXED_START
+
+    def examples(
+        self, segments: Segments, network: np.ndarray, theta: np.ndarray, delay_s: float
+    ) -> Examples:
+        """Return the segments' condensed loss about these weights, parameters and delay."""
+        states = segments.measured[:, :, 3:9]
+        condensed = condense(
+            self._engine,
+            segments,
+            weight=self._weight,
+            start_sigma=start_sigma(self._phi, segments) * self._start_share,
+            acceleration=accelerations(self._basis, network, states),
+            theta=theta,
+            free=self._free,
+            delay_s=delay_s,
+            taken_s=self._latency_s,
+        )
+        return Examples(condensed=condensed, states=states)
+
+
 def rolled_loss(
     phi: Phi, theta: np.ndarray, network: Network | None, segments: Segments, weight: np.ndarray
 ) -> float:
-    """Mean loss of true roll-outs from the segments' measured starts; infinite where one diverges."""
+    """Return the mean loss of true roll-outs from the segments' measured starts; infinite if one diverges."""
     layout = _SMALLEST if network is None else network.layout
     xi = np.zeros(layout.size) if network is None else network.xi
     engine = rollouts(phi, layout, theta, batch=segments.count, step_s=segments.step_s, weight=weight)

@@ -1,7 +1,7 @@
-"""The box a plan is solved in: just inside the limits, tighter where the finished reference sticks out.
+"""The bounds that a plan is solved in: just inside the limits, tighter where the reference exceeds them.
 
-Limits are judged on the final reference, inside every interval; the solver sees only its nodes. What the
-reference exceeds a limit by is therefore taken off the solver's box before the next round.
+Limits are judged on the final reference, within every interval; the solver sees only its nodes. If the
+reference exceeds a limit, the solver's bound is tightened by the excess before the next round.
 """
 
 from __future__ import annotations
@@ -16,24 +16,28 @@ from trimtab.host.models.region import Region
 from trimtab.host.plan.dynamics import Dynamics
 from trimtab.host.vehicle import Limits
 
-_INSET = 0.01  # of every range at the start, except:
+_INSET = 0.01  # share of a limit that the first box leaves unused, except for
 _INSET_RATE = 0.05
 _INSET_THRUST = 0.02
-_EXCESS = 1.2  # share of an excess that is taken off the box,
-_STEP = 0.002  # and share of the bound besides
-_REGION_MARGIN = 1.1  # how far beyond the trained region a network is trusted
+_EXCESS = 1.2  # multiple of an excess that a bound is tightened by,
+_STEP = 0.002  # plus this share of the bound
+_REGION_MARGIN = 1.1  # factor on the trained region within which a network is trusted
 KEEP_OUT = "keep_out_m"
 GATES = "gates_m"
 YAW_RATE = "yaw_rate_rad_s"
-"""Names of the margins to keep-out shapes, gates' edges and a free heading's greatest rate, beside those of
-`trimtab.firmware_model.law.checks`."""
+"""Names of the margins to keep-out shapes, to the edges of gates and to the greatest rate of a free heading.
+
+`trimtab.firmware_model.law.checks` names the others.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SolverBox:
-    """Bounds at the nodes. thrust_share: of thrust_max_n, low and high; fence_m: how far inside the geofence;
-    floor_m: least height; keep_out_m: least distance from keep-out shapes; yaw_rate_rad_s: of a free heading,
-    infinite where it is given.
+    """Bounds at the nodes.
+
+    thrust_share: of thrust_max_n, low and high. fence_m: least distance inside the geofence. floor_m: least
+    height. keep_out_m: least distance from keep-out shapes. yaw_rate_rad_s: of a free heading, infinite where
+    the heading is given.
     """
 
     thrust_share: tuple[float, float]
@@ -79,9 +83,7 @@ class SolverBox:
         return max((-margin / scale.get(name, 1.0) for name, margin in margins.items()), default=0.0)
 
     def tightened(self, margins: Mapping[str, float]) -> SolverBox:
-        """Return the box with the finished reference's negative margins taken off its bounds, and a little
-        more.
-        """
+        """Return the box tightened by the reference's negative margins, and a little more."""
 
         def excess(name: str, bound: float, most: float) -> float:
             margin = margins.get(name, 0.0)
@@ -110,7 +112,7 @@ class SolverBox:
 
 
 def within_region(limits: Limits, region: Region, dynamics: Dynamics) -> Limits:
-    """Return the limits cut down to where a model was trained, and a tenth beyond; thrust in equal shares."""
+    """Return the limits within a trained region, extended by a tenth; thrust in equal shares."""
     low, high = limits.thrust_headroom
     most = _REGION_MARGIN * region.thrust_max_n / (4.0 * dynamics.vehicle.thrust_max_n)
     least = region.thrust_min_n / (_REGION_MARGIN * 4.0 * dynamics.vehicle.thrust_max_n)
@@ -125,7 +127,7 @@ def within_region(limits: Limits, region: Region, dynamics: Dynamics) -> Limits:
 
 
 def checked(limits: Limits, on_board: CheckedLimits) -> CheckedLimits:
-    """Return the limits as the reference is judged by, never looser than on board."""
+    """Return the limits that judge the reference: never looser than those on board."""
 
     def tighter(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
         return max(a[0], b[0]), min(a[1], b[1])

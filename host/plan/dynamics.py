@@ -1,8 +1,8 @@
-"""The planner's state, and what an interval integrates, costs and bounds, for a vehicle with its model.
+"""The planner's state, and the dynamics, cost and path rows of an interval, for a vehicle with its model.
 
-The paper's 12 states (eq. 1) and the four rotor thrusts in units of hover thrust; the inputs are the thrusts'
-rates. With thrust as a state acceleration is continuous and the jerk finite, which a reference needs; the
-paper's effort u'u weighs the thrusts themselves, as there.
+The state is the paper's 12 states (eq. 1) and the four rotor thrusts in units of hover thrust; the inputs are
+the rates of the thrusts. With thrust as a state, acceleration is continuous and jerk finite, as a reference
+needs. The paper's effort u'u is that of the thrusts, as in the paper.
 """
 
 from __future__ import annotations
@@ -28,26 +28,31 @@ Array = NDArray[np.float64]
 
 STATES, INPUTS = 16, 4
 YAW, SMOOTHING, CONTROL, THRUST_RATE, YAW_WEIGHT, TIME, SPEED_MAX, JERK_MAX = range(8)
-"""An interval's parameters: the heading asked for, a factor on the weight of the thrust rates, the weights,
-the limits. Behind them the residual at rest (6), the effects' values, and where a path is tracked the weight
-of that and the position (3) on it: all that may change without a rebuild."""
+"""An interval's parameters, which may change without a rebuild.
+
+They are the requested heading, a factor on the weight of the thrust rates, the weights and the limits. Then
+follow the residual at rest (6), the effects' values, and where a path is tracked its weight and the position
+(3) on it.
+"""
 REST = slice(8, 14)
 EFFECTS = REST.stop
 _STEP = 1e-6
-"""Of slopes by differences."""
+"""Step of slopes by differences."""
 TILT_ROW, SPEED_ROW, JERK_ROW = 0, 1, 2
 PATH_ROWS = 3
-"""Path rows: cos tilt; squared speed and squared jerk as shares of their squared limits. Where the heading is
-free its rate in rad/s is one more."""
+"""Number of path rows: cos tilt; squared speed and squared jerk as shares of their squared limits.
+
+A free heading adds a row, its rate in rad/s.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
-    """What the cost holds beside the squared residual, m^2/s^4.
+    """Weights of the cost beside the squared residual, m^2/s^4.
 
     control: of the squared rotor thrusts in units of hover thrust (the paper's lambda_r = 0.1 per N^2 on its
-    0.752 kg vehicle is 0.34). thrust_rate: of their squared rates in 1/s: without it the plan ripples as fast
-    as its nodes allow. yaw: of the squared deviation from the heading asked for, in radians; large, because
+    0.752 kg vehicle is 0.34). thrust_rate: of their squared rates in 1/s; without it the plan ripples as fast
+    as its nodes allow. yaw: of the squared deviation from the requested heading, in radians; large, because
     the flat reference has no other heading. time: per second, where the total time is free. tracking: of the
     squared distance in m from the path to track, where there is one.
     """
@@ -59,7 +64,7 @@ class Weights:
     tracking: float = 100.0
 
     def scaled(self, factor: float) -> Weights:
-        """All weights times the factor."""
+        """Return all weights times the factor."""
         return Weights(
             control=factor * self.control,
             thrust_rate=factor * self.thrust_rate,
@@ -77,7 +82,7 @@ class Weights:
 
 @dataclass(frozen=True, kw_only=True)
 class Dynamics:
-    """A vehicle as the planner sees it. augmented: the model is in the dynamics, not only the cost."""
+    """A vehicle with its model. augmented: the model is in the dynamics, not only in the cost."""
 
     vehicle: Vehicle
     model: ResidualModel = field(default_factory=ResidualModel)
@@ -85,7 +90,7 @@ class Dynamics:
 
     @property
     def hover_n(self) -> float:
-        """Thrust of one rotor that carries a quarter of the nominal weight."""
+        """Thrust of one rotor at hover, N."""
         return self.vehicle.mass_kg * GRAVITY / 4.0
 
     def newtons(self, x: Sequence[Any]) -> list[Any]:
@@ -101,7 +106,7 @@ class Dynamics:
         return np.array([value for _, values in self.model.parts for value in values], dtype=float)
 
     def _parts(self, p: Any) -> list[Part]:
-        """Return the effects, their values out of an interval's parameters."""
+        """Return the effects with their values from an interval's parameters."""
         parts, start = [], EFFECTS
         for effect, values in self.model.parts:
             parts.append((effect, [p[start + i] for i in range(len(values))]))
@@ -109,14 +114,15 @@ class Dynamics:
         return parts
 
     def derivative(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-        """(16,) continuous dynamics, paper eq. 1, without the network."""
+        """Return xdot (16,), paper eq. 1, without the network."""
         parts = self._parts(p) if self.augmented else ()
         return ca.vertcat(*rigid_body(CASADI, self.vehicle, parts, self._scalars(x)), u)
 
     def residual(self, x: ca.SX, p: ca.SX, *, free_yaw: bool = False) -> ca.SX:
-        """(3 or 6,) rows of the residual as of `ResidualModel.rows`, less what they are at rest.
+        """Return the rows (3 or 6,) of `ResidualModel.rows`, less their values at rest.
 
-        The acceleration at rest is NED; where the heading is free it turns along, and is that at heading 0.
+        The acceleration at rest is NED. Where the heading is free, it is that at heading 0 and turns with the
+        vehicle.
         """
         d = ca.vertcat(*self.model.rows(CASADI, self.vehicle, self._scalars(x), self._parts(p)))
         rest = ca.vertsplit(p[REST])
@@ -135,9 +141,9 @@ class Dynamics:
         rest: Array | None = None,
         tracked_ned: Array | None = None,
     ) -> Array:
-        """(np, n): an interval's parameters, for n headings; what is not given is the default.
+        """Return the parameters (np, n) of intervals with n headings; values not given are the defaults.
 
-        tracked_ned: (3, n) where the path to track is at the interval's start; None for no such rows.
+        tracked_ned: (3, n) position on the path to track at each interval's start; None for no such rows.
         """
         weights, limits = weights or Weights(), limits or self.vehicle.limits
         shared = [smoothing, weights.control, weights.thrust_rate, weights.yaw, weights.time]
@@ -149,17 +155,19 @@ class Dynamics:
             return out
         return np.vstack([out, np.full(len(yaw), weights.tracking), tracked_ned])
 
-    def _unrest(self, unknown: Array, yaw: float, v_ned: Sequence[float], p_ned: Sequence[float]) -> Array:
-        """(6, n) acceleration and angular acceleration without turning, at roll, pitch and thrusts (6, n)."""
+    def _steady_error(
+        self, unknown: Array, yaw: float, v_ned: Sequence[float], p_ned: Sequence[float]
+    ) -> Array:
+        """Return the accelerations (6, n) without body rates; unknown: (6, n) roll, pitch and thrusts."""
         zero = np.zeros(unknown.shape[1])
         moving = [zero + value for value in (*p_ned, *v_ned)]
         x = [*moving, unknown[0], unknown[1], zero + yaw, *[zero] * 3, *unknown[2:]]
         parts = self.model.parts if self.augmented else ()
         rows = rigid_body(NUMPY, self.vehicle, parts, self.newtons(x))
-        found = np.array([zero + row for row in [*rows[V], *rows[RATE]]])
+        acceleration = np.array([zero + row for row in [*rows[V], *rows[RATE]]])
         if self.augmented and self.model.network is not None:
-            found[:3] += self.model.network.acceleration_ned(np.array(x[V]), np.array(x[THETA]))
-        return found
+            acceleration[:3] += self.model.network.acceleration_ned(np.array(x[V]), np.array(x[THETA]))
+        return acceleration
 
     def jerk_squared(self, x: ca.SX, u: ca.SX) -> ca.SX:
         """Return the nominal vehicle's squared jerk: thrust changes along z_frd, and z_frd turns."""
@@ -174,18 +182,17 @@ class Dynamics:
         v_ned: Sequence[float] = (0.0, 0.0, 0.0),
         p_ned: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> Array:
-        """(16,) the state at p_ned (m), at rest or at v_ned (m/s), in which nothing accelerates, in the
-        planner's units.
+        """Return the state (16,), in the planner's units, of steady flight at p_ned (m) and v_ned (m/s).
 
-        Newton's method on attitude and thrusts, with slopes by differences; differs from level only where the
-        dynamics are augmented. Raises ValueError where the model has no such state.
+        Newton's method on attitude and thrusts, with slopes by differences. The state differs from level
+        hover only with augmented dynamics. Raises ValueError where the model has no such state.
         """
         value = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
-        away = _STEP * np.eye(6)
+        steps = _STEP * np.eye(6)
         for _ in range(20):
-            lanes = value[:, None] + np.hstack([np.zeros((6, 1)), away, -away])
-            found = self._unrest(lanes, yaw, v_ned, p_ned)
-            error, slope = found[:, 0], (found[:, 1:7] - found[:, 7:]) / (2.0 * _STEP)
+            points = value[:, None] + np.hstack([np.zeros((6, 1)), steps, -steps])
+            errors = self._steady_error(points, yaw, v_ned, p_ned)
+            error, slope = errors[:, 0], (errors[:, 1:7] - errors[:, 7:]) / (2.0 * _STEP)
             if not np.isfinite(slope).all():
                 break
             if np.abs(error).max() < 1e-10:
@@ -198,11 +205,10 @@ class Dynamics:
     def stage_model(
         self, *, minimise_residual: bool, free_yaw: bool = False, track_path: bool = False
     ) -> StageModel:
-        """Return the interval's model; path rows as TILT_ROW and so on; weights, limits, values are
-        parameters.
+        """Return the interval's model; weights, limits and values of effects are parameters.
 
-        free_yaw: no heading is asked for, and its rate is a path row. track_path: the cost counts the squared
-        distance from a path too, the parameters' last four rows.
+        free_yaw: no heading is requested, and its rate is a path row. track_path: the cost has the squared
+        distance from a path, by the last four parameters.
         """
         tracking = EFFECTS + len(self.theta)
 

@@ -1,4 +1,4 @@
-"""References on disk: `NAME.ref`, and beside it `NAME.ref.json` with the plan's figures and provenance."""
+"""References on disk: `NAME.ref`, and `NAME.ref.json` with the plan's figures and provenance."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def check_name(path: Path | str, force: bool = False) -> Path:
 def write_plan(
     plan: Plan, path: Path | str, *, provenance: Mapping[str, Any] | None = None, force: bool = False
 ) -> Path:
-    """Return the path of the written reference; each of the two files appears whole or not at all, the blob
-    last.
+    """Write a plan's two files and return the path of the reference.
 
-    `provenance`: as of `base.artefacts.provenance`. The same plan and provenance give the same bytes:
-    processor time is left out. Raises UsageError where a file exists and `force` is not set.
+    Each file appears whole or not at all, the reference last. `provenance`: as of
+    `base.artefacts.provenance`. The same plan and provenance give the same bytes, because processor time is
+    left out. Raises UsageError where a file exists and `force` is not set.
     """
     path = check_name(path, force)
     record = {
@@ -46,7 +46,7 @@ def write_plan(
 
 
 def figures(plan: Plan) -> dict[str, Any]:
-    """Return what is known about a plan, as plain data for JSON."""
+    """Return a plan's figures as plain data for JSON."""
     return {
         "kind": plan.kind,
         "augmented": plan.augmented,

@@ -1,4 +1,4 @@
-"""A plan flown by a simulated vehicle: how closely it was followed."""
+"""A plan flown by a simulated vehicle, with its tracking error."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Flown:
     """One flight of a plan.
 
     error_mean_m, error_rmse_m, error_max_m: distance between camera poses and reference over the tracking
-    phase. clipped_share: of the ticks in flight, those on which the motors could not give what was commanded.
-    failure: why the reference was not flown to its end, None where it was; with it the numbers are None.
+    phase. clipped_share: share of the ticks in flight in which motors saturated. failure: why the reference
+    was not flown to its end, None where it was. With a failure, the numbers are None.
     """
 
     log: Path
@@ -30,20 +30,21 @@ class Flown:
 
 
 def fly_plan(plan: Plan, field: Airfield, *, flight: int, log: Path, model_id: str | None = None) -> Flown:
-    """Return what came of the plan's reference, uploaded and flown; log and sealed truth stay.
+    """Upload and fly a plan's reference, and return its errors; log and sealed truth remain.
 
-    flight: index of the flight in its world. A flight that ends in failsafe or early is told, not raised.
+    flight: index of the flight in its world. A flight that ends early or in failsafe has a `failure`; nothing
+    is raised.
     """
     try:
         result = field.fly(plan.reference, flight, log, model_id=model_id)
     except FlightFailed as error:
         return Flown(log=log, failure=str(error))
-    off = tracking_error(read_flight(log))
-    assert off is not None  # a reference flown to its end has a tracking phase
+    error = tracking_error(read_flight(log))
+    assert error is not None  # a reference flown to its end has a tracking phase
     return Flown(
         log=log,
-        error_mean_m=off.mean_m,
-        error_rmse_m=off.rmse_m,
-        error_max_m=off.max_m,
+        error_mean_m=error.mean_m,
+        error_rmse_m=error.rmse_m,
+        error_max_m=error.max_m,
         clipped_share=result.clipped_share,
     )

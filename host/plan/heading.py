@@ -1,4 +1,4 @@
-"""A heading that the solver chooses: which models allow it, and its way into a reference."""
+"""A heading that the solver chooses: the models that allow it, and its yaw nodes in a reference."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ from trimtab.protocol.blobs import YawNode
 Array = NDArray[np.float64]
 
 SPACING_US = 50_000
-"""Least distance of yaw nodes: closer, float32 ruins the yaw acceleration."""
+"""Least distance of yaw nodes; for closer ones float32 spoils the yaw acceleration."""
 _TURN = 1.0
 _STATE = (0.3, -0.2, -1.4, 1.3, -0.8, 0.4, 0.15, -0.25, 0.2, 0.4, -0.3, 0.6)
-"""Some state of a flight, and a heading to turn it by: what is fixed to the world shows in it."""
+"""A state of flight and a heading to turn it by, which show effects that are fixed to the world."""
 _SAME = 1e-9
 
 
 def check_turnable(dynamics: Dynamics, source: str) -> None:
-    """Raise UsageError for a model that is not the same for every heading; what only moved within its
-    tolerance may be fixed to the world. source: names the route.
+    """Raise UsageError for a model that is not the same for every heading.
+
+    Effects that only moved within their tolerance may be fixed to the world. source: names the route.
     """
     model = dynamics.model
     rule = f"{source}: yaw.free: needs a model that is the same for every heading"
@@ -47,12 +48,12 @@ def check_turnable(dynamics: Dynamics, source: str) -> None:
             for k, (effect, _) in enumerate(parts)
             if _turn(dynamics.vehicle, parts[:k] + parts[k + 1 :])
         ]
-        told = " with ".join(names or [effect.name for effect, _ in parts])
-        raise UsageError(f"{rule}, {told} is fixed to the world; give the heading")
+        fixed = " with ".join(names or [effect.name for effect, _ in parts])
+        raise UsageError(f"{rule}, {fixed} is fixed to the world; give the heading")
 
 
 def _turn(vehicle: Vehicle, parts: Sequence[Part]) -> bool:
-    """Whether effects turn with the vehicle: its accelerations at a state, and at that state turned."""
+    """Return whether effects turn with the vehicle: compare its accelerations at a state and at it turned."""
     cos, sin = np.cos(_TURN), np.sin(_TURN)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     x = np.array([*_STATE, *np.linspace(0.2, 0.35, 4) * vehicle.thrust_max_n])
@@ -64,20 +65,19 @@ def _turn(vehicle: Vehicle, parts: Sequence[Part]) -> bool:
 
 
 def yaw_nodes(solution: Solution) -> tuple[YawNode, ...]:
-    """Return the heading of a solution at its nodes, or at those of them that are 50 ms apart.
+    """Return the heading of a solution at its nodes, or at nodes that are at least 50 ms apart.
 
-    Between a solution's nodes thrusts change evenly, and heading so nearly as a cubic that its cubic pieces
-    keep to it.
+    Between nodes the thrusts change linearly, and the heading is close enough to a cubic for cubic pieces.
     """
     times = np.rint(solution.t_s * 1e6).astype(np.int64)
     rates = np.asarray(euler_rates(NUMPY, list(solution.x[THETA]), list(solution.x[RATE]))[2])
     last = len(times) - 1
-    kept = [0]
+    chosen = [0]
     for k in range(1, last):
-        if times[k] - times[kept[-1]] >= SPACING_US and times[last] - times[k] >= SPACING_US:
-            kept.append(k)
+        if times[k] - times[chosen[-1]] >= SPACING_US and times[last] - times[k] >= SPACING_US:
+            chosen.append(k)
     yaw = solution.x[THETA.stop - 1]
-    inner = [YawNode(int(times[k]), float(yaw[k]), float(rates[k])) for k in kept[1:]]
+    inner = [YawNode(int(times[k]), float(yaw[k]), float(rates[k])) for k in chosen[1:]]
     return (
         YawNode(0, float(yaw[0]), 0.0),
         *inner,
@@ -86,13 +86,13 @@ def yaw_nodes(solution: Solution) -> tuple[YawNode, ...]:
 
 
 def fastest_turn(yaws: Sequence[YawNode]) -> tuple[float, float]:
-    """Return the greatest yaw rate along yaw nodes, without its sign, rad/s, and the time of it, us."""
-    found = [(0.0, 0.0)]
+    """Return the greatest absolute yaw rate along yaw nodes, rad/s, and its time, us."""
+    rates = [(0.0, 0.0)]
     for (t0, *before), (t1, *after) in pairwise(yaws):
         length_s = (t1 - t0) * 1e-6
         coefficients = cubic_coefficients(length_s, *before, *after)
         _, _, c2, c3 = coefficients
         extreme = -c2 / (3.0 * c3) if c3 else 0.0
         for s in (0.0, length_s, min(max(extreme, 0.0), length_s)):
-            found.append((abs(cubic_at(coefficients, s)[1]), t0 + s * 1e6))
-    return max(found)
+            rates.append((abs(cubic_at(coefficients, s)[1]), t0 + s * 1e6))
+    return max(rates)

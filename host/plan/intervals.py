@@ -1,6 +1,6 @@
 """All intervals of a problem at once: in C over SIMD lanes, or in CasADi's virtual machine.
 
-Both write their results into flat arrays that stay where they are; an `Output` says where each number stands.
+Both write their results into flat arrays that never move; an `Output` has the place of each number.
 """
 
 from __future__ import annotations
@@ -24,8 +24,10 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """Results of one kind. flat: the numbers; at: (N, entries) where each stands; rows, columns: (entries,)
-    which entry of an interval's matrix, or row of its vector, that is.
+    """Results of one kind.
+
+    flat: the numbers. at: (N, entries) place of each in `flat`. rows, columns: (entries,) its row and column
+    in the interval's matrix or vector.
     """
 
     flat: Array
@@ -34,16 +36,16 @@ class Output:
     columns: Index
 
     def dense(self, height: int, width: int = 1) -> Array:
-        """(N, height, width), a copy."""
+        """Return the results (N, height, width) as a copy."""
         out = np.zeros((len(self.at), height, width))
         out[:, self.rows, self.columns] = self.flat[self.at]
         return out
 
 
 class Intervals(Protocol):
-    """What a problem's assembly asks for. The methods compute at the last `set`; h counts in units of h0.
+    """The evaluations that a problem's assembly needs, at the point of the last `set`; h is in units of h0.
 
-    slopes and hessian are by z = (x, u, h), the Hessian's upper triangle; path slopes are by (x, u).
+    Slopes and Hessian are by z = (x, u, h), of the Hessian the upper triangle; path slopes are by (x, u).
     """
 
     x_next: Output
@@ -55,19 +57,19 @@ class Intervals(Protocol):
     hessian: Output
 
     def set(self, x: Array, u: Array, h: Array) -> None:
-        """Where: x (N, nx), u (N, nu), h (N,)."""
+        """Set the point: x (N, nx), u (N, nu), h (N,)."""
         ...
 
     def values(self) -> None:
-        """x_next, cost, path."""
+        """Compute x_next, cost and path."""
         ...
 
     def slopes(self) -> None:
-        """x_slope, cost_slope, path_slope."""
+        """Compute x_slope, cost_slope and path_slope."""
         ...
 
     def gradient(self) -> None:
-        """cost_slope alone."""
+        """Compute cost_slope alone."""
         ...
 
     def bend(self, sigma: float, lam_x: Array, lam_path: Array) -> None:
@@ -78,8 +80,8 @@ class Intervals(Protocol):
 class Engine:
     """A stage model ready to be evaluated over any number of intervals.
 
-    In C where there is a compiler and `engine` or TRIMTAB_ENGINE leave the choice, else in the virtual
-    machine. Raises CodegenError where C is asked for and cannot be.
+    It runs in C where there is a compiler and neither `engine` nor TRIMTAB_ENGINE decides otherwise, else in
+    the virtual machine. Raises CodegenError where C is requested and not possible.
     """
 
     def __init__(self, model: StageModel, engine: str | None = None) -> None:
@@ -93,7 +95,7 @@ class Engine:
         return isinstance(self._made, Kernel)
 
     def over(self, h0_s: Array, parameters: Array) -> Intervals:
-        """N intervals of these nominal steps (N,) and parameters (np, N)."""
+        """Return N intervals with these nominal steps (N,) and parameters (np, N)."""
         if isinstance(self._made, Kernel):
             return _Lanes(self.model, self._made, h0_s, parameters)
         return _Machine(self.model, self._made, h0_s, parameters)
@@ -107,7 +109,7 @@ class _Lanes:
         count, nx, nu = len(h0_s), model.nx, model.nu
         nz = nx + nu + 1
         self._groups = -(-count // LANES)
-        # Lanes beyond the last interval repeat the first: their numbers are finite and nobody reads them.
+        # Lanes beyond the last interval repeat the first, so their numbers are finite; nobody reads them.
         lane = np.zeros(self._groups * LANES, dtype=np.int64)
         lane[:count] = np.arange(count)
         self._lane = lane
@@ -139,7 +141,7 @@ class _Lanes:
         return self._placed(count, mask.size, rows * mask.shape[1] + columns, rows, columns)
 
     def _placed(self, count: int, size: int, entries: Index, rows: Index, columns: Index) -> Output:
-        """Room for `size` numbers a lane, of which `entries` are read."""
+        """Return an output of `size` numbers in each lane; `entries` of them are read."""
         k = np.arange(count)[:, None]
         at = (k // LANES) * (size * LANES) + entries * LANES + k % LANES
         flat = aligned((self._groups, size, LANES)).reshape(-1)

@@ -1,4 +1,4 @@
-"""One plan in the making: what is asked for, and the finished plan from a judged table."""
+"""One planning job: its arguments, and the finished plan from a judged table."""
 
 from __future__ import annotations
 
@@ -22,10 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """What a plan took. deviation_m: of the table from the solver's path. intervals: of the problem.
-
-    lambda_r: as of `Plan`.
-    """
+    """The effort of a plan; fields as of `Plan`."""
 
     status: str
     solve_s: float
@@ -40,7 +37,7 @@ class Effort:
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """A route to plan, with what `plan` has made of its other arguments. limits: all that apply, merged."""
+    """A route to plan, with the checked arguments of `plan`. limits: all limits that apply, merged."""
 
     kind: Kind
     route: Route
@@ -55,11 +52,11 @@ class Job:
 
     @property
     def waypoints_ned(self) -> Array:
-        """(K, 3)."""
+        """Waypoints (K, 3)."""
         return np.array(self.route.waypoints_m)
 
     def durations(self) -> Array:
-        """(legs,) the route's own, or those of least snap."""
+        """Return the route's durations (legs,), or those of least snap."""
         if self.route.times_s is not None:
             return np.diff(np.array(self.route.times_s))
         route = self.route
@@ -77,11 +74,11 @@ class Job:
 
     @property
     def yaw_rate_max_rad_s(self) -> float | None:
-        """Of a heading that the solver chooses; None where it is given, as min-snap takes it."""
+        """Greatest rate of a free heading; None where the heading is given, and for min-snap."""
         return None if self.kind == "min-snap" else self.route.yaw.rate_max_rad_s
 
     def passed(self, p_ned: Array) -> Array:
-        """(K, 3) where a path that solves the waypoints at p_ned (K, 3) is to pass them exactly."""
+        """Return where a path must pass exactly (K, 3), if it solves the waypoints at p_ned (K, 3)."""
         out = self.waypoints_ned
         for gate in self.route.gates or ():
             out[gate.waypoint] = gate.nearest(p_ned[gate.waypoint], out[gate.waypoint])

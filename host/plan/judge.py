@@ -1,4 +1,4 @@
-"""The verdict on a node table, by the vehicle's own checks on its rounded reference, and figures along it."""
+"""The verdict on a node table: the vehicle's checks of its rounded reference, and figures along it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from trimtab.protocol.blobs import Reference, YawNode
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:
-    """A reference, the table as it is flown, and whether it may be. margins: least distance to each limit."""
+    """A reference, the table as flown, and whether it may be flown. margins: least distance to each limit."""
 
     reference: Reference
     table: Table
@@ -37,7 +37,7 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True)
 class Passing:
-    """A gate, where it stands, and when a table is to be in it."""
+    """A gate, its centre, and the time at which a table passes it."""
 
     gate: Gate
     centre_ned: tuple[float, float, float]
@@ -45,7 +45,7 @@ class Passing:
 
 
 def passings(route: Route, waypoint_times_s: ArrayLike) -> list[Passing]:
-    """Return the route's gates, each when its waypoint is passed; times (K,)."""
+    """Return the route's gates with the times of their waypoints; times (K,)."""
     times_us = round_times(np.asarray(waypoint_times_s, dtype=float))
     return [
         Passing(gate=gate, centre_ned=route.waypoints_m[gate.waypoint], t_us=int(times_us[gate.waypoint]))
@@ -55,8 +55,10 @@ def passings(route: Route, waypoint_times_s: ArrayLike) -> list[Passing]:
 
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """Along the whole reference. residual_rms_m_s2: None without a model. outside_region: share of it beyond
-    the region that the model's data covers, None where that is not known.
+    """Figures along the whole reference.
+
+    residual_rms_m_s2: None without a model. outside_region: share of the reference outside the trained
+    region, None where that is not known.
     """
 
     path_length_m: float
@@ -74,9 +76,9 @@ def judge(
     gates: Sequence[Passing] = (),
     yaw_rate_max_rad_s: float | None = None,
 ) -> Judged:
-    """Return the verdict on a table as the vehicle will read it, within these limits and those on board.
+    """Return the verdict on a table as the vehicle reads it, within these limits and those on board.
 
-    yaw_rate_max_rad_s: of a free heading.
+    yaw_rate_max_rad_s: greatest rate of a free heading.
     """
     reference = to_reference(table, yaws, vehicle.id)
     airframe, on_board = from_parameters(to_parameters(vehicle))
@@ -90,14 +92,14 @@ def judge(
     )
     flown = from_reference(reference)
     margins, ok, message = dict(verdict.margins), verdict.ok, verdict.message
-    found: list[tuple[str, float, str]] = []
+    more_margins: list[tuple[str, float, str]] = []
     if keep_out:
-        found.append((KEEP_OUT, *_keep_out(flown, keep_out)))
+        more_margins.append((KEEP_OUT, *_keep_out(flown, keep_out)))
     if gates:
-        found.append((GATES, *_gates(flown, gates)))
+        more_margins.append((GATES, *_gates(flown, gates)))
     if yaw_rate_max_rad_s is not None:
-        found.append((YAW_RATE, *_turning(flown, reference.yaw_nodes(), yaw_rate_max_rad_s)))
-    for name, margin, where in found:
+        more_margins.append((YAW_RATE, *_turning(flown, reference.yaw_nodes(), yaw_rate_max_rad_s)))
+    for name, margin, where in more_margins:
         margins[name] = margin
         if ok and margin < 0.0:
             ok, message = False, where
@@ -105,7 +107,7 @@ def judge(
 
 
 def measure(vehicle: Vehicle, model: ResidualModel, table: Table, yaws: Sequence[YawNode]) -> Figures:
-    """Length, speed and predicted residual along a table, sampled every 10 ms."""
+    """Return length, speed and predicted residual along a table, sampled every 10 ms."""
     along = profile(vehicle, model, table, yaws)
     length = float(np.linalg.norm(np.diff(along.p_ned, axis=1), axis=0).sum())
     residual = along.residual_m_s2
@@ -118,7 +120,7 @@ def measure(vehicle: Vehicle, model: ResidualModel, table: Table, yaws: Sequence
 
 
 def _keep_out(table: Table, shapes: Sequence[Shape]) -> tuple[float, str]:
-    """Least distance from the shapes, and a sentence on where that is."""
+    """Return the least distance from the shapes, and a message that says where it is."""
     times_us = sample_times(table)
     p = evaluate(table, times_us)[0]
     least, where = np.inf, ""
@@ -136,14 +138,14 @@ def _keep_out(table: Table, shapes: Sequence[Shape]) -> tuple[float, str]:
 
 
 def inside_gates(table: Table, gates: Sequence[Passing]) -> NDArray[np.float64]:
-    """(gates,) metres inside each gate's edge when it is passed, negative outside."""
+    """Return the distances (gates,) inside each gate's edge when it is passed, m; negative outside."""
     p = evaluate(table, np.array([passing.t_us for passing in gates], dtype=np.int64))[0].T
     inside = [passing.gate.inside_m(at, passing.centre_ned) for passing, at in zip(gates, p, strict=True)]
     return np.array(inside)
 
 
 def _gates(table: Table, gates: Sequence[Passing]) -> tuple[float, str]:
-    """Least distance inside a gate's edge when it is passed, and a sentence on where that is."""
+    """Return the least distance inside a gate's edge, and a message that says where it is."""
     inside = inside_gates(table, gates)
     k = int(inside.argmin())
     t_us = gates[k].t_us
@@ -152,7 +154,7 @@ def _gates(table: Table, gates: Sequence[Passing]) -> tuple[float, str]:
 
 
 def _turning(table: Table, yaws: Sequence[YawNode], bound: float) -> tuple[float, str]:
-    """Distance of the greatest yaw rate from its bound, and a sentence on where that is."""
+    """Return the distance of the greatest yaw rate from its bound, and a message that says where it is."""
     rate, t_us = fastest_turn(yaws)
     node = int(np.searchsorted(table.times_us, t_us, side="right")) - 1
     return bound - rate, (

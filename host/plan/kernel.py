@@ -1,8 +1,8 @@
 """Shooting intervals as C over SIMD lanes: values, slopes and Hessians with the network's by formula.
 
-A lane is an interval. Dynamics, cost and path rows are emitted from their SX graphs; RK4, its sensitivities
-and its adjoint are loops in `kernel.c`, and so is the network, whose weights are data: neither learning nor
-another course or limit rebuilds anything. The same derivatives as `trimtab.host.plan.stage`, which needs no
+A lane is an interval. Dynamics, cost and path rows are emitted from their SX graphs. RK4, its sensitivities,
+its adjoint and the network are loops in `kernel.c`. The network's weights are data, so neither learning nor
+another course or limit rebuilds anything. `trimtab.host.plan.stage` has the same derivatives without a
 compiler.
 """
 
@@ -28,8 +28,9 @@ _SOURCE = Path(__file__).parent / "kernel.c"
 
 @dataclass(frozen=True, kw_only=True)
 class Pattern:
-    """Where entries may differ from zero. x_slope (nx, nz), path_slope (rows, nx + nu), hessian (nz, nz),
-    upper triangle; z = (x, u, h).
+    """Masks of the entries that may differ from zero.
+
+    x_slope (nx, nz), path_slope (rows, nx + nu), hessian (nz, nz), upper triangle; z = (x, u, h).
     """
 
     x_slope: np.ndarray
@@ -39,9 +40,9 @@ class Pattern:
 
 @dataclass(frozen=True, kw_only=True)
 class Kernel:
-    """The library's functions over groups of lanes, see `kernel.c`, and the order of their outputs.
+    """The library's functions over groups of lanes (`kernel.c`), and the order of their outputs.
 
-    path_slope: rows and columns of its entries. rows: of path constraints.
+    path_slope: rows and columns of its entries. rows: number of path rows.
     """
 
     values: Callable[..., None]
@@ -125,7 +126,7 @@ class _Parts:
         }
 
     def pattern(self) -> Pattern:
-        """Which entries of the slopes and the Hessian differ from zero: RK4 chains the dynamics' patterns."""
+        """Return the entries that may differ from zero: RK4 chains the patterns of the dynamics."""
         nx, nu = self.model.nx, self.model.nu
         nz = nx + nu + 1
         by_x, by_u = _mask(self.by_x), _mask(self.by_u)
@@ -205,7 +206,7 @@ class _Parts:
 
 
 def _emitted(name: str, inputs: list[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
-    """Return a function of dense columns; what has no entries is one zero."""
+    """Return a function of dense columns; an output without entries becomes one zero."""
     columns = [
         ca.densify(ca.vec(output)) if output.numel() else ca.densify(ca.SX(1, 1)) for output in outputs
     ]
@@ -245,7 +246,7 @@ def _network_ends(layout: Layout) -> dict[str, ca.Function]:
 def _network_calls(layout: Layout) -> list[str]:
     """Return the layers' calls, as macros."""
     forward, slopes, bends = [], [], []
-    layers = []  # where its weights, its units and its inputs are
+    layers = []  # places of its weights, units and inputs
     unit = weight = 0
     source = "n->s"
     for inputs, outputs in pairwise(layout.sizes):

@@ -1,4 +1,4 @@
-"""What a smaller predicted residual costs: a route planned with scaled weights, beside the other kinds."""
+"""The trade between residual and effort: a route planned with scaled weights, and by the other kinds."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from trimtab.host.route import LimitsOverride, Route
 from trimtab.host.vehicle import Vehicle
 
 FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""On the weights of thrusts and their rates, from wild to tame."""
+"""Factors on the weights of thrusts and their rates, from aggressive to smooth."""
 COLUMNS: Mapping[str, str] = {
     "lambda_r": "m^2/s^4/N^2",
     "residual": "m/s^2 RMS",
@@ -34,18 +34,18 @@ COLUMNS: Mapping[str, str] = {
     "clipped": "%",
     "solve": "s",
 }
-"""Of a table for people: unit by title. lambda_r: the paper's weight of control effort, there 0.1."""
+"""Columns of the printed table: unit by title. lambda_r: the paper's weight of control effort, there 0.1."""
 REFUSED, UNSOLVED = "refused", "unsolved"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """One plan of the trade, or why there is none.
+    """One plan of the trade, or the reason why there is none.
 
-    kind: with its star. factor: on the default weights; None for the kinds that stand beside. status: of the
-    plan, `refused` or `unsolved`; reason: None where there is a plan. jerk_rms_m_s3, tilt_max_deg,
-    thrust_share_max (of a rotor's greatest): along the reference, None without one. solve_s: processor time.
-    flown: None where it was not.
+    kind: with its star. factor: on the default weights; None for the kinds it is compared with. status: of
+    the plan, `refused` or `unsolved`. reason: None where there is a plan. jerk_rms_m_s3, tilt_max_deg,
+    thrust_share_max (of a rotor's greatest thrust): along the reference, None without one. solve_s: processor
+    time. flown: None where the plan was not flown.
     """
 
     kind: str
@@ -66,7 +66,7 @@ class Point:
 
     @property
     def residual_rms_m_s2(self) -> float | None:
-        """As predicted along the reference."""
+        """Predicted along the reference."""
         return None if self.plan is None else self.plan.residual_rms_m_s2
 
     @property
@@ -91,7 +91,7 @@ class Point:
 
     @property
     def path_length_m(self) -> float | None:
-        """Of the reference."""
+        """Length of the reference."""
         return None if self.plan is None else self.plan.path_length_m
 
     def cells(self) -> tuple[str, ...]:
@@ -111,7 +111,7 @@ class Point:
         return tuple("-" if number is None else format(number, form) for number, form in numbers)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Return plain data for JSON."""
         return {
             "kind": self.kind,
             "factor": self.factor,
@@ -134,11 +134,11 @@ class Point:
 
 
 def tabulate(points: Sequence[Point]) -> tuple[dict[str, str], list[tuple[str, ...]]]:
-    """Units by title, and a row of cells a point: of COLUMNS those that tell anything."""
+    """Return units by title, and a row of cells for each point; columns without any number are left out."""
     rows = [point.cells() for point in points]
-    told = [any(row[k] != "-" for row in rows) for k in range(len(COLUMNS))]
-    units = {title: unit for (title, unit), keep in zip(COLUMNS.items(), told, strict=True) if keep}
-    return units, [tuple(cell for cell, keep in zip(row, told, strict=True) if keep) for row in rows]
+    shown = [any(row[k] != "-" for row in rows) for k in range(len(COLUMNS))]
+    units = {title: unit for (title, unit), show in zip(COLUMNS.items(), shown, strict=True) if show}
+    return units, [tuple(cell for cell, show in zip(row, shown, strict=True) if show) for row in rows]
 
 
 def pareto(
@@ -156,12 +156,12 @@ def pareto(
     source: str | None = None,
     on_point: Callable[[Point], None] | None = None,
 ) -> list[Point]:
-    """min-snap, min-control, then a plan of `kind` for each factor, ascending; all take the same time.
+    """Return plans of min-snap and min-control, then of `kind` for each factor, ascending, in the same time.
 
-    kind: min-residual, or with a star, which min-control then has too. factors: positive, on the weights of
-    thrusts and their rates in `settings`. on_point: called with each point as it is found. The other
-    arguments are those of `trimtab.host.plan.plan`, whose ConfigurationError and UsageError are raised here
-    too; a plan that is refused or not solved is a point with its reason.
+    kind: min-residual, or min-residual* beside min-control*. factors: positive, on the weights of thrusts and
+    their rates in `settings`. on_point: called with each point when it is ready. The other arguments and the
+    errors ConfigurationError and UsageError are those of `trimtab.host.plan.plan`. A plan that is refused or
+    not solved is a point with its reason.
     """
     star = "*" if kind.endswith("*") else ""
     if kind.removesuffix("*") != "min-residual":
@@ -198,9 +198,7 @@ def pareto(
 
 
 def _scaled(settings: Settings, factor: float) -> Settings:
-    """Return the settings with another price on thrusts and their rates; headings stay as dear as they
-    were.
-    """
+    """Return the settings with the weights of thrusts and their rates scaled."""
     weights = settings.weights
     return replace(
         settings,

@@ -1,4 +1,4 @@
-"""Gates and keep-out shapes over all nodes: rows of the position alone, beside the vehicle's path rows."""
+"""Gates and keep-out shapes at all nodes: path rows that depend on the position alone."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ GATE_ROWS = 4
 class Places:
     """Rows of N points, their slopes, and the Hessian of a weighted sum.
 
-    gates: (12, N) frame and centre at each node, or None; their rows come first, then signed distances to the
-    shapes. Both are another problem's another time, and small: CasADi's virtual machine evaluates them.
+    gates: (12, N) frame and centre at each node, or None. Their rows come first, then the signed distances to
+    the shapes. Both are small and differ from problem to problem: CasADi's virtual machine evaluates them.
     """
 
     def __init__(self, gates: Array | None, shapes: Sequence[Shape], count: int) -> None:
@@ -56,16 +56,16 @@ class Places:
 
     @property
     def value(self) -> Array:
-        """(N, rows) at the last `first`."""
+        """Values (N, rows) at the points of the last `first`."""
         return self._first.outputs["value"]
 
     @property
     def slope(self) -> Array:
-        """(N, rows, 3) at the last `first`."""
+        """Slopes (N, rows, 3) at the points of the last `first`."""
         return self._first.outputs["slope"].reshape(-1, self.rows, 3)
 
     def second(self, p: Array, lam: Array) -> Array:
-        """(N, 3, 3) Hessians of lam' rows; lam (N, rows)."""
+        """Return the Hessians (N, 3, 3) of lam' rows; lam (N, rows)."""
         self._second.inputs["p"][:] = p
         self._second.inputs["lam"][:] = lam
         self._second()

@@ -1,18 +1,19 @@
 """`plan`: from a route to a checked reference.
 
-Kinds. min-snap: the minimum-snap spline with optimised leg times; it knows no limits, so it is refused,
-or stretched in time where allowed, if it breaks one. min-control and min-residual: paper eqs. 10-11 by
-multiple shooting within the vehicle's limits. With nominal dynamics the reference is feasible for the nominal
-vehicle, which is what a flatness-based law assumes (paper section IV-C.4). With augmented dynamics (`*` in
-the paper) the path is feasible for the vehicle *with* its effects: the reference holds that path's position,
-velocity, acceleration and jerk; the law's flat attitude and thrust for it lack what the effects add, and only
-a law that feeds the effects forward, or an MPC with the same model, asks for the planned attitude and thrust.
-Either way the limits are judged on the flat reference, as on board. min-control-r is the paper's baseline
-(section V-B.1): min-control with nominal dynamics, then the path nearest to it with augmented dynamics.
+min-snap is the minimum-snap spline with optimised leg times. It ignores limits. If it breaks one, it is
+refused, or stretched in time where allowed. min-control and min-residual are paper eqs. 10-11, solved by
+multiple shooting within the vehicle's limits.
+
+With nominal dynamics the reference is feasible for the nominal vehicle, which is what a flatness-based law
+assumes (paper section IV-C.4). With augmented dynamics (`*` in the paper) the path is feasible for the
+vehicle with its effects. The reference then holds that path's position, velocity, acceleration and jerk, but
+the law's flat attitude and thrust for it lack the contribution of the effects. Only a law that feeds the
+effects forward, or an MPC with the same model, commands the planned attitude and thrust. Either way the
+limits are judged on the flat reference, as on board. min-control-r is the paper's baseline (section V-B.1):
+min-control with nominal dynamics, then the path nearest to it with augmented dynamics.
 
 The shooting problem starts on the straight lines between the waypoints; where that fails, along the min-snap
-spline. A finished reference that leaves the limits between nodes is solved again in a box tightened by the
-excess.
+spline. A reference that breaks limits between nodes is solved again within tighter bounds.
 """
 
 from __future__ import annotations
@@ -55,15 +56,15 @@ def plan(
 ) -> Plan:
     """Return a checked plan for the route. The same arguments give the same reference.
 
-    kind: one of KINDS; a `*` behind it has the model in the dynamics. model: needed by all but min-snap
-    and min-control; `effects` are those its names refer to, the shipped ones by default. headroom: limits
-    tighter than the route's. total_time_s: instead of the route's. time_box: the total time is free within
-    these shares of it, at the price of time_weight (1 by default) a second, in the unit of the weights.
-    stretch: a min-snap plan that breaks a limit takes more time. nodes: about how many shooting intervals,
-    None for one about every 70 ms. source: names the route in errors, its name by default.
+    kind: one of KINDS; a final `*` puts the model into the dynamics. model: needed by all kinds but min-snap
+    and min-control. effects: library that the model's names refer to, the shipped one by default. headroom:
+    limits tighter than the route's. total_time_s: instead of the route's. time_box: the total time is free
+    within these shares of it, and each second costs time_weight (1 by default), in the unit of the weights.
+    stretch: a min-snap plan that breaks a limit takes more time. nodes: approximate number of shooting
+    intervals, None for one about every 70 ms. source: names the route in errors, its name by default.
 
-    Raises ConfigurationError or UsageError (exit code 2) for what contradicts itself before solving,
-    PlanRefused (1) with node and reason, PlanUnsolved (4).
+    Raises ConfigurationError or UsageError (exit code 2) for contradictory arguments, PlanRefused (1) with
+    node and reason, PlanUnsolved (4).
     """
     name, _ = parse_kind(kind)
     if nodes is not None and not 20 <= nodes <= NODES_MAX:
@@ -100,7 +101,7 @@ def make_job(
     settings: Settings | None = None,
     source: str | None = None,
 ) -> Job:
-    """Return what `plan` plans: arguments checked, limits merged. Raises ConfigurationError or UsageError."""
+    """Return the job that `plan` solves, checked. Raises ConfigurationError or UsageError."""
     name, augmented = parse_kind(kind)
     settings = _free_time(settings or Settings(), route, kind, time_box, time_weight)
     route = _timed(route, total_time_s)
@@ -155,7 +156,7 @@ def _residual_model(
 
 
 def _check_steady(dynamics: Dynamics, route: Route) -> None:
-    """Raise UsageError for a model under which the vehicle cannot hover, or fly as the path's ends do."""
+    """Raise UsageError for a model with no steady flight at hover or at the end velocities."""
     try:
         for p_ned in (route.waypoints_m[0], route.waypoints_m[-1]):
             for v_ned in ((0.0, 0.0, 0.0), *route.end_velocities_ned):
@@ -171,7 +172,7 @@ def _free_time(
     box: tuple[float, float] | None,
     weight: float | None,
 ) -> Settings:
-    """Return the settings with this much freedom of the total time. Raises UsageError."""
+    """Return the settings with the total time free within `box`. Raises UsageError."""
     if box is None:
         if weight is not None:
             raise UsageError("--time-weight goes with --time-box: without it the total time is given")
@@ -200,7 +201,7 @@ def _free_time(
 
 
 def _timed(route: Route, total_time_s: float | None) -> Route:
-    """Return the route in this total time; waypoint times and yaw profile are scaled along."""
+    """Return the route with this total time; waypoint times and yaw profile scale with it."""
     if total_time_s is None:
         return route
     if not 0.0 < total_time_s <= TIME_MAX_S:

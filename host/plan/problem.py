@@ -1,4 +1,4 @@
-"""A shooting problem in numbers, and how a solve of it ends."""
+"""A shooting problem in numbers, and the outcome of a solve."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Multipliers:
-    """Of the bounds on the unknowns and of the constraint rows, at a solution."""
+    """Multipliers of the bounds on the unknowns and of the constraint rows, at a solution."""
 
     bounds: Array
     rows: Array
@@ -76,8 +76,10 @@ class Problem:
 
 @dataclass(frozen=True, kw_only=True)
 class Enough:
-    """When a point is acceptable: in two iterations running the cost changed by less than the share `change`,
-    with every row met within `gap`.
+    """When a point is acceptable.
+
+    In two iterations in a row the relative change of the cost was below `change`, with every row met within
+    `gap`.
     """
 
     change: float
@@ -85,7 +87,7 @@ class Enough:
 
 
 class SolveStatus(Enum):
-    """How a solve ended; the value is a sentence for a person."""
+    """The outcome of a solve; the value is a message for people."""
 
     SOLVED = "the solver converged"
     ACCEPTABLE = "the solver stopped at an acceptable point: its cost hardly changed any more"
@@ -108,8 +110,8 @@ class SolveStatus(Enum):
 class Solution:
     """The last iterate. x: (nx, N + 1); u: (nu, N); h: (legs,) in units of h0; t_s: (N + 1,) node times.
 
-    violation: by how much it misses the constraint rows at most. multipliers: where the solver tells them.
-    solver: whose it is.
+    violation: largest violation of a constraint row. multipliers: None where the solver gives none. solver:
+    its name.
     """
 
     status: SolveStatus

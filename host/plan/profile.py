@@ -1,4 +1,4 @@
-"""What happens along a node table: motion, thrusts, predicted residual, distance to every limit."""
+"""Motion, thrusts, predicted residual and margins along a node table."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _SAMPLE_US = 10_000
 class Profile:
     """n samples along a table.
 
-    t_s: (n,). node: (n,) the one before. x: (16, n) as of `flat_states`. jerk_m_s3: (n,) norm. thrust_share:
-    (4, n) of a rotor's greatest. residual: (3 or 6, n) m/s^2 as of `ResidualModel.along`, acceleration NED
-    and torque about the body axes, None without a model that predicts any. outside: (n,) whether beyond the
-    region that the model's data covers, None where that is not known.
+    t_s: (n,). node: (n,) the node before each sample. x: (16, n) as of `flat_states`. jerk_m_s3: (n,) norm.
+    thrust_share: (4, n) of a rotor's greatest thrust. residual: (3 or 6, n) m/s^2 as of
+    `ResidualModel.along`, acceleration NED and torque about the body axes; None without a model that predicts
+    any. outside: (n,) whether the sample is outside the trained region, None where that is not known.
     """
 
     t_s: Array
@@ -42,36 +42,36 @@ class Profile:
 
     @property
     def p_ned(self) -> Array:
-        """(3, n) m."""
+        """Positions (3, n), m."""
         return self.x[P]
 
     @property
     def speed_m_s(self) -> Array:
-        """(n,)."""
+        """Speeds (n,)."""
         return np.linalg.norm(self.x[V], axis=0)
 
     @property
     def rate_frd(self) -> Array:
-        """(3, n) rad/s."""
+        """Body rates (3, n), rad/s."""
         return self.x[RATE]
 
     @property
     def tilt_deg(self) -> Array:
-        """(n,) angle of the thrust from upright."""
+        """Angles (n,) of the thrust from vertical."""
         roll, pitch, _ = self.x[THETA]
         return np.degrees(np.arccos(np.clip(np.cos(roll) * np.cos(pitch), -1.0, 1.0)))
 
     @property
     def residual_m_s2(self) -> Array | None:
-        """(n,) norm, torque included."""
+        """Norms (n,) of the residual, torque included."""
         return None if self.residual is None else np.linalg.norm(self.residual, axis=0)
 
     def margins(self, limits: Limits, keep_out: Sequence[Shape] = ()) -> dict[str, Array]:
-        """(n,) distance to each limit by the names of `law.checks`, negative beyond it."""
+        """Return the distances (n,) to each limit, negative beyond it, by the names of `law.checks`."""
         fence, rates = np.array(limits.geofence_m), np.array(limits.body_rate_max_rad_s)
         low, high = limits.thrust_headroom
         p = self.p_ned
-        found = {
+        margins = {
             "geofence_m": np.minimum(p - fence[:, :1], fence[:, 1:] - p).min(axis=0),
             "floor_m": -p[2],
             "speed_m_s": limits.speed_max_m_s - self.speed_m_s,
@@ -82,12 +82,12 @@ class Profile:
             "thrust_high": high - self.thrust_share.max(axis=0),
         }
         if keep_out:
-            away = [np.asarray(shape.signed_distance(NUMPY, list(p))) for shape in keep_out]
-            found[KEEP_OUT] = np.min(away, axis=0)
-        return found
+            distances = [np.asarray(shape.signed_distance(NUMPY, list(p))) for shape in keep_out]
+            margins[KEEP_OUT] = np.min(distances, axis=0)
+        return margins
 
     def margin_shares(self, limits: Limits) -> dict[str, Array]:
-        """(n,) distance to each limit that is no length, as a share of the limit: 0 at it, 1 far from it.
+        """Return the distances (n,) to limits other than lengths, as shares: 0 at the limit, 1 far from it.
 
         thrust: to the nearer of its two limits, as a share of half the range between them.
         """
@@ -127,12 +127,12 @@ def profile(
 
 
 def sample_times(table: Table) -> Array:
-    """Return times in us, evenly over the table, at most 10 ms apart."""
+    """Return evenly spaced times over the table, us, at most 10 ms apart."""
     end = float(table.times_us[-1])
     return np.linspace(0.0, end, max(2, int(np.ceil(end / _SAMPLE_US)) + 1))
 
 
 def with_nodes(table: Table) -> Array:
-    """`sample_times`, every node's, and those just before the nodes: thrust jumps there as snap does."""
+    """Return `sample_times`, the nodes' times, and those just before them: thrust may jump at a node."""
     nodes = table.times_us.astype(float)
     return np.unique(np.concatenate([sample_times(table), nodes, nodes[1:] - 1.0]))

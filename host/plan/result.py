@@ -1,4 +1,4 @@
-"""What a plan can be asked for, what it is, and how it can fail."""
+"""Kinds and settings of a plan, the plan itself, and its errors."""
 
 from __future__ import annotations
 
@@ -34,22 +34,20 @@ def parse_kind(text: str) -> tuple[Kind, bool]:
 
 
 def label(kind: Kind, augmented: bool) -> str:
-    """Return the name in KINDS."""
+    """Return the name in KINDS of a kind."""
     return next(text for text, known in KINDS.items() if known == (kind, augmented))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How the shooting problem is set up; the defaults are the ones measured.
+    """Settings of the shooting problem; the defaults were measured.
 
-    relative_weights: weights are in units of the mean squared residual predicted along the min-snap path (not
-    below 0.5 m/s^2), so that a small drag is avoided as thoroughly as a large one; False takes them as they
-    are. step_box: bounds of a step in units of its nominal value. total_time_box: bounds of the whole time in
-    units of the route's.
-    enough: change of the cost, as a share, in each of two iterations running, at which a point whose rows are
-    met within the tolerance is acceptable; 0 for none; rows of coarser grids may miss by ten tolerances.
-    rounds: how often the problem may be solved, each time in a box tightened by what the finished reference
-    exceeded.
+    relative_weights: weights are in units of the mean squared residual along the min-snap path (at least
+    0.5 m/s^2 squared), so that a small drag is avoided as thoroughly as a large one; False takes them as they
+    are. step_box: bounds of a step in units of its nominal value. total_time_box: bounds of the total time in
+    units of the route's. enough: relative change of the cost, in two iterations in a row, at which a point
+    that meets its rows within the tolerance is acceptable; 0 for never. Coarser grids have ten tolerances.
+    rounds: how often the problem may be solved, each time in a tighter box.
     """
 
     weights: Weights = field(default_factory=Weights)
@@ -74,16 +72,16 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A checked reference and what is known about it.
+    """A checked reference and its figures.
 
-    kind, augmented: as of `parse_kind`. limits: those it was judged by, of vehicle, route and headroom
+    kind, augmented: as of `parse_kind`. limits: those that judged it, of vehicle, route and headroom
     together. margins: least distance to each limit over the whole reference. residual_rms_m_s2: predicted
-    along it, None without a model. outside_region: share of it beyond the region that the model's data
-    covers, None where that is not known. deviation_m: largest distance from the solver's path, None for
-    min-snap. stretch: of the route's time. lambda_r: the paper's weight of control effort (eq. 10), of the
-    squared rotor thrusts in N^2 beside the squared residual in m^2/s^4; None where no residual is minimised.
-    intervals: of the shooting problem; rounds: solves. solve_s: processor time; first_solve_s: of the first
-    round's solver alone, on all its grids, None for min-snap. These two vary from run to run, nothing else.
+    along it, None without a model. outside_region: share of it outside the trained region, None where that is
+    not known. deviation_m: largest distance from the solver's path, None for min-snap. stretch: factor on the
+    route's time. lambda_r: the paper's weight of control effort (eq. 10), of the squared rotor thrusts in N^2
+    beside the squared residual in m^2/s^4; None where no residual is minimised. intervals: of the shooting
+    problem. rounds: number of solves. solve_s: processor time. first_solve_s: time of the first round's
+    solver on all its grids, None for min-snap. Only these two vary from run to run.
     """
 
     reference: Reference
@@ -114,7 +112,7 @@ class Plan:
 
 
 class PlanRefused(Refused):
-    """No reference within the limits; `verdict` says where the nearest one breaks them, if one was found."""
+    """No reference keeps the limits; `verdict` says where the nearest one breaks them, None without any."""
 
     def __init__(self, message: str, verdict: ReferenceVerdict | None = None) -> None:
         super().__init__(message)
@@ -122,7 +120,7 @@ class PlanRefused(Refused):
 
 
 class PlanUnsolved(SolverError):
-    """The solver gave up; `status` says how."""
+    """The solver gave up; `status` says why."""
 
     def __init__(self, message: str, status: SolveStatus) -> None:
         super().__init__(message)

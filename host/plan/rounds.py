@@ -1,10 +1,10 @@
 """Rounds of solving and judging.
 
-Coarser grids are solved first, for a start and for the first tightening of the box. A reference that leaves
-the limits between nodes is solved again, warm, in a box tightened by the excess.
-Where it leaves them by much, or the solver keeps wandering, the path ripples as fast as its nodes allow: then
-the weight of the thrust rates doubles too. A solve that fails starts anew: on the straight lines, then along
-the min-snap path. A refinement has one start, the path of the plan that it tracks.
+Coarser grids are solved first, for a start and for the first tightening of the box. A reference that breaks
+limits between nodes is solved again from its solution, in a box tightened by the excess. A large excess, or a
+solver that does not settle, means that the path ripples as fast as its nodes allow: then the weight of the
+thrust rates doubles too. A solve that fails starts anew: on the straight lines, then along the min-snap path.
+A refinement has one start, the path of the plan that it tracks.
 """
 
 from __future__ import annotations
@@ -48,20 +48,20 @@ from trimtab.protocol.blobs import YawNode
 Array = NDArray[np.float64]
 
 _YAW_SETTLED = np.radians(2.0)
-"""How far the heading at the nodes may move because their times did, without another round to use it."""
+"""Change of the heading at the nodes, due to changed node times, up to which no further round is needed."""
 _LEAST_RESIDUAL = 0.5
-"""m/s^2: below, a residual is not worth a wilder path."""
+"""m/s^2: a smaller residual does not justify a more aggressive path."""
 _RIPPLE = 0.1
-"""Excess, as a share of the limit, beyond which a path is made smoother and not only its box tighter."""
+"""Excess, as a share of the limit, above which the path is made smoother in addition to a tighter box."""
 _PATIENCE = 4
-"""Rounds after which a path that sticks out is made smoother, and one that does not is taken although its
-heading moved."""
+"""Rounds after which a path that exceeds a limit is made smoother, and one that does not is accepted even if
+its heading still changes."""
 _NEARLY_FEASIBLE = 0.05
-"""Constraint violation up to which an unfinished iterate is worth going on from."""
+"""Constraint violation up to which the next round starts from an unfinished iterate."""
 _COARSE_GAP = 10.0
-"""How many tolerances the rows of a grid may miss by that only gives a start."""
+"""Allowed gap, in tolerances, of a coarser grid that only gives a start."""
 _TRACKABLE = 0.95
-"""Share of the limits of tilt and jerk that a path to track may use: what tracks it sways around it."""
+"""Share of the limits of tilt and jerk for a path to track; the tracking plan needs the rest."""
 _REMEDY = "give it more time, headroom or nodes"
 _NO_WAY = (SolveStatus.INFEASIBLE, SolveStatus.RESTORATION)
 
@@ -69,8 +69,8 @@ _NO_WAY = (SolveStatus.INFEASIBLE, SolveStatus.RESTORATION)
 def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
     """Return the plan of a kind other than min-snap.
 
-    Raises PlanRefused where the limits leave no way, with node and reason where a reference came close, and
-    PlanUnsolved where the solver gave up otherwise.
+    Raises PlanRefused where the limits allow no plan, with node and reason of the nearest reference, and
+    PlanUnsolved where the solver gave up for another reason.
     """
     started = time.process_time()
     run = _begin(job, nodes)
@@ -96,10 +96,10 @@ def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
 
 
 def first_round(job: Job, *, nodes: int | None) -> tuple[Engine, Problem, Solution]:
-    """Return what evaluates the problem, the problem from the straight lines in the box that coarser grids
-    left, and where the first round ends.
+    """Return the engine, problem and solution of the first round.
 
-    The solution's time is that of the solver on all grids.
+    The problem starts on the straight lines, in the box as tightened on coarser grids. The solution's time is
+    that of the solver on all grids.
     """
     run = _begin(job, nodes)
     solution = run.solve()
@@ -108,7 +108,7 @@ def first_round(job: Job, *, nodes: int | None) -> tuple[Engine, Problem, Soluti
 
 
 def _begin(job: Job, nodes: int | None) -> _Run:
-    """Return the run before its first round; of min-control-r, after the plan that it refines."""
+    """Return the run before its first round; min-control-r first makes the plan that it refines."""
     grid = make_grid(job.durations(), nodes, times_fixed=job.route.times_s is not None)
     if job.kind != "min-control-r":
         return _Run(job, grid)
@@ -123,9 +123,7 @@ def _begin(job: Job, nodes: int | None) -> _Run:
 
 
 def _scale(job: Job, grid: Grid) -> float:
-    """Return unit of the weights: the mean squared residual along the min-snap path at nominal times, or
-    1.
-    """
+    """Return the unit of the weights: the mean squared residual along the min-snap path, or 1."""
     if job.kind != "min-residual" or not job.settings.relative_weights:
         return 1.0
     path = job.snap(grid.counts * grid.h0_s)
@@ -134,14 +132,14 @@ def _scale(job: Job, grid: Grid) -> float:
 
 
 class _Start(IntEnum):
-    """Where a solve without a predecessor begins, in the order they are tried."""
+    """The start of a solve without a predecessor, in the order of the attempts."""
 
     LINEAR = 0
     PATH = 1
 
 
 class _Run:
-    """What lasts from round to round. first: the plan whose path is tracked, in a refinement."""
+    """The state that rounds share. first: the plan whose path is tracked, in a refinement."""
 
     def __init__(self, job: Job, grid: Grid, first: Plan | None = None) -> None:
         self.job, self.grid = job, grid
@@ -173,7 +171,7 @@ class _Run:
 
     @property
     def lambda_r(self) -> float | None:
-        """As of `Plan`."""
+        """The paper's weight of control effort, as of `Plan`."""
         if self.job.kind != "min-residual":
             return None
         return self._weights.control / self.job.dynamics.hover_n**2
@@ -181,7 +179,7 @@ class _Run:
     def solve(self) -> Solution:
         """Return the round's last iterate.
 
-        Without a path or one to begin with, coarser grids are solved first.
+        Without an earlier solution or a path to track, coarser grids are solved first.
         """
         grids = [self.grid]
         while self._last is None and self._tracked is None and (half := coarser(grids[-1])) is not None:
@@ -191,7 +189,7 @@ class _Run:
             solution = self._solve_on(grid, before)
             if solution.status.usable and grid is not self.grid and grid.step_s <= NODE_S:
                 judged = self.judged(solution, grid)
-                if not judged.ok:  # nor would it be on finer grids, where another round takes longer
+                if not judged.ok:  # finer grids would fail too, and take longer
                     self.box = self.box.tightened(judged.margins)
                     solution = self._solve_on(grid, (self.problem, solution, grid))
             before = (self.problem, solution, grid) if solution.status.usable else None
@@ -226,13 +224,13 @@ class _Run:
         return solution
 
     def heading(self, solution: Solution) -> tuple[YawNode, ...]:
-        """Return the yaw nodes of a solution: its own, or the route's in its time."""
+        """Return the yaw nodes of a solution: its heading where free, else the route's in its time."""
         if self.free_yaw:
             return yaw_nodes(solution)
         return self.job.yaws(solution.t_s[-1] / self.job.route.duration_s)
 
     def settled(self, solution: Solution, judged: Judged) -> bool:
-        """Whether this is the plan; else what the next round does differently is set."""
+        """Return whether the plan is finished; if not, set what the next round changes."""
         asked = self.problem.parameters[YAW]
         self._last, self._near = solution, judged
         moved = 0.0
@@ -249,11 +247,11 @@ class _Run:
         return False
 
     def recover(self, solution: Solution) -> None:
-        """Set how the next round starts after a solve that failed. Raises PlanRefused or PlanUnsolved."""
+        """Set the start of the next round after a failed solve. Raises PlanRefused or PlanUnsolved."""
         if solution.status is SolveStatus.ITERATIONS and solution.violation <= _NEARLY_FEASIBLE:
             self._last = solution
             self._smoothing *= 2.0
-        elif self._last is not None:  # tightened for ripples the box may leave no way: smoother, in the whole
+        elif self._last is not None:  # a box tightened for ripples may be infeasible: restore it, smoother
             self._last = None
             self.box = SolverBox.inside(self.job.limits, self.job.yaw_rate_max_rad_s)
             self._smoothing *= 2.0
@@ -263,9 +261,7 @@ class _Run:
             raise self.failure(solution)
 
     def failure(self, solution: Solution | None = None) -> PlanRefused | PlanUnsolved:
-        """Return what to say when there is no way on; `solution` is the last solve's, None after the last
-        round.
-        """
+        """Return the error for a run that cannot continue; solution: None after the last round."""
         label = self.job.label
         if self._near is not None and not self._near.ok:
             return PlanRefused(
@@ -281,24 +277,20 @@ class _Run:
         return PlanUnsolved(f"no {label} plan: {status.value} ({tries}); {_REMEDY}", status)
 
     def _broken(self) -> str:
-        """Return what the min-snap path breaks most, as a share of the limit, and where: a hint at what
-        binds.
-        """
+        """Return a hint at the binding limit: the one that the min-snap path breaks most, and where."""
         job = self.job
         path = job.snap(self.grid.counts * self.grid.h0_s)
-        seen = profile(job.dynamics.vehicle, ResidualModel(), path, self._path_yaws)
-        margins = seen.margins(job.limits, job.route.keep_out)
+        path_profile = profile(job.dynamics.vehicle, ResidualModel(), path, self._path_yaws)
+        margins = path_profile.margins(job.limits, job.route.keep_out)
         name = max(margins, key=lambda each: self.box.excess({each: float(margins[each].min())}))
         k = int(margins[name].argmin())
-        by, node, t_s = -margins[name][k], seen.node[k], seen.t_s[k]
+        by, node, t_s = -margins[name][k], path_profile.node[k], path_profile.t_s[k]
         return (
             f", the min-snap path breaks {name} by {by:.3g} at node {node}, {t_s:.2f} s" if by > 0.0 else ""
         )
 
     def make_problem(self, grid: Grid, before: tuple[Problem, Solution, Grid] | None = None) -> Problem:
-        """Return the next round's problem on a grid: from the last round's end, or a coarser grid's
-        solution.
-        """
+        """Return the next round's problem on a grid, from the last round's or a coarser grid's solution."""
         job, settings = self.job, self.job.settings
         yaw = yaw_profile(self._yaws, grid.times_s if self._last is None else self._last.t_s)
         last = self._last or (before[1] if before is not None else None)
@@ -320,7 +312,7 @@ class _Run:
             job.limits,
             self.box,
             yaw=yaw,
-            # A coarse grid lets faster ripples through its spline's knots.
+            # The spline of a coarse grid can ripple faster between its knots.
             smoothing=self._smoothing * max(1.0, grid.step_s / NODE_S) ** 2,
             weights=self._weights,
             unavoidable=self._rest,
@@ -335,6 +327,6 @@ class _Run:
         )
         if last is None:
             return problem
-        # Of another grid the multipliers are those of other rows.
+        # The multipliers of another grid belong to other rows.
         multipliers = None if self._last is None else last.multipliers
         return replace(problem, h_start=last.h, near=last.status.usable, multipliers=multipliers)

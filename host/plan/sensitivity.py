@@ -1,4 +1,4 @@
-"""How much the predicted residual changes where the vehicle is off its reference, at each of its nodes."""
+"""Sensitivity of the predicted residual to deviations from the reference, at each node."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 class Peak(NamedTuple):
-    """A value with the node where it is reached and that node's time."""
+    """A greatest value, with its node and time."""
 
     value: float
     node: int
@@ -31,11 +31,11 @@ class Peak(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """At the n nodes of a reference, t_s (n,): greatest singular values of the residual's slopes.
+    """Greatest singular values of the residual's slopes at the n nodes of a reference, t_s (n,).
 
     velocity: (n,) of d(residual)/d(v_ned), m/s^2 per m/s. attitude: (n,) of d(residual)/d(a small rotation of
-    the vehicle), m/s^2 per rad: the most by which the residual changes for a small step off the reference, by
-    its size. Rotor thrusts are held. nan where an effect has no slope, as one with a root may at rest.
+    the vehicle), m/s^2 per rad. Each is the largest change of the residual per unit of a small deviation,
+    with rotor thrusts constant. NaN where an effect has no slope, as a root may have none at rest.
     """
 
     t_s: Array
@@ -53,7 +53,7 @@ class Sensitivity:
         )
 
     def to_json(self) -> dict[str, dict[str, float | int]] | None:
-        """Its peaks as plain data."""
+        """Return the peaks as plain data."""
         peaks = self.peaks()
         if peaks is None:
             return None
@@ -67,21 +67,21 @@ class Sensitivity:
 def sensitivity(
     vehicle: Vehicle, model: ResidualModel, table: Table, yaws: Sequence[YawNode]
 ) -> Sensitivity | None:
-    """Sensitivity of the prediction along a reference, by exact derivatives; None where there is none."""
+    """Return the sensitivity along a reference, by exact derivatives; None without a predicted residual."""
     if not model.has_residual(vehicle):
         return None
     x = flat_states(vehicle, table, yaws, table.times_us)
     n = x.shape[1]
-    found = np.array(_slopes(vehicle, model).map(n)(x)).reshape(-1, n, 6).transpose(1, 0, 2)
+    slopes = np.array(_slopes(vehicle, model).map(n)(x)).reshape(-1, n, 6).transpose(1, 0, 2)
     return Sensitivity(
         t_s=table.times_us.astype(float) * 1e-6,
-        velocity=_greatest(found[:, :, :3]),
-        attitude=_greatest(found[:, :, 3:]),
+        velocity=_greatest(slopes[:, :, :3]),
+        attitude=_greatest(slopes[:, :, 3:]),
     )
 
 
 def _greatest(slopes: Array) -> Array:
-    """(n,) greatest singular values of (n, rows, 3), nan where one is not finite."""
+    """Return the greatest singular values (n,) of (n, rows, 3), NaN where an entry is not finite."""
     out, known = np.full(len(slopes), np.nan), np.isfinite(slopes).all(axis=(1, 2))
     out[known] = np.linalg.norm(slopes[known], 2, axis=(1, 2))
     return out
@@ -93,9 +93,9 @@ def _slopes(vehicle: Vehicle, model: ResidualModel) -> ca.Function:
     x, turn = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("turn", 3)
     residual = ca.vertcat(*model.rows(CASADI, vehicle, ca.vertsplit(x)))
     if model.network is not None:
-        seen = ca.vertcat(x[V], x[THETA])
-        residual[:3] += model.network.layout.matrices(ca.SX(model.network.xi), seen)
-    # a small rotation moves the Euler angles as a body rate of it does in unit time
+        inputs = ca.vertcat(x[V], x[THETA])
+        residual[:3] += model.network.layout.matrices(ca.SX(model.network.xi), inputs)
+    # A small rotation changes the Euler angles as an equal body rate does in unit time.
     angles = ca.vertcat(*euler_rates(CASADI, ca.vertsplit(x[THETA]), ca.vertsplit(turn)))
     slope = ca.jacobian(residual, x)
     both = ca.horzcat(slope[:, V], slope[:, THETA] @ ca.jacobian(angles, turn))

@@ -1,4 +1,4 @@
-"""From a route to a shooting problem and back: nodes on legs, bounds, starts, the solution's spline."""
+"""From a route to a shooting problem and back: grid, bounds, starts, and the spline of a solution."""
 
 from __future__ import annotations
 
@@ -36,18 +36,19 @@ Array = NDArray[np.float64]
 NODES_MAX = 1600
 NODE_S = 0.07
 COARSE = 100
-"""Intervals of the coarsest grid; finer ones begin at the solution of one half as fine."""
+"""Intervals of the coarsest grid; a finer grid starts from the solution of the grid half as fine."""
 _DATA_S = 0.1
 _LEG_NODES_MIN = 4
-_YAW_SLACK = 0.3  # rad, around the heading asked for; the cost keeps it two orders of magnitude closer
+_YAW_SLACK = 0.3
+"""rad around the requested heading; the cost keeps it two orders of magnitude closer."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """How the intervals lie on the legs.
+    """The distribution of intervals over the legs.
 
-    counts: (legs,) intervals of each leg; h0_s: (legs,) nominal step of each; times_fixed: the waypoints'
-    times are given and the steps are no variables.
+    counts: (legs,) intervals of each leg. h0_s: (legs,) nominal step of each. times_fixed: the waypoints'
+    times are given, and the steps are no unknowns.
     """
 
     counts: NDArray[np.int64]
@@ -76,10 +77,10 @@ class Grid:
 
 
 def make_grid(durations_s: Array, nodes: int | None, *, times_fixed: bool) -> Grid:
-    """Intervals shared out by the legs' nominal durations, at least four a leg; about `nodes` of them in all.
+    """Return about `nodes` intervals, in proportion to the legs' nominal durations, at least four a leg.
 
-    Without a number a step takes about 70 ms, within 60 to 1600 intervals. Beyond 1600 the legs that
-    were rounded up most give back. Raises UsageError for more legs than 1600 intervals are enough for.
+    Without `nodes` a step takes about 70 ms, within 60 to 1600 intervals. Beyond 1600, the legs that were
+    rounded up most lose intervals. Raises UsageError for more legs than 1600 intervals suffice for.
     """
     if (legs := len(durations_s)) > NODES_MAX // _LEG_NODES_MIN:
         raise UsageError(
@@ -96,9 +97,7 @@ def make_grid(durations_s: Array, nodes: int | None, *, times_fixed: bool) -> Gr
 
 
 def coarser(grid: Grid) -> Grid | None:
-    """Return the grid with half as many intervals on every leg; None where that would be few, or hardly
-    fewer.
-    """
+    """Return the grid with half as many intervals on every leg; None where those are too few."""
     counts = np.maximum(_LEG_NODES_MIN, (grid.counts + 1) // 2)
     if len(grid.leg_of) < 2 * COARSE or counts.sum() > 0.7 * len(grid.leg_of):
         return None
@@ -108,9 +107,9 @@ def coarser(grid: Grid) -> Grid | None:
 def on_grid(
     engine: Engine, problem: Problem, solution: Solution, old: Grid, new: Grid
 ) -> tuple[Array, Array]:
-    """States and inputs of a problem's solution at another grid's nodes, leg by leg.
+    """Return states and inputs of a problem's solution at another grid's nodes, leg by leg.
 
-    Between its nodes the solution is integrated: on the new grid it leaves next to no gaps.
+    The solution is integrated between its nodes, so it has almost no gaps on the new grid.
     """
     passed = new.leg_of + _share(new) + 1e-9  # legs, at every node but the last
     at = np.searchsorted(old.leg_of + _share(old), passed, side="right") - 1
@@ -123,12 +122,12 @@ def on_grid(
 
 
 def _share(grid: Grid) -> Array:
-    """(N,) share of its leg that is behind every node."""
+    """Return the share (N,) of its leg that each node has behind it."""
     return (np.arange(len(grid.leg_of)) - grid.waypoints[grid.leg_of]) / grid.counts[grid.leg_of]
 
 
 def linear_start(dynamics: Dynamics, waypoints_ned: Array, grid: Grid, yaw: Array) -> tuple[Array, Array]:
-    """States and inputs at rest on the straight lines between waypoints, as in the paper's section IV-C.3."""
+    """Return states at rest on straight lines between waypoints, and inputs (paper section IV-C.3)."""
     count = int(grid.counts.sum())
     steady = dynamics.steady(float(yaw[0]), p_ned=waypoints_ned[0])
     x = np.repeat(steady[:, None], count + 1, axis=1)
@@ -139,7 +138,7 @@ def linear_start(dynamics: Dynamics, waypoints_ned: Array, grid: Grid, yaw: Arra
 
 
 def table_start(dynamics: Dynamics, table: Table, grid: Grid, yaws: Sequence[YawNode]) -> tuple[Array, Array]:
-    """States and inputs along an existing table with the grid's nominal times: the fallback start."""
+    """Return states and inputs along a table at the grid's nominal times."""
     times_us = np.minimum(grid.times_s * 1e6, table.times_us[-1])
     x = flat_states(dynamics.vehicle, table, yaws, times_us)
     x[THRUST] /= dynamics.hover_n
@@ -148,7 +147,7 @@ def table_start(dynamics: Dynamics, table: Table, grid: Grid, yaws: Sequence[Yaw
 
 
 def along(table: Table, times_s: Array) -> Array:
-    """(3, n) position on a table at these times."""
+    """Return the positions (3, n) on a table at these times."""
     return evaluate(table, np.minimum(times_s * 1e6, float(table.times_us[-1])))[0]
 
 
@@ -172,49 +171,22 @@ def make_problem(
     free_yaw: bool = False,
     tracked_ned: Array | None = None,
 ) -> Problem:
-    """Return the problem in this box. yaw: (N + 1,) heading asked for at the nodes, with free_yaw only at the
-    first, and at rest at both ends; smoothing: factor on the weight of the thrust rates; unavoidable: (6,)
-    residual left out of the cost;
-    end_velocities_ned: at the start and at the end, where nothing accelerates; gates: of the waypoints that
-    need not be met exactly; shapes: how many; tracked_ned: (3, N + 1) positions to stay close to.
+    """Return the problem in this box.
+
+    yaw: (N + 1,) requested heading at the nodes; with free_yaw only the first counts, and those at rest at
+    the ends. smoothing: factor on the weight of the thrust rates. unavoidable: (6,) residual that the cost
+    leaves out. end_velocities_ned: at start and end, where nothing accelerates. gates: of the waypoints that
+    need not be met exactly. shapes: number of keep-out shapes. tracked_ned: (3, N + 1) positions to track.
     """
     count = int(grid.counts.sum())
-    low, high = np.full((STATES, count + 1), -np.inf), np.full((STATES, count + 1), np.inf)
-    for axis, (near, far) in enumerate(limits.geofence_m):
-        low[axis], high[axis] = near + box.fence_m, far - box.fence_m
-    high[2] = np.minimum(high[2], -box.floor_m)
-    tilt = np.radians(box.tilt_deg)
-    low[THETA.start : THETA.start + 2], high[THETA.start : THETA.start + 2] = -tilt, tilt
-    low[THETA.stop - 1], high[THETA.stop - 1] = yaw - _YAW_SLACK, yaw + _YAW_SLACK
-    rate = np.array(box.body_rate_rad_s)[:, None]
-    low[RATE], high[RATE] = -rate, rate
-    per_hover = dynamics.vehicle.thrust_max_n / dynamics.hover_n
-    low[THRUST], high[THRUST] = (share * per_hover for share in box.thrust_share)
-    met = np.setdiff1d(np.arange(len(waypoints_ned)), [gate.waypoint for gate in gates])
-    low[P, grid.waypoints[met]] = high[P, grid.waypoints[met]] = waypoints_ned[met].T
+    low, high = _box_bounds(dynamics, limits, box, yaw)
+    exact = np.setdiff1d(np.arange(len(waypoints_ned)), [gate.waypoint for gate in gates])
+    low[P, grid.waypoints[exact]] = high[P, grid.waypoints[exact]] = waypoints_ned[exact].T
     for node, velocity in zip((0, count), end_velocities_ned, strict=True):
-        place = waypoints_ned[0 if node == 0 else -1]
-        steady = dynamics.steady(float(yaw[node]), velocity, place)
+        steady = dynamics.steady(float(yaw[node]), velocity, waypoints_ned[0 if node == 0 else -1])
         low[P.stop :, node] = high[P.stop :, node] = steady[P.stop :]
     if free_yaw:
         low[THETA.stop - 1, 1:], high[THETA.stop - 1, 1:] = -np.inf, np.inf
-
-    first_gate = PATH_ROWS + free_yaw
-    first_shape = first_gate + (GATE_ROWS if gates else 0)
-    rows = first_shape + shapes
-    path_low, path_high = np.full((rows, count), -np.inf), np.full((rows, count), np.inf)
-    path_low[TILT_ROW] = np.cos(tilt)
-    path_high[SPEED_ROW] = (box.speed_m_s / limits.speed_max_m_s) ** 2
-    if any(end_velocities_ned[0]):
-        path_high[SPEED_ROW, 0] = np.inf  # given, and perhaps beyond the box
-    path_high[JERK_ROW] = (box.jerk_m_s3 / limits.jerk_max_m_s3) ** 2
-    path_low[PATH_ROWS:first_gate] = -box.yaw_rate_rad_s
-    path_high[PATH_ROWS:first_gate] = box.yaw_rate_rad_s
-    path_low[first_shape:] = box.keep_out_m
-    for gate in gates:
-        node = grid.waypoints[gate.waypoint]
-        _bound_by(gate, path_low[first_gate:first_shape, node], path_high[first_gate:first_shape, node])
-
     # The reference starts and ends with no jerk: the first and the last interval change no thrust.
     change = np.full((INPUTS, count), np.inf)
     change[:, [0, -1]] = 0.0
@@ -231,7 +203,7 @@ def make_problem(
         ),
         x_bounds=(low, high),
         u_bounds=(-change, change),
-        path_bounds=(path_low, path_high),
+        path_bounds=_path_bounds(grid, limits, box, end_velocities_ned, gates, shapes, free_yaw),
         h_bounds=(1.0, 1.0) if grid.times_fixed else h_bounds,
         total_bounds_s=total_bounds_s,
         x_start=start[0],
@@ -239,6 +211,50 @@ def make_problem(
         h_start=np.ones(len(grid.counts)),
         gates=_frames(gates, waypoints_ned, grid) if gates else None,
     )
+
+
+def _box_bounds(dynamics: Dynamics, limits: Limits, box: SolverBox, yaw: Array) -> tuple[Array, Array]:
+    """Return the bounds of the states (16, N + 1) by geofence, tilt, heading, body rates and thrusts."""
+    low, high = np.full((STATES, len(yaw)), -np.inf), np.full((STATES, len(yaw)), np.inf)
+    for axis, (near, far) in enumerate(limits.geofence_m):
+        low[axis], high[axis] = near + box.fence_m, far - box.fence_m
+    high[2] = np.minimum(high[2], -box.floor_m)
+    tilt = np.radians(box.tilt_deg)
+    low[THETA.start : THETA.start + 2], high[THETA.start : THETA.start + 2] = -tilt, tilt
+    low[THETA.stop - 1], high[THETA.stop - 1] = yaw - _YAW_SLACK, yaw + _YAW_SLACK
+    rate = np.array(box.body_rate_rad_s)[:, None]
+    low[RATE], high[RATE] = -rate, rate
+    per_hover = dynamics.vehicle.thrust_max_n / dynamics.hover_n
+    low[THRUST], high[THRUST] = (share * per_hover for share in box.thrust_share)
+    return low, high
+
+
+def _path_bounds(
+    grid: Grid,
+    limits: Limits,
+    box: SolverBox,
+    end_velocities_ned: Sequence[Sequence[float]],
+    gates: Sequence[Gate],
+    shapes: int,
+    free_yaw: bool,
+) -> tuple[Array, Array]:
+    """Return the bounds (rows, N) of the path rows: limits, gates, then keep-out shapes."""
+    first_gate = PATH_ROWS + free_yaw
+    first_shape = first_gate + (GATE_ROWS if gates else 0)
+    shape = (first_shape + shapes, int(grid.counts.sum()))
+    low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
+    low[TILT_ROW] = np.cos(np.radians(box.tilt_deg))
+    high[SPEED_ROW] = (box.speed_m_s / limits.speed_max_m_s) ** 2
+    if any(end_velocities_ned[0]):
+        high[SPEED_ROW, 0] = np.inf  # the route gives this speed, which may be outside the box
+    high[JERK_ROW] = (box.jerk_m_s3 / limits.jerk_max_m_s3) ** 2
+    low[PATH_ROWS:first_gate] = -box.yaw_rate_rad_s
+    high[PATH_ROWS:first_gate] = box.yaw_rate_rad_s
+    low[first_shape:] = box.keep_out_m
+    for gate in gates:
+        node = grid.waypoints[gate.waypoint]
+        _bound_by(gate, low[first_gate:first_shape, node], high[first_gate:first_shape, node])
+    return low, high
 
 
 def _bound_by(gate: Gate, low: Array, high: Array) -> None:
@@ -250,7 +266,7 @@ def _bound_by(gate: Gate, low: Array, high: Array) -> None:
 
 
 def _frames(gates: Sequence[Gate], waypoints_ned: Array, grid: Grid) -> Array:
-    """(12, N) frame and centre of the gate at each node; zeros where none is."""
+    """Return frame and centre (12, N) of the gate at each node; zeros where there is none."""
     out = np.zeros((12, len(grid.leg_of)))
     for gate in gates:
         frame = gate.frame().ravel()
@@ -259,20 +275,20 @@ def _frames(gates: Sequence[Gate], waypoints_ned: Array, grid: Grid) -> Array:
 
 
 def yaw_profile(yaws: Sequence[YawNode], times_s: Array) -> Array:
-    """Heading asked for at these times."""
+    """Return the requested heading at these times."""
     return yaw_at(yaws, times_s * 1e6)[0]
 
 
 def smooth(engine: Engine, problem: Problem, solution: Solution, grid: Grid, waypoints_ned: Array) -> Table:
-    """Return the node table through a solution, seen at points about as close as the table's own nodes."""
+    """Return the node table that fits a solution, sampled about as densely as the table's nodes."""
     parts = math.ceil(float(np.diff(solution.t_s).max()) / _DATA_S)
     times_s, x = _within(engine, problem, solution, tuple(k / parts for k in range(parts)))
-    ends = problem.x_bounds[0][V][:, [0, -1]].T  # fixed there
+    ends = problem.x_bounds[0][V][:, [0, -1]].T  # the bounds fix them
     return fit(times_s, x[P], x[V], parts * grid.waypoints, waypoints_ned, ends)
 
 
 def deviation_m(engine: Engine, problem: Problem, solution: Solution, table: Table) -> float:
-    """Largest distance of the table from the solution, at eight points an interval."""
+    """Return the largest distance of the table from the solution, at eight points in each interval."""
     times_s, x = _within(engine, problem, solution, tuple(k / 8 for k in range(8)))
     return float(np.linalg.norm(along(table, times_s) - x[P], axis=0).max())
 

@@ -1,10 +1,10 @@
 """A smooth spline through the nodes of a solved problem.
 
-The solver's acceleration is continuous but its jerk jumps where an input does, and septic pieces through such
-nodes overshoot. A B-spline of degree 7 with simple knots is C6; fitted to the nodes' positions and
-velocities, with the waypoints and both ends' velocities as equalities, it leaves the nodes by well under a
-millimetre. Its knots are the reference's nodes, so that the septic pieces of the reference are the spline
-itself.
+The solver's acceleration is continuous, but its jerk jumps where an input does, and septic pieces through
+such nodes overshoot. A B-spline of degree 7 with simple knots is C6. It is fitted to the positions and
+velocities of the nodes, with the waypoints and the end velocities as equalities, and deviates from the nodes
+by well under a millimetre. Its knots are the nodes of the reference, so the septic pieces of the reference
+are the spline itself.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ def fit(
     waypoints_ned: Array,
     end_velocities_ned: Array,
 ) -> Table:
-    """Return the node table of the spline nearest to the nodes in the least-squares sense.
+    """Return the node table of the least-squares spline through the nodes.
 
-    times_s: (n,) node times; p_ned, v_ned: (3, n); waypoints: index of each waypoint among the nodes, the
-    first 0, the last n - 1; waypoints_ned: (K, 3); end_velocities_ned: (2, 3). Acceleration and jerk are 0 at
-    both ends. No leg has more pieces than intervals between its nodes.
+    times_s: (n,) node times. p_ned, v_ned: (3, n). waypoints: index of each waypoint among the nodes, the
+    first 0, the last n - 1. waypoints_ned: (K, 3). end_velocities_ned: (2, 3). Acceleration and jerk are 0 at
+    both ends. No leg has more pieces than intervals.
     """
     waypoint_times = round_times(times_s[waypoints])
     step_s = float(times_s[-1]) / (len(times_s) - 1)
@@ -61,11 +61,11 @@ def fit(
 
 
 def _basis(padded: np.ndarray, at: np.ndarray, order: int = 0) -> csr_matrix:
-    """(n, size) values of every B-spline at n places, or of their derivative of this order."""
+    """Return the values (n, size) of every B-spline at n places, or of its derivative of this order."""
     size = len(padded) - _DEGREE - 1
     interval = np.clip(np.searchsorted(padded, at, side="right") - 1, _DEGREE, size - 1)
     columns = interval[:, None] + np.arange(-_DEGREE, 1)
-    # A unit coefficient in every residue class of the columns: no interval sees two of one class.
+    # One unit coefficient per residue class of the columns: no interval has two columns of one class.
     classes = np.zeros((size, _DEGREE + 1))
     classes[np.arange(size), np.arange(size) % (_DEGREE + 1)] = 1.0
     values = BSpline(padded, classes, _DEGREE)(at, nu=order)
@@ -75,9 +75,9 @@ def _basis(padded: np.ndarray, at: np.ndarray, order: int = 0) -> csr_matrix:
 
 
 def _constrained_lstsq(rows: Any, wanted: Array, equal: Any, exact: Array) -> Array:
-    """Return the x with equal x = exact that minimises |rows x - wanted|, by its conditions of optimality."""
+    """Return the x that minimises |rows x - wanted| with equal x = exact, by the optimality conditions."""
     residuals, size = rows.shape
-    # With the residual r as unknown nothing is squared: r + rows x = wanted, rows' r + equal' m = 0.
+    # The residual r is an unknown, so nothing is squared: r + rows x = wanted, rows' r + equal' m = 0.
     system = bmat(
         [
             [identity(residuals), rows, None],

@@ -1,13 +1,13 @@
 """Minimum-snap splines of degree 7 through any number of waypoints.
 
 Between two waypoints the path is the septic that meets position, velocity, acceleration and jerk at both
-ends; the derivatives at the inner waypoints are free and follow from one symmetric positive definite banded
-solve (Bry et al., IJRR 2015, "free end derivatives"). The natural conditions of the problem make the optimum
-C6 at every inner waypoint, so that nothing but the sampling of the reference limits its smoothness.
+ends. The derivatives at the inner waypoints are free and follow from one symmetric positive definite banded
+solve (Bry et al., IJRR 2015, "free end derivatives"). By the natural conditions of the problem the optimum is
+C6 at every inner waypoint.
 
-With time in units of the mean leg and every unknown scaled to a unit diagonal the solve stays well
-conditioned for hundreds of legs whose durations differ by orders of magnitude; cost and memory are linear in
-their number.
+Time is in units of the mean leg, and every unknown is scaled to a unit diagonal. The solve therefore stays
+well conditioned for hundreds of legs whose durations differ by orders of magnitude. Cost and memory are
+linear in the number of legs.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ _SHARE_FACTOR = 3.0  # how far optimise_durations may move a leg's share of the 
 
 
 def _septic_basis() -> list[list[Fraction]]:
-    """8 x 8: column c has the monomial coefficients of the septic on [0, 1] whose c-th end value is one.
+    """Return an 8 x 8 matrix: column c is the septic on [0, 1], by monomials, whose c-th end value is one.
 
-    End values in the order p0, v0, a0, j0, p1, v1, a1, j1, derivatives with respect to the unit interval.
+    End values are in the order p0, v0, a0, j0, p1, v1, a1, j1, derivatives with respect to the unit interval.
     """
 
     def row(at: int, derivative: int) -> list[Fraction]:
@@ -58,7 +58,7 @@ def _septic_basis() -> list[list[Fraction]]:
 
 
 def _snap_gram() -> Array:
-    """8 x 8: y' G y integrates the squared fourth derivative of the septic with end values y over [0, 1]."""
+    """Return the 8 x 8 matrix G: y' G y is the integral of squared snap over [0, 1] for end values y."""
     basis = _septic_basis()
 
     def moment(i: int, j: int) -> Fraction:
@@ -112,9 +112,9 @@ def _checked(waypoints_ned: Array, durations_s: Array) -> tuple[Array, Array]:
 def solve_snap(waypoints_ned: Array, durations_s: Array, end_velocities_ned: ArrayLike = REST) -> SnapSpline:
     """Return the minimum-snap spline through the waypoints, with a = j = 0 at both ends.
 
-    waypoints_ned: (K >= 2, 3) m; durations_s: (K - 1,); end_velocities_ned: (2, 3) m/s at the start and at
-    the end, at rest by default. Source: Mellinger and Kumar, ICRA 2011; Bry et al.,
-    IJRR 2015. Raises ValueError for wrong shapes, non-finite values and durations that are not positive.
+    waypoints_ned: (K >= 2, 3) m. durations_s: (K - 1,). end_velocities_ned: (2, 3) m/s at start and end, at
+    rest by default. Raises ValueError for wrong shapes, non-finite values and durations that are not
+    positive. Source: Mellinger and Kumar, ICRA 2011; Bry et al., IJRR 2015.
     """
     waypoints, durations = _checked(waypoints_ned, durations_s)
     unit_s = float(durations.mean())
@@ -134,9 +134,9 @@ def solve_snap(waypoints_ned: Array, durations_s: Array, end_velocities_ned: Arr
 
 
 def _inner_derivatives(blocks: Array, ends: Array) -> Array:
-    """(K - 2, 3, 3): velocity, acceleration and jerk at the inner waypoints that make the cost stationary.
+    """Return velocity, acceleration and jerk (K - 2, 3, 3) at the inner waypoints of least cost.
 
-    ends: (K, 4, 3) with the waypoints, and the derivatives at the first and the last.
+    ends: (K, 4, 3) with the waypoints, and the derivatives at the first and the last waypoint.
     """
     waypoints = ends[:, 0]
     inner = len(waypoints) - 2
@@ -166,9 +166,9 @@ def _inner_derivatives(blocks: Array, ends: Array) -> Array:
 
 
 def cost_gradient(spline: SnapSpline) -> Array:
-    """(K - 1,): derivative of the optimal cost with respect to each leg's duration, the others held.
+    """Return the derivative (K - 1,) of the optimal cost by each leg's duration.
 
-    By the envelope theorem the end values may be held as well: only the legs' own cost matrices change.
+    By the envelope theorem the end values may be constant: only the cost matrix of the leg changes.
     """
     durations = np.diff(spline.times_s)
     ends = np.concatenate([spline.ends_ned[:-1], spline.ends_ned[1:]], axis=1)
@@ -181,9 +181,9 @@ def cost_gradient(spline: SnapSpline) -> Array:
 
 
 def heuristic_durations(waypoints_ned: Array, total_s: float) -> Array:
-    """(K - 1,): the total time shared by length, with extra time to start and to stop.
+    """Return durations (K - 1,) in proportion to length, with extra time to start and to stop.
 
-    A leg counts with its length plus a tenth of the mean leg, so that coinciding waypoints still get time.
+    A tenth of the mean leg is added to every length, so that legs between equal waypoints get time too.
     """
     waypoints = np.asarray(waypoints_ned, dtype=float)
     length = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
@@ -201,10 +201,10 @@ def optimise_durations(
     *,
     iterations: int = 100,
 ) -> Array:
-    """(K - 1,): the durations with the given sum that minimise the snap cost, from the heuristic ones.
+    """Return the durations (K - 1,) of the given sum that minimise the snap cost.
 
-    L-BFGS-B on the logarithm of the cost over the logarithms of the shares with the exact gradient; a share
-    moves by at most a factor of three. Deterministic.
+    L-BFGS-B on the logarithm of the cost over the logarithms of the shares, with the exact gradient, from the
+    heuristic durations. A share changes by at most a factor of three. Deterministic.
     """
     start = heuristic_durations(waypoints_ned, total_s)
     if len(start) == 1:
@@ -221,7 +221,7 @@ def optimise_durations(
         return start
     log_start = np.log(start / total_s)
     reach = np.log(_SHARE_FACTOR)
-    found = minimize(
+    optimum = minimize(
         objective,
         log_start,
         jac=True,
@@ -229,5 +229,5 @@ def optimise_durations(
         bounds=[(value - reach, value + reach) for value in log_start],
         options={"maxiter": iterations, "ftol": 1e-9, "gtol": 1e-7},
     )
-    share = np.exp(found.x - found.x.max())
+    share = np.exp(optimum.x - optimum.x.max())
     return share / share.sum() * total_s

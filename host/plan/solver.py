@@ -1,4 +1,4 @@
-"""Fatrop, and Ipopt where Fatrop does not arrive: a problem's local optimum from its start."""
+"""A problem's local optimum from its start: by Fatrop, and by Ipopt where Fatrop does not converge."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _WARM = {
     "ipopt.warm_start_slack_bound_frac": 1e-6,
     "ipopt.warm_start_mult_bound_push": 1e-6,
 }
-"""For a start near the solution, with its multipliers; else Ipopt moves it into the middle of its box."""
+"""Options for a start near the solution, with multipliers; by default Ipopt moves it into its box."""
 
 _STATUS = {
     "Solve_Succeeded": SolveStatus.SOLVED,
@@ -44,7 +44,7 @@ _STATUS = {
 
 
 class _Callback(ca.Callback):
-    """A CasADi function that is a Python one on arrays."""
+    """A CasADi function that calls a Python function on arrays."""
 
     def __init__(
         self,
@@ -83,15 +83,14 @@ class _Callback(ca.Callback):
             np.zeros(pattern.nnz()) if part is None else np.frombuffer(part)
             for part, (_, pattern) in zip(arg, self._ins, strict=True)
         ]
-        found = self._run(*given)
-        for room, value in zip(res, found, strict=True):
-            if room is not None:
-                np.frombuffer(room)[:] = value
+        for buffer, value in zip(res, self._run(*given), strict=True):
+            if buffer is not None:
+                np.frombuffer(buffer)[:] = value
         return 0
 
 
 def _functions(assembly: Assembly) -> tuple[dict[str, ca.Function], list[_Callback]]:
-    """Return the functions that Ipopt asks for, by CasADi's names for them, and the callbacks they call."""
+    """Return the functions that Ipopt needs, by CasADi's names, and the callbacks behind them."""
     one, none = ca.Sparsity.dense(1), ca.Sparsity(0, 1)
     w, rows = ca.Sparsity.dense(assembly.width), ca.Sparsity.dense(assembly.height)
     at, weighed = [("x", w), ("p", none)], [("lam:f", one), ("lam:g", rows)]
@@ -127,27 +126,27 @@ def solve(
     enough: Enough | None = None,
     solver: Solver | None = None,
 ) -> Solution:
-    """Return the local optimum from the given start, by Fatrop, and where that does not converge by Ipopt;
-    or by one. enough: where Fatrop may stop before.
+    """Return the local optimum from the given start.
 
-    `solve_s` is processor time, of both, and the only number that varies.
+    Fatrop solves, and Ipopt where Fatrop does not converge; `solver` selects one of them.
+    enough: when Fatrop may stop early. `solve_s` is the processor time of both; it alone varies.
     """
     started = time.process_time()
     assembly = Assembly(engine, problem, keep_out)
     compiler = wanted_compiler()
-    found: Solution | None = None
+    solution: Solution | None = None
     if solver != "ipopt" and compiler is not None and fatrop.usable():
         end = fatrop.solve_chain(
             assembly, compiler, tolerance=tolerance, max_iterations=max_iterations, enough=enough
         )
-        found = _solution(assembly, end.w, end.status, end.iterations, "fatrop")
-    if found is None or (solver is None and not found.status.usable):
-        found = _ipopt(assembly, tolerance, max_iterations)
-    return replace(found, solve_s=time.process_time() - started)
+        solution = _solution(assembly, end.w, end.status, end.iterations, "fatrop")
+    if solution is None or (solver is None and not solution.status.usable):
+        solution = _ipopt(assembly, tolerance, max_iterations)
+    return replace(solution, solve_s=time.process_time() - started)
 
 
 def _solution(assembly: Assembly, w: Array, status: SolveStatus, iterations: int, solver: Solver) -> Solution:
-    """Return a point in the problem's terms; its time is not told."""
+    """Return a point as a solution, without its time."""
     problem = assembly.problem
     x, u, h = assembly.split(w)
     return Solution(
@@ -166,7 +165,7 @@ def _solution(assembly: Assembly, w: Array, status: SolveStatus, iterations: int
 
 
 def _ipopt(assembly: Assembly, tolerance: float, max_iterations: int) -> Solution:
-    """Return what Ipopt makes of a problem."""
+    """Return Ipopt's solution of a problem."""
     functions, callbacks = _functions(assembly)
     options: dict[str, Any] = {
         "cache": functions,
@@ -192,17 +191,17 @@ def _ipopt(assembly: Assembly, tolerance: float, max_iterations: int) -> Solutio
     w, none = ca.MX.sym("x", assembly.width), ca.MX.sym("p", 0, 1)
     nlp = {"x": w, "f": functions["nlp_f"](w, none), "g": functions["nlp_g"](w, none)}
     run = ca.nlpsol("plan", "ipopt", nlp, options)
-    found = run(**given)
+    result = run(**given)
     stats = run.stats()
-    del callbacks  # had to live until here
+    del callbacks  # CasADi holds no reference to them
     end = _solution(
         assembly,
-        np.asarray(found["x"]).ravel(),
+        np.asarray(result["x"]).ravel(),
         _STATUS.get(stats["return_status"], SolveStatus.OTHER),
         int(stats["iter_count"]),
         "ipopt",
     )
     multipliers = Multipliers(
-        bounds=np.asarray(found["lam_x"]).ravel(), rows=np.asarray(found["lam_g"]).ravel()
+        bounds=np.asarray(result["lam_x"]).ravel(), rows=np.asarray(result["lam_g"]).ravel()
     )
     return replace(end, multipliers=multipliers)

@@ -1,10 +1,9 @@
 """One shooting interval: RK4 step, stage cost, and their exact derivatives by a stage-wise chain rule.
 
-An interval has z = (x, u, h). Differentiating the unrolled RK4 step symbolically repeats the residual
-network's derivatives through all four evaluations; here the network's Jacobian and Hessian are written once
-per evaluation by formula, the small rest of the dynamics is differentiated by CasADi, and the evaluations are
-joined by forward sensitivities and one adjoint sweep. The expressions are SX, to be evaluated over all
-intervals by `Function.map`.
+An interval has z = (x, u, h). Symbolic differentiation of the unrolled RK4 step would repeat the derivatives
+of the residual network through all four evaluations. Here formulas give the network's Jacobian and Hessian
+once per evaluation, and CasADi differentiates the small rest of the dynamics. Forward sensitivities and one
+adjoint sweep join the evaluations. The expressions are SX, for all intervals by `Function.map`.
 
 Source: paper eqs. 10-11. With Z_i = d(x_i, u)/dz of RK4 evaluation i and kappa_i the adjoint of its slope
 k_i, the Hessian of lam' F(z) is the sum of Z_i' (d2 kappa_i' f) Z_i and of the products of h with the
@@ -31,7 +30,7 @@ _WEIGHT = (1 / 6, 2 / 6, 2 / 6, 1 / 6)
 
 @dataclass(frozen=True, kw_only=True)
 class StageModel:
-    """What an interval integrates, costs and bounds. p: the interval's parameters besides its nominal step.
+    """Dynamics, cost and path rows of an interval. p: its parameters besides the nominal step.
 
     derivative(x, u, p): (nx,) continuous dynamics without the network. residual(x, p): 3 rows or more, m/s^2,
     the part of the cost |residual|^2 that is not the network's, or None for no such cost. effort(x, u, p):
@@ -68,16 +67,16 @@ class Stage:
 
 @dataclass(frozen=True, kw_only=True)
 class _NetworkTerms:
-    """The acceleration d of the network, its Jacobian, mu -> gradient of mu' d, mu -> Hessian of mu' d."""
+    """The network's acceleration d, its Jacobian, and mu -> gradient (vjp) and Hessian of mu' d."""
 
     value: ca.SX
     jacobian: ca.SX
-    pull: Callable[[ca.SX], ca.SX]
-    bend: Callable[[ca.SX], ca.SX]
+    vjp: Callable[[ca.SX], ca.SX]
+    hessian: Callable[[ca.SX], ca.SX]
 
 
 def network_ends(layout: Layout) -> dict[str, ca.Function]:
-    """Return what the network sees of v_ned and Theta and what its outputs give, with their derivatives.
+    """Return the network's inputs from v_ned and Theta, its acceleration from its outputs, and derivatives.
 
     seen(state) -> (n,); dseen(state) -> (n, 6); ddseen(state, eta) -> Hessian (6, 6) of eta' seen;
     given(state, out) -> (3,); dgiven(state, out) -> (3, 6), (3, 3); ddgiven(state, out, mu) -> of mu' given
@@ -118,7 +117,7 @@ def _network(network: Network, state: ca.SX) -> _NetworkTerms:
     given_by_state, by_out = ends["dgiven"](state, out)
 
     def behind(mu: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Gradient and Hessian of mu' out by what is seen."""
+        """Return gradient and Hessian of mu' out by the network's inputs."""
         total = ca.SX(ways, ways)
         back = weight.T @ mu
         for (activation, before), (inner, _) in zip(reversed(hidden), reversed(layers[:-1]), strict=True):
@@ -127,10 +126,10 @@ def _network(network: Network, state: ca.SX) -> _NetworkTerms:
             back = inner.T @ (gain * back)
         return back, total
 
-    def pull(mu: ca.SX) -> ca.SX:
+    def vjp(mu: ca.SX) -> ca.SX:
         return by_state.T @ behind(by_out.T @ mu)[0] + given_by_state.T @ mu
 
-    def bend(mu: ca.SX) -> ca.SX:
+    def hessian(mu: ca.SX) -> ca.SX:
         eta, total = behind(by_out.T @ mu)
         direct, mixed = ends["ddgiven"](state, out, mu)
         cross = mixed.T @ out_slope
@@ -139,8 +138,8 @@ def _network(network: Network, state: ca.SX) -> _NetworkTerms:
     return _NetworkTerms(
         value=ends["given"](state, out),
         jacobian=by_out @ out_slope + given_by_state,
-        pull=pull,
-        bend=bend,
+        vjp=vjp,
+        hessian=hessian,
     )
 
 
@@ -153,7 +152,7 @@ def _embed(block: ca.SX, rows: slice, columns: slice, shape: tuple[int, int]) ->
 
 @dataclass(frozen=True, kw_only=True)
 class _Evaluation:
-    """One evaluation of the dynamics in a step: where, the slope, and what its derivatives need."""
+    """One evaluation of the dynamics in a step: state, slope and their derivatives."""
 
     x: ca.SX
     sensitivity: ca.SX  # dx/dz
@@ -182,7 +181,7 @@ class _Builder:
         kappa = ca.SX.sym("kappa", nx)
         inputs = [self.x, self.u, self.p]
         self._f = ca.Function("f", inputs, [f, ca.jacobian(f, self.x), ca.jacobian(f, self.u)])
-        self._f_bend = ca.Function("f_bend", [*inputs, kappa], [ca.hessian(ca.dot(kappa, f), self.xu)[0]])
+        self._f_hessian = ca.Function("f_bend", [*inputs, kappa], [ca.hessian(ca.dot(kappa, f), self.xu)[0]])
         self.evaluations = self._integrate()
         self.x_next = self.x + self.step * self._mean_slope()
         self._residual()
@@ -239,23 +238,23 @@ class _Builder:
             jacobian = ca.jacobian(d, self.x)
             rows = d.shape[0]
             mu = ca.SX.sym("mu", rows)
-            bend = ca.hessian(ca.dot(mu, d), self.x)[0]
-            self._d_bend = ca.Function("d_bend", [self.x, self.p, mu], [bend])
-            pulled = jacobian.T @ d
+            hessian = ca.hessian(ca.dot(mu, d), self.x)[0]
+            self._d_hessian = ca.Function("d_bend", [self.x, self.p, mu], [hessian])
+            vjps = jacobian.T @ d
             if model.network is not None:
                 terms = self.evaluations[0].network or _network(model.network, self.x[NETWORK_INPUTS])
                 d = d + _embed(terms.value, slice(0, 3), slice(0, 1), (rows, 1))
-                back = terms.jacobian.T @ d[:3] if model.augmented else terms.pull(d[:3])
-                pulled = jacobian.T @ d + _embed(back, NETWORK_INPUTS, slice(0, 1), (nx, 1))
+                back = terms.jacobian.T @ d[:3] if model.augmented else terms.vjp(d[:3])
+                vjps = jacobian.T @ d + _embed(back, NETWORK_INPUTS, slice(0, 1), (nx, 1))
                 jacobian = jacobian + _embed(terms.jacobian, slice(0, 3), NETWORK_INPUTS, (rows, nx))
-                self._d_network_bend = terms.bend
+                self._d_network_hessian = terms.hessian
             self.residual, self.residual_jacobian = d, jacobian
             running = running + ca.dot(d, d)
-            gradient = gradient + ca.vertcat(2 * pulled, ca.SX(model.nu, 1))
+            gradient = gradient + ca.vertcat(2 * vjps, ca.SX(model.nu, 1))
         self.running, self.running_gradient = running, gradient
 
     def functions(self) -> Stage:
-        """Return the three functions."""
+        """Return the functions."""
         model = self.model
         arguments = [self.x, self.u, self.h, self.h0, self.p]
         names = ["x", "u", "h", "h0_s", "p"]
@@ -270,9 +269,11 @@ class _Builder:
         sigma = ca.SX.sym("sigma")
         lam_x = ca.SX.sym("lam_x", model.nx)
         lam_path = ca.SX.sym("lam_path", path.shape[0])
-        bend = self._step_hessian(lam_x) + self._cost_hessian(sigma)
-        path_bend = ca.hessian(ca.dot(lam_path, path), self.xu)[0]
-        bend = bend + _embed(path_bend, slice(0, self.nz - 1), slice(0, self.nz - 1), (self.nz, self.nz))
+        hessian = self._step_hessian(lam_x) + self._cost_hessian(sigma)
+        path_hessian = ca.hessian(ca.dot(lam_path, path), self.xu)[0]
+        hessian = hessian + _embed(
+            path_hessian, slice(0, self.nz - 1), slice(0, self.nz - 1), (self.nz, self.nz)
+        )
         return Stage(
             value=ca.Function(
                 "value", arguments, [self.x_next, cost, path], names, ["x_next", "cost", "path"]
@@ -284,48 +285,50 @@ class _Builder:
             hessian=ca.Function(
                 "hessian",
                 [*arguments, sigma, lam_x, lam_path],
-                [ca.triu(ca.sparsify(bend))],
+                [ca.triu(ca.sparsify(hessian))],
                 [*names, "sigma", "lam_x", "lam_path"],
                 ["hessian"],
             ),
         )
 
     def _step_hessian(self, lam: ca.SX) -> ca.SX:
-        """Hessian in z of lam' x_next."""
+        """Return the Hessian in z of lam' x_next."""
         model, nz, nx = self.model, self.nz, self.model.nx
         adjoint: list[ca.SX] = [ca.SX(nx, 1)] * 4  # of each evaluation's slope
-        pulled: list[ca.SX] = [ca.SX(nx, 1)] * 4  # of the state it was evaluated at
+        vjps: list[ca.SX] = [ca.SX(nx, 1)] * 4  # of the state it was evaluated at
         for i in reversed(range(4)):
             adjoint[i] = _WEIGHT[i] * self.step * lam
             if i < 3:
-                adjoint[i] = adjoint[i] + _ALONG[i + 1] * self.step * pulled[i + 1]
-            pulled[i] = self.evaluations[i].jacobian.T @ adjoint[i]
+                adjoint[i] = adjoint[i] + _ALONG[i + 1] * self.step * vjps[i + 1]
+            vjps[i] = self.evaluations[i].jacobian.T @ adjoint[i]
         total = ca.SX(nz, nz)
         for evaluation, kappa in zip(self.evaluations, adjoint, strict=True):
-            bend = self._f_bend(evaluation.x, self.u, self.p, kappa)
+            hessian = self._f_hessian(evaluation.x, self.u, self.p, kappa)
             if evaluation.network is not None:
-                block = evaluation.network.bend(kappa[NETWORK_ROWS])
-                bend = bend + _embed(block, NETWORK_INPUTS, NETWORK_INPUTS, (nx + model.nu, nx + model.nu))
+                block = evaluation.network.hessian(kappa[NETWORK_ROWS])
+                hessian = hessian + _embed(
+                    block, NETWORK_INPUTS, NETWORK_INPUTS, (nx + model.nu, nx + model.nu)
+                )
             spread = ca.vertcat(evaluation.sensitivity, self.du)
-            total = total + spread.T @ (bend @ spread)
+            total = total + spread.T @ (hessian @ spread)
         cross = self._mean_sensitivity().T @ lam
         for i in range(1, 4):
-            cross = cross + _ALONG[i] * (self.evaluations[i - 1].slope_sensitivity.T @ pulled[i])
+            cross = cross + _ALONG[i] * (self.evaluations[i - 1].slope_sensitivity.T @ vjps[i])
         mixed = cross @ self.dh
         return total + mixed + mixed.T
 
     def _cost_hessian(self, sigma: ca.SX) -> ca.SX:
-        """Hessian in z of sigma cost."""
+        """Return the Hessian in z of sigma cost."""
         model, nz = self.model, self.nz
         states, both = slice(0, model.nx), slice(0, nz - 1)
         block = ca.hessian(self._effort, self.xu)[0] * (sigma * self.step)
         total = _embed(block, both, both, (nz, nz))
         if self.residual_jacobian is not None:
             jacobian, mu = self.residual_jacobian, 2 * sigma * self.step * self.residual
-            bend = self._d_bend(self.x, self.p, mu) + 2 * sigma * self.step * (jacobian.T @ jacobian)
-            total = total + _embed(bend, states, states, (nz, nz))
+            hessian = self._d_hessian(self.x, self.p, mu) + 2 * sigma * self.step * (jacobian.T @ jacobian)
+            total = total + _embed(hessian, states, states, (nz, nz))
             if model.network is not None:
-                learned = self._d_network_bend(mu[:3])
+                learned = self._d_network_hessian(mu[:3])
                 total = total + _embed(learned, NETWORK_INPUTS, NETWORK_INPUTS, (nz, nz))
         mixed = sigma * (ca.vertcat(self.running_gradient, ca.SX(1, 1)) @ self.dh)
         return total + mixed + mixed.T

@@ -1,4 +1,4 @@
-"""The minimum-snap plan: judged as it is, or given the least more time that keeps the limits."""
+"""The minimum-snap plan: judged as it is, or stretched in time by the least factor that keeps the limits."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ _HALVINGS = 10
 
 
 def plan_snap(job: Job, *, stretch: bool) -> Plan:
-    """Return the plan. Raises PlanRefused with node and reason where a limit is broken and stretching no
-    help.
+    """Return the plan.
+
+    Raises PlanRefused, with node and reason, for a broken limit that stretching may not or cannot mend.
     """
     started = time.process_time()
     durations = job.durations()
@@ -46,7 +47,7 @@ def _times_s(durations: Array) -> Array:
 
 
 def _stretched(job: Job, durations: Array, refused: Judged) -> tuple[float, Judged]:
-    """About the least factor on all times that keeps the limits, by bisection of its logarithm."""
+    """Return about the least factor on all times that keeps the limits, by bisection of its logarithm."""
     low, high = 1.0, _STRETCH_MAX
     best = _attempt(job, durations, high)
     if not best.ok:

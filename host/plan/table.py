@@ -1,7 +1,7 @@
-"""Node tables: position, velocity, acceleration and jerk at whole microseconds, and what lies between them.
+"""Node tables: position, velocity, acceleration and jerk at whole microseconds, with septics between them.
 
-A table becomes the reference: the vehicle flies the septic pieces between its nodes. Everything a plan says
-about itself (margins, residual, length, deviation) is therefore computed from the rounded table.
+A table becomes the reference: the vehicle flies the septic pieces between its nodes. All figures of a plan
+(margins, residual, length, deviation) are therefore computed from the rounded table.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from trimtab.firmware_model.law.allocation import allocation_matrix, invert4
 from trimtab.firmware_model.law.flatness import Body, flat_full
 from trimtab.firmware_model.law.reference import cubic_acceleration, cubic_coefficients, hermite_yaw, septic
 from trimtab.firmware_model.law.rotations import matrix_to_euler
 from trimtab.host.codegen import NUMPY
 from trimtab.host.plan.snap import REST, SnapSpline, solve_snap
 from trimtab.host.vehicle import Vehicle
+from trimtab.host.vehicle.allocation import allocation_inverse
 from trimtab.protocol.blobs import Node, Reference, YawNode
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 SPACING_S = 0.1
-"""Wanted distance of nodes; closer than half of it float32 ruins the jerk."""
+"""Nominal distance of nodes; at less than half of it float32 spoils the jerk."""
 _ORIGIN_STEP_M = 0.1
 
 
@@ -45,10 +45,9 @@ class Table:
 
 
 def knot_times(waypoint_times_us: Times, spacing_s: float = SPACING_S, most: Times | None = None) -> Times:
-    """Return times from the first to the last waypoint, every waypoint among them, about `spacing_s` apart,
-    in us.
+    """Return times, us, about `spacing_s` apart, among them the time of every waypoint.
 
-    A leg is divided evenly into at least one piece, and at most `most` of each leg; no piece is shorter than
+    Each leg is divided evenly into at least one piece and at most `most` pieces. No piece is shorter than
     half the spacing unless its leg is.
     """
     pieces: list[NDArray[np.float64]] = []
@@ -68,9 +67,7 @@ def round_times(times_s: Array) -> Times:
 
 
 def snap_table(waypoints_ned: Array, durations_s: Array, end_velocities_ned: ArrayLike = REST) -> Table:
-    """Return the minimum-snap spline, waypoint times rounded to microseconds, divided into nodes without
-    loss.
-    """
+    """Return the minimum-snap spline as a table, with waypoint times rounded to microseconds."""
     waypoint_times = round_times(np.concatenate([[0.0], np.cumsum(durations_s)]))
     spline = solve_snap(waypoints_ned, np.diff(waypoint_times) * 1e-6, end_velocities_ned)
     ends = Table(times_us=waypoint_times, states_ned=_rows(spline))
@@ -86,7 +83,7 @@ def _rows(spline: SnapSpline) -> Array:
 
 
 def evaluate(table: Table, times_us: Array | Times) -> tuple[Array, Array, Array, Array, Array]:
-    """Position, velocity, acceleration, jerk and snap, (3, m) each, at times within the table."""
+    """Return position, velocity, acceleration, jerk and snap, (3, m) each, at times within the table."""
     at = np.asarray(times_us, dtype=float)
     piece = np.clip(np.searchsorted(table.times_us, at, side="right") - 1, 0, len(table.times_us) - 2)
     start = table.times_us[piece]
@@ -98,7 +95,7 @@ def evaluate(table: Table, times_us: Array | Times) -> tuple[Array, Array, Array
 
 
 def yaw_at(yaws: Sequence[YawNode], times_us: Array | Times) -> tuple[Array, Array]:
-    """Yaw and yaw rate, (m,) each; held before the first and after the last yaw node."""
+    """Return yaw and yaw rate, (m,) each; yaw is constant before the first and after the last node."""
     at = np.asarray(times_us, dtype=float)
     if len(yaws) == 1:
         return np.full(at.shape, yaws[0].yaw), np.zeros(at.shape)
@@ -113,7 +110,7 @@ def yaw_at(yaws: Sequence[YawNode], times_us: Array | Times) -> tuple[Array, Arr
 
 
 def yaw_acceleration_at(yaws: Sequence[YawNode], times_us: Array | Times) -> Array:
-    """Yaw acceleration in rad/s^2, (m,); 0 where yaw is held, at a yaw node that of the piece behind it."""
+    """Return the yaw acceleration (m,), rad/s^2; at a yaw node that of the following piece."""
     at = np.asarray(times_us, dtype=float)
     if len(yaws) == 1:
         return np.zeros(at.shape)
@@ -126,7 +123,7 @@ def yaw_acceleration_at(yaws: Sequence[YawNode], times_us: Array | Times) -> Arr
 
 
 def flat_states(vehicle: Vehicle, table: Table, yaws: Sequence[YawNode], times_us: Array | Times) -> Array:
-    """(16, m): p_ned, v_ned, Theta, rate_frd, rotor thrusts (N) of the nominal vehicle on this path."""
+    """Return p_ned, v_ned, Theta, rate_frd, rotor thrusts (N) (16, m) of the nominal vehicle on this path."""
     p, v, a, j, snap = evaluate(table, times_us)
     yaw, yaw_rate = yaw_at(yaws, times_us)
     body = Body(vehicle.mass_kg, vehicle.inertia_kg_m2)
@@ -134,18 +131,15 @@ def flat_states(vehicle: Vehicle, table: Table, yaws: Sequence[YawNode], times_u
         NUMPY, list(a), list(j), list(snap), yaw, yaw_rate, body, yaw_acceleration_at(yaws, times_us)
     )
     euler: Any = matrix_to_euler(NUMPY, R)
-    positions = [rotor.position_m for rotor in vehicle.rotors]
-    spins = [rotor.spin_sign for rotor in vehicle.rotors]
-    inverse = invert4(allocation_matrix(positions, spins, vehicle.torque_per_thrust_m))
-    thrust = np.array(inverse).reshape(4, 4) @ np.array([collective, *torque])
+    thrust = allocation_inverse(vehicle) @ np.array([collective, *torque])
     return np.concatenate([p, v, np.array(euler), np.array(rate), thrust])
 
 
 def to_reference(table: Table, yaws: Sequence[YawNode], vehicle_id: str) -> Reference:
-    """Return the reference blob; its origin is near the middle of the nodes, so that float32 loses least.
+    """Return the reference blob; its origin is near the middle of the nodes, where float32 loses least.
 
-    A table that moves at an end makes a reference with free ends, which the vehicle does not start; one that
-    begins in motion may take over in flight.
+    A table that moves at an end gives a reference with free ends. The vehicle does not start such a
+    reference, but may switch to it in flight.
     """
     low, high = table.states_ned[:, :3].min(axis=0), table.states_ned[:, :3].max(axis=0)
     steps = np.rint(0.5 * (low + high) / _ORIGIN_STEP_M)
@@ -165,7 +159,7 @@ def to_reference(table: Table, yaws: Sequence[YawNode], vehicle_id: str) -> Refe
 
 
 def from_reference(reference: Reference) -> Table:
-    """Return the table as it is flown: positions in NED, rounded as the blob rounds."""
+    """Return the table as flown: positions in NED, rounded as the blob rounds."""
     nodes = reference.nodes_ned()
     return Table(
         times_us=np.array([node.t_us for node in nodes], dtype=np.int64),

@@ -29,27 +29,27 @@ class Assembly:
     """Objective, constraints and their derivatives over all intervals, as functions of one vector w.
 
     w: node by node the states, the step size where it is a state, the time, the inputs, the step size where
-    it is an input. Rows: node by node the gaps to the next, the bounded path rows, what is fixed there.
+    it is an input. Rows: node by node the gaps to the next node, the bounded path rows, the fixed values.
     """
 
     def __init__(self, engine: Engine, problem: Problem, keep_out: Sequence[Shape] = ()) -> None:
         self.problem, self.count = problem, len(problem.leg_of)
         self.nx, self.nu = engine.model.nx, engine.model.nu
         self._intervals = engine.over(problem.h0_s, problem.parameters)
-        self._own_rows = problem.path_bounds[0].shape[0]
+        self._vehicle_rows = problem.path_bounds[0].shape[0]
         self._places: Places | None = None
         if keep_out or problem.gates is not None:
             self._places = Places(problem.gates, keep_out, self.count)
-            self._own_rows -= self._places.rows
+            self._vehicle_rows -= self._places.rows
         self._place_unknowns()
         self._place_rows()
         self._plan_gradient()
         self._plan_jacobian()
         self._plan_hessian()
         self._at: Array = np.full(self.width, np.nan)
-        self._known: set[str] = set()
+        self._computed: set[str] = set()
 
-    # Where things stand.
+    # Places of unknowns and rows.
 
     def _place_unknowns(self) -> None:
         problem, count, nx, nu = self.problem, self.count, self.nx, self.nu
@@ -78,7 +78,7 @@ class Assembly:
         self._shared_s: Array = np.bincount(leg_of, weights=problem.h0_s).astype(float)[leg_of]
 
     def _place_rows(self) -> None:
-        """Rows with their bounds; equal bounds on unknowns become rows."""
+        """Place the rows and set their bounds; equal bounds on unknowns become rows."""
         problem, count = self.problem, self.count
         low, high = self._spread(problem.x_bounds, problem.u_bounds)
         fixed = (low == high) & np.isfinite(low)
@@ -108,7 +108,7 @@ class Assembly:
         self.low, self.high = low, high
 
     def _spread(self, x: tuple[Array, Array], u: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Bounds of w."""
+        """Return the bounds of w."""
         problem = self.problem
         low, high = np.full(self.width, -np.inf), np.full(self.width, np.inf)
         for bound, of_x, of_u in zip((low, high), x, u, strict=True):
@@ -121,18 +121,18 @@ class Assembly:
         return low, high
 
     def _columns(self, entries: Index) -> Index:
-        """(N, entries) where entries of z = (x, u, h) stand in w; -1 for a step size that is no unknown."""
+        """Return the places (N, entries) of z = (x, u, h) in w; -1 for a step size that is no unknown."""
         h = np.full(self.count, -1) if self._h_at is None else self._h_at
         return np.hstack([self._x_at[:-1], self._u_at, h[:, None]])[:, entries]
 
     def _plan_jacobian(self) -> None:
-        """Return the pattern of dg/dw, its constant entries, and where the intervals' numbers go."""
+        """Set the pattern of dg/dw, its constant entries, and the places of the intervals' numbers."""
         intervals, places = self._intervals, self._places
         parts: list[tuple[Index, Index, Array]] = []
 
         def constant(rows: Index, columns: Index, value: float | Array) -> None:
-            kept = (rows >= 0) & (columns >= 0)
-            parts.append((rows[kept], columns[kept], np.broadcast_to(value, rows.shape)[kept]))
+            used = (rows >= 0) & (columns >= 0)
+            parts.append((rows[used], columns[used], np.broadcast_to(value, rows.shape)[used]))
 
         constant(self._gap_at.ravel(), self._x_at[1:].ravel(), 1.0)
         constant(self._fix_at, self._fixed_at, 1.0)
@@ -144,43 +144,43 @@ class Assembly:
             constant(self._t_row, self._t_at[:-1], -1.0)
             constant(np.where(self._h_is_input, self._t_row, -1), self._h_at, -self._shared_s)
         fixed = len(parts)
-        sources: list[Index] = []  # of kept entries: where in what the intervals computed
+        sources: list[Index] = []  # places of the entries in the intervals' outputs
         for output, rows in (
             (intervals.x_slope, self._gap_at[:, intervals.x_slope.rows]),
             (intervals.path_slope, self._path_at[:, intervals.path_slope.rows]),
         ):
             columns = self._columns(output.columns)
-            kept = (rows >= 0) & (columns >= 0)
-            parts.append((rows[kept], columns[kept], np.zeros(int(kept.sum()))))
-            sources.append(output.at[kept])
+            used = (rows >= 0) & (columns >= 0)
+            parts.append((rows[used], columns[used], np.zeros(int(used.sum()))))
+            sources.append(output.at[used])
         if places is not None:
-            rows = np.repeat(self._path_at[:, self._own_rows :], 3, axis=1)
+            rows = np.repeat(self._path_at[:, self._vehicle_rows :], 3, axis=1)
             columns = np.tile(self._x_at[:-1, :3], (1, places.rows))
-            kept = rows >= 0
-            parts.append((rows[kept], columns[kept], np.zeros(int(kept.sum()))))
-            sources.append(np.flatnonzero(kept))
+            used = rows >= 0
+            parts.append((rows[used], columns[used], np.zeros(int(used.sum()))))
+            sources.append(np.flatnonzero(used))
         self.slopes = Pattern([part[:2] for part in parts], self.height, self.width)
-        found = [self.slopes.find(rows, columns) for rows, columns, _ in parts]
+        located = [self.slopes.find(rows, columns) for rows, columns, _ in parts]
         self._jacobian_constants = np.zeros(self.slopes.count)
-        for place, (_, _, values) in zip(found, parts, strict=True):
+        for place, (_, _, values) in zip(located, parts, strict=True):
             self._jacobian_constants[place] = values
         self._jacobian_places = [
-            (place, source) for place, source in zip(found[fixed:], sources, strict=True)
+            (place, source) for place, source in zip(located[fixed:], sources, strict=True)
         ]
 
     def _plan_gradient(self) -> None:
         output = self._intervals.cost_slope
         columns = self._columns(output.rows)
-        kept = columns >= 0
-        self._gradient_to, self._gradient_from = columns[kept], output.at[kept]
+        used = columns >= 0
+        self._gradient_to, self._gradient_from = columns[used], output.at[used]
 
     def _plan_hessian(self) -> None:
         output = self._intervals.hessian
         rows, columns = self._columns(output.rows), self._columns(output.columns)
-        kept = (rows >= 0) & (columns >= 0)
-        self._hessian_from = output.at[kept]
-        up = np.minimum(rows, columns)[kept]
-        over = np.maximum(rows, columns)[kept]
+        used = (rows >= 0) & (columns >= 0)
+        self._hessian_from = output.at[used]
+        up = np.minimum(rows, columns)[used]
+        over = np.maximum(rows, columns)[used]
         parts = [(up, over)]
         if self._places is not None:
             i, j = np.triu_indices(3)
@@ -190,7 +190,7 @@ class Assembly:
 
     @property
     def whole_hessian(self) -> tuple[tuple[Index, Index], Index]:
-        """Rows and columns of the Hessian with both triangles, and which entry of the upper one each is."""
+        """Rows and columns of the Hessian with both triangles, and the entry of the upper one for each."""
         rows, columns, entry = self.upper.rows, self.upper.columns, np.arange(self.upper.count)
         below = rows != columns
         whole = np.concatenate([rows, columns[below]]), np.concatenate([columns, rows[below]])
@@ -202,17 +202,17 @@ class Assembly:
         if np.array_equal(w, self._at):
             return
         self._at[:] = w
-        self._known.clear()
+        self._computed.clear()
         h = np.ones(self.count) if self._h_at is None else w[self._h_at]
         self._intervals.set(w[self._x_at[:-1]], w[self._u_at], h)
 
-    def _need(self, what: str, compute: Callable[[], None]) -> None:
-        if what not in self._known:
+    def _need(self, name: str, compute: Callable[[], None]) -> None:
+        if name not in self._computed:
             compute()
-            self._known.add(what)
+            self._computed.add(name)
 
     def _placed(self, w: Array) -> tuple[Array, Array]:
-        """Values and slopes of the rows of places, computed once at a point."""
+        """Return values and slopes of the rows of gates and keep-out shapes, computed once at a point."""
         assert self._places is not None
         places, p = self._places, w[self._x_at[:-1, :3]]
         self._need("places", lambda: places.first(p))
@@ -226,9 +226,9 @@ class Assembly:
         return float(cost.flat[cost.at].sum())
 
     def gradient(self, w: Array) -> Array:
-        """Its slope (width,)."""
+        """Return the slope (width,) of the cost."""
         self._set(w)
-        if "slopes" not in self._known:
+        if "slopes" not in self._computed:
             self._need("gradient", self._intervals.gradient)
         out = np.zeros(self.width)
         out[self._gradient_to] = self._intervals.cost_slope.flat[self._gradient_from]
@@ -241,12 +241,12 @@ class Assembly:
         out = np.zeros(self.height)
         x_next, path = self._intervals.x_next, self._intervals.path
         out[self._gap_at] = w[self._x_at[1:]] - x_next.flat[x_next.at]
-        own = self._path_at[:, : self._own_rows]
-        kept = own >= 0
-        out[own[kept]] = path.flat[path.at[kept]]
+        vehicle_rows = self._path_at[:, : self._vehicle_rows]
+        used = vehicle_rows >= 0
+        out[vehicle_rows[used]] = path.flat[path.at[used]]
         if self._places is not None:
             value, _ = self._placed(w)
-            more = self._path_at[:, self._own_rows :]
+            more = self._path_at[:, self._vehicle_rows :]
             out[more[more >= 0]] = value[more >= 0]
         out[self._fix_at] = w[self._fixed_at]
         if self._h_at is not None:
@@ -259,13 +259,13 @@ class Assembly:
         return out
 
     def violation(self, w: Array) -> float:
-        """By how much the rows miss their bounds at most; infinity where one is not finite."""
+        """Return the largest violation of a row's bounds; infinity where a row is not finite."""
         rows = self.rows(w)
         missed = float(np.maximum(self.g_low - rows, rows - self.g_high).max())
         return max(0.0, missed) if np.isfinite(rows).all() else float("inf")
 
     def jacobian(self, w: Array) -> Array:
-        """Nonzeros of dg/dw in the order of `slopes`."""
+        """Return the nonzeros of dg/dw in the order of `slopes`."""
         self._set(w)
         self._need("slopes", self._intervals.slopes)
         out = self._jacobian_constants.copy()
@@ -278,27 +278,27 @@ class Assembly:
         return out
 
     def hessian(self, w: Array, sigma: float, lam: Array) -> Array:
-        """Nonzeros of the upper triangle of the Hessian of sigma f + lam' g."""
+        """Return the nonzeros of the upper triangle of the Hessian of sigma f + lam' g."""
         self._set(w)
         path = np.where(self._path_at >= 0, lam[self._path_at], 0.0)
-        self._intervals.bend(sigma, -lam[self._gap_at], path[:, : self._own_rows])
+        self._intervals.bend(sigma, -lam[self._gap_at], path[:, : self._vehicle_rows])
         out = np.zeros(self.upper.count)
         out[self._hessian_to] = self._intervals.hessian.flat[self._hessian_from]
         if self._places is not None:
-            bend = self._places.second(w[self._x_at[:-1, :3]], path[:, self._own_rows :])
+            bend = self._places.second(w[self._x_at[:-1, :3]], path[:, self._vehicle_rows :])
             i, j = np.triu_indices(3)
             out[self._hessian_places_to[0]] += bend[:, i, j].ravel()
         return out
 
     def lagrangian_gradient(self, w: Array, sigma: float, lam: Array) -> Array:
-        """Slope of sigma f + lam' g (width,)."""
+        """Return the slope (width,) of sigma f + lam' g."""
         values = self.jacobian(w)
         pattern = self.slopes
         matrix = csc_matrix((values, pattern.rows, pattern.starts), shape=(self.height, self.width))
         return sigma * self.gradient(w) + matrix.T @ lam
 
     def start(self) -> Array:
-        """Return the start: what is bounded inside its bounds, what is fixed there."""
+        """Return the start, clipped to the bounds, with fixed values set."""
         p = self.problem
         w = np.zeros(self.width)
         w[self._x_at], w[self._u_at] = p.x_start.T, p.u_start.T

@@ -92,7 +92,7 @@ def random_route(
 ) -> Route:
     """Return a route through `count` waypoints drawn from `box_m` (NED). Same arguments, same route.
 
-    Five waypoints as in the paper's data set (section IV-A). Raises ValueError on bad arguments.
+    Five waypoints as in the paper's data set (section V-A). Raises ValueError on bad arguments.
     """
     drawn = RandomWaypoints(
         seed=seed, count=count, box_m=box_m, leg_min_m=leg_min_m, mean_speed_m_s=mean_speed_m_s

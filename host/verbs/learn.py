@@ -125,7 +125,7 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
             provenance=artefacts.provenance(seed=options.seed, parents=parents),
             on_epoch=lambda turn, loss: bar.update(turn, detail=f"validation loss {loss:.3g}"),
         )
-    written = learned.kept.what != "nothing"
+    written = learned.selected.what != "nothing"
     named = {name: learned.model.effects[name] for name in forms if written}
     if written:
         write_model(learned.model, options.output, force=options.force)
@@ -217,7 +217,7 @@ def _answer(
         "train": learned.train.to_json(),
         "test": None if learned.test is None else learned.test.to_json(),
         "improved": learned.improved,
-        "kept": learned.kept.what,
+        "kept": learned.selected.what,
         "candidates": [trial.to_json() for trial in learned.trials],
         "effects": {name: dict(values) for name, values in named.items()},
         "epochs": learned.trained.epochs,

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trimtab.firmware_model.law.allocation import allocation_matrix, invert4
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.effects import Effect
 from trimtab.host.effects.effect import Signal
@@ -19,6 +18,7 @@ from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.sentences import no_tracking, too_few_poses, too_few_tracking_poses
 from trimtab.host.vehicle import Vehicle
+from trimtab.host.vehicle.allocation import allocation_inverse
 
 WITHOUT_INPUTS = frozenset({THRUST, MOTOR_LAG, INERTIA, TORQUE})
 """What a log of poses alone leaves unknown."""
@@ -146,12 +146,7 @@ def _intervals(t_us: np.ndarray) -> np.ndarray:
 
 def _rotor_thrusts(vehicle: Vehicle, thrust_n: np.ndarray, torque: np.ndarray) -> np.ndarray:
     """Rotor thrusts (n, 4) in N that the vehicle file's allocation gives to a collective and a torque."""
-    rotors = vehicle.rotors
-    matrix = allocation_matrix(
-        [r.position_m for r in rotors], [r.spin_sign for r in rotors], vehicle.torque_per_thrust_m
-    )
-    inverse = np.array(invert4(matrix)).reshape(4, 4)
-    return np.column_stack([thrust_n, torque]) @ inverse.T
+    return np.column_stack([thrust_n, torque]) @ allocation_inverse(vehicle).T
 
 
 def nominal_thrust(vehicle: Vehicle, command: np.ndarray, *, in_newton: bool) -> np.ndarray:

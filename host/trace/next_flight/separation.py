@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from trimtab.firmware_model.law.allocation import allocation_matrix, invert4
 from trimtab.firmware_model.law.flatness import Body, flat_full
 from trimtab.firmware_model.law.rotations import matrix_to_euler
 from trimtab.host.codegen.ops import NUMPY
@@ -28,6 +27,7 @@ from trimtab.host.trace.segment_fit import linearise, rollout
 from trimtab.host.trace.segment_fit.fit import SegmentFit
 from trimtab.host.trace.segment_fit.model import LOCALS, SegmentModel
 from trimtab.host.vehicle import Vehicle
+from trimtab.host.vehicle.allocation import allocation_inverse
 
 SIGMA_MAX = 100.0
 """More is not told: so far out a linearisation means nothing but that the flight decides."""
@@ -307,17 +307,16 @@ def _along(vehicle: Vehicle, flat: np.ndarray, instruments: Instruments) -> Segm
 
 def flat_commands(vehicle: Vehicle, flat: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rotor thrusts (n, 4) N, R_ned_frd (n, 9) and body rate (n, 3) of flat outputs (14, n) each DT_S."""
-    rotors = vehicle.rotors
-    matrix = allocation_matrix(
-        [r.position_m for r in rotors], [r.spin_sign for r in rotors], vehicle.torque_per_thrust_m
-    )
     snap = np.gradient(flat[9:12], DT_S, axis=1)
     body = Body(vehicle.mass_kg, vehicle.inertia_kg_m2)
     R, rate, _, collective, torque = flat_full(
         NUMPY, list(flat[6:9]), list(flat[9:12]), list(snap), flat[12], flat[13], body
     )
-    inverse = np.array(invert4(matrix)).reshape(4, 4)
     shape = flat.shape[1]
     wanted = np.array([np.broadcast_to(row, shape) for row in (collective, *torque)])
     attitude = np.array([np.broadcast_to(row, shape) for row in R]).T
-    return (inverse @ wanted).T, attitude, np.array([np.broadcast_to(r, shape) for r in rate]).T
+    return (
+        (allocation_inverse(vehicle) @ wanted).T,
+        attitude,
+        np.array([np.broadcast_to(r, shape) for r in rate]).T,
+    )

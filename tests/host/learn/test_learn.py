@@ -259,7 +259,7 @@ def test_model_that_predicts_some_flights_no_better_has_not_improved(train, test
         train=judged(*train),
         test=None if test is None else judged(*test),
         trials=(kept,),
-        kept=kept,
+        selected=kept,
         trained=Trained(network=network, epochs=1, best_epoch=0, train_loss=losses, validation_loss=losses),
         segments=8,
     )

@@ -10,7 +10,8 @@ import pytest
 from trimtab.host.learn.adam import Adam
 from trimtab.host.learn.evaluate import whole_flights
 from trimtab.host.learn.lanes import rollouts
-from trimtab.host.learn.learn import region, split_by_reference
+from trimtab.host.learn.learn import region
+from trimtab.host.learn.split import split_by_reference
 from trimtab.host.learn.starts import free_starts
 from trimtab.host.learn.train import LOSS_SIGMA, Settings, train
 from trimtab.host.models.network import Layout

@@ -125,7 +125,7 @@ def fly_and_learn(folder: Path, vehicle: Vehicle, seed: int, world: int) -> dict
     result = {
         "world": world,
         "errors": errors,
-        "kept": {method: found.kept.what for method, found in learned.items()},
+        "kept": {method: found.selected.what for method, found in learned.items()},
         "flights": {name: len(flights) for name, flights in sets.items()},
         "failed": failed,
         "statistics": {

@@ -109,7 +109,7 @@ def flown(
                 "residuals": by_model,
             }
         )
-    return {"world": world, "kept": learned.kept.what, "courses": rows}
+    return {"world": world, "kept": learned.selected.what, "courses": rows}
 
 
 def _training_flights(field: Airfield, folder: Path, seed: int, world: int) -> list[Flight]:
