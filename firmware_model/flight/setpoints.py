@@ -145,9 +145,13 @@ def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) 
 
 
 def _nodes(aims: Axes, asked: Vector, accel: Vector, state: Node, bounds: Bounds) -> list[tuple[int, Node]]:
-    """From the state to where the setpoint leads: in one piece, else behind what takes out the acceleration
-    or, where that is not enough, behind a stop. At worst it stays there.
+    """Return nodes from the state to the setpoint's goal.
+
+    They lead there in one piece if possible; else after the acceleration has faded; else after a stop. At
+    worst the vehicle stays at the stop.
     """
+    sure: list[tuple[int, Node]] = []
+    begun = [(0, state)]
     for sure, begun in _beginnings(state, bounds):
         t_us, node = begun[-1]
         length_s = _length_s(aims, asked, node, bounds)
@@ -157,13 +161,14 @@ def _nodes(aims: Axes, asked: Vector, accel: Vector, state: Node, bounds: Bounds
             if _gentle(nodes, bounds):
                 return [*sure, *nodes]
             length_s *= _STRETCH
+    t_us, node = begun[-1]
     return [*sure, *begun, (t_us + seconds_us(SHORTEST_S), node)]
 
 
 def _beginnings(
     state: Node, bounds: Bounds
 ) -> Iterator[tuple[list[tuple[int, Node]], list[tuple[int, Node]]]]:
-    """Yield what is flown in any case, and the nodes behind it that a way to the setpoint goes on from."""
+    """Yield nodes that are flown in any case, and the nodes from which a way to the goal starts."""
     yield [], [(0, state)]
     yield [], [(0, state), (seconds_us(EASE_S), eased(state, EASE_S))]
     stop = braked(state, bounds.accel, bounds.room)
@@ -171,7 +176,7 @@ def _beginnings(
 
 
 def _aims(target: PositionTarget, state: Node, bounds: Bounds) -> tuple[Axes, Vector]:
-    """Positions and velocities asked for, within the box and the speed."""
+    """Return the requested positions and velocities, within the box and the speed limit."""
     wanted = [v or 0.0 for v in target.v]
     speed = math.hypot(*wanted)
     if speed > bounds.speed:

@@ -90,8 +90,7 @@ def _libraries() -> tuple[Path, ...]:
 
 @cache
 def _fatrop() -> ctypes.CDLL:
-    for path in _libraries():
-        library = ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+    library = [ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL) for path in _libraries()][-1]
     for name in ("create", "get_primal", "get_stats"):
         getattr(library, f"fatrop_ocp_c_{name}").restype = ctypes.c_void_p
     return library
@@ -220,6 +219,7 @@ class _Run:
         interface = ctypes.create_string_buffer(self._glue.interface_bytes())
         self._glue.connect(interface, self._chain.pointer)
         self._solver = solver = ctypes.c_void_p(library.fatrop_ocp_c_create(interface, None, None))
+        finished = True
         try:
             self._set_options(library, tolerance)
             finished = self._finishes(library, interrupted)

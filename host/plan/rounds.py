@@ -185,14 +185,15 @@ class _Run:
         while self._last is None and self._tracked is None and (half := coarser(grids[-1])) is not None:
             grids.append(half)
         before: tuple[Problem, Solution, Grid] | None = None
-        for grid in reversed(grids):
+        for grid in reversed(grids[1:]):
             solution = self._solve_on(grid, before)
-            if solution.status.usable and grid is not self.grid and grid.step_s <= NODE_S:
+            if solution.status.usable and grid.step_s <= NODE_S:
                 judged = self.judged(solution, grid)
                 if not judged.ok:  # finer grids would fail too, and take longer
                     self.box = self.box.tightened(judged.margins)
                     solution = self._solve_on(grid, (self.problem, solution, grid))
             before = (self.problem, solution, grid) if solution.status.usable else None
+        solution = self._solve_on(self.grid, before)
         self.rounds += 1
         return solution
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -67,30 +68,29 @@ def whitened_grams(
 
 
 def fit_loop(loop: Loop, effects: Sequence[str], theta_scaled: np.ndarray, order: int) -> FlightFit:
-    """Return the set of `effects` fitted over the closed loop from theta_scaled (P,): Gauss-Newton with line
-    search.
+    """Fit the set `effects` over the closed loop from theta_scaled (P,), by Gauss-Newton with line search.
 
-    The whitening is fitted again to what every linear step leaves.
+    The whitening is fitted again to the residual of every linear step.
     """
     space = loop.space
     precision = prior_of(space).precision(effects)
     theta_scaled = space.clipped(theta_scaled)
     base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
-    for iteration in range(_ITERATIONS):
+    iteration = 0
+    while True:
         slopes = loop.slopes(theta_scaled, effects, base)
-        step = np.zeros(len(theta_scaled))
-        for _ in range(3):
-            left = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
-            white = autoregression(left, loop.known, order)
-            grams = whitened_grams(white, loop, base, slopes)
-            step, covariance = evidence.bounded(grams.sum(0), theta_scaled, precision, space.bounds)
+        take_step = partial(_linear_step, loop, base, slopes, order, theta_scaled, precision)
+        step, covariance, white, grams = take_step(np.zeros(len(theta_scaled)))
+        for _ in range(2):
+            step, covariance, white, grams = take_step(step)
         small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < LOOP_SETTLED
         if small or iteration == _ITERATIONS - 1:
             break
-        moved, there = _line_search(loop, white, precision, theta_scaled, step, base)
+        moved, residuals = _line_search(loop, white, precision, theta_scaled, step, base)
         if np.array_equal(moved, theta_scaled):
             break
-        theta_scaled, base = moved, there
+        theta_scaled, base = moved, residuals
+        iteration += 1
     count = sum(len(stretches(k, span_of(order))) for k in loop.known)
     log_det = count * float(np.linalg.slogdet(white.innovation)[1])
     return FlightFit(
@@ -105,6 +105,23 @@ def fit_loop(loop: Loop, effects: Sequence[str], theta_scaled: np.ndarray, order
         grams=grams,
         error_m=_position_rms(loop, base),
     )
+
+
+def _linear_step(
+    loop: Loop,
+    base: Sequence[np.ndarray],
+    slopes: Sequence[np.ndarray],
+    order: int,
+    theta_scaled: np.ndarray,
+    precision: np.ndarray,
+    step: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, Whitening, np.ndarray]:
+    """Return step, covariance, whitening and Grams; the whitening is fitted to the residual of `step`."""
+    left = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
+    white = autoregression(left, loop.known, order)
+    grams = whitened_grams(white, loop, base, slopes)
+    step, covariance = evidence.bounded(grams.sum(0), theta_scaled, precision, loop.space.bounds)
+    return step, covariance, white, grams
 
 
 def _position_rms(loop: Loop, residuals: Sequence[np.ndarray]) -> float:
@@ -246,13 +263,14 @@ def weighted(
     centre: np.ndarray | float = 0.0,
     count: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Scaled parameters (P,), covariance (P, P) and Grams (flights, 1 + P, 1 + P) of `effects` fitted from z.
+    """Fit `effects` from theta_scaled with a given whitening.
 
-    The whitening stays as given, slopes are those where the effects are, residuals count for 1/RULES.temper.
-    `centre` (P,) is the mean of the prior, `count` how often each flight counts.
+    Returns scaled parameters (P,), covariance (P, P) and Grams (flights, 1 + P, 1 + P). Residuals count by
+    1/RULES.temper. centre (P,): mean of the prior. count: weight of each flight.
     """
     precision = prior_of(loop.space).precision(effects)
-    for turn in range(_PASSES):
+    turn = 0
+    while True:
         base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
         grams = (
             count
@@ -263,6 +281,7 @@ def weighted(
         limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
         step, covariance = evidence.bounded(grams.sum(0), away, precision, limits)
         theta_scaled = loop.space.clipped(theta_scaled + step)
-        if (np.abs(step) / np.sqrt(np.diag(covariance))).max() < _SETTLED_WELL:
-            break
-    return theta_scaled, covariance, grams
+        turn += 1
+        settled = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < _SETTLED_WELL
+        if settled or turn == _PASSES:
+            return theta_scaled, covariance, grams

@@ -119,7 +119,8 @@ def refit(
         for name in set(start.effects) - set(effects):
             theta_scaled[list(space.groups[name])] = 0.0
         basis = start.basis
-    for iteration in range(iterations):
+    iteration = 0
+    while True:
         if iteration == 0 and start is not None and (theta_scaled == start.lin.theta_scaled).all():
             lin = start.lin
         else:
@@ -128,18 +129,19 @@ def refit(
         white = evidence.whitened(lin, process, prior)
         step, covariance = evidence.bounded(white.gram, theta_scaled, precision, space.bounds)
         sigma = np.sqrt(np.diag(covariance))
-        if np.abs(step).max() < 0.03 or (iteration >= 1 and (np.abs(step) / sigma).max() < SEGMENTS_SETTLED):
+        settled = iteration >= 1 and (np.abs(step) / sigma).max() < SEGMENTS_SETTLED
+        done = np.abs(step).max() < 0.03 or settled or iteration == iterations - 1
+        step = space.clipped(theta_scaled + np.clip(step, -4.0, 4.0)) - theta_scaled
+        if done:
             break
-        if iteration < iterations - 1:
-            step = space.clipped(theta_scaled + np.clip(step, -4.0, 4.0)) - theta_scaled
-            local_step = evidence.local_step(lin, white, prior, step)
-            local = local + local_step
-            data = data.with_w(evidence.disturbances(lin, process, step, local_step))
-            theta_scaled = theta_scaled + step
-            if start is None and iteration < 2:
-                data = data.with_x0(linearise.fitted_x0(segment_model, data, theta_scaled, local, basis, 2))
-                basis = linearise.basis(segment_model, data, theta_scaled, local)
-    step = space.clipped(theta_scaled + np.clip(step, -4.0, 4.0)) - theta_scaled
+        local_step = evidence.local_step(lin, white, prior, step)
+        local = local + local_step
+        data = data.with_w(evidence.disturbances(lin, process, step, local_step))
+        theta_scaled = theta_scaled + step
+        if start is None and iteration < 2:
+            data = data.with_x0(linearise.fitted_x0(segment_model, data, theta_scaled, local, basis, 2))
+            basis = linearise.basis(segment_model, data, theta_scaled, local)
+        iteration += 1
     return SegmentFit(
         effects=tuple(sorted(effects)),
         log_evidence=evidence.log_evidence(

@@ -61,12 +61,12 @@ REALS = (
 
 
 class Field(NamedTuple):
-    """Where a field lies in its message's payload: `count` values of `code` from byte `at` on."""
+    """Where a field lies in its message's payload: `values` values of `code` from byte `at` on."""
 
     name: str
     at: int
     code: str
-    count: int
+    values: int
 
 
 class Kind(NamedTuple):
@@ -247,7 +247,7 @@ def any_sender(rng: Random) -> tuple[int, int]:
 def _put_odd(rng: Random, payload: bytearray, field: Field) -> None:
     """One value of the field becomes an odd one."""
     size = _SIZES[field.code]
-    at = field.at + size * rng.randrange(field.count)
+    at = field.at + size * rng.randrange(field.values)
     if field.code in "fd":
         value = rng.choice(REALS) if rng.random() < 0.7 else rng.uniform(-100.0, 100.0)
         struct.pack_into("<" + field.code, payload, at, value)

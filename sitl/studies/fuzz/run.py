@@ -79,7 +79,7 @@ class _Batch(NamedTuple):
     kind: str
     seed: int
     number: int
-    count: int
+    inputs: int
 
 
 class _Outcome(NamedTuple):
@@ -102,7 +102,7 @@ def run_fuzz(
     The same inputs come from the same seed, however many processes share the work.
     """
     batches = list(_batches(inputs, seed, kinds))
-    total = sum(batch.count for batch in batches)
+    total = sum(batch.inputs for batch in batches)
     done, valid, crashes = 0, 0, []
     by_kind: Counter[str] = Counter()
     with contextlib.closing(_outcomes(batches, workers)) as outcomes:
@@ -159,7 +159,7 @@ def _run(source: Source, batch: _Batch) -> _Outcome:
     target = kind.target(source, rng, batch.number)
     crashes: list[Crash] = []
     at = valid = 0
-    while at < batch.count and len(crashes) < CRASHES_MAX:
+    while at < batch.inputs and len(crashes) < CRASHES_MAX:
         data = kind.make(target, rng, source)
         try:
             target.give(data)
