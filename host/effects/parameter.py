@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from typing import TypedDict, Unpack
 
 DISCREPANCY = 0.05
 """Usual `Parameter.discrepancy`."""
@@ -107,6 +108,18 @@ class Parameter:
         return any(fact is not None for fact in (self.free_sigma, self.free_lower, self.free_upper))
 
 
+class NumberOptions(TypedDict, total=False):
+    """Optional fields of `Parameter`."""
+
+    strength: bool
+    discrepancy: float
+    loop_discrepancy: float
+    free_sigma: float | None
+    free_lower: float | None
+    free_upper: float | None
+    measured_below: float | None
+
+
 def number(
     key: str,
     unit: str,
@@ -116,14 +129,7 @@ def number(
     lower: float,
     upper: float,
     description: str,
-    *,
-    strength: bool = True,
-    discrepancy: float = DISCREPANCY,
-    loop_discrepancy: float = LOOP_DISCREPANCY,
-    free_sigma: float | None = None,
-    free_lower: float | None = None,
-    free_upper: float | None = None,
-    measured_below: float | None = None,
+    **options: Unpack[NumberOptions],
 ) -> Parameter:
     """Return a Parameter in one line, for a workspace's own effects; arguments as of `Parameter`."""
     return Parameter(
@@ -135,11 +141,5 @@ def number(
         lower=lower,
         upper=upper,
         description=description,
-        strength=strength,
-        discrepancy=discrepancy,
-        loop_discrepancy=loop_discrepancy,
-        free_sigma=free_sigma,
-        free_lower=free_lower,
-        free_upper=free_upper,
-        measured_below=measured_below,
+        **options,
     )

@@ -12,6 +12,7 @@ from trimtab.host.link.client import Client, RadioCounts
 from trimtab.host.link.clock import CameraClock
 from trimtab.host.log import LogWriter, topics
 from trimtab.host.log.tracking import reference_at
+from trimtab.host.log.writer import Stamps
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Reference
 from trimtab.protocol.generated import flight_pb2
@@ -89,7 +90,7 @@ class Recorder:
         publish_us = round(source_us - self._camera.offset_us) - self._arm_us
         log_us = now_us - self._arm_us
         p = (message.x, message.y, message.z)
-        self._log.pose(log_us, publish_us, source_us, vehicle_us, p, message.q)
+        self._log.pose(Stamps(log_us, publish_us, source_us), vehicle_us, p, message.q)
         self._poses += 1
         if self._poses % DISPLAY_EVERY == 0:
             self._log.display(topics.DISPLAY_POSE, log_us, publish_us, p, message.q)
@@ -144,9 +145,7 @@ class Recorder:
             interval_us = (interval.end_tick - interval.start_tick) * TICK_US
             means = (*interval.motor_mean, *interval.gyro_mean, *interval.force_mean)
         self._log.control(
-            log_us,
-            publish_us,
-            source_us,
+            Stamps(log_us, publish_us, source_us),
             message.collective,
             message.rate_cmd,
             message.torque,
@@ -172,7 +171,7 @@ class Recorder:
         source_us = tick * TICK_US
         publish_us = self._publish_us(source_us)
         flown = self._flown
-        self._log.reference(log_us, publish_us, source_us, flown.id, reference_us, flat)
+        self._log.reference(Stamps(log_us, publish_us, source_us), flown.id, reference_us, flat)
         flown.written += 1
         if flown.written % DISPLAY_EVERY == 0:
             half = 0.5 * flat[12]
@@ -187,9 +186,7 @@ class Recorder:
         source_us = tick * TICK_US
         age_us = decode_age(message.mocap_age)
         self._log.estimate(
-            log_us,
-            self._publish_us(source_us),
-            source_us,
+            Stamps(log_us, self._publish_us(source_us), source_us),
             message.p,
             message.v,
             decode_quaternion(message.q),

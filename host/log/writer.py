@@ -71,6 +71,14 @@ class _Unbuffered:
             raise self.failed from error
 
 
+class Stamps(NamedTuple):
+    """Times of a message, us: when it is logged, published and made (its source's clock)."""
+
+    log_us: int
+    publish_us: int
+    source_us: int
+
+
 class LogWriter:
     """Writes one log to `output`, a path or a binary stream.
 
@@ -140,26 +148,22 @@ class LogWriter:
 
     def pose(
         self,
-        log_us: int,
-        publish_us: int,
-        source_us: int,
+        stamps: Stamps,
         vehicle_us: int,
         p_ned: Sequence[float],
         q_ned_frd: Sequence[float],
     ) -> bool:
         """`/mocap/pose`; `vehicle_us` is the stamp it was forwarded with, 0 where it was not."""
         message = self._messages.pose
-        message.source_us = source_us
+        message.source_us = stamps.source_us
         message.vehicle_us = vehicle_us
         message.p_ned_m[:] = p_ned
         message.q_ned_frd[:] = q_ned_frd
-        return self.write(topics.MOCAP_POSE, message, log_us, publish_us)
+        return self.write(topics.MOCAP_POSE, message, stamps.log_us, stamps.publish_us)
 
     def estimate(
         self,
-        log_us: int,
-        publish_us: int,
-        source_us: int,
+        stamps: Stamps,
         p_ned: Sequence[float],
         v_ned: Sequence[float],
         q_ned_frd: Sequence[float],
@@ -169,27 +173,25 @@ class LogWriter:
     ) -> bool:
         """`/fc/estimate`."""
         message = self._messages.estimate
-        message.source_us = source_us
+        message.source_us = stamps.source_us
         message.p_ned_m[:] = p_ned
         message.v_ned_m_s[:] = v_ned
         message.q_ned_frd[:] = q_ned_frd
         message.rate_frd_rad_s[:] = rate_frd
         message.gyro_bias_rad_s[:] = gyro_bias
         message.mocap_age_us = mocap_age_us
-        return self.write(topics.FC_ESTIMATE, message, log_us, publish_us)
+        return self.write(topics.FC_ESTIMATE, message, stamps.log_us, stamps.publish_us)
 
     def reference(
         self,
-        log_us: int,
-        publish_us: int,
-        source_us: int,
+        stamps: Stamps,
         reference_id: str,
         reference_us: int,
         flat: Sequence[float],
     ) -> bool:
         """Return `/reference`; `flat` is p, v, a, j (3 each), yaw, yaw rate."""
         message = self._messages.reference
-        message.source_us = source_us
+        message.source_us = stamps.source_us
         message.reference_id = reference_id
         message.reference_us = reference_us
         message.p_ned_m[:] = flat[0:3]
@@ -198,13 +200,11 @@ class LogWriter:
         message.j_ned_m_s3[:] = flat[9:12]
         message.yaw_rad = flat[12]
         message.yaw_rate_rad_s = flat[13]
-        return self.write(topics.REFERENCE, message, log_us, publish_us)
+        return self.write(topics.REFERENCE, message, stamps.log_us, stamps.publish_us)
 
     def control(
         self,
-        log_us: int,
-        publish_us: int,
-        source_us: int,
+        stamps: Stamps,
         collective_n: float,
         rate_cmd: Sequence[float],
         torque_cmd: Sequence[float],
@@ -218,7 +218,7 @@ class LogWriter:
         `observer_ned`: the disturbance observed, empty for none.
         """
         message = self._messages.control
-        message.source_us = source_us
+        message.source_us = stamps.source_us
         message.interval_us = 0 if means is None else interval_us
         message.collective_n = collective_n
         message.rate_cmd_rad_s[:] = rate_cmd
@@ -228,7 +228,7 @@ class LogWriter:
         message.gyro_mean_rad_s[:] = () if means is None else means[4:7]
         message.force_mean_m_s2[:] = () if means is None else means[7:10]
         message.observer_ned_m_s2[:] = observer_ned
-        return self.write(topics.FC_CONTROL, message, log_us, publish_us)
+        return self.write(topics.FC_CONTROL, message, stamps.log_us, stamps.publish_us)
 
     def text(self, log_us: int, publish_us: int, severity: int, text: str, name: str) -> bool:
         """`/log`; `severity` as in STATUSTEXT (0 emergency .. 7 debug), `name` says who speaks."""

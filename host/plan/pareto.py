@@ -5,20 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from trimtab.host.base.errors import UsageError
-from trimtab.host.effects import Effect
 from trimtab.host.models.model import Model
 from trimtab.host.plan.flown import Flown
-from trimtab.host.plan.planner import plan
+from trimtab.host.plan.planner import JobOptions, plan
 from trimtab.host.plan.profile import profile
 from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.result import Plan, PlanRefused, PlanUnsolved, Settings
 from trimtab.host.plan.table import from_reference
-from trimtab.host.route import LimitsOverride, Route
+from trimtab.host.route import Route
 from trimtab.host.vehicle import Vehicle
 
 FACTORS = (0.1, 0.3, 1.0, 3.0, 10.0)
@@ -148,18 +147,14 @@ def pareto(
     *,
     kind: str = "min-residual",
     factors: Sequence[float] = FACTORS,
-    effects: Mapping[str, Effect] | None = None,
-    settings: Settings | None = None,
-    headroom: LimitsOverride | None = None,
-    total_time_s: float | None = None,
     nodes: int | None = None,
-    source: str | None = None,
     on_point: Callable[[Point], None] | None = None,
+    **options: Unpack[JobOptions],
 ) -> list[Point]:
     """Return plans of min-snap and min-control, then of `kind` for each factor, ascending, in the same time.
 
     kind: min-residual, or min-residual* beside min-control*. factors: positive, on the weights of thrusts and
-    their rates in `settings`. on_point: called with each point when it is ready. The other arguments and the
+    their rates in `settings`. on_point: called with each point when it is ready. The options and the
     errors ConfigurationError and UsageError are those of `trimtab.host.plan.plan`. A plan that is refused or
     not solved is a point with its reason.
     """
@@ -168,24 +163,16 @@ def pareto(
         raise UsageError(f"{kind}: the trade is that of min-residual or min-residual*")
     if not factors or not all(np.isfinite(factor) and factor > 0.0 for factor in factors):
         raise ValueError(f"factors must be positive numbers, not {tuple(factors)!r}")
-    base = settings or Settings()
+    base = options.get("settings") or Settings()
     wanted: list[tuple[str, float | None]] = [("min-snap", None), (f"min-control{star}", None)]
     wanted += [(kind, factor) for factor in sorted(factors)]
     points = []
     for each, factor in wanted:
         started = time.process_time()
         try:
+            scaled = base if factor is None else _scaled(base, factor)
             made = plan(
-                route,
-                vehicle,
-                kind=each,
-                model=model,
-                effects=effects,
-                headroom=headroom,
-                total_time_s=total_time_s,
-                nodes=nodes,
-                settings=base if factor is None else _scaled(base, factor),
-                source=source,
+                route, vehicle, kind=each, model=model, nodes=nodes, **(options | {"settings": scaled})
             )
         except (PlanRefused, PlanUnsolved) as error:
             point = _missing(each, factor, error, time.process_time() - started)

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TypedDict, Unpack
 
 from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import Effect, load_effects
@@ -38,30 +39,41 @@ from trimtab.host.route import TIME_MAX_S, LimitsOverride, Route, check_route
 from trimtab.host.vehicle import Limits, Vehicle
 
 
+class JobOptions(TypedDict, total=False):
+    """Options of a plan.
+
+    effects: library that the model's names refer to,
+    the shipped one by default. headroom: limits tighter than the route's. total_time_s: instead of the
+    route's. time_box: the total time is free within these shares of it, and each second costs time_weight (1
+    by default), in the unit of the weights. settings: weights and tolerances. source: names the route in
+    errors, its name by default.
+    """
+
+    effects: Mapping[str, Effect] | None
+    headroom: LimitsOverride | None
+    total_time_s: float | None
+    time_box: tuple[float, float] | None
+    time_weight: float | None
+    settings: Settings | None
+    source: str | None
+
+
 def plan(
     route: Route,
     vehicle: Vehicle,
     *,
     kind: str = "min-snap",
     model: Model | ResidualModel | None = None,
-    effects: Mapping[str, Effect] | None = None,
-    headroom: LimitsOverride | None = None,
-    total_time_s: float | None = None,
-    time_box: tuple[float, float] | None = None,
-    time_weight: float | None = None,
     stretch: bool = False,
     nodes: int | None = None,
-    settings: Settings | None = None,
-    source: str | None = None,
+    **options: Unpack[JobOptions],
 ) -> Plan:
     """Return a checked plan for the route. The same arguments give the same reference.
 
-    kind: one of KINDS; a final `*` puts the model into the dynamics. model: needed by all kinds but min-snap
-    and min-control. effects: library that the model's names refer to, the shipped one by default. headroom:
-    limits tighter than the route's. total_time_s: instead of the route's. time_box: the total time is free
-    within these shares of it, and each second costs time_weight (1 by default), in the unit of the weights.
-    stretch: a min-snap plan that breaks a limit takes more time. nodes: approximate number of shooting
-    intervals, None for one about every 70 ms. source: names the route in errors, its name by default.
+    kind: one of KINDS; a final `*` puts the model into the dynamics. model: needed by
+    all kinds but min-snap and min-control. stretch: a min-snap plan that breaks a
+    limit takes more time. nodes: approximate number of shooting intervals, None for one about every 70 ms.
+    options: see `JobOptions`.
 
     Raises ConfigurationError or UsageError (exit code 2) for contradictory arguments, PlanRefused (1) with
     node and reason, PlanUnsolved (4).
@@ -71,19 +83,7 @@ def plan(
         raise UsageError(f"--nodes {nodes}: give a number within 20..{NODES_MAX}")
     if stretch and name != "min-snap":
         raise UsageError(f"--stretch goes with min-snap, not with {kind}: give the time with --time-s")
-    job = make_job(
-        route,
-        vehicle,
-        kind=kind,
-        model=model,
-        effects=effects,
-        headroom=headroom,
-        total_time_s=total_time_s,
-        time_box=time_box,
-        time_weight=time_weight,
-        settings=settings,
-        source=source,
-    )
+    job = make_job(route, vehicle, kind=kind, model=model, **options)
     return plan_snap(job, stretch=stretch) if name == "min-snap" else plan_shooting(job, nodes=nodes)
 
 
@@ -93,22 +93,17 @@ def make_job(
     *,
     kind: str,
     model: Model | ResidualModel | None = None,
-    effects: Mapping[str, Effect] | None = None,
-    headroom: LimitsOverride | None = None,
-    total_time_s: float | None = None,
-    time_box: tuple[float, float] | None = None,
-    time_weight: float | None = None,
-    settings: Settings | None = None,
-    source: str | None = None,
+    **options: Unpack[JobOptions],
 ) -> Job:
     """Return the job that `plan` solves, checked. Raises ConfigurationError or UsageError."""
     name, augmented = parse_kind(kind)
-    settings = _free_time(settings or Settings(), route, kind, time_box, time_weight)
-    route = _timed(route, total_time_s)
-    limits = _limits(route, vehicle, headroom, source)
-    dynamics = Dynamics(
-        vehicle=vehicle, model=_residual_model(model, effects, vehicle, name, augmented), augmented=augmented
-    )
+    source = options.get("source")
+    settings = options.get("settings") or Settings()
+    settings = _free_time(settings, route, kind, options.get("time_box"), options.get("time_weight"))
+    route = _timed(route, options.get("total_time_s"))
+    limits = _limits(route, vehicle, options.get("headroom"), source)
+    residual = _residual_model(model, options.get("effects"), vehicle, name, augmented)
+    dynamics = Dynamics(vehicle=vehicle, model=residual, augmented=augmented)
     if route.yaw.free and name == "min-control-r":
         raise UsageError(
             f"{source or route.name}: yaw.free: min-control-r tracks a path with its heading; give the "

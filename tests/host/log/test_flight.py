@@ -28,6 +28,7 @@ from trimtab.host.log import (
     read_flight,
     to_lines,
 )
+from trimtab.host.log.writer import Stamps
 from trimtab.protocol.blobs import Reference
 from trimtab.protocol.messages import mavlink
 
@@ -137,9 +138,9 @@ def test_log_provenance_comes_before_the_first_message(log_bytes: bytes) -> None
 def test_writer_message_from_before_arm_is_not_logged(provenance: Provenance) -> None:
     stream = io.BytesIO()
     with LogWriter(stream, provenance) as log:
-        assert not log.pose(-1, -9000, 0, 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        assert not log.pose(3000, -1, 0, 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        assert log.pose(3000, 0, 0, 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        assert not log.pose(Stamps(-1, -9000, 0), 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        assert not log.pose(Stamps(3000, -1, 0), 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        assert log.pose(Stamps(3000, 0, 0), 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     reader = make_reader(io.BytesIO(stream.getvalue()))
     assert len(list(reader.iter_messages())) == 1
 
@@ -148,7 +149,7 @@ def test_read_flight_row_that_is_not_finite_is_left_out(tmp_path: Path, provenan
     path = tmp_path / "x.mcap"
     with LogWriter(path, provenance) as log:
         for k, x in enumerate((0.0, math.nan, 2.0)):
-            log.pose(k, k, k, 0, (x, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+            log.pose(Stamps(k, k, k), 0, (x, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     mocap = read_flight(path).mocap
     assert mocap is not None
     np.testing.assert_array_equal(mocap.p[:, 0], [0.0, 2.0])

@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trimtab.host.log import LogError, LogWriter, Provenance, partial_path, read_flight, recover
+from trimtab.host.log.writer import Stamps
 
 KILLED_WRITER = """
 import os, signal, sys
@@ -25,8 +26,8 @@ from trimtab.host.vehicle import load_vehicle
 log = LogWriter(Path(sys.argv[1]), Provenance(vehicle=load_vehicle("research")))
 for ms in range(0, 30000, 10):
     noise = [((ms * 7919 + k * 104729) % 1000003) / 7.0 for k in range(3)]
-    log.pose(ms * 1000, ms * 1000, ms * 1000, 0, noise, (1.0, 0.0, 0.0, 0.0))
-    log.estimate(ms * 1000, ms * 1000, ms * 1000, noise, noise, (1.0, 0.0, 0.0, 0.0), noise, noise, 1)
+    log.pose(Stamps(ms * 1000, ms * 1000, ms * 1000), 0, noise, (1.0, 0.0, 0.0, 0.0))
+    log.estimate(Stamps(ms * 1000, ms * 1000, ms * 1000), noise, noise, (1.0, 0.0, 0.0, 0.0), noise, noise, 1)
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -150,7 +151,7 @@ def test_recover_leaves_out_a_damaged_chunk_and_keeps_the_others(
     with LogWriter(path, provenance) as log:
         for k in range(4000):
             noise = [((k * 7919 + i * 104729) % 1000003) / 7.0 for i in range(3)]
-            log.pose(1000 * k, 1000 * k, 1000 * k, 0, noise, (1.0, 0.0, 0.0, 0.0))
+            log.pose(Stamps(1000 * k, 1000 * k, 1000 * k), 0, noise, (1.0, 0.0, 0.0, 0.0))
     content = bytearray(path.read_bytes())
     places = [place.start() for place in re.finditer(b"zstd", content)]
     content[places[damaged] + 1000] ^= 0xFF

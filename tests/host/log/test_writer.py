@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from trimtab.host.log import LogError, LogWriter, Provenance, partial_path, read_flight, recover
+from trimtab.host.log.writer import Stamps
 
 FullDisk = Callable[[int], AbstractContextManager[None]]
 
@@ -17,7 +18,7 @@ def _write_poses(log: LogWriter, count: int) -> None:
     """Poses that compress badly."""
     for k in range(count):
         noise = [((k * 7919 + i * 104729) % 1000003) / 7.0 for i in range(3)]
-        log.pose(1000 * k, 1000 * k, 1000 * k, 0, noise, (1.0, 0.0, 0.0, 0.0))
+        log.pose(Stamps(1000 * k, 1000 * k, 1000 * k), 0, noise, (1.0, 0.0, 0.0, 0.0))
 
 
 def test_writer_on_a_full_disk_raises_and_leaves_what_it_had_written(
