@@ -73,7 +73,7 @@ def kernel(model: StageModel, compiler: Compiler) -> Kernel:
 
 
 def kernel_source(model: StageModel) -> str:
-    """Return the kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
+    """Return the kernel's C, which follows `trimtab.host.codegen.simd.PRELUDE`."""
     return _Parts(model).source()
 
 
@@ -163,7 +163,7 @@ class _Parts:
         return Pattern(x_slope=slope, path_slope=_mask(self.path), hessian=np.triu(hessian | own))
 
     def source(self) -> str:
-        """Return the kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
+        """Return the kernel's C, which follows `trimtab.host.codegen.simd.PRELUDE`."""
         model = self.model
         functions, network = dict(self.functions), model.network
         sizes = {
