@@ -74,10 +74,10 @@ def source(phi: Phi, layout: Layout) -> str:
         back = out - sizes[0]
         backward.append(f"layer_back(xi + {w}, s->back + {back}, to, {inputs}, {outputs});")
         if k:
-            own = back - inputs
+            before = back - inputs
             backward.append(
                 f"for (int i = 0; i < {inputs}; ++i) "
-                f"s->back[{own} + i] = to[i] * (1.0 - s->u[{u} + i] * s->u[{u} + i]);"
+                f"s->back[{before} + i] = to[i] * (1.0 - s->u[{u} + i] * s->u[{u} + i]);"
             )
     sizes_of = {
         "SIZE": phi.size,
@@ -114,14 +114,16 @@ def _network_ends(layout: Layout) -> dict[str, ca.Function]:
     """Return the network's inputs and its acceleration as functions, with their vector-Jacobian products."""
     state, push = ca.SX.sym("state", 6), ca.SX.sym("push", layout.sizes[0])
     out, pull = ca.SX.sym("out", 3), ca.SX.sym("pull", 3)
-    seen = ca.densify(ca.vertcat(*layout.seen(CASADI, ca.vertsplit(state))))
-    given = ca.densify(ca.vertcat(*layout.given(CASADI, ca.vertsplit(state), ca.vertsplit(out))))
-    back = [ca.densify(ca.jtimes(given, of, pull, True)) for of in (state, out)]
+    network_inputs = ca.densify(ca.vertcat(*layout.inputs(CASADI, ca.vertsplit(state))))
+    acceleration = ca.densify(
+        ca.vertcat(*layout.acceleration(CASADI, ca.vertsplit(state), ca.vertsplit(out)))
+    )
+    back = [ca.densify(ca.jtimes(acceleration, of, pull, True)) for of in (state, out)]
     return {
-        "seen": ca.Function("seen", [state], [seen]),
-        "given": ca.Function("given", [state, out], [given]),
+        "seen": ca.Function("seen", [state], [network_inputs]),
+        "given": ca.Function("given", [state, out], [acceleration]),
         "seen_back": ca.Function(
-            "seen_back", [state, push], [ca.densify(ca.jtimes(seen, state, push, True))]
+            "seen_back", [state, push], [ca.densify(ca.jtimes(network_inputs, state, push, True))]
         ),
         "given_back": ca.Function("given_back", [state, out, pull], ca.cse(back)),
     }

@@ -71,12 +71,12 @@ class LaneRollouts:
 
         def roll(x0: np.ndarray, theta: np.ndarray, push: np.ndarray) -> np.ndarray:
             start, pushes = lanes_of(x0), lanes_of(push)
-            own = aligned((groups, max(1, theta.shape[1]), LANES))
-            own[:, : theta.shape[1]] = lanes_of(theta) if theta.shape[1] else 0.0
+            thetas = aligned((groups, max(1, theta.shape[1]), LANES))
+            thetas[:, : theta.shape[1]] = lanes_of(theta) if theta.shape[1] else 0.0
             for group in range(groups):
                 self._kernel.roll_out(
                     pointer(xi), pointer(start[group]), pointer(drive[group]), pointer(flight[group]),
-                    pointer(own[group]), pointer(pushes[group]), ctypes.c_long(steps),
+                    pointer(thetas[group]), pointer(pushes[group]), ctypes.c_long(steps),
                     ctypes.c_double(self.step_s), ctypes.c_int(0), pointer(stages), pointer(states[group]),
                 )  # fmt: skip
             return rows_of(states, len(x0))

@@ -65,54 +65,54 @@ class Layout:
             weights[:, :-1] = scale * rng.standard_normal((layer.rows, layer.columns - 1))
         return xi
 
-    def seen(self, ops: Ops, state: Sequence[Any]) -> list[Any]:
+    def inputs(self, ops: Ops, state: Sequence[Any]) -> list[Any]:
         """Return the network's inputs for v_ned and Theta, 6 scalars."""
         if self.frame == "body":
             return list(mat_t_vec(euler_to_matrix(ops, state[3:6]), state[0:3]))
         return [*state[0:5], ops.atan2(ops.sin(state[5]), ops.cos(state[5]))]
 
-    def given(self, ops: Ops, state: Sequence[Any], outputs: Sequence[Any]) -> list[Any]:
+    def acceleration(self, ops: Ops, state: Sequence[Any], outputs: Sequence[Any]) -> list[Any]:
         """Return the acceleration, NED, for the network's outputs at v_ned and Theta `state`."""
         if self.frame == "body":
             return list(mat_vec(euler_to_matrix(ops, state[3:6]), outputs))
         return list(outputs)
 
-    def taken(self, ops: Ops, state: Sequence[Any], acceleration: Sequence[Any]) -> list[Any]:
-        """Return the outputs for an acceleration, NED: the inverse, and transpose, of `given`."""
+    def outputs(self, ops: Ops, state: Sequence[Any], acceleration_ned: Sequence[Any]) -> list[Any]:
+        """Return the outputs for an acceleration, NED: the inverse, and transpose, of `acceleration`."""
         if self.frame == "body":
-            return list(mat_t_vec(euler_to_matrix(ops, state[3:6]), acceleration))
-        return list(acceleration)
+            return list(mat_t_vec(euler_to_matrix(ops, state[3:6]), acceleration_ned))
+        return list(acceleration_ned)
 
     def scalars(self, ops: Ops, xi: Sequence[Any], state: Sequence[Any]) -> Sequence[Any]:
         """Return the acceleration (3,) for v_ned and Theta, 6 scalars, by the law's form."""
-        return self.given(ops, state, network(ops, xi, self.hidden, self.seen(ops, state), ()))
+        return self.acceleration(ops, state, network(ops, xi, self.hidden, self.inputs(ops, state), ()))
 
     def matrices(self, xi: Any, state: Any) -> Any:
         """Return accelerations (3, n) for v_ned and Theta (6, n) by CasADi matrix products, MX or SX."""
         rows = casadi.vertsplit(state)
-        values = casadi.vertcat(*self.seen(CASADI, rows))
+        values = casadi.vertcat(*self.inputs(CASADI, rows))
         ones = casadi.DM.ones(1, state.shape[1])
         for k, layer in enumerate(self._layers()):
             if k:
                 values = casadi.tanh(values)
             weights = casadi.reshape(xi[layer.where], layer.columns, layer.rows).T  # CasADi: columns first
             values = casadi.mtimes(weights, casadi.vertcat(values, ones))
-        return casadi.vertcat(*self.given(CASADI, rows, casadi.vertsplit(values)))
+        return casadi.vertcat(*self.acceleration(CASADI, rows, casadi.vertsplit(values)))
 
     def arrays(self, xi: np.ndarray, state: np.ndarray) -> np.ndarray:
         """Return accelerations (3, n) for v_ned and Theta (6, n) on numpy."""
         rows = list(state)
-        values = np.stack(self.seen(NUMPY, rows))
+        values = np.stack(self.inputs(NUMPY, rows))
         for k, layer in enumerate(self._layers()):
             if k:
                 values = np.tanh(values)
             weights = xi[layer.where].reshape(layer.rows, layer.columns)
             values = weights[:, :-1] @ values + weights[:, -1:]
-        return np.stack(self.given(NUMPY, rows, list(values)))
+        return np.stack(self.acceleration(NUMPY, rows, list(values)))
 
     def vjp(self, xi: np.ndarray, state: np.ndarray, costate: np.ndarray) -> np.ndarray:
         """Return costate' d(acceleration)/dxi (size,), with the acceleration of `arrays`; costate (3, n)."""
-        values, layer_inputs = np.stack(self.seen(NUMPY, list(state))), []
+        values, layer_inputs = np.stack(self.inputs(NUMPY, list(state))), []
         layers = list(self._layers())
         for k, layer in enumerate(layers):
             if k:
@@ -120,7 +120,7 @@ class Layout:
             layer_inputs.append(values)
             weights = xi[layer.where].reshape(layer.rows, layer.columns)
             values = weights[:, :-1] @ values + weights[:, -1:]
-        back, gradient = np.stack(self.taken(NUMPY, list(state), list(costate))), np.empty(self.size)
+        back, gradient = np.stack(self.outputs(NUMPY, list(state), list(costate))), np.empty(self.size)
         for k, layer in reversed(list(enumerate(layers))):
             layer_gradient = gradient[layer.where].reshape(layer.rows, layer.columns)
             np.matmul(back, layer_inputs[k].T, out=layer_gradient[:, :-1])

@@ -91,7 +91,7 @@ class Gate(Strict):
         return centre + self._axes().T @ (self._units_m() * q)
 
     def inside_m(self, p_ned: ArrayLike, waypoint_ned: ArrayLike) -> float:
-        """Return the distance inside the gate's edge, m, less that from an opening's plane; negative outside."""
+        """Return the distance inside the gate's edge, m, less that from its plane; negative outside."""
         along, right, down = self._axes() @ (np.asarray(p_ned, dtype=float) - waypoint_ned)
         wide, high = self._halves_m
         if self.is_sphere:
