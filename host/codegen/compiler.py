@@ -1,8 +1,8 @@
-"""C source to a shared library: which compiler, with which flags, and where the result is kept.
+"""C source to a shared library: the compiler, its flags, and the cache of the results.
 
 The flags keep IEEE arithmetic as written (no contraction, never -ffast-math), so that compiled code and
-CasADi's virtual machine agree bit for bit. Libraries are kept in the user's cache by the hash of everything
-they follow from, written to a temporary name and renamed. Where there is no compiler, nothing here is needed.
+CasADi's virtual machine agree bit for bit. Libraries are in the user's cache, named by the hash of everything
+that determines them, written under a temporary name and renamed. Everything also works without a compiler.
 """
 
 from __future__ import annotations
@@ -29,28 +29,28 @@ _SECONDS = 300
 
 
 class CodegenError(TrimtabError):
-    """What was asked for cannot be compiled or run here; one line that says why and what to do."""
+    """A function cannot be compiled or run here; one line says why and what to do."""
 
     exit_code = 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class Compiler:
-    """A C compiler: the command to start it, and what tells this installation of it from another."""
+    """A C compiler: the command that starts it, and a text that identifies the installation."""
 
     command: tuple[str, ...]
     identity: str
 
     @property
     def name(self) -> str:
-        """How a person calls it."""
+        """Name of the compiler in messages."""
         return Path(self.command[0]).name if len(self.command) == 1 else "ziglang"
 
 
 def engine_choice(engine: str | None = None) -> str:
-    """Return "auto", "vm" or "c": as asked, else by the environment's TRIMTAB_ENGINE, else "auto".
+    """Return "auto", "vm" or "c": the argument, else the environment's TRIMTAB_ENGINE, else "auto".
 
-    Raises CodegenError for another word.
+    Raises CodegenError for any other value.
     """
     choice = engine or os.environ.get(ENGINE_VARIABLE) or "auto"
     if choice not in ENGINES:
@@ -73,10 +73,9 @@ def find_compiler() -> Compiler | None:
 
 
 def wanted_compiler(engine: str | None = None) -> Compiler | None:
-    """Return the compiler to use where `engine`, or the environment, leaves the choice or asks for C; else
-    None.
+    """Return the compiler to use, None for the virtual machine; see `engine_choice`.
 
-    Raises CodegenError where C is asked for and there is no compiler.
+    Raises CodegenError where C is requested and there is no compiler.
     """
     choice = engine_choice(engine)
     compiler = None if choice == "vm" else find_compiler()
@@ -88,10 +87,10 @@ def wanted_compiler(engine: str | None = None) -> Compiler | None:
 def shared_library(
     source: str, compiler: Compiler, *, native: bool = False, include: Path | None = None
 ) -> Path:
-    """Path of the shared library for this C source, compiled now unless the cache has it.
+    """Return the path of the shared library for this C source, compiled now unless the cache has it.
 
-    `native`: for this machine's own instructions. `include`: where its headers are; the source must tell one
-    version of them from another. Raises CodegenError where the compiler fails.
+    `native`: for the instructions of this machine. `include`: directory of its headers; the source must name
+    their version. Raises CodegenError where the compiler fails.
     """
     path = library_path(source, compiler, native=native)
     if not path.exists():
@@ -101,7 +100,7 @@ def shared_library(
 
 
 def flags(*, native: bool) -> tuple[str, ...]:
-    """Return what the compiler is told; `native`: to use all that this machine has."""
+    """Return the compiler's flags; `native`: for all instructions of this machine."""
     if not native:
         return FLAGS
     x86 = platform.machine().lower() in ("x86_64", "amd64", "i686")
@@ -110,17 +109,17 @@ def flags(*, native: bool) -> tuple[str, ...]:
 
 @cache
 def _processor() -> str:
-    """Return what tells this machine's instructions from another's."""
+    """Return a text that identifies this machine's instructions."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return platform.processor()
-    told = [line for line in lines if line.lower().startswith(("flags", "features"))]
-    return told[0] if told else platform.processor()
+    features = [line for line in lines if line.lower().startswith(("flags", "features"))]
+    return features[0] if features else platform.processor()
 
 
 def library_path(source: str, compiler: Compiler, *, native: bool = False) -> Path:
-    """Where the cache keeps, or would keep, the library for this source, compiler, flags and machine."""
+    """Return the path in the cache of the library for this source, compiler, flags and machine."""
     parts = (source, compiler.identity, " ".join(flags(native=native)), sys.platform, platform.machine())
     parts += (_processor(),) if native else ()
     digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
@@ -129,7 +128,7 @@ def library_path(source: str, compiler: Compiler, *, native: bool = False) -> Pa
 
 @cache
 def _temporary() -> Path:
-    """Return a directory of this process alone, gone at its end: where no cache can be kept."""
+    """Return a directory that is deleted when this process ends, for machines without a cache."""
     path = Path(tempfile.mkdtemp(prefix="trimtab-"))
     atexit.register(shutil.rmtree, path, ignore_errors=True)
     return path
@@ -148,14 +147,14 @@ def cache_directory() -> Path:
 
 
 def _stamp(path: Path) -> str:
-    """Real path, size and time of a file: changes where another version is installed."""
+    """Return real path, size and time of a file, which change with the installed version."""
     real = path.resolve()
     status = real.stat()
     return f"{real} {status.st_size} {status.st_mtime_ns}"
 
 
 def _compile(source: str, compiler: Compiler, path: Path, flags: tuple[str, ...]) -> None:
-    """Nothing; the library is at `path` afterwards, whole. Raises CodegenError."""
+    """Compile the source to a library at `path`, which appears whole or not at all. Raises CodegenError."""
     with tempfile.TemporaryDirectory(prefix=".build-", dir=path.parent) as folder:
         text, library = Path(folder) / "function.c", Path(folder) / "function.so"
         text.write_text(source, encoding="utf-8")
@@ -167,7 +166,7 @@ def _compile(source: str, compiler: Compiler, path: Path, flags: tuple[str, ...]
         except (OSError, subprocess.TimeoutExpired) as error:
             raise CodegenError(f"the C compiler {compiler.name} does not run: {error}") from None
         if done.returncode != 0 or not library.exists():
-            said = (done.stderr or done.stdout).strip().splitlines()
-            detail = said[0] if said else f"exit code {done.returncode}"
+            lines = (done.stderr or done.stdout).strip().splitlines()
+            detail = lines[0] if lines else f"exit code {done.returncode}"
             raise CodegenError(f"the C compiler {compiler.name} failed: {detail}")
         os.replace(library, path)

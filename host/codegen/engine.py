@@ -1,8 +1,8 @@
 """A function of named blocks as an engine: fixed memory in and out, and a call without arguments.
 
-Either CasADi's virtual machine evaluates it or compiled C does, both through CasADi's buffer interface, with
-the same bits. `engine` is "auto" (C where a compiler works, else the virtual machine), "vm" or "c"; None asks
-the environment's TRIMTAB_ENGINE.
+Compiled C or CasADi's virtual machine evaluates it, both through CasADi's buffer interface and with the same
+bits. `engine` is "auto" (C where a compiler works, else the virtual machine), "vm" or "c"; None reads the
+environment's TRIMTAB_ENGINE.
 """
 
 from __future__ import annotations
@@ -51,10 +51,9 @@ BlockFunction = Callable[[Any, Mapping[str, Sequence[Any]]], Mapping[str, Sequen
 
 
 class CompiledEngine:
-    """Write `inputs`, call, read `outputs`: memoryviews of doubles by block name, fixed for life.
+    """Write `inputs`, call, read `outputs`: memoryviews of doubles by block name, which never move.
 
-    kind: "vm" or "c". function: the casadi.Function behind it. Not to be copied or pickled: it holds
-    addresses.
+    kind: "vm" or "c". function: its casadi.Function. It holds addresses, so it must not be copied or pickled.
     """
 
     def __init__(
@@ -64,7 +63,7 @@ class CompiledEngine:
         self.function = function
         self.inputs: Mapping[str, memoryview] = _memory(inputs)
         self.outputs: Mapping[str, memoryview] = _memory(outputs)
-        # Dropping either the function or its buffer while the trigger lives crashes: hold all three.
+        # The trigger crashes without the function and its buffer: keep all three.
         self._buffer, self._trigger = function.buffer()
         for index, view in enumerate(self.inputs.values()):
             self._buffer.set_arg(index, view)  # pyright: ignore[reportCallIssue]
@@ -83,10 +82,9 @@ class CompiledEngine:
 def sx_function(
     fn: BlockFunction, inputs: Sequence[BlockLike], outputs: Sequence[BlockLike], name: str
 ) -> ca.Function:
-    """Return the casadi.Function of `fn` traced with SX scalars: one column vector a block, in the blocks'
-    order.
+    """Return the casadi.Function of `fn`, traced with SX scalars: one column vector per block, in order.
 
-    Raises ValueError where `fn` returns other blocks or sizes than stated.
+    Raises ValueError where `fn` returns other blocks or sizes than declared.
     """
     symbols = [ca.SX.sym(block.name, block.size) for block in inputs]
     values: dict[str, Sequence[Any]] = {
@@ -109,7 +107,7 @@ def sx_function(
 
 
 def c_source(function: ca.Function) -> str:
-    """Return the function as C, callable by its name."""
+    """Return the function as C source; the C function has its name."""
     generator = ca.CodeGenerator(f"{function.name()}.c", {"with_header": False})
     generator.add(function)
     return generator.dump()
@@ -118,7 +116,7 @@ def c_source(function: ca.Function) -> str:
 def compile_function(function: ca.Function, *, engine: str | None = None) -> tuple[ca.Function, str]:
     """Return the same function and "c" where it could be compiled, else `function` itself and "vm".
 
-    Raises CodegenError where "c" is asked for and there is no compiler, or it fails.
+    Raises CodegenError where "c" is requested and there is no compiler, or the compiler fails.
     """
     compiler = wanted_compiler(engine)
     if compiler is None:
@@ -128,7 +126,7 @@ def compile_function(function: ca.Function, *, engine: str | None = None) -> tup
         path = shared_library(source, compiler)
         try:
             return ca.external(name, str(path)), "c"
-        except RuntimeError:  # not a library of this machine, or a damaged one: make it anew, once
+        except RuntimeError:  # for another machine, or damaged: compile it again, once
             path.unlink(missing_ok=True)
             path = shared_library(source, compiler)
             return ca.external(name, str(path)), "c"
@@ -149,8 +147,7 @@ def function_engine(
     *,
     engine: str | None = None,
 ) -> CompiledEngine:
-    """Return an engine for a casadi.Function of dense vectors: arguments and results are the blocks, in
-    order.
+    """Return an engine for a casadi.Function of dense vectors, whose arguments and results are the blocks.
 
     Raises ValueError where the sizes differ, CodegenError as `compile_function` does.
     """
@@ -179,7 +176,7 @@ def compile_blocks(
 
 
 def _memory(blocks: Sequence[BlockLike]) -> Mapping[str, memoryview]:
-    """Zeroed doubles for each block; a block's name occurs once."""
+    """Return zeros for each block. Raises ValueError for a name that occurs twice."""
     views = {block.name: memoryview(array("d", bytes(8 * block.size))) for block in blocks}
     if len(views) != len(blocks):
         raise ValueError("a block's name occurs twice")

@@ -1,7 +1,8 @@
-"""Ctrl-C held back where a KeyboardInterrupt would be lost or do harm.
+"""Ctrl-C deferred where a KeyboardInterrupt would be lost or do harm.
 
-CasADi asks Python about what it is given, and takes an exception in an answer for a no: a KeyboardInterrupt
-that comes just then is never seen again. So what traces expressions holds Ctrl-C back.
+CasADi queries the Python objects that it is given, and treats an exception in such a query as a negative
+answer. A KeyboardInterrupt at that moment would be lost. Code that traces expressions therefore defers
+Ctrl-C.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from types import FrameType
 
 @contextmanager
 def held_interrupts() -> Iterator[Callable[[], bool]]:
-    """Says whether there was a Ctrl-C inside. At the end each is handed to whoever handled it before.
+    """Defer Ctrl-C to the end of the block; yield a function that returns whether there was one.
 
-    That is KeyboardInterrupt where nobody asked for anything else. Nothing is held outside the main thread,
-    which no Ctrl-C reaches, nor where the signal is ignored.
+    At the end, each Ctrl-C goes to the previous handler, by default as KeyboardInterrupt. Nothing is deferred
+    outside the main thread, which Ctrl-C does not reach, nor where the signal is ignored.
     """
     before = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(before):

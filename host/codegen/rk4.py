@@ -1,7 +1,7 @@
 """Runge-Kutta of fourth order over many lanes in C, around a compiled slope function.
 
-The loop over steps and lanes is one small library that serves every slope function: it gets the function's
-address. Its arithmetic is in the order of `trimtab.host.models.rollout`, and so are its bits.
+One small library with the loop over steps serves every slope function, which it gets by address. Its
+arithmetic has the order of `trimtab.host.models.rollout`, so the results have the same bits.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ void rk4(slopes f, const double **arg, double **res, long long *iw, double *work
 
 @dataclass(frozen=True, kw_only=True)
 class RungeKutta:
-    """A slope function (x, drive, constants...) -> xdot, ready to be integrated."""
+    """An integrator of a slope function (x, drive, constants...) -> xdot."""
 
     function: ca.Function
     slopes: Callable[..., int]
@@ -75,10 +75,10 @@ class RungeKutta:
         every: int,
         rows: int,
     ) -> np.ndarray:
-        """(lanes, n, rows): the first `rows` states at the start and after every `every` steps.
+        """Return the first `rows` states (lanes, n, rows) at the start and after every `every` steps.
 
-        x0 (lanes, size); drive (drives, 2 steps + 1, inputs) at the steps' starts, middles and ends; drive_of
-        (lanes,) which of them each lane has; constants (lanes, each), those after the last are 0.
+        x0: (lanes, size). drive: (drives, 2 steps + 1, inputs) at the start, middle and end of each step.
+        drive_of: (lanes,) index of each lane's drive. constants: (lanes, each); inputs after the last are 0.
         """
         f, (lanes, size) = self.function, x0.shape
         steps = drive.shape[1] // 2
@@ -90,15 +90,14 @@ class RungeKutta:
         for lane in range(lanes):
             for i, each in enumerate(constants):
                 arg[2 + i] = each[lane].ctypes.data
-            own = x0[lane], drive[drive_of[lane]], samples[lane]
-            arrays = [ctypes.c_void_p(each.ctypes.data) for each in own]
+            of_lane = x0[lane], drive[drive_of[lane]], samples[lane]
+            arrays = [ctypes.c_void_p(each.ctypes.data) for each in of_lane]
             self.loop(self.slopes, arg, res, iw, work, *sizes, ctypes.c_double(step_s), *arrays)
         return samples
 
 
 def runge_kutta(function: ca.Function) -> RungeKutta | None:
-    """Return the slope function (x, drive, constants...) -> xdot of dense columns in C; None where that
-    cannot be.
+    """Return the integrator in C of a slope function of dense columns; None where C does not work.
 
     Raises CodegenError as `compile_function` does.
     """

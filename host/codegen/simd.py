@@ -1,8 +1,8 @@
-"""CasADi SX functions as C over SIMD lanes: every number is a vector of independent ones.
+"""CasADi SX functions as C over SIMD lanes: every number is a vector of independent numbers.
 
-The arithmetic of a lane is IEEE's, in the graph's order, whatever the width of the machine's registers, so
-machines of one kind of libm agree bit for bit. Transcendental functions call libm lane by lane; tanh and exp,
-of which networks need many, are written out here and are right to some 1e-16.
+The arithmetic of a lane is IEEE's, in the graph's order, for any width of registers, so machines with the
+same libm agree bit for bit. Transcendental functions call libm lane by lane. tanh and exp, which networks use
+often, are vector code with an error of about 1e-16.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from trimtab.host.codegen.compiler import Compiler, shared_library
 
 LANES = 8
-"""Doubles a vector: one register of AVX-512, two of AVX2, four of SSE2 or NEON."""
+"""Doubles in a vector: one register of AVX-512, two of AVX2, four of SSE2 or NEON."""
 
 _ALIGNED = 64
 
@@ -24,7 +24,7 @@ _HERE = Path(__file__).parent
 PRELUDE = f"#define LANES {LANES}\n" + (_HERE / "simd.h").read_text(encoding="utf-8")
 
 LAYERS = (_HERE / "layers.h").read_text(encoding="utf-8")
-"""A network's layers, to stand behind PRELUDE."""
+"""C of a network's layers, which follows PRELUDE."""
 
 _UNARY = {
     ca.OP_NEG: "-{0}",
@@ -73,19 +73,19 @@ _BINARY = {
 
 
 def lane_source(function: ca.Function, name: str) -> str:
-    """C of `name`(const V *input..., V *output...), one pointer a dense column of the SX function.
+    """Return C of `name`(const V *input..., V *output...), with a pointer for each dense column.
 
-    It belongs behind PRELUDE. Raises ValueError for an operation without a counterpart.
+    The C follows PRELUDE. Raises ValueError for an operation without a counterpart.
     """
     pointers = [f"const V *i{k}" for k in range(function.n_in())]
     pointers += [f"V *o{k}" for k in range(function.n_out())]
     lines = [f"INLINE void {name}({', '.join(pointers)}) {{"]
-    held: dict[int, str] = {}  # work slot -> the variable that holds its value now
+    variable_of: dict[int, str] = {}  # work slot -> the variable with its current value
     for k in range(function.n_instructions()):
         code = function.instruction_id(k)
         if code == ca.OP_OUTPUT:
             block, row = function.instruction_output(k)
-            lines.append(f"    o{block}[{row}] = {held[function.instruction_input(k)[0]]};")
+            lines.append(f"    o{block}[{row}] = {variable_of[function.instruction_input(k)[0]]};")
             continue
         if code == ca.OP_CONST:
             value = f"splat({_number(function.instruction_constant(k))})"
@@ -93,13 +93,13 @@ def lane_source(function: ca.Function, name: str) -> str:
             block, row = function.instruction_input(k)
             value = f"i{block}[{row}]"
         else:
-            arguments = [held[slot] for slot in function.instruction_input(k)]
+            arguments = [variable_of[slot] for slot in function.instruction_input(k)]
             form = _UNARY.get(code) or _BINARY.get(code)
             if form is None:
                 raise ValueError(f"{function.name()}: operation {code} has no counterpart over lanes")
             value = form.format(*arguments)
         lines.append(f"    const V v{k} = {value};")
-        held[function.instruction_output(k)[0]] = f"v{k}"
+        variable_of[function.instruction_output(k)[0]] = f"v{k}"
     return "\n".join([*lines, "}"]) + "\n"
 
 
@@ -110,7 +110,7 @@ def _number(value: float) -> str:
 
 
 def simd_library(source: str, compiler: Compiler) -> str:
-    """Path of the library for PRELUDE and `source`, for this machine's own instructions.
+    """Return the path of the library for PRELUDE and `source`, for the instructions of this machine.
 
     Raises CodegenError where the compiler fails.
     """
@@ -118,9 +118,7 @@ def simd_library(source: str, compiler: Compiler) -> str:
 
 
 def lanes_of(rows: np.ndarray) -> np.ndarray:
-    """Return (groups, ..., LANES), aligned, of rows (n, ...): lanes innermost, the first row in what is
-    left.
-    """
+    """Return rows (n, ...) as aligned (groups, ..., LANES); the first row fills the last group."""
     groups = -(-len(rows) // LANES)
     index = np.zeros(groups * LANES, dtype=int)
     index[: len(rows)] = np.arange(len(rows))
@@ -131,13 +129,13 @@ def lanes_of(rows: np.ndarray) -> np.ndarray:
 
 
 def rows_of(lanes: np.ndarray, count: int) -> np.ndarray:
-    """Return the first `count` rows (count, ...) of what `lanes_of` made."""
+    """Return the first `count` rows (count, ...) of an array by `lanes_of`."""
     rows = np.moveaxis(lanes, -1, 1)
     return rows.reshape(-1, *rows.shape[2:])[:count]
 
 
 def aligned(shape: tuple[int, ...]) -> np.ndarray:
-    """Doubles of this shape, zero, where vectors may be read and written."""
+    """Return zeros of this shape, aligned for vectors."""
     count = int(np.prod(shape))
     raw = np.zeros(count + _ALIGNED // 8)
     start = -raw.ctypes.data % _ALIGNED // 8

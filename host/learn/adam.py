@@ -10,7 +10,7 @@ _BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-8
 
 
 class Adam:
-    """Minimises by gradients over `x`; the step goes from `rate` to `last` times it in `steps` steps."""
+    """A minimiser over `x` by gradients; the step size goes from `rate` to `last` times `rate` in `steps`."""
 
     def __init__(self, x: np.ndarray, *, rate: float, steps: int, last: float = 0.01) -> None:
         if not (rate > 0.0 and steps > 0 and 0.0 < last <= 1.0):

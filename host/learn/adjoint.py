@@ -1,9 +1,9 @@
 """Paper Algorithm 1 in CasADi: roll-out (eq. 7), adjoint (eq. 8), gradient (eq. 9) of a batch of segments.
 
 One RK4 step of the hybrid closed loop Phi(x, x_bar, xi) = phi(x, x_bar) + d(x, xi) is an MX function of all
-the batch's segments: the network as matrix products over them, the rigid body and the law as an SX function
-mapped over them. The adjoint of the step is written out stage by stage; the vector-Jacobian products of phi
-and of the network in it are CasADi's reverse mode. phi and its products are compiled where a compiler works.
+segments of the batch: the network by matrix products, the rigid body and the law by a mapped SX function. The
+adjoint of the step is written stage by stage; CasADi's reverse mode gives the vector-Jacobian products of phi
+and of the network. phi and its products are compiled where a compiler works.
 """
 
 from __future__ import annotations
@@ -25,13 +25,15 @@ from trimtab.host.models.rollout import roll_out
 from trimtab.host.models.segments import Segments
 
 Pushed = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-"""(x0 (S, size), theta (S, P), push (S, 2 N + 1, 3)) -> states (S, N + 1, size): segments rolled out, push an
-acceleration, NED, at the steps' starts, middles and ends."""
+"""(x0 (S, size), theta (S, P), push (S, 2 N + 1, 3)) -> states (S, N + 1, size): a roll-out of segments.
+
+push: an acceleration, NED, at the start, middle and end of each step.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gradient:
-    """Loss and its gradients: of xi (m,), theta (P,), and of each segment's start (segments, size)."""
+    """Loss and its gradients by xi (m,), theta (P,) and each segment's start (segments, size)."""
 
     loss: float
     xi: np.ndarray
@@ -40,7 +42,7 @@ class Gradient:
 
 
 def check_step(phi: Phi, step_s: float) -> None:
-    """Raise ValueError if one RK4 step of step_s is not stable."""
+    """Raise ValueError if an RK4 step of step_s is not stable."""
     if phi.substeps(step_s) > 1:
         raise ValueError(f"a step of {step_s} s is too long for this model: RK4 needs {phi.substeps(step_s)}")
 
@@ -48,8 +50,8 @@ def check_step(phi: Phi, step_s: float) -> None:
 class Rollouts:
     """Roll-outs of a batch of segments and their gradient. `weight` (12,): diagonal L of the loss.
 
-    The loss of a segment is the mean over its steps of (x_r - x)' L (x_r - x) (paper eq. 3), the batch's
-    their sum. `engine` of phi as `trimtab.host.codegen` takes it.
+    The loss of a segment is the mean over its steps of (x_r - x)' L (x_r - x) (paper eq. 3). The loss of the
+    batch is the sum over its segments. `engine`: as of `trimtab.host.codegen`.
     """
 
     def __init__(
@@ -71,11 +73,11 @@ class Rollouts:
         self._adjoint = Buffered(model.adjoint())
 
     def roll_out(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
-        """States (N + 1, segments, size) from the starts x0 (segments, size): equation 7."""
+        """Return the states (N + 1, segments, size) from the starts x0 (segments, size): equation 7."""
         return self._rolled(segments, x0, xi)[:, : segments.count]
 
     def _rolled(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
-        """Return the same of the whole batch, filled up with the first segment."""
+        """Return the states of the whole batch, filled up with the first segment."""
         step = self._step
         states = np.empty((segments.steps + 1, self.batch, self.phi.size))
         states[0] = self._filled(x0)
@@ -88,7 +90,7 @@ class Rollouts:
         return states
 
     def gradient(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> Gradient:
-        """Loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""
+        """Return loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""
         states = self._rolled(segments, x0, xi)
         measured = self._filled(segments.measured).transpose(1, 0, 2)
         used = (np.arange(self.batch) < segments.count)[:, None]
@@ -115,7 +117,7 @@ class Rollouts:
         )
 
     def pushed(self, segments: Segments) -> Pushed:
-        """Roll-outs of these segments, each under its own theta and acceleration; the network gives 0."""
+        """Return roll-outs of these segments, each with its theta and acceleration, without the network."""
 
         def roll(x0: np.ndarray, theta: np.ndarray, push: np.ndarray) -> np.ndarray:
             states = roll_out(
@@ -133,7 +135,7 @@ class Rollouts:
         return roll
 
     def _filled(self, rows: np.ndarray) -> np.ndarray:
-        """Return the rows, the first repeated up to the batch."""
+        """Return the rows, filled up to the batch with the first."""
         missing = self.batch - len(rows)
         if missing < 0:
             raise ValueError(f"{len(rows)} segments for a batch of {self.batch}")
@@ -151,7 +153,7 @@ class Rollouts:
 
 
 def loss_of(segments: Segments, states: np.ndarray, weight: np.ndarray) -> float:
-    """Sum over segments of the mean over steps of the weighted squared distance; states (N + 1, S, size)."""
+    """Return the sum over segments of the mean weighted squared distance; states (N + 1, S, size)."""
     error = states[1:, :, :MEASURED] - segments.measured[:, 1:].transpose(1, 0, 2)
     return float(np.einsum("ksi,i->", error**2, weight) / segments.steps)
 
@@ -179,12 +181,12 @@ class _Model:
         self.names = [symbol.name() for symbol in self.inputs]
 
     def step(self) -> casadi.Function:
-        """(x, drives, flight, xi) -> x one step later, a column a segment."""
+        """Return (x, drives, flight, xi) -> x one step later, with a column for each segment."""
         _, rates = self._stages()
         return casadi.Function("step", self.inputs, [self._next(rates)], self.names, ["next"])
 
     def adjoint(self) -> casadi.Function:
-        """(.., costate) -> costate' dPhi/dx and costate' dPhi/dxi: the four stages backwards."""
+        """Return (.., costate) -> costate' dPhi/dx and costate' dPhi/dxi: the four stages backwards."""
         h = self.step_s
         x, start, middle, end, flight, xi = self.inputs
         drives = (start, middle, middle, end)
@@ -206,7 +208,7 @@ class _Model:
         )
 
     def _stages(self) -> tuple[list[Any], list[Any]]:
-        """States at which RK4 takes its four rates, and the rates."""
+        """Return the states at which RK4 evaluates its four rates, and the rates."""
         h = self.step_s
         x, start, middle, end, flight, xi = self.inputs
         states, rates = [x], [self._rate(x, start, flight, xi)]
@@ -223,7 +225,7 @@ class _Model:
         return self._phi(x, drive, flight, self._theta, self.layout.matrices(xi, x[3:9, :]))
 
     def _pull_back(self, x: Any, drive: Any, flight: Any, xi: Any, of_rate: Any) -> tuple[Any, Any, Any]:
-        """of_rate' d(rate)/dx, through the network too, of_rate' d(rate)/dxi and of_rate' d(rate)/dtheta."""
+        """Return of_rate' times d(rate)/dx, network included, d(rate)/dxi and d(rate)/dtheta."""
         seen = casadi.MX.sym("seen", *x[3:9, :].shape)
         weights = casadi.MX.sym("weights", self.layout.size)
         push = casadi.MX.sym("push", 3, seen.shape[1])

@@ -1,7 +1,7 @@
-"""What may be kept of what was learned: true roll-outs of whole flights decide, by nothing but their errors.
+"""Candidates for a learned model, and the selection by the errors of true roll-outs of whole flights.
 
-The losses that learning minimises see segments. A residual that stands in for something else, a torque say,
-can lower all of them and foretell whole flights worse than nothing at all.
+The losses of learning are those of segments. A residual that substitutes another cause, such as a torque, can
+lower all of them and still predict whole flights worse than no residual.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from trimtab.host.models.slots import mocap_latency_s
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """phi at theta (P,), of which `forms` are learned effects; a network or none; delay_s: how much older
-    poses are than stamped in the log alone.
+    """phi at theta (P,) with a network or none.
+
+    forms: the learned ones of its effects. delay_s: how much older poses are than stamped, in the log only.
     """
 
     phi: Phi
@@ -33,26 +34,26 @@ class Candidate:
 
     @property
     def what(self) -> str:
-        """`nothing`, `effects`, `network` or `effects and network`: what of it was learned."""
+        """The learned part: `nothing`, `effects`, `network` or `effects and network`."""
         parts = ["effects"] * bool(self.forms) + ["network"] * (self.network is not None)
         return " and ".join(parts) or "nothing"
 
     @property
     def latency_s(self) -> float:
-        """How much older the log's poses are than stamped."""
+        """How much older the poses of the log are than stamped."""
         return float(mocap_latency_s(FLOAT, self.phi.parts(self.theta))) + self.delay_s
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """What was learned of a candidate, and its errors on whole flights: those used, those held out if any."""
+    """The learned part of a candidate, and its errors on the whole flights used and on those held out."""
 
     what: str
     train: Errors
     test: Errors | None
 
     def to_json(self) -> dict[str, Any]:
-        """Return what, and the errors."""
+        """Return the learned part and the errors."""
         return {
             "what": self.what,
             "train": self.train.to_json(),
@@ -61,21 +62,22 @@ class Trial:
 
 
 def best(trials: Sequence[Trial]) -> Trial:
-    """Return the trial of least position error over that of the first, which has nothing learned.
+    """Return the trial with the least ratio of position error to that of the first, which learned nothing.
 
-    Of the ratios on flights used and on those held out the larger counts: one held out may be luck, and no
-    loss has seen those used as a whole. Of equals it is the first, so give the simplest first.
+    The larger of the ratios on flights used and held out counts: a single held-out flight may be luck, and
+    learning did not minimise the error of whole flights. Of equal trials the first wins, so put the simplest
+    first.
     """
     return min(trials, key=lambda trial: _ratio(trial, trials[0]))
 
 
-def note(trials: Sequence[Trial], kept: Trial) -> list[str]:
-    """Return a line where the last trial, what was asked for, is not the best."""
+def note(trials: Sequence[Trial], selected: Trial) -> list[str]:
+    """Return a note where the last trial, with everything asked for, is not the best."""
     asked, better = trials[-1], best(trials)
     if better is asked:
         return []
-    kept_too = ", kept as asked" if kept is asked else f": {better.what} kept"
-    return [f"whole flights are predicted {_off(asked)}, {_off(better)}{kept_too}"]
+    outcome = ", kept as asked" if selected is asked else f": {better.what} kept"
+    return [f"whole flights are predicted {_describe_errors(asked)}, {_describe_errors(better)}{outcome}"]
 
 
 def _ratio(trial: Trial, nothing: Trial) -> float:
@@ -85,13 +87,13 @@ def _ratio(trial: Trial, nothing: Trial) -> float:
 
 
 def _position_errors(trial: Trial) -> list[float]:
-    """On the flights used and on those held out, m; infinite where a roll-out diverged."""
+    """Return the errors on the flights used and held out, m; infinite where a roll-out diverged."""
     errors = [each.position_rmse_m for each in (trial.train, trial.test) if each is not None]
     return [error if np.isfinite(error) else np.inf for error in errors]
 
 
-def _off(trial: Trial) -> str:
-    """Return the position errors, in words."""
-    told = "nothing learned" if trial.what == "nothing" else trial.what
-    off = [f"{1e3 * each:.1f} mm" for each in _position_errors(trial)]
-    return f"{' (used) and '.join(off)}{' (held out)' * (len(off) > 1)} off with {told}"
+def _describe_errors(trial: Trial) -> str:
+    """Return the position errors as text."""
+    what = "nothing learned" if trial.what == "nothing" else trial.what
+    errors = [f"{1e3 * each:.1f} mm" for each in _position_errors(trial)]
+    return f"{' (used) and '.join(errors)}{' (held out)' * (len(errors) > 1)} off with {what}"

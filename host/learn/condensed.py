@@ -1,10 +1,9 @@
 """The trajectory loss condensed: quadratic in the residual acceleration along each segment.
 
-Linearised once about a roll-out, a segment's prediction moves with the acceleration at its nodes, with the
-effects' parameters, with how much later the poses are than stamped, and with its start. The start is free
-within its sigma, so its best value is eliminated (Schur complement). What is left is one small matrix a
-segment: after that, learning costs what supervised learning costs, and a basis that is linear in its
-parameters is one solve.
+A segment's prediction is linearised once about a roll-out, by the acceleration at its nodes, the effects'
+parameters, the delay of the poses against their time stamps, and its start. The start is free within its
+sigma, so its best value is eliminated (Schur complement). One small matrix per segment remains. Learning then
+costs as much as supervised learning, and a basis that is linear in its parameters takes one solve.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ from trimtab.host.models.segments import Segments
 from trimtab.host.models.slots import mocap_latency_s
 
 _BLOCK = 32
-"""Segments at a time: a hundred megabytes."""
+"""Segments at a time, which take about a hundred megabytes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Condensed:
-    """Per segment: loss = c + 2 g' u + u' H u with u = [d at the nodes (N + 1, 3); eta; delay] less `at`.
+    """The loss of each segment, c + 2 g' u + u' H u, with u = [d at the nodes (N + 1, 3); eta; delay] - `at`.
 
     hessian (S, m, m), slope (S, m), constant (S,), at (S, m), m = 3 (N + 1) + P + 1. A segment's loss is the
-    mean over its steps, weighted. eta (P,) are the free parameters of effects in typical sizes from neutral,
-    the delay is in units of DELAY_S.
+    weighted mean over its steps. eta (P,): free parameters of effects in typical sizes from neutral. The
+    delay is in units of DELAY_S.
     """
 
     hessian: np.ndarray
@@ -50,7 +49,7 @@ class Condensed:
 
 
 DELAY_S = 0.01
-"""Scale of the poses' delay."""
+"""Scale of the delay of poses."""
 
 
 def condense(
@@ -65,12 +64,12 @@ def condense(
     delay_s: float = 0.0,
     taken_s: float = 0.0,
 ) -> Condensed:
-    """Return the segments' loss about residual acceleration (S, N + 1, 3), NED, theta (P,) and a delay of
-    poses, s.
+    """Return the segments' loss, condensed about a residual acceleration, theta and a delay of poses.
 
-    weight (12,): diagonal L of the loss; start_sigma (S, size): scale of what starts may move; free: which
-    entries of theta are learned; taken_s: the latency that the measured states were taken to have. Effects
-    that make poses late make the measured states so, beside what they do on board.
+    acceleration: (S, N + 1, 3), NED. theta: (P,). weight: (12,) diagonal L of the loss. start_sigma: (S,
+    size) scale of changes of the starts. free: entries of theta that are learned. taken_s: the latency that
+    the measured states were given. An effect that makes poses late delays the measured states too, in
+    addition to its effect on board.
     """
     scale = effect_scales(engine.phi)
     now_s, unit = latency_s(engine.phi, theta), np.diag(scale)
@@ -84,7 +83,7 @@ def condense(
     for first in range(0, count, _BLOCK):
         block = np.arange(first, min(first + _BLOCK, count))
         part, sigma = segments.take(block), start_sigma[block]
-        ahead = DELAY_S * _rates(part.measured, part.step_s)  # where late poses have gone on to
+        ahead = DELAY_S * _rates(part.measured, part.step_s)  # the change by which late poses lag
         x0 = part.x0.copy()
         x0[:, :12] += delay * ahead[:, 0]
         base, moved, shifted = linearised(engine, part, x0, acceleration[block], theta, free, sigma)
@@ -93,16 +92,16 @@ def condense(
         for i, by_typical_s in enumerate(later):
             moved[:, :, 3 * nodes + i] += by_typical_s / DELAY_S * late
         measured = (part.measured[:, 1:] + delay * ahead[:, 1:]).reshape(len(block), -1)
-        left = (root * (measured - base))[:, :, None]
+        residual = (root * (measured - base))[:, :, None]
         u = root[:, None] * np.concatenate([moved, late[:, :, None]], axis=2)
         s = root[:, None] * shifted
         transposed = s.swapaxes(1, 2) * segments.steps
-        # The start's sigmas are of one measurement, the loss is a mean over steps.
+        # The start's sigmas belong to one measurement; the loss is a mean over steps.
         best = np.linalg.solve(transposed @ s + np.eye(s.shape[2]), transposed)
-        left_over, u_over = left - s @ (best @ left), u - s @ (best @ u)
+        residual_over, u_over = residual - s @ (best @ residual), u - s @ (best @ u)
         hessian[block] = u.swapaxes(1, 2) @ u_over
-        slope[block] = -(u.swapaxes(1, 2) @ left_over)[:, :, 0]
-        constant[block] = (left * left_over).sum((1, 2))
+        slope[block] = -(u.swapaxes(1, 2) @ residual_over)[:, :, 0]
+        constant[block] = (residual * residual_over).sum((1, 2))
         at[block, : 3 * nodes] = acceleration[block].reshape(len(block), -1)
     at[:, 3 * nodes : -1] = ((theta - engine.phi.theta_neutral) / scale)[list(free)]
     at[:, -1] = delay_s / DELAY_S
@@ -110,12 +109,12 @@ def condense(
 
 
 def _rates(measured: np.ndarray, step_s: float) -> np.ndarray:
-    """(..., N + 1, 12): how fast what the cameras see changes, zero for the gyro's body rate."""
+    """Return the rates (..., N + 1, 12) of what cameras measure, zero for the body rate of the gyro."""
     rates = np.gradient(measured, step_s, axis=-2)
     rates[..., 9:] = 0.0
     return rates
 
 
 def latency_s(phi: Phi, theta: np.ndarray) -> float:
-    """Undeclared age of a pose at its time stamp, of phi's effects at theta."""
+    """Return the undeclared age of a pose at its time stamp, by phi's effects at theta."""
     return float(mocap_latency_s(FLOAT, phi.parts(theta)))

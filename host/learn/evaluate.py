@@ -1,4 +1,4 @@
-"""Prediction errors of whole flights and of segments: what a model is judged by."""
+"""Prediction errors of whole flights, by which a model is judged."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from trimtab.host.models.states import States, flight_states
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Root mean square of the norm of the error over all samples: m and m/s."""
+    """Root mean square over all samples of the norm of the error: m and m/s."""
 
     position_rmse_m: float
     velocity_rmse_m_s: float
@@ -34,9 +34,9 @@ class Errors:
 def whole_flights(
     phi: Phi, theta: np.ndarray, flights: Sequence[States], network: Network | None = None
 ) -> Errors:
-    """Errors of whole flights predicted from their references alone, from the state when tracking begins.
+    """Return the errors of whole flights predicted from their references, from the first tracked state.
 
-    All samples of all flights that poses are near count alike.
+    All samples with poses near them count equally.
     """
     squares: list[np.ndarray] = []
     for states in flights:
@@ -71,8 +71,9 @@ def predict(phi: Phi, theta: np.ndarray, states: States, network: Network | None
 
 
 def model_errors(flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect]) -> Errors:
-    """Errors of whole flights of one vehicle and one setting as a model predicts them; None: the vehicle file
-    alone. Raises TooLittleData.
+    """Return a model's errors on whole flights of one vehicle and one setting; None: the vehicle file alone.
+
+    Raises TooLittleData.
     """
     parts = model_parts(model, effects)
     states = flight_states(flights, latency_s=float(mocap_latency_s(FLOAT, parts)))
@@ -85,7 +86,7 @@ def model_errors(flights: Sequence[Flight], model: Model | None, effects: Mappin
 
 
 def model_parts(model: Model | None, effects: Mapping[str, Effect]) -> list[Part]:
-    """Return the model's effects and those of its adjustments that are effects; none for no model."""
+    """Return the model's effects, and those of its adjustments that are effects; none without a model."""
     if model is None:
         return []
     known = {name: values for name, values in model.adjustments.items() if name in effects}

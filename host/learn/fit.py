@@ -1,4 +1,4 @@
-"""Learning on the condensed loss: L-BFGS over a network's weights, effects' parameters and poses' delay."""
+"""Learning on the condensed loss: L-BFGS over a network's weights, parameters of effects and pose delay."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from trimtab.host.learn.condensed import DELAY_S, Condensed
 from trimtab.host.models.network import Layout
 
 SLAB = 2.0
-"""One sigma of an effect's parameter in typical sizes, and of the delay in units of DELAY_S, for all data."""
+"""Prior sigma of a parameter in typical sizes, and of the delay in units of DELAY_S, for all data."""
 
 _MEMORY = 30
 
 
 @dataclass(frozen=True, kw_only=True)
 class Basis:
-    """What is learned: a network of this layout (None: none), effects' parameters, the delay of poses."""
+    """The learned quantities: a network of this layout or None, parameters of effects, the delay of poses."""
 
     layout: Layout | None
     parameters: int
@@ -28,12 +28,12 @@ class Basis:
 
     @property
     def weights(self) -> int:
-        """How many weights the network has."""
+        """Number of weights of the network."""
         return 0 if self.layout is None else self.layout.size
 
     @property
     def size(self) -> int:
-        """How many numbers are learned: weights, scaled parameters, the scaled delay."""
+        """Number of learned values: weights, scaled parameters, the scaled delay."""
         return self.weights + self.parameters + int(self.delay)
 
 
@@ -47,9 +47,9 @@ class Examples:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fitted:
-    """The numbers of least validation loss: weights (m,), eta (P,) in typical sizes, delay_s.
+    """The values of least validation loss: weights xi (m,), eta (P,) in typical sizes, delay_s.
 
-    iterations made, the best one, and losses of training and validation after each.
+    With them the number of iterations, the best one, and the losses of training and validation after each.
     """
 
     xi: np.ndarray
@@ -81,10 +81,10 @@ def fit(
     headings: np.ndarray | None = None,
     on_iteration: Callable[[int, float], None] | None = None,
 ) -> Fitted:
-    """Return the numbers that fit best, from `start` (size,); ends early where validation does not improve.
+    """Return the values that fit best, from `start` (size,); stop early where validation does not improve.
 
-    l2 is on the weights, for a loss scaled to a unit mean diagonal. headings (copies, S), rad: every segment
-    counts once turned by each of these angles, as good as flown.
+    l2: penalty on the weights, for a loss scaled to a unit mean diagonal. headings (copies, S), rad: every
+    segment counts once for each of these angles, turned by it.
     """
     problem = _Problem(basis, train, l2=l2, headings=headings)
     checked = _Problem(basis, validation, l2=0.0, headings=None, scale=problem.scale)
@@ -120,7 +120,7 @@ def fit(
 
 
 class _Problem:
-    """Loss and slope of the numbers learned, mean over segments, scaled to a unit mean diagonal."""
+    """Loss and slope by the learned values: mean over segments, scaled to a unit mean diagonal."""
 
     def __init__(
         self,
@@ -148,7 +148,7 @@ class _Problem:
         self._shape = (len(self.headings), count, nodes, 3)
 
     def split(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Weights, scaled parameters and scaled delay."""
+        """Return weights, scaled parameters and scaled delay."""
         m, p = self.basis.weights, self.basis.parameters
         return v[:m], v[m : m + p], float(v[m + p]) if self.basis.delay else 0.0
 
@@ -157,7 +157,7 @@ class _Problem:
         return self._value(v, slope=False)[0]
 
     def __call__(self, v: np.ndarray) -> tuple[float, np.ndarray]:
-        """Loss and slope (size,)."""
+        """Return loss and slope (size,)."""
         self.last, slope = self._value(v, slope=True)
         return self.last, slope
 
@@ -184,7 +184,7 @@ class _Problem:
         total += self.l2 * float(xi @ xi) + self.scale / count * float((v[len(xi) :] ** 2).sum()) / SLAB**2
         if slope:
             if layout is not None:
-                gradient[: len(xi)] = layout.pulled_back(xi, self._inputs, pull.reshape(-1, 3).T)
+                gradient[: len(xi)] = layout.vjp(xi, self._inputs, pull.reshape(-1, 3).T)
             gradient[: len(xi)] += 2.0 * self.l2 * xi
             if prior:
                 gradient[len(xi) :] += 2.0 * self.scale / count * v[len(xi) :] / SLAB**2

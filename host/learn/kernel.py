@@ -1,9 +1,9 @@
 """Paper Algorithm 1 as C over SIMD lanes: roll-out (eq. 7), adjoint (eq. 8), gradient (eq. 9).
 
-A lane is a segment. phi, its vector-Jacobian products and what the network sees and gives are emitted from
-their SX graphs; the network's layers are loops over weights that are data, so learning rebuilds nothing. A
-roll-out keeps its stages, the adjoint goes back over them, and the weights' gradient is one product of what
-every layer saw and what came back to it.
+A lane is a segment. phi, its vector-Jacobian products and the network's inputs and outputs are emitted from
+their SX graphs. The network's layers are loops over weights that are data, so learning rebuilds nothing. A
+roll-out stores its stages, and the adjoint goes back over them. The gradient by the weights is one product of
+each layer's inputs and its costates.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Kernel:
 
 
 def kernel(phi: Phi, layout: Layout, compiler: Compiler) -> Kernel:
-    """Algorithm 1 for phi with a network of this layout, compiled or from the cache.
+    """Return Algorithm 1 for phi with a network of this layout, compiled or from the cache.
 
     Raises CodegenError where the compiler fails.
     """
@@ -51,7 +51,7 @@ def kernel(phi: Phi, layout: Layout, compiler: Compiler) -> Kernel:
 
 
 def source(phi: Phi, layout: Layout) -> str:
-    """Return the kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
+    """Return the kernel's C, which follows `trimtab.host.codegen.simd.PRELUDE`."""
     functions = {"phi": phi.function, "products": vector_jacobian(phi.function), **_network_ends(layout)}
     sizes = layout.sizes
     forward, backward, gradients = [], [], []
@@ -74,10 +74,10 @@ def source(phi: Phi, layout: Layout) -> str:
         back = out - sizes[0]
         backward.append(f"layer_back(xi + {w}, s->back + {back}, to, {inputs}, {outputs});")
         if k:
-            own = back - inputs
+            before = back - inputs
             backward.append(
                 f"for (int i = 0; i < {inputs}; ++i) "
-                f"s->back[{own} + i] = to[i] * (1.0 - s->u[{u} + i] * s->u[{u} + i]);"
+                f"s->back[{before} + i] = to[i] * (1.0 - s->u[{u} + i] * s->u[{u} + i]);"
             )
     sizes_of = {
         "SIZE": phi.size,
@@ -111,22 +111,24 @@ def vector_jacobian(phi: ca.Function) -> ca.Function:
 
 
 def _network_ends(layout: Layout) -> dict[str, ca.Function]:
-    """Return what the network sees of v and Theta and what its outputs give, with their products."""
+    """Return the network's inputs and its acceleration as functions, with their vector-Jacobian products."""
     state, push = ca.SX.sym("state", 6), ca.SX.sym("push", layout.sizes[0])
     out, pull = ca.SX.sym("out", 3), ca.SX.sym("pull", 3)
-    seen = ca.densify(ca.vertcat(*layout.seen(CASADI, ca.vertsplit(state))))
-    given = ca.densify(ca.vertcat(*layout.given(CASADI, ca.vertsplit(state), ca.vertsplit(out))))
-    back = [ca.densify(ca.jtimes(given, of, pull, True)) for of in (state, out)]
+    network_inputs = ca.densify(ca.vertcat(*layout.inputs(CASADI, ca.vertsplit(state))))
+    acceleration = ca.densify(
+        ca.vertcat(*layout.acceleration(CASADI, ca.vertsplit(state), ca.vertsplit(out)))
+    )
+    back = [ca.densify(ca.jtimes(acceleration, of, pull, True)) for of in (state, out)]
     return {
-        "seen": ca.Function("seen", [state], [seen]),
-        "given": ca.Function("given", [state, out], [given]),
+        "seen": ca.Function("seen", [state], [network_inputs]),
+        "given": ca.Function("given", [state, out], [acceleration]),
         "seen_back": ca.Function(
-            "seen_back", [state, push], [ca.densify(ca.jtimes(seen, state, push, True))]
+            "seen_back", [state, push], [ca.densify(ca.jtimes(network_inputs, state, push, True))]
         ),
         "given_back": ca.Function("given_back", [state, out, pull], ca.cse(back)),
     }
 
 
 def pointer(array: np.ndarray) -> ctypes.c_void_p:
-    """Where an array's numbers are."""
+    """Return the address of an array's numbers."""
     return ctypes.c_void_p(array.ctypes.data)

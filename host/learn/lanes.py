@@ -21,9 +21,9 @@ _log = logging.getLogger(__name__)
 def rollouts(
     phi: Phi, layout: Layout, theta: np.ndarray, *, batch: int, step_s: float, weight: np.ndarray
 ) -> Rollouts | LaneRollouts:
-    """Algorithm 1 for batches of up to `batch` segments: in C where a compiler works, else by CasADi.
+    """Return Algorithm 1 for batches of up to `batch` segments: in C where a compiler works, else by CasADi.
 
-    Raises CodegenError where TRIMTAB_ENGINE asks for C and it cannot be had.
+    Raises CodegenError where TRIMTAB_ENGINE requests C and that is not possible.
     """
     compiler = wanted_compiler()
     if compiler is not None:
@@ -37,7 +37,7 @@ def rollouts(
 
 
 class LaneRollouts:
-    """`Rollouts` in C: the same numbers but for rounding. Raises CodegenError where it cannot be compiled."""
+    """`Rollouts` in C: equal up to rounding. Raises CodegenError where it cannot be compiled."""
 
     def __init__(
         self,
@@ -58,12 +58,12 @@ class LaneRollouts:
         self._stages, self._still = aligned((0,)), aligned((0,))
 
     def roll_out(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
-        """States (N + 1, segments, size) from the starts x0 (segments, size): equation 7."""
+        """Return the states (N + 1, segments, size) from the starts x0 (segments, size): equation 7."""
         states, _ = self._rolled(segments, x0, np.ascontiguousarray(xi, dtype=float))
         return np.moveaxis(rows_of(states, segments.count), 0, 1)
 
     def pushed(self, segments: Segments) -> Pushed:
-        """Roll-outs of these segments, each under its own theta and acceleration; the network gives 0."""
+        """Return roll-outs of these segments, each with its theta and acceleration, without the network."""
         drive, flight = (lanes_of(rows) for rows in (segments.drive, segments.constants))
         groups, steps = len(drive), segments.steps
         states, xi = aligned((groups, steps + 1, self.phi.size, LANES)), np.zeros(self.layout.size)
@@ -71,12 +71,12 @@ class LaneRollouts:
 
         def roll(x0: np.ndarray, theta: np.ndarray, push: np.ndarray) -> np.ndarray:
             start, pushes = lanes_of(x0), lanes_of(push)
-            own = aligned((groups, max(1, theta.shape[1]), LANES))
-            own[:, : theta.shape[1]] = lanes_of(theta) if theta.shape[1] else 0.0
+            thetas = aligned((groups, max(1, theta.shape[1]), LANES))
+            thetas[:, : theta.shape[1]] = lanes_of(theta) if theta.shape[1] else 0.0
             for group in range(groups):
                 self._kernel.roll_out(
                     pointer(xi), pointer(start[group]), pointer(drive[group]), pointer(flight[group]),
-                    pointer(own[group]), pointer(pushes[group]), ctypes.c_long(steps),
+                    pointer(thetas[group]), pointer(pushes[group]), ctypes.c_long(steps),
                     ctypes.c_double(self.step_s), ctypes.c_int(0), pointer(stages), pointer(states[group]),
                 )  # fmt: skip
             return rows_of(states, len(x0))
@@ -84,7 +84,7 @@ class LaneRollouts:
         return roll
 
     def gradient(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> Gradient:
-        """Loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""
+        """Return loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""
         xi = np.ascontiguousarray(xi, dtype=float)
         states, (drive, flight) = self._rolled(segments, x0, xi)
         measured = lanes_of(segments.measured)
@@ -117,7 +117,7 @@ class LaneRollouts:
     def _rolled(
         self, segments: Segments, x0: np.ndarray, xi: np.ndarray
     ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """States (groups, N + 1, size, LANES), and drive and constants over lanes; the stages are kept."""
+        """Return states (groups, N + 1, size, LANES), drive and constants over lanes; store the stages."""
         start, drive, flight = (lanes_of(rows) for rows in (x0, segments.drive, segments.constants))
         groups, steps = len(start), segments.steps
         states = aligned((groups, steps + 1, self.phi.size, LANES))

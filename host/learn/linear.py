@@ -1,6 +1,6 @@
-"""Roll-outs linearised: every step on its own by central differences, then chained.
+"""Linearised roll-outs: each step by central differences, then all steps chained.
 
-A step has few inputs, so this costs what some forty roll-outs do, however many steps there are.
+A step has few inputs, so this takes about as long as forty roll-outs, for any number of steps.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments
 
 _PUSH = 0.05
-"""m/s^2, of differences by the acceleration."""
+"""m/s^2: step of differences by the acceleration."""
 
 _SHARE = 0.02
-"""Typical sizes, of those by an effect's parameter; sigmas, of those by a state."""
+"""Step of differences by a parameter, in typical sizes, and by a state, in sigmas."""
 
 
 def linearised(
@@ -30,10 +30,12 @@ def linearised(
     free: Sequence[int],
     sigma: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the predictions (S, 12 N) and what they move by: by node accelerations and free parameters (S,
-    12 N, 3 (N + 1) + P) and by sigmas of the start (S, 12 N, size).
+    """Return the predictions (S, 12 N) with their slopes.
 
-    Every step is linearised on its own by central differences about the roll-out, and the steps are chained.
+    The slopes are by node accelerations and free parameters (S, 12 N, 3 (N + 1) + P), and by sigmas of the
+    start (S, 12 N, size).
+
+    Each step is linearised by central differences about the roll-out, and the steps are chained.
     """
     count, nodes = acceleration.shape[:2]
     steps, size = nodes - 1, engine.phi.size
@@ -66,8 +68,10 @@ def _step_slopes(
     free: Sequence[int],
     sigma: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return what one step's end moves by (S, N, size, columns): by its start, by the acceleration at its
-    start and at its end, by the free parameters in typical sizes.
+    """Return the slopes (S, N, size, columns) of the end of each step.
+
+    They are by its start, by the acceleration at its start and at its end, and by the free parameters in
+    typical sizes.
     """
     count, steps, size = states.shape[0], states.shape[1] - 1, states.shape[2]
     rows = np.arange(count * steps)
@@ -87,17 +91,17 @@ def _step_slopes(
     ends = np.stack([acceleration[:, :-1], acceleration[:, 1:]], axis=2).reshape(-1, 2, 3)
 
     def slope(array: np.ndarray, column: int, reach: np.ndarray | float) -> np.ndarray:
-        """(S N, size): by a column of one of the three arrays, a view of what the roll-out takes."""
-        kept = array[:, column].copy()
-        found = []
+        """Return the slope (S N, size) by a column of an array that the roll-out reads."""
+        centre = array[:, column].copy()
+        results = []
         for sign in (1.0, -1.0):
-            array[:, column] = kept + sign * reach
-            found.append(roll(start, thetas, between(ends))[:, 1])
-        array[:, column] = kept
-        return (found[0] - found[1]) / (2.0 * np.reshape(reach, (-1, 1)))
+            array[:, column] = centre + sign * reach
+            results.append(roll(start, thetas, between(ends))[:, 1])
+        array[:, column] = centre
+        return (results[0] - results[1]) / (2.0 * np.reshape(reach, (-1, 1)))
 
     def stacked(columns: list[np.ndarray]) -> np.ndarray:
-        """(S, N, size, columns)."""
+        """Return slopes as one array (S, N, size, columns)."""
         if not columns:
             return np.zeros((count, steps, size, 0))
         return np.stack(columns, axis=-1).reshape(count, steps, size, -1)
@@ -113,7 +117,7 @@ def _step_slopes(
 
 
 def between(nodes: np.ndarray) -> np.ndarray:
-    """(..., 2 N + 1, 3): values at nodes (..., N + 1, 3), and half way between them."""
+    """Return the values (..., N + 1, 3) at nodes with their means half way between: (..., 2 N + 1, 3)."""
     out = np.empty((*nodes.shape[:-2], 2 * nodes.shape[-2] - 1, nodes.shape[-1]))
     out[..., 0::2, :] = nodes
     out[..., 1::2, :] = 0.5 * (nodes[..., 1:, :] + nodes[..., :-1, :])
@@ -121,5 +125,5 @@ def between(nodes: np.ndarray) -> np.ndarray:
 
 
 def effect_scales(phi: Phi) -> np.ndarray:
-    """(P,): typical sizes of phi's effects' parameters."""
+    """Return the typical sizes (P,) of the parameters of phi's effects."""
     return np.array([p.typical for effect in phi.effects for p in effect.parameters])

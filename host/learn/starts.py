@@ -1,8 +1,8 @@
-"""Free starts of segments: what a start moves along its roll-out, and the start that fits best.
+"""Free starts of segments: the sensitivity of a roll-out to its start, and the start that fits best.
 
-A segment's x0 is known only to its sigma; held at its measured value, its noise would be learned as
-residual. So it is free, with weight 1/sigma^2. Its best value for a given network is one least-squares step,
-with the sensitivity of the roll-out to the start taken once from the nominal model.
+A segment's x0 is known only within its sigma. With x0 fixed at its measured value, its noise would be learned
+as residual. It is therefore free, with weight 1/sigma^2. Its best value for a given network takes one
+least-squares step, with the sensitivity of the roll-out computed once from the nominal model.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from trimtab.host.models.phi import INTEGRAL, Phi
 from trimtab.host.models.segments import Segments
 
 _THRUST_SIGMA = 0.05
-"""N a rotor: the recorded command behind the nominal lag."""
+"""N per rotor: error of the recorded command with the nominal lag."""
 _INTEGRAL_SIGMA = 0.05
-"""rad/s^2: logged, and tied to the log; free it would absorb torques."""
+"""rad/s^2: the logged integral may hardly move; free, it would absorb torques."""
 _OBSERVER_SIGMA = (0.02, 0.02, 0.02, 2.0 * _THRUST_SIGMA)
-"""m/s^2 and N: logged, and what was commanded behind the nominal lag."""
+"""m/s^2 and N: of the logged estimate, and of the commanded thrust with the nominal lag."""
 _BLOCK = 32
 """Segments at a time."""
 
@@ -41,7 +41,7 @@ class Starts:
     keep: np.ndarray
 
     def refine(self, indices: np.ndarray, shift: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """Better shifts (b, size) of segments `indices`: the least of |residual - G ds|^2 + |shift + ds|^2.
+        """Return better shifts (b, size) of some segments: least |residual - G ds|^2 + |shift + ds|^2.
 
         residual (b, steps, 12): measured - predicted, of roll-outs from the present shift (b, size).
         """
@@ -53,7 +53,7 @@ class Starts:
 def free_starts(
     engine: Rollouts | LaneRollouts, theta: np.ndarray, segments: Segments, weight: np.ndarray
 ) -> Starts:
-    """Return the starts' freedom about the measured ones. `weight` (12,): diagonal L of the loss."""
+    """Return the freedom of the starts about the measured ones. `weight` (12,): diagonal L of the loss."""
     size, sigma = engine.phi.size, start_sigma(engine.phi, segments)
     gain = np.empty((segments.count, size, 12 * segments.steps))
     keep = np.empty((segments.count, size, size))
@@ -72,7 +72,7 @@ def free_starts(
 
 
 def start_sigma(phi: Phi, segments: Segments) -> np.ndarray:
-    """(segments, size): how well each entry of the starts is known."""
+    """Return the standard deviation (segments, size) of each entry of the starts."""
     sigma = np.ones((segments.count, phi.size))
     sigma[:, 0:12] = segments.sigma
     sigma[:, 12:16] = _THRUST_SIGMA

@@ -16,12 +16,12 @@ from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments
 
 LOSS_SIGMA = (5e-3, 5e-3, 5e-3, 0.02, 0.02, 0.02, 0.01, 0.01, 0.01, 0.1, 0.1, 0.1)
-"""m, m/s, rad, rad/s: what turbulence and sensors leave of a roll-out of a second. Weights are 1/sigma^2."""
+"""m, m/s, rad, rad/s: error of a roll-out of a second by turbulence and sensors. Weights are 1/sigma^2."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How to train. `rate` decays to a hundredth over `epochs`; `l2` is on the weights, per segment."""
+    """How to train. `rate` decays to a hundredth over `epochs`; `l2` penalises the weights, per segment."""
 
     hidden: tuple[int, ...] = (32, 32)
     epochs: int = 120
@@ -31,9 +31,9 @@ class Settings:
     patience: int = 40
     """Epochs without a better validation loss before training ends."""
     any_heading: bool = True
-    """Turn every segment about the vertical by a drawn angle at each use: flights see few headings."""
+    """Turn every segment about the vertical by a random angle at each use; flights have few headings."""
     free_start: bool = True
-    """Move every segment's start to where it fits best; without, it is as measured, like the paper's."""
+    """Move every segment's start to where it fits best; otherwise it is as measured, as in the paper."""
 
     def __post_init__(self) -> None:
         if min(self.epochs, self.batch, self.patience) < 1 or not (self.rate > 0.0 and self.l2 >= 0.0):
@@ -42,7 +42,7 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trained:
-    """The network of least validation loss; training loss in, validation loss before and after each epoch."""
+    """The network of least validation loss, and the losses of training and validation by epoch."""
 
     network: Network
     epochs: int
@@ -64,10 +64,9 @@ def train(
 ) -> Trained:
     """Return the residual d(x, xi) for phi with its effects at `theta`, learned from `segments`.
 
-    weight (12,): diagonal L of the loss.
-
-    Each mini-batch first moves its segments' starts to where they fit best, then takes the gradient there
-    (starts at their optimum add nothing to it). Stops early on `validation`, from its measured starts.
+    Each mini-batch first moves the starts of its segments to where they fit best, then takes the gradient
+    there (starts at their optimum add nothing to it). Training stops early by the loss of `validation`, from
+    its measured starts. weight (12,): diagonal L of the loss.
     """
     layout = Layout(hidden=settings.hidden)
     batch = min(settings.batch, segments.count)
@@ -92,9 +91,9 @@ def train(
                 part = replace(part, x0=part.x0 + shift[chosen] * starts.sigma[chosen])
             if settings.any_heading:
                 part = part.turned(rng.uniform(-np.pi, np.pi, len(chosen)))
-            found = engine.gradient(part, part.x0, adam.x)
-            total += found.loss
-            adam.step(found.xi / len(chosen) + 2.0 * settings.l2 * adam.x)
+            gradient = engine.gradient(part, part.x0, adam.x)
+            total += gradient.loss
+            adam.step(gradient.xi / len(chosen) + 2.0 * settings.l2 * adam.x)
         losses.append(total / segments.count)
         checks.append(_loss(engine, batch, validation, adam.x))
         if checks[-1] < checks[best_epoch]:
@@ -113,7 +112,7 @@ def train(
 
 
 def _loss(engine: Rollouts | LaneRollouts, batch: int, segments: Segments, xi: np.ndarray) -> float:
-    """Mean loss of segments from their measured starts; infinite where a roll-out diverges."""
+    """Return the mean loss of segments from their measured starts; infinite where a roll-out diverges."""
     total = 0.0
     for first in range(0, segments.count, batch):
         part = segments.take(np.arange(first, min(first + batch, segments.count)))

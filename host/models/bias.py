@@ -1,12 +1,14 @@
-"""The accelerometer's bias in a flight, from what it does to the on-board estimate.
+"""The accelerometer's bias in a flight, from its influence on the on-board estimate.
 
-A bias b makes the estimator stand off the poses: its corrections must undo b, so the estimated velocity is
-wrong by (K_p / K_v + age) R b, and the vehicle flies millimetres beside its reference. It differs from flight
-to flight, is no effect, and shows in the log as the mean of estimate less camera.
+A bias b causes a constant difference between estimate and poses. The estimator's corrections must balance b,
+so the estimated velocity is wrong by (K_p / K_v + age) R b, and the vehicle flies millimetres beside its
+reference. The bias differs from flight to flight and is no effect. In the log it shows as the mean of
+estimate less camera.
 
-So does what late poses do to the estimated attitude: turning while leaning, it is wrong to one side, and
-thrust that points elsewhere than estimated looks like a bias. In quick flight that is more than the bias, so
-both are passed through the estimator's equations (`trimtab.host.models.estimator`, linear) and told apart.
+Late poses cause a similar difference. When the vehicle turns while it leans, its estimated attitude is wrong
+to one side, and thrust in a wrongly estimated direction looks like a bias. In fast flight this exceeds the
+bias. Both are therefore passed through the linear equations of the estimator
+(`trimtab.host.models.estimator`) and fitted together.
 """
 
 from __future__ import annotations
@@ -19,13 +21,13 @@ from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.estimator import EstimatorGains
 
 _LED_IN_S = 2.0
-"""Time before the first sample in which the vehicle is taken to have been as it was there."""
+"""Time before the first sample in which the vehicle is assumed to have been in that sample's state."""
 
 
 def standing_errors(gains: EstimatorGains, age_s: Any, interval_s: Any) -> tuple[Any, Any]:
-    """Estimated less true position and velocity, over a constant excess of acceleration (s^2, s).
+    """Return estimated less true position (s^2) and velocity (s), per constant excess of acceleration.
 
-    Where corrections balance it: `trimtab.host.models.estimator` at rest.
+    The corrections balance the excess: `trimtab.host.models.estimator` at rest.
     """
     jump = 1.0 / (1.0 - 0.5 * interval_s * gains.position)
     velocity = gains.position / gains.velocity + age_s
@@ -44,53 +46,72 @@ def accelerometer_bias(
     interval_s: float,
     step_s: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bias (3,), m/s^2 FRD, that fits position errors of the estimate (n, 3), NED, and what of it
-    is not the accelerometer's: (3, 2), by which it is less for each m/s^2 of gravity towards north and east
-    in the poses' frame.
+    """Return the bias that fits the position errors (n, 3), NED, of the estimate.
 
-    A frame that leans makes the estimator stand off like a bias does, and as one it is read here: wholly
-    where the heading stays. R (n, 3, 3): R_ned_frd; v, a (n, 3) NED and rate (n, 3) FRD, every `step_s`.
-    Shares of the error that late poses and time stamps make are taken out. Poses are `age_s` old where used
-    and come every `interval_s`.
+    A tilted frame of the poses causes errors like a bias, and with a constant heading it cannot be told from
+    one. The errors that late poses and time stamps cause are fitted too, and left out of the bias.
+
+    Parameters
+    ----------
+    R
+        (n, 3, 3) R_ned_frd.
+    v, a, rate
+        (n, 3) NED, NED and FRD, every `step_s`.
+    age_s, interval_s
+        Age of a pose when it is used, and time between poses.
+
+    Returns
+    -------
+    bias
+        (3,), m/s^2 FRD.
+    per_gravity
+        (3, 2) decrease of the bias per m/s^2 of gravity towards north and east in the frame of the poses.
     """
     k_p, k_v, k_q, k_b = (float(gain) for gain in gains)
-    # Position and velocity behind an excess of acceleration, and behind a displacement of the poses.
+    # Response of position and velocity to an excess of acceleration, and to a displacement of the poses.
     jump = 1.0 / (1.0 - 0.5 * interval_s * k_p)
-    corrected = jump * np.array([k_p + age_s * k_v, k_v])
-    walk = np.array([[0.0, 1.0], [0.0, 0.0]]) + np.outer(corrected, (-1.0, age_s))
-    # Attitude and gyro bias behind a turn of the poses, about NED: the bias is taken to turn along.
+    by_displacement = jump * np.array([k_p + age_s * k_v, k_v])
+    position_system = np.array([[0.0, 1.0], [0.0, 0.0]]) + np.outer(by_displacement, (-1.0, age_s))
+    # Of attitude and gyro bias to a rotation of the poses, in NED; the bias is assumed to rotate too.
     jump = 1.0 / (1.0 - 0.5 * interval_s * k_q)
-    turned = jump * np.array([k_q + age_s * k_b, -k_b])
-    turn = np.array([[0.0, -1.0], [0.0, 0.0]]) + np.outer(turned, (-1.0, -age_s))
+    by_rotation = jump * np.array([k_q + age_s * k_b, -k_b])
+    attitude_system = np.array([[0.0, -1.0], [0.0, 0.0]]) + np.outer(by_rotation, (-1.0, -age_s))
 
-    turning = np.einsum("nij,njk->nik", R, np.stack([rate, np.gradient(rate, step_s, axis=0)], axis=2))
-    swung = _behind(turn, turned, turning, step_s)
+    rotations = np.einsum("nij,njk->nik", R, np.stack([rate, np.gradient(rate, step_s, axis=0)], axis=2))
+    attitude_error = _response(attitude_system, by_rotation, rotations, step_s)
     force = a - (0.0, 0.0, GRAVITY)
-    tilted = np.cross(swung, force[:, :, None], axis=1)
+    tilted = np.cross(attitude_error, force[:, :, None], axis=1)
     north_east = np.repeat(np.eye(3)[None, :, :2], len(R), axis=0)
     excess = np.concatenate([R, tilted, north_east], axis=2)
-    pushed = _behind(walk, np.array([0.0, 1.0]) - 0.5 * age_s**2 * corrected, excess, step_s)
-    moved = _behind(walk, corrected, np.stack([v, a], axis=2), step_s)
-    # Poses that are late by l show -l v and turn by -l rate at once: one share for both.
-    late = pushed[:, :, 3:4] + moved[:, :, 0:1]
-    columns = [pushed[:, :, :3], late, pushed[:, :, 4:5], moved[:, :, 1:], v[:, :, None], a[:, :, None]]
+    by_excess = _response(
+        position_system, np.array([0.0, 1.0]) - 0.5 * age_s**2 * by_displacement, excess, step_s
+    )
+    by_motion = _response(position_system, by_displacement, np.stack([v, a], axis=2), step_s)
+    # Poses that are late by l are displaced by -l v and rotated by -l rate: one coefficient for both.
+    late = by_excess[:, :, 3:4] + by_motion[:, :, 0:1]
+    columns = [
+        by_excess[:, :, :3],
+        late,
+        by_excess[:, :, 4:5],
+        by_motion[:, :, 1:],
+        v[:, :, None],
+        a[:, :, None],
+    ]
     rows = np.concatenate(columns, axis=2).reshape(3 * len(R), -1)
-    towards = pushed[:, :, 5:].reshape(-1, 2)
-    found, *_ = np.linalg.lstsq(rows, np.column_stack([error.reshape(-1), towards]), rcond=None)
-    return found[:3, 0], found[:3, 1:]
+    by_gravity = by_excess[:, :, 5:].reshape(-1, 2)
+    solution, *_ = np.linalg.lstsq(rows, np.column_stack([error.reshape(-1), by_gravity]), rcond=None)
+    return solution[:3, 0], solution[:3, 1:]
 
 
-def _behind(A: np.ndarray, b: np.ndarray, u: np.ndarray, step_s: float) -> np.ndarray:
-    """Return the first state of x' = A x + b u, u (n, 3, k) every `step_s`: trapezoid rule, from long
-    before.
-    """
+def _response(A: np.ndarray, b: np.ndarray, u: np.ndarray, step_s: float) -> np.ndarray:
+    """Return the first state of x' = A x + b u, u (n, 3, k) every `step_s`, by the trapezoid rule."""
     half = 0.5 * step_s
-    ahead = np.linalg.inv(np.eye(2) - half * A)
-    stay, given = ahead @ (np.eye(2) + half * A), half * (ahead @ b)
+    inverse = np.linalg.inv(np.eye(2) - half * A)
+    stay, input_gain = inverse @ (np.eye(2) + half * A), half * (inverse @ b)
     n = len(u)
     before = round(_LED_IN_S / step_s)
     flat = np.concatenate([np.repeat(u[:1], before, axis=0), u]).reshape(before + n, -1)
-    added = (flat[1:] + flat[:-1])[:, None, :] * given[:, None]
+    added = (flat[1:] + flat[:-1])[:, None, :] * input_gain[:, None]
     x = np.zeros((2, flat.shape[1]))
     out = np.empty((before + n, flat.shape[1]))
     out[0] = x[0]

@@ -1,14 +1,13 @@
 """The on-board estimator inside the closed loop: its errors, in the limit of many small corrections.
 
 The estimate is truth plus error: p + e_p, v + e_v, R exp(e_q), gyro bias + e_b. Gyro and accelerometer are
-taken as exact. A pose measured at t - age shows the vehicle of t - age - latency; the law compares it with
-its estimate predicted back by age + prediction (`trimtab.firmware_model.law.estimator`), its gains being
-rates already.
+assumed to be exact. A pose measured at t - age shows the vehicle at t - age - latency. The law compares it
+with its estimate at age + prediction before t (`trimtab.firmware_model.law.estimator`); its gains are rates.
 
-A tick's prediction holds the samples of its end over the whole tick, so velocity and attitude run ahead of
-the truth by half a tick's worth of acceleration and body rate. The states are the errors less that lead.
-Corrections come as jumps; an innovation is taken before its own jump, so it exceeds that of the mean over a
-jump by 1 / (1 - half the jump it causes).
+A tick's prediction uses the samples at its end for the whole tick, so velocity and attitude lead the truth by
+half a tick of acceleration and body rate. The states are the errors less that lead. Corrections are jumps. An
+innovation is taken before its jump, so it is larger than the mean over the jump by the factor
+1 / (1 - half the jump it causes).
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ def errors_of(x: Sequence[Scalar], a: Sequence[Scalar], rate: Sequence[Scalar]) 
 
 
 def turn(ops: Ops, R: Sequence[Scalar], e_q: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    """R exp(e_q): the estimated attitude, 9 scalars."""
+    """Return the estimated attitude R exp(e_q), 9 scalars."""
     E = quat_to_matrix(ops, quat_exp(ops, e_q))
     return tuple(
         R[3 * i] * E[k] + R[3 * i + 1] * E[3 + k] + R[3 * i + 2] * E[6 + k]
@@ -61,16 +60,16 @@ def error_rates(
     imu_bias: Sequence[Scalar],
     tilted: Sequence[Scalar] = (0.0, 0.0, 0.0),
 ) -> list[Scalar]:
-    """Return derivative of the 12 states at these errors (`errors_of`).
+    """Return the derivatives of the 12 states at these errors (`errors_of`).
 
-    v, a: true velocity and acceleration (NED); rate, rate_dot: true body rate and its derivative (FRD).
-    `age_s` is a pose's declared age at its use, `prediction_s` the feed-forward block's addition to it,
-    `latency_s` what nobody declared; poses come every `interval_s`. `imu_bias` is the accelerometer's (FRD);
-    `tilted` what gravity in the frame of the poses is beside (0, 0, g), which the estimator does not know.
+    v, a: true velocity and acceleration (NED). rate, rate_dot: true body rate and its derivative (FRD).
+    age_s: declared age of a pose when it is used. prediction_s: the feed-forward block's addition to it.
+    latency_s: undeclared age. interval_s: time between poses. imu_bias: of the accelerometer (FRD). tilted:
+    gravity in the frame of the poses less (0, 0, g), unknown to the estimator.
     """
     e_p, e_v, e_q, e_b = errors[0:3], errors[3:6], errors[6:9], errors[9:12]
-    back = age_s + prediction_s  # what the estimate is predicted back by
-    late = age_s + latency_s  # what the pose is really late by
+    back = age_s + prediction_s  # by which the estimate is predicted back
+    late = age_s + latency_s  # true age of the pose
     force = mat_t_vec(R, (a[0] - tilted[0], a[1] - tilted[1], a[2] - tilted[2] - GRAVITY))
     predicted = mat_vec(R_estimated, [f + b for f, b in zip(force, imu_bias, strict=True)])
     e_a = (predicted[0] - a[0], predicted[1] - a[1], predicted[2] + GRAVITY - a[2])
@@ -82,7 +81,7 @@ def error_rates(
     innovation = [
         jump * (lead * v[i] + bend * a[i] - e_p[i] + back * e_v[i] - half_back * e_a[i]) for i in range(3)
     ]
-    # Turning the late attitude forward by exp(rate back) leaves rate_dot late^2/2 that it does not know of.
+    # Predicting the late attitude forward by exp(rate back) misses rate_dot late^2/2.
     jump = 1.0 / (1.0 - 0.5 * interval_s * gains.attitude)
     swing = 0.5 * late * late
     attitude = [jump * (lead * rate[i] + swing * rate_dot[i] - back * e_b[i] - e_q[i]) for i in range(3)]

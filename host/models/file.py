@@ -1,4 +1,4 @@
-"""Reads and writes models: `NAME.model.toml`, and the network's weights beside it in `NAME.model.npz`."""
+"""Model files: `NAME.model.toml`, and the network's weights in `NAME.model.npz`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _Provenance = Mapping[str, str | int | float | Mapping[str, str]]
 
 
 class ModelFileError(UsageError):
-    """A model file that cannot be written or used."""
+    """A model file cannot be written or used."""
 
 
 class _CovarianceTable(Strict):
@@ -65,10 +65,11 @@ class _File(Strict):
 
 
 def write_model(model: Model, path: Path | str, *, force: bool = False) -> Path:
-    """Return the path of the written model.
+    """Write a model and return its path.
 
-    The weights are written first, the TOML last, each whole or not at all. Raises ModelFileError where the
-    name does not end in .model.toml, UsageError where the file exists and `force` is not set.
+    The weights are written first, the TOML last, and each file appears whole or not at all. Raises
+    ModelFileError where the name does not end in .model.toml, UsageError where the file exists and `force` is
+    not set.
     """
     path = Path(path)
     if not path.name.endswith(SUFFIX):
@@ -153,7 +154,7 @@ def _plain(table: Strict) -> dict[str, Any]:
 
 
 def _read_network(path: Path, table: _NetworkTable) -> Network:
-    """Return the network whose weights lie beside the model file."""
+    """Return the network with the weights in the model file's folder."""
     if Path(table.file).name != table.file:
         raise ModelFileError(f"{path.name}: network.file {table.file!r} must be a name in the same folder")
     weights = path.with_name(table.file)

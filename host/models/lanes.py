@@ -1,8 +1,8 @@
-"""Runs a CasADi SX function over many lanes at once: a straight line of numpy calls without allocation.
+"""A CasADi SX function over many lanes at once: a sequence of numpy calls without allocation.
 
-Written in `ops` style, a model may also run on numpy arrays directly. Here its SX graph is emitted instead as
-one Python function of ufunc calls into preallocated rows, with common sub-expressions removed: about 0.4 us
-an operation at a few hundred lanes, two to three times less than the direct way, and no compiler is needed.
+A model in `ops` style can also run on numpy arrays directly. Here its SX graph becomes one Python function of
+ufunc calls into preallocated rows, with common sub-expressions removed. An operation takes about 0.4 us at a
+few hundred lanes, a half to a third of the direct way, and no compiler is needed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from trimtab.host.codegen import compile_function
 
 FEW = 48
-"""Up to as many lanes CasADi's virtual machine is faster: about 3 us a lane against 300 us for all."""
+"""Lanes up to which CasADi's virtual machine is faster: about 3 us a lane against 300 us for all."""
 
 _UNARY = {
     casadi.OP_NEG: "negative",
@@ -84,9 +84,7 @@ class LaneProgram:
         self._build, self.operations = self._emit()
 
     def bind(self, lanes: int, *, compiled: bool = False) -> Lanes:
-        """Return the program with its own arrays for `lanes` lanes; `compiled`: in C where a compiler
-        works.
-        """
+        """Return the program with arrays for `lanes` lanes; `compiled`: in C where a compiler works."""
         if compiled:
             function, kind = compile_function(self.function)
             if kind == "c":
@@ -98,7 +96,7 @@ class LaneProgram:
         f = self.function
         body: list[str] = []
         constants: list[float] = []
-        source_of: dict[int, str] = {}  # work slot -> the row that holds its value now
+        source_of: dict[int, str] = {}  # work slot -> the row with its current value
         ufuncs: set[str] = set()
         for k in range(f.n_instructions()):
             code = f.instruction_id(k)
@@ -142,15 +140,15 @@ class LaneProgram:
 
     @property
     def constants(self) -> list[float]:
-        """The numbers the program holds."""
+        """Constants of the program."""
         return self._constants
 
 
 class Lanes:
-    """A bound program: write `inputs`, call, read `outputs`. Arrays are (rows, lanes), fixed for life.
+    """A bound program: write `inputs`, call, read `outputs`. The arrays are (rows, lanes) and never move.
 
-    Few lanes go through CasADi's virtual machine one after the other, many through numpy together; any number
-    one after the other through the compiled function where one is given.
+    Few lanes run one by one in CasADi's virtual machine, many together in numpy. With a compiled function,
+    any number run one by one in C.
     """
 
     def __init__(
@@ -183,7 +181,7 @@ class Lanes:
         self._run = build(np, work, constants, self.inputs, self.outputs)
 
     def _one_by_one(self, function: casadi.Function) -> None:
-        # The function, its buffer and the arrays must outlive the trigger: it holds their addresses.
+        # The trigger holds the addresses of the function, its buffer and the arrays: keep them all.
         self._mapped = function.map(self.lanes)
         self._buffer, self._run = self._mapped.buffer()
         self.inputs, self.outputs = {}, {}
@@ -198,7 +196,7 @@ class Lanes:
 
 
 def lane_program(function: casadi.Function) -> LaneProgram:
-    """Return the lanes of an SX function, after removing common sub-expressions."""
+    """Return the lane program of an SX function, after removing common sub-expressions."""
     arguments = function.sx_in()
     outputs = function.call(arguments)
     names_in = [function.name_in(i) for i in range(function.n_in())]

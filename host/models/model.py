@@ -1,4 +1,4 @@
-"""A model: what was found beyond the nominal vehicle, with its uncertainty, and what data it came from."""
+"""A model: effects and residual beyond the nominal vehicle, their uncertainty, and the data behind them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Values = Mapping[str, Mapping[str, float]]
 Use = Literal["both", "effects", "adjustments", "none"]
 
 NUISANCES = frozenset({"thrust-curve"})
-"""Adjustments that are no effects: what only the reading of a log needs."""
+"""Adjustments that are no effects: only the reading of a log needs them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,7 @@ class Covariance:
                     raise ValueError(f"covariance is not symmetric at {self.names[i]}, {self.names[k]}")
 
     def sd(self, name: str) -> float | None:
-        """Return standard deviation of one parameter, None where it is not among the names."""
+        """Return the standard deviation of a parameter, None where it is not among the names."""
         if name not in self.names:
             return None
         i = self.names.index(name)
@@ -57,11 +57,10 @@ class Covariance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Model:
-    """What a model file holds.
+    """The content of a model file.
 
-    `effects` are the named ones, `adjustments` move within their tolerances; no effect is in both. `sources`
-    has the id of each effect's file. `data` are the ids of the logs it came from. `provenance` is no part of
-    the id.
+    `effects` are named; `adjustments` moved within their tolerances; no effect is in both. `sources` has the
+    id of each effect's file, `data` the ids of the logs. `provenance` is no part of the id.
     """
 
     vehicle_id: str
@@ -96,7 +95,7 @@ class Model:
         return content_id(text.encode())
 
     def content(self) -> dict[str, Any]:
-        """Everything but the provenance, as plain data; the network by its layout and hash."""
+        """Return everything but the provenance as plain data, the network by its layout and hash."""
         content: dict[str, Any] = {
             "vehicle_id": self.vehicle_id,
             "vehicle_name": self.vehicle_name,
@@ -118,14 +117,13 @@ class Model:
         return content
 
     def sd(self, name: str, key: str) -> float | None:
-        """Return standard deviation of a parameter; None where the file has none."""
+        """Return the standard deviation of a parameter; None where the file has none."""
         return None if self.covariance is None else self.covariance.sd(f"{name}.{key}")
 
     def parts(self, effects: Mapping[str, Effect], use: Use = "both") -> list[Part]:
-        """Effects with values for `host.models`, sorted by name; keys the file leaves out are neutral.
+        """Return effects with values for `host.models`, sorted by name; missing keys are neutral.
 
-        "after" of a report uses both, "before" none. Nuisances are left out. Raises ValueError for an effect
-        or key nobody defines.
+        Nuisances are left out. Raises ValueError for an unknown effect or key.
         """
         chosen: dict[str, Mapping[str, float]] = {}
         if use in ("both", "effects"):
@@ -153,5 +151,5 @@ class Model:
 
 
 def network_digest(network: Network) -> str:
-    """SHA-256 of the weights as little-endian doubles."""
+    """Return the SHA-256 of the weights as little-endian doubles."""
     return hashlib.sha256(network.xi.astype("<f8").tobytes()).hexdigest()

@@ -1,9 +1,9 @@
 """The learned residual: a small tanh network from velocity and attitude to an acceleration (paper IV-A).
 
-The paper's sees [v_ned, Theta] and gives the acceleration in the world, NED. One in the body's frame sees the
-velocity in FRD and gives the acceleration there: it is the same for every heading. The weights are one flat
-vector xi in the law's order: layer by layer, for every neuron its inputs' weights, then its bias. The same
-network runs on scalars (the law's own form), as CasADi matrix products and on numpy lanes.
+The paper's network maps [v_ned, Theta] to the acceleration in NED. A network in the body's frame maps the
+velocity in FRD to the acceleration in FRD, so it is the same for every heading. The weights are one flat
+vector xi in the law's order: layer by layer, for every neuron the weights of its inputs, then its bias. The
+same network runs on scalars (the law's form), as CasADi matrix products and on numpy arrays.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ Frame = Literal["world", "body"]
 class Layout:
     """The shape of a network: widths of the hidden layers between 6 or 3 inputs and 3 outputs.
 
-    In the world's frame the inputs are v_ned, roll, pitch and yaw; whole turns of yaw do not count: the
-    network sees -pi..pi. In the body's they are the velocity in FRD.
+    In the world's frame the inputs are v_ned, roll, pitch and yaw, with yaw wrapped to -pi..pi. In the body's
+    frame they are the velocity in FRD.
 
-    Raises ValueError beyond three layers of 32: a network must fit the vehicle.
+    Raises ValueError for more than three layers of 32, the most that the vehicle can hold.
     """
 
     hidden: tuple[int, ...]
@@ -52,11 +52,10 @@ class Layout:
         return weight_count(self.hidden, self.sizes[0])
 
     def initial(self, rng: np.random.Generator) -> np.ndarray:
-        """Return a flat start vector: normal over the square root of the fan-in, the last layer a tenth of
-        it.
+        """Return random first weights: normal over the square root of the fan-in, a tenth in the last layer.
 
-        Biases are 0. The small last layer starts the residual near zero, so that early roll-outs stay near
-        the nominal model.
+        Biases are 0. With the small last layer the residual starts near zero, and early roll-outs stay close
+        to the nominal model.
         """
         xi = np.zeros(self.size)
         layers = list(self._layers())
@@ -66,78 +65,78 @@ class Layout:
             weights[:, :-1] = scale * rng.standard_normal((layer.rows, layer.columns - 1))
         return xi
 
-    def seen(self, ops: Ops, state: Sequence[Any]) -> list[Any]:
-        """Return what the network sees of v_ned and Theta, 6 scalars."""
+    def inputs(self, ops: Ops, state: Sequence[Any]) -> list[Any]:
+        """Return the network's inputs for v_ned and Theta, 6 scalars."""
         if self.frame == "body":
             return list(mat_t_vec(euler_to_matrix(ops, state[3:6]), state[0:3]))
         return [*state[0:5], ops.atan2(ops.sin(state[5]), ops.cos(state[5]))]
 
-    def given(self, ops: Ops, state: Sequence[Any], outputs: Sequence[Any]) -> list[Any]:
-        """Return the acceleration, NED, that outputs mean where v_ned and Theta are `state`."""
+    def acceleration(self, ops: Ops, state: Sequence[Any], outputs: Sequence[Any]) -> list[Any]:
+        """Return the acceleration, NED, for the network's outputs at v_ned and Theta `state`."""
         if self.frame == "body":
             return list(mat_vec(euler_to_matrix(ops, state[3:6]), outputs))
         return list(outputs)
 
-    def taken(self, ops: Ops, state: Sequence[Any], acceleration: Sequence[Any]) -> list[Any]:
-        """Return the outputs that mean an acceleration, NED: the inverse of `given`, and its transpose."""
+    def outputs(self, ops: Ops, state: Sequence[Any], acceleration_ned: Sequence[Any]) -> list[Any]:
+        """Return the outputs for an acceleration, NED: the inverse, and transpose, of `acceleration`."""
         if self.frame == "body":
-            return list(mat_t_vec(euler_to_matrix(ops, state[3:6]), acceleration))
-        return list(acceleration)
+            return list(mat_t_vec(euler_to_matrix(ops, state[3:6]), acceleration_ned))
+        return list(acceleration_ned)
 
     def scalars(self, ops: Ops, xi: Sequence[Any], state: Sequence[Any]) -> Sequence[Any]:
-        """Return the acceleration for v_ned and Theta, 6 scalars, by the law's own form."""
-        return self.given(ops, state, network(ops, xi, self.hidden, self.seen(ops, state), ()))
+        """Return the acceleration (3,) for v_ned and Theta, 6 scalars, by the law's form."""
+        return self.acceleration(ops, state, network(ops, xi, self.hidden, self.inputs(ops, state), ()))
 
     def matrices(self, xi: Any, state: Any) -> Any:
-        """Accelerations (3, n) for v_ned and Theta (6, n) as CasADi matrix products; both are MX or SX."""
+        """Return accelerations (3, n) for v_ned and Theta (6, n) by CasADi matrix products, MX or SX."""
         rows = casadi.vertsplit(state)
-        values = casadi.vertcat(*self.seen(CASADI, rows))
+        values = casadi.vertcat(*self.inputs(CASADI, rows))
         ones = casadi.DM.ones(1, state.shape[1])
         for k, layer in enumerate(self._layers()):
             if k:
                 values = casadi.tanh(values)
             weights = casadi.reshape(xi[layer.where], layer.columns, layer.rows).T  # CasADi: columns first
             values = casadi.mtimes(weights, casadi.vertcat(values, ones))
-        return casadi.vertcat(*self.given(CASADI, rows, casadi.vertsplit(values)))
+        return casadi.vertcat(*self.acceleration(CASADI, rows, casadi.vertsplit(values)))
 
     def arrays(self, xi: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """Accelerations (3, n) for v_ned and Theta (6, n) on numpy."""
+        """Return accelerations (3, n) for v_ned and Theta (6, n) on numpy."""
         rows = list(state)
-        values = np.stack(self.seen(NUMPY, rows))
+        values = np.stack(self.inputs(NUMPY, rows))
         for k, layer in enumerate(self._layers()):
             if k:
                 values = np.tanh(values)
             weights = xi[layer.where].reshape(layer.rows, layer.columns)
             values = weights[:, :-1] @ values + weights[:, -1:]
-        return np.stack(self.given(NUMPY, rows, list(values)))
+        return np.stack(self.acceleration(NUMPY, rows, list(values)))
 
-    def pulled_back(self, xi: np.ndarray, state: np.ndarray, pull: np.ndarray) -> np.ndarray:
-        """Return pull' d(acceleration)/dxi (size,): of `arrays`, pull (3, n)."""
-        values, saw = np.stack(self.seen(NUMPY, list(state))), []
+    def vjp(self, xi: np.ndarray, state: np.ndarray, costate: np.ndarray) -> np.ndarray:
+        """Return costate' d(acceleration)/dxi (size,), with the acceleration of `arrays`; costate (3, n)."""
+        values, layer_inputs = np.stack(self.inputs(NUMPY, list(state))), []
         layers = list(self._layers())
         for k, layer in enumerate(layers):
             if k:
                 values = np.tanh(values)
-            saw.append(values)
+            layer_inputs.append(values)
             weights = xi[layer.where].reshape(layer.rows, layer.columns)
             values = weights[:, :-1] @ values + weights[:, -1:]
-        back, gradient = np.stack(self.taken(NUMPY, list(state), list(pull))), np.empty(self.size)
+        back, gradient = np.stack(self.outputs(NUMPY, list(state), list(costate))), np.empty(self.size)
         for k, layer in reversed(list(enumerate(layers))):
-            own = gradient[layer.where].reshape(layer.rows, layer.columns)
-            np.matmul(back, saw[k].T, out=own[:, :-1])
-            own[:, -1] = back.sum(1)
+            layer_gradient = gradient[layer.where].reshape(layer.rows, layer.columns)
+            np.matmul(back, layer_inputs[k].T, out=layer_gradient[:, :-1])
+            layer_gradient[:, -1] = back.sum(1)
             if k:
                 weights = xi[layer.where].reshape(layer.rows, layer.columns)
-                back = (weights[:, :-1].T @ back) * (1.0 - saw[k] * saw[k])
+                back = (weights[:, :-1].T @ back) * (1.0 - layer_inputs[k] * layer_inputs[k])
         return gradient
 
     def layers(self, xi: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Weights (outputs, inputs) and biases (outputs,) of every layer; the last is linear."""
+        """Return weights (outputs, inputs) and biases (outputs,) of every layer; the last is linear."""
         matrices = [xi[layer.where].reshape(layer.rows, layer.columns) for layer in self._layers()]
         return [(rows[:, :-1], rows[:, -1]) for rows in matrices]
 
     def _layers(self) -> Iterator[_Layer]:
-        """Where every layer's weights are; each row ends with its bias."""
+        """Yield the place of every layer's weights; each row ends with its bias."""
         start = 0
         for inputs, outputs in pairwise(self.sizes):
             stop = start + outputs * (inputs + 1)
@@ -153,7 +152,7 @@ class _Layer(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Network:
-    """A layout with its weights, (layout.size,) finite numbers; read-only."""
+    """A layout with its weights xi, (layout.size,) finite numbers; read-only."""
 
     layout: Layout
     xi: np.ndarray

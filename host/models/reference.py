@@ -1,4 +1,4 @@
-"""The reference as arrays: flat outputs at any times, with what is fed forward along them on board."""
+"""The reference as arrays: flat outputs at any times, and the feed-forward along them."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ FEEDFORWARD_ROWS = 6
 
 
 def flat_outputs(reference: Reference, t_s: np.ndarray) -> np.ndarray:
-    """(14, n): p, v, a, j in NED, yaw and yaw rate at times (n,) since the reference's start.
+    """Return p, v, a, j in NED, yaw and yaw rate (14, n) at times (n,) since the reference's start.
 
-    Before its start and after its end the end nodes are held.
+    Before the start and after the end, the end nodes apply.
     """
     t_us: Any = 1e6 * np.asarray(t_s, dtype=float)
     return np.ascontiguousarray(reference_at(reference, t_us).T)
 
 
 def feedforward_rows(flat: np.ndarray, feedforward: FeedForward | None) -> np.ndarray:
-    """(6, n): the residual acceleration fed forward along the flat outputs (14, n), and its derivative.
+    """Return the residual acceleration fed forward along flat outputs (14, n), and its derivative: (6, n).
 
-    The network's share has no derivative, on board as here.
+    The network's share has no derivative, as on board.
     """
     rows = np.zeros((FEEDFORWARD_ROWS, flat.shape[1]))
     if feedforward is None:
@@ -51,7 +51,7 @@ def feedforward_rows(flat: np.ndarray, feedforward: FeedForward | None) -> np.nd
 
 
 def block(feedforward: FeedForward | None) -> tuple[float, ...]:
-    """Form (a) of a feed-forward; the neutral block where it has none."""
+    """Return form (a) of a feed-forward; the neutral block where it has none."""
     if feedforward is None or feedforward.block is None:
         return law_feedforward.NEUTRAL
     return feedforward.block

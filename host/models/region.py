@@ -1,4 +1,4 @@
-"""The region that a model's data covers: speed, tilt, collective thrust. Beyond it the model extrapolates."""
+"""The trained region of a model: speed, tilt and collective thrust. Outside it the model extrapolates."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True)
 class Region:
-    """What the data went through, greatest and least."""
+    """Greatest speed and tilt of the data, and its range of collective thrust."""
 
     speed_max_m_s: float
     tilt_max_deg: float
@@ -27,7 +27,7 @@ class Region:
 
     @classmethod
     def of(cls, x: np.ndarray, thrust: np.ndarray) -> Region:
-        """Return what states x (n, 12 or more) with collective thrusts (n,), N, go through."""
+        """Return the region of states x (n, 12 or more) with collective thrusts (n,), N."""
         return cls(
             speed_max_m_s=float(_speed(x).max()),
             tilt_max_deg=float(_tilt_deg(x).max()),
@@ -36,7 +36,7 @@ class Region:
         )
 
     def outside(self, x: np.ndarray, thrust: np.ndarray) -> np.ndarray:
-        """(n,) whether states x (n, 12 or more) with collective thrusts (n,), N, are beyond it."""
+        """Return whether states x (n, 12 or more) with collective thrusts (n,), N, are outside: (n,)."""
         return (
             (_speed(x) > self.speed_max_m_s)
             | (_tilt_deg(x) > self.tilt_max_deg)

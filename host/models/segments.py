@@ -16,9 +16,9 @@ from trimtab.host.models.states import States
 class Segments:
     """S segments of N steps of `step_s`.
 
-    x0 (S, size): phi's state at the start, as measured. measured (S, N + 1, 12) with sigma (S, 12). drive
-    (S, 2N + 1, rows) at the steps' starts, middles and ends. constants (S, 10). flight (S,): index of the
-    flight each is of. vectors: where vectors of NED start in x0.
+    x0 (S, size): phi's measured state at the start. measured (S, N + 1, 12) with sigma (S, 12). drive
+    (S, 2N + 1, rows) at the start, middle and end of each step. constants (S, 16). flight (S,): index of each
+    segment's flight. vectors: index at which each NED vector starts in x0.
     """
 
     step_s: float
@@ -32,12 +32,12 @@ class Segments:
 
     @property
     def count(self) -> int:
-        """How many segments."""
+        """Number of segments."""
         return len(self.x0)
 
     @property
     def steps(self) -> int:
-        """Steps of a segment."""
+        """Number of steps of a segment."""
         return self.measured.shape[1] - 1
 
     def take(self, indices: np.ndarray | Sequence[int]) -> Segments:
@@ -55,9 +55,9 @@ class Segments:
         )
 
     def turned(self, angles: np.ndarray) -> Segments:
-        """Return the segments turned about the vertical by angles (S,), rad: flights as good as those flown.
+        """Return the segments turned about the vertical by angles (S,), rad.
 
-        True of everything but what is fixed to the world, such as wind.
+        They are as valid as those flown, unless something is fixed to the world, such as wind.
         """
         c, s = np.cos(angles), np.sin(angles)
         x0, measured, drive = self.x0.copy(), self.measured.copy(), self.drive.copy()
@@ -76,10 +76,10 @@ class Segments:
 
 
 def cut(flights: Sequence[States], phi: Phi, *, steps: int) -> Segments:
-    """Segments of `steps` steps, end to end over every flight's tracking phase; phi's drive is `reference`.
+    """Return segments of `steps` steps, end to end over each tracking phase; phi has the drive `reference`.
 
-    All flights have one step. Left out: segments without poses somewhere, and a rest shorter than a segment.
-    Raises ValueError where nothing is left.
+    All flights have the same step. Segments with missing poses, and the remainder of a flight, are left out.
+    Raises ValueError where no segment remains.
     """
     if len({states.step_s for states in flights}) > 1:
         raise ValueError("flights on grids of different steps")

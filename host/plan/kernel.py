@@ -73,7 +73,7 @@ def kernel(model: StageModel, compiler: Compiler) -> Kernel:
 
 
 def kernel_source(model: StageModel) -> str:
-    """Return the kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
+    """Return the kernel's C, which follows `trimtab.host.codegen.simd.PRELUDE`."""
     return _Parts(model).source()
 
 
@@ -94,8 +94,8 @@ class _Parts:
         self.bend = bend.sparsity()
         block = ca.Sparsity(nx + nu, nx + nu)
         if model.network is not None and model.augmented:
-            seen = range(NETWORK_INPUTS.start, NETWORK_INPUTS.stop)
-            pairs = [(i, j) for i in seen for j in seen if i <= j]
+            indices = range(NETWORK_INPUTS.start, NETWORK_INPUTS.stop)
+            pairs = [(i, j) for i in indices for j in indices if i <= j]
             block = ca.Sparsity.triplet(
                 nx + nu, nx + nu, [pair[0] for pair in pairs], [pair[1] for pair in pairs]
             )
@@ -107,9 +107,9 @@ class _Parts:
         self.residual_rows = d.shape[0]
         sigma, mu = ca.SX.sym("sigma"), ca.SX.sym("mu", self.residual_rows)
         lam = ca.SX.sym("lam", self.rows)
-        own = ca.triu(ca.hessian(sigma * effort + ca.dot(mu, d) + ca.dot(lam, path), xu)[0])
+        start_hessian = ca.triu(ca.hessian(sigma * effort + ca.dot(mu, d) + ca.dot(lam, path), xu)[0])
         by_path = ca.jacobian(path, xu)
-        self.path, self.own = by_path.sparsity(), own.sparsity()
+        self.path, self.start_hessian = by_path.sparsity(), start_hessian.sparsity()
         jacobian = ca.densify(ca.jacobian(d, x))
         self.residual = ca.jacobian(d, x).sparsity()
         self.functions = {
@@ -122,7 +122,7 @@ class _Parts:
                 [x, u, p],
                 [effort, ca.gradient(effort, xu), d, ca.vec(jacobian.T), by_path.nz[:]],
             ),
-            "ddown": _emitted("ddown", [x, u, p, sigma, mu, lam], [own.nz[:]]),
+            "ddown": _emitted("ddown", [x, u, p, sigma, mu, lam], [start_hessian.nz[:]]),
         }
 
     def pattern(self) -> Pattern:
@@ -152,18 +152,18 @@ class _Parts:
             reached = start | change
             reached[:, -1] = True
         hessian[:, -1] |= slope.any(axis=0) | True
-        own = np.zeros((nz, nz), dtype=bool)
-        own[:-1, :-1] = _mask(self.own)
+        start_hessian = np.zeros((nz, nz), dtype=bool)
+        start_hessian[:-1, :-1] = _mask(self.start_hessian)
         if self.model.residual is not None:
             support = np.zeros(nz, dtype=bool)
             support[:nx] = _mask(self.residual).any(axis=0) | learned
-            own |= np.outer(support, support)
+            start_hessian |= np.outer(support, support)
         slope |= start
         slope[:, -1] = True
-        return Pattern(x_slope=slope, path_slope=_mask(self.path), hessian=np.triu(hessian | own))
+        return Pattern(x_slope=slope, path_slope=_mask(self.path), hessian=np.triu(hessian | start_hessian))
 
     def source(self) -> str:
-        """Return the kernel's C, to stand behind `trimtab.host.codegen.simd.PRELUDE`."""
+        """Return the kernel's C, which follows `trimtab.host.codegen.simd.PRELUDE`."""
         model = self.model
         functions, network = dict(self.functions), model.network
         sizes = {
@@ -188,7 +188,7 @@ class _Parts:
             ("B", self.by_u),
             ("BEND", self.bend),
             ("PATH", self.path),
-            ("OWN", self.own),
+            ("OWN", self.start_hessian),
         ):
             rows, columns = _triplet(pattern)
             sizes[f"{name}_NNZ"] = max(1, len(rows))

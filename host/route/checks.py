@@ -1,4 +1,4 @@
-"""Routes that contradict themselves or the vehicle are refused here, before any solver starts."""
+"""Checks that refuse routes with contradictions, before any solver starts."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ HEIGHT_MIN_M = 0.5
 """A reference starts and ends at least this high."""
 
 TIME_MAX_S = 500.0
-"""With a node each 0.1 s more does not fit into the vehicle's memory."""
+"""The longest reference that fits into the vehicle's memory, with a node every 0.1 s."""
 
 
 def check_route(route: Route, vehicle: Vehicle, source: str | None = None) -> Limits:
-    """Return the limits a plan for this route must keep. `source` names the route in errors, its name by
-    default.
+    """Return the limits that a plan for this route must keep.
 
-    Raises ConfigurationError (exit code 2) with every contradiction.
+    `source` names the route in errors, its name by default. Raises ConfigurationError (exit code 2) with
+    every contradiction.
     """
     limits = route.limits.applied_to(vehicle.limits)
     problems = [
@@ -38,24 +38,24 @@ def check_route(route: Route, vehicle: Vehicle, source: str | None = None) -> Li
 
 
 def _loosened(route: Route, limits: Limits) -> Iterator[str]:
-    """Limits of the route that go beyond the vehicle's; those would be refused on board."""
-    own = route.limits
+    """Yield limits of the route that exceed the vehicle's; the vehicle would refuse such a reference."""
+    requested = route.limits
     for name in ("speed_max_m_s", "tilt_max_deg", "jerk_max_m_s3"):
-        value, bound = getattr(own, name), getattr(limits, name)
+        value, bound = getattr(requested, name), getattr(limits, name)
         if value is not None and value > bound:
             yield f"limits.{name}: {value:g} is above the vehicle's {bound:g}, lower it"
-    if own.body_rate_max_rad_s is not None:
+    if requested.body_rate_max_rad_s is not None:
         for axis, (value, bound) in enumerate(
-            zip(own.body_rate_max_rad_s, limits.body_rate_max_rad_s, strict=True)
+            zip(requested.body_rate_max_rad_s, limits.body_rate_max_rad_s, strict=True)
         ):
             if value > bound:
                 name = f"limits.body_rate_max_rad_s[{axis}]"
                 yield f"{name}: {value:g} is above the vehicle's {bound:g}, lower it"
     intervals = []
-    if own.thrust_headroom is not None:
-        intervals.append(("thrust_headroom", own.thrust_headroom, limits.thrust_headroom))
-    if own.geofence_m is not None:
-        pairs = zip(own.geofence_m, limits.geofence_m, strict=True)
+    if requested.thrust_headroom is not None:
+        intervals.append(("thrust_headroom", requested.thrust_headroom, limits.thrust_headroom))
+    if requested.geofence_m is not None:
+        pairs = zip(requested.geofence_m, limits.geofence_m, strict=True)
         intervals.extend((f"geofence_m[{axis}]", *pair) for axis, pair in enumerate(pairs))
     for name, value, bound in intervals:
         if value[0] < bound[0] or value[1] > bound[1]:
@@ -63,7 +63,7 @@ def _loosened(route: Route, limits: Limits) -> Iterator[str]:
 
 
 def _hoverless(limits: Limits, vehicle: Vehicle) -> Iterator[str]:
-    """Yield a headroom that the thrust to hover is outside of."""
+    """Yield a thrust headroom that does not contain hover."""
     low, high = limits.thrust_headroom
     hover = vehicle.mass_kg * GRAVITY / (len(vehicle.rotors) * vehicle.thrust_max_n)
     if not low < hover < high:
@@ -71,17 +71,17 @@ def _hoverless(limits: Limits, vehicle: Vehicle) -> Iterator[str]:
 
 
 def _misplaced(route: Route, limits: Limits) -> Iterator[str]:
-    """Waypoints outside the geofence, inside a keep-out shape, or too low to start or end at.
+    """Yield waypoints outside the geofence, inside a keep-out shape, or too low to start or end at.
 
-    What is said of a waypoint is not said again where a later lap passes it.
+    A waypoint of several laps is reported once.
     """
     last = len(route.waypoints_m) - 1
-    told = set[tuple[Vector3, bool]]()
+    reported = set[tuple[Vector3, bool]]()
     for k, point in enumerate(route.waypoints_m):
         end = k in (0, last)
-        if told & {(point, True), (point, end)}:
+        if reported & {(point, True), (point, end)}:
             continue
-        told.add((point, end))
+        reported.add((point, end))
         path = f"waypoints_m[{k}]"
         for axis, (value, (low, high)) in enumerate(zip(point, limits.geofence_m, strict=True)):
             if not low <= value <= high:
@@ -98,7 +98,7 @@ def _misplaced(route: Route, limits: Limits) -> Iterator[str]:
 
 
 def _too_fast(route: Route, limits: Limits) -> Iterator[str]:
-    """More time than the vehicle can hold, ends or legs too fast, a heading that turns too fast."""
+    """Yield a route that is too long for the vehicle's memory, and speeds and turns above the limits."""
     if route.duration_s > TIME_MAX_S:
         key = "times_s" if route.times_s is not None else "total_time_s"
         yield (
@@ -110,11 +110,11 @@ def _too_fast(route: Route, limits: Limits) -> Iterator[str]:
         if math.hypot(*velocity) > speed:
             yield f"{end}_velocity_m_s: {math.hypot(*velocity):.4g} m/s, the limit is {speed:g}; lower it"
     if route.times_s is not None:
-        seen = set[tuple[Vector3, Vector3, float]]()
+        checked = set[tuple[Vector3, Vector3, float]]()
         for k, ((a, b), (t0, t1)) in enumerate(zip(legs, pairwise(route.times_s), strict=True)):
-            if (leg := (a, b, round(t1 - t0, 6))) in seen:
+            if (leg := (a, b, round(t1 - t0, 6))) in checked:
                 continue
-            seen.add(leg)
+            checked.add(leg)
             needed = math.dist(a, b) / (t1 - t0)
             if needed > speed:
                 yield f"times_s[{k + 1}]: leg {k} needs {needed:.1f} m/s, the limit is {speed:g}; slow down"

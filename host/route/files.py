@@ -24,8 +24,8 @@ from trimtab.host.vehicle.strict_toml import ConfigurationError, Strict, parse_t
 class RouteFile(Strict):
     """A route file: a Route whose waypoints are listed or made by exactly one generator.
 
-    description: one line on what the route is for; no part of the route. closed: the waypoints are one lap,
-    back to the first of them and `laps` times round, 1 by default.
+    description: one line on the purpose of the route; no part of the route. closed: the waypoints are one
+    lap, which returns to the first waypoint and is flown `laps` times, 1 by default.
     """
 
     name: Name
@@ -89,7 +89,7 @@ class RouteFile(Strict):
         return flown(validate(fields | whole, source, Route), laps)
 
     def _drawn_time(self, waypoints_m: Sequence[Vector3]) -> dict[str, float]:
-        """Return the total time through drawn waypoints where none is given."""
+        """Return the total time of a random route where the file gives none."""
         if self.random is None or self.times_s is not None or self.total_time_s is not None:
             return {}
         return {"total_time_s": self.random.total_time_s(waypoints_m)}
@@ -98,8 +98,8 @@ class RouteFile(Strict):
 def parse_route(text: str, source: str, vehicle: Vehicle | None = None) -> Route:
     """Return the route in a TOML text; `source` names it in errors.
 
-    Raises ConfigurationError with every problem; where keys are wrong by themselves, with what the others
-    contradict of the vehicle too.
+    Raises ConfigurationError with every problem. If some keys are invalid, the other keys are still checked
+    against the vehicle.
     """
     return _read(text, source, vehicle).expanded(source)
 
@@ -114,9 +114,9 @@ def _read(text: str, source: str, vehicle: Vehicle | None) -> RouteFile:
         raise ConfigurationError([*error.problems, *more]) from None
 
 
-def _contradictions(data: dict[str, Any], told: Sequence[str], source: str, vehicle: Vehicle) -> list[str]:
-    """Return what is wrong with the rest of a route, without the keys that `told` says something about."""
-    wrong = {re.split(r"[.:\[]", line.removeprefix(f"{source}: "))[0] for line in told}
+def _contradictions(data: dict[str, Any], known: Sequence[str], source: str, vehicle: Vehicle) -> list[str]:
+    """Return the problems of the rest of a route, without the keys that `known` problems name."""
+    wrong = {re.split(r"[.:\[]", line.removeprefix(f"{source}: "))[0] for line in known}
     if wrong & {"waypoints_m", "figure_eight", "random"}:
         return []
     rest = {"name": "route"} | {key: value for key, value in data.items() if key not in wrong}
@@ -125,17 +125,17 @@ def _contradictions(data: dict[str, Any], told: Sequence[str], source: str, vehi
     try:
         check_route(validate(rest, source, RouteFile).expanded(source), vehicle, source)
     except ConfigurationError as error:
-        return [line for line in error.problems if line not in told]
+        return [line for line in error.problems if line not in known]
     return []
 
 
 def load_route(
     name_or_path: str | Path, workspace: Path | None = None, vehicle: Vehicle | None = None
 ) -> Route:
-    """Return the route of a path, or of a name: looked up in `workspace`/routes, then among the shipped ones.
+    """Return the route of a path, or of a name in `workspace`/routes or else among the shipped routes.
 
-    `NAME:SEED` draws a route with a [random] table anew with that seed.
-    Raises ConfigurationError (exit code 2) as `parse_route` does.
+    `NAME:SEED` draws a route with a [random] table again with that seed. Raises ConfigurationError (exit code
+    2) as `parse_route` does.
     """
     path, seed = _place(name_or_path, workspace)
     if not seed:
@@ -150,12 +150,12 @@ def load_route(
 
 
 def route_file(name_or_path: str | Path, workspace: Path | None = None) -> str:
-    """Return the file that `load_route` reads, as messages name it. Raises ConfigurationError."""
+    """Return the name in messages of the file that `load_route` reads. Raises ConfigurationError."""
     return shown(_place(name_or_path, workspace)[0])
 
 
 def _place(name_or_path: str | Path, workspace: Path | None) -> tuple[Path, str]:
-    """File and seed, an empty text without one, of a route's name or path."""
+    """Return file and seed of a route's name or path; the seed is empty without one."""
     seed = ""
     if isinstance(name_or_path, str):
         name_or_path, _, seed = name_or_path.partition(":")
@@ -163,11 +163,11 @@ def _place(name_or_path: str | Path, workspace: Path | None) -> tuple[Path, str]
 
 
 def route_description(name_or_path: str | Path, workspace: Path | None = None) -> str | None:
-    """Return what a route's file says it is for. Raises ConfigurationError as `load_route` does."""
+    """Return the description in a route's file. Raises ConfigurationError as `load_route` does."""
     path, _ = _place(name_or_path, workspace)
     return _read(read_text(path), shown(path), None).description
 
 
 def list_routes(workspace: Path | None = None) -> dict[str, Path]:
-    """Name to file of every route: the shipped ones, over them those of `workspace`."""
+    """Return all routes, name to file; those of `workspace` replace shipped ones of the same name."""
     return list_files("routes", workspace)

@@ -16,14 +16,15 @@ Array = NDArray[np.float64]
 
 _INSET_M = 0.01
 _INSET_SHARE = 0.1
-"""A plan stays this far inside a gate's edge, or this share of its half size where that is less."""
+"""Distance that a plan keeps inside a gate's edge; a share of the half size where that is less."""
 
 
 class Gate(Strict):
     """A waypoint that need not be met exactly: a sphere around it, or an upright rectangle centred on it.
 
     waypoint: its number from 0, neither the first nor the last. heading_deg: of the rectangle's horizontal
-    normal, 0 north, 90 east; the path may cross its plane either way. The edges bound the vehicle's centre.
+    normal, 0 north, 90 east. The path may cross its plane in either direction. The edges bound the vehicle's
+    centre.
     """
 
     waypoint: int
@@ -42,24 +43,24 @@ class Gate(Strict):
 
     @property
     def is_sphere(self) -> bool:
-        """Whether it is a sphere, else an opening."""
+        """Whether the gate is a sphere; else it is an opening."""
         return self.radius_m is not None
 
     @property
     def _halves_m(self) -> Array:
-        """(2,) half width and half height; the radius twice."""
+        """Half width and half height (2,); for a sphere twice the radius, as (r, r)."""
         if self.radius_m is not None:
             return np.array([self.radius_m, self.radius_m])
         return np.array([0.5 * (self.width_m or 0.0), 0.5 * (self.height_m or 0.0)])
 
     def _axes(self) -> Array:
-        """(3, 3) the normal, to its right, down, as rows in NED."""
+        """Return the axes (3, 3) as rows in NED: normal, right, down."""
         heading = math.radians(self.heading_deg or 0.0)
         cos, sin = math.cos(heading), math.sin(heading)
         return np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
     def corners_ned(self, waypoint_ned: ArrayLike) -> Array:
-        """(4, 3) corners of an opening, in order around it. Raises ValueError for a sphere."""
+        """Return the corners (4, 3) of an opening, in order around it. Raises ValueError for a sphere."""
         if self.is_sphere:
             raise ValueError("a sphere has no corners")
         wide, high = self._halves_m
@@ -67,20 +68,20 @@ class Gate(Strict):
         return np.asarray(waypoint_ned, dtype=float) + around @ self._axes()[1:]
 
     def frame(self) -> Array:
-        """(3, 3) takes an NED offset q from the waypoint into units of what a plan may use of the gate.
+        """Return the matrix (3, 3) from an NED offset to coordinates q in which a plan's bounds are units.
 
-        Inside a sphere |q| <= 1. In an opening q[0], along the normal in metres, is 0 and q[1], q[2], to its
-        right and down, are within -1 to 1.
+        In a sphere |q| <= 1. In an opening q[0], along the normal in metres, is 0, and q[1] and q[2], right
+        and down, are within -1 to 1.
         """
         return self._axes() / self._units_m()[:, None]
 
     def _units_m(self) -> Array:
-        """(3,) metres of a unit of q."""
+        """Return the lengths (3,) of a unit of q, m."""
         wide, high = self._halves_m - np.minimum(_INSET_M, _INSET_SHARE * self._halves_m)
         return np.array([wide if self.is_sphere else 1.0, wide, high])
 
     def nearest(self, p_ned: ArrayLike, waypoint_ned: ArrayLike) -> Array:
-        """(3,) the point nearest to p_ned, to all intents, that a plan may pass."""
+        """Return the point (3,) that a plan may pass nearest to p_ned, along each axis of the gate."""
         centre = np.asarray(waypoint_ned, dtype=float)
         q = self.frame() @ (np.asarray(p_ned, dtype=float) - centre)
         if self.is_sphere:
@@ -90,7 +91,7 @@ class Gate(Strict):
         return centre + self._axes().T @ (self._units_m() * q)
 
     def inside_m(self, p_ned: ArrayLike, waypoint_ned: ArrayLike) -> float:
-        """Metres from p_ned to the gate's edge, negative outside; off an opening's plane that counts too."""
+        """Return the distance inside the gate's edge, m, less that from its plane; negative outside."""
         along, right, down = self._axes() @ (np.asarray(p_ned, dtype=float) - waypoint_ned)
         wide, high = self._halves_m
         if self.is_sphere:

@@ -1,4 +1,4 @@
-"""Routes made by rule: figure eights and seeded random waypoints."""
+"""Generated routes: figure eights and seeded random waypoints."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class FigureEight(Strict):
     turns: Annotated[int, Field(ge=1, le=20)] = 1
 
     def waypoints(self) -> tuple[Vector3, ...]:
-        """Eight points a turn; the first and the last are the centre."""
+        """Return eight points for each turn; the first and the last are the centre."""
         north, east, down = self.centre_m
         points = []
         for k in range(POINTS_A_TURN * self.turns + 1):
@@ -43,7 +43,7 @@ class FigureEight(Strict):
 
 
 class RandomWaypoints(Strict):
-    """Waypoints drawn evenly from a box, each at least leg_min_m from the one before."""
+    """Waypoints drawn uniformly from a box, each at least leg_min_m from the previous one."""
 
     seed: Annotated[int, Field(ge=0)]
     count: Annotated[int, Field(ge=2, le=200)]
@@ -61,7 +61,7 @@ class RandomWaypoints(Strict):
         return self
 
     def waypoints(self) -> tuple[Vector3, ...]:
-        """Return the drawn points to the millimetre; the same seed gives the same points."""
+        """Return the drawn points, rounded to millimetres; the same seed gives the same points."""
         rng = np.random.default_rng(self.seed)
         low, high = np.array(self.box_m).T
         points: list[Vector3] = []
@@ -74,7 +74,7 @@ class RandomWaypoints(Strict):
         raise ConfigurationError([f"random.leg_min_m: {self.leg_min_m:g} leaves no room in box_m, lower it"])
 
     def total_time_s(self, points: Sequence[Vector3]) -> float:
-        """Straight length through `points` at the mean speed, and 1 s to start and stop; to the hundredth."""
+        """Return the time for the straight legs at the mean speed, plus 1 s, rounded to 0.01 s."""
         length = sum(math.dist(a, b) for a, b in itertools.pairwise(points))
         return round(length / self.mean_speed_m_s + 1.0, 2)
 
@@ -90,9 +90,9 @@ def random_route(
     yaw: YawProfile | None = None,
     name: str | None = None,
 ) -> Route:
-    """Return a route through `count` waypoints drawn from `box_m` (NED). Same arguments, same route.
+    """Return a route through `count` waypoints drawn from `box_m` (NED); equal arguments give equal routes.
 
-    Five waypoints as in the paper's data set (section V-A). Raises ValueError on bad arguments.
+    Five waypoints are those of the paper's data set (section V-A). Raises ValueError on bad arguments.
     """
     drawn = RandomWaypoints(
         seed=seed, count=count, box_m=box_m, leg_min_m=leg_min_m, mean_speed_m_s=mean_speed_m_s

@@ -1,4 +1,4 @@
-"""Closed courses: one lap from the first waypoint back to it, flown again and again without a stop."""
+"""Closed routes: a lap from the first waypoint back to it, flown several times without a stop."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ LAPS_MAX = 100
 
 
 def flown(lap: Route, laps: int) -> Route:
-    """Return the lap `laps` times over. Its gates hold on every lap, its waypoint times repeat.
+    """Return a route of `laps` laps. The gates are on every lap, and the waypoint times repeat.
 
     lap: ends where it starts. Its total_time_s and its yaw are those of the whole flight.
     """

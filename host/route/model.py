@@ -1,4 +1,4 @@
-"""A route: what a plan is asked for, as its file declares it. Positions are NED metres, up is negative."""
+"""A route as its file declares it. Positions are metres in NED, so up is negative."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from trimtab.host.vehicle.model import Interval, Limits, Name, Positive, Positiv
 from trimtab.host.vehicle.strict_toml import Strict
 
 LEG_MIN_M = 1e-3
-"""Waypoints nearer to each other are one."""
+"""Least distance between consecutive waypoints."""
 
 
 def _increasing(values: Sequence[float]) -> bool:
-    """Whether each value is above the one before."""
+    """Return whether each value is above the previous one."""
     return all(a < b for a, b in itertools.pairwise(values))
 
 
 class YawProfile(Strict):
     """Heading over time: one value, or values at given times with a smooth turn between them.
 
-    free: a plan by shooting chooses the heading, from yaw_deg on, turning by rate_max_rad_s at most.
+    free: a plan by shooting chooses the heading. It starts at yaw_deg and turns at most at rate_max_rad_s.
     """
 
     yaw_deg: Annotated[tuple[float, ...], Field(min_length=1)] = (0.0,)
@@ -59,7 +59,7 @@ class YawProfile(Strict):
         return self
 
     def nodes(self) -> tuple[tuple[float, float, float], ...]:
-        """(t_s, yaw, yaw rate) in radians for cubic Hermite pieces: at rest at the ends, no overshoot."""
+        """Return (t_s, yaw, yaw rate), radians, for cubic Hermite pieces: rest at the ends, no overshoot."""
         yaw = [math.radians(value) for value in self.yaw_deg]
         slopes = [
             (y1 - y0) / (t1 - t0)
@@ -70,7 +70,7 @@ class YawProfile(Strict):
         return tuple(zip(self.times_s, yaw, rates, strict=True))
 
     def rate_max(self) -> float:
-        """Largest yaw rate of the profile, rad/s."""
+        """Return the largest yaw rate of the profile, rad/s."""
         largest = 0.0
         rows = self.nodes()
         for (t0, y0, r0), (t1, y1, r1) in itertools.pairwise(rows):
@@ -82,7 +82,7 @@ class YawProfile(Strict):
 
 
 class LimitsOverride(Strict):
-    """Limits of this route: any of the vehicle's, tighter."""
+    """Limits of a route, tighter than the vehicle's."""
 
     speed_max_m_s: Positive | None = None
     tilt_max_deg: Positive | None = None
@@ -92,16 +92,16 @@ class LimitsOverride(Strict):
     geofence_m: tuple[Interval, Interval, Interval] | None = None
 
     def applied_to(self, limits: Limits) -> Limits:
-        """Return the vehicle's limits with these in their place."""
-        own = {name: getattr(self, name) for name in type(self).model_fields}
-        return limits.model_copy(update={name: value for name, value in own.items() if value is not None})
+        """Return the vehicle's limits, replaced by those that are set here."""
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        return limits.model_copy(update={name: value for name, value in values.items() if value is not None})
 
 
 class Route(Strict):
-    """Waypoints to pass in order, starting and ending at rest. One of times_s and total_time_s is set.
+    """Waypoints to pass in order, from rest to rest. Exactly one of times_s and total_time_s is set.
 
-    gates: the waypoints that are more than a point. start_velocity_m_s, end_velocity_m_s: NED, where it does
-    not start or end at rest. None of them is in the text, and so in the id, of a route that leaves them out.
+    gates: waypoints that may be passed at a distance. start_velocity_m_s, end_velocity_m_s: NED, for a route
+    that does not start or end at rest. The route's text and id hold only those that are set.
     """
 
     name: Name

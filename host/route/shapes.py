@@ -1,4 +1,4 @@
-"""Keep-out shapes of a route: where the path may not go, NED metres.
+"""Keep-out shapes of a route, which its path must not enter; metres in NED.
 
 `signed_distance` is written in the law's `ops` style: the same source checks a float and constrains a plan.
 """
@@ -29,7 +29,7 @@ class Box(Strict):
         return self
 
     def signed_distance(self, ops: Ops, p_ned: Sequence[Any]) -> Any:
-        """Metres from the surface, negative inside."""
+        """Return the distance from the surface, m; negative inside."""
         gaps = [
             ops.fabs(p - 0.5 * (low + high)) - 0.5 * (high - low)
             for p, low, high in zip(p_ned, self.min_m, self.max_m, strict=True)
@@ -45,7 +45,7 @@ class Sphere(Strict):
     radius_m: Positive
 
     def signed_distance(self, ops: Ops, p_ned: Sequence[Any]) -> Any:
-        """Metres from the surface, negative inside."""
+        """Return the distance from the surface, m; negative inside."""
         return _norm(ops, [p - c for p, c in zip(p_ned, self.centre_m, strict=True)]) - self.radius_m
 
 
@@ -58,7 +58,7 @@ class Cylinder(Strict):
     down_m: Interval
 
     def signed_distance(self, ops: Ops, p_ned: Sequence[Any]) -> Any:
-        """Metres from the surface, negative inside."""
+        """Return the distance from the surface, m; negative inside."""
         radial = _norm(ops, [p_ned[0] - self.centre_m[0], p_ned[1] - self.centre_m[1]]) - self.radius_m
         low, high = self.down_m
         return _from_gaps(ops, [radial, ops.fabs(p_ned[2] - 0.5 * (low + high)) - 0.5 * (high - low)])
@@ -67,16 +67,16 @@ class Cylinder(Strict):
 Shape = Annotated[Box | Sphere | Cylinder, Field(discriminator="kind")]
 
 _TINY = 1e-12
-"""Added under roots, so that derivatives stay finite on an axis; shifts a distance by less than 1e-6 m."""
+"""Added under roots to keep derivatives finite on an axis; changes a distance by less than 1e-6 m."""
 
 
 def _norm(ops: Ops, vector: Sequence[Any]) -> Any:
-    """Length of a vector."""
+    """Return the length of a vector."""
     return ops.sqrt(sum(v * v for v in vector) + _TINY)
 
 
 def _from_gaps(ops: Ops, gaps: Sequence[Any]) -> Any:
-    """Signed distance to a product of intervals, from the signed distance along each direction."""
+    """Return the signed distance to a product of intervals, from the signed distance along each axis."""
     outside = _norm(ops, [ops.maximum(gap, 0.0) for gap in gaps])
     deepest = gaps[0]
     for gap in gaps[1:]:

@@ -228,7 +228,7 @@ def drag_model(
 
     def loss(xi: Array) -> tuple[float, Array]:
         error = layout.arrays(xi, state) - wanted
-        return float((error**2).sum()) / _SAMPLES, layout.pulled_back(xi, state, 2.0 / _SAMPLES * error)
+        return float((error**2).sum()) / _SAMPLES, layout.vjp(xi, state, 2.0 / _SAMPLES * error)
 
     options = {"maxiter": iterations, "maxfun": 2 * iterations}
     end = minimize(loss, layout.initial(rng), jac=True, method="L-BFGS-B", options=options)

@@ -67,10 +67,10 @@ def _stage_model(augmented: bool, frame: Frame | None, minimise: bool, free_yaw:
 def _network(network: Network, state: ca.SX) -> ca.SX:
     """The network written down plainly."""
     layout = network.layout
-    value = ca.vertcat(*layout.seen(CASADI, ca.vertsplit(state)))
+    value = ca.vertcat(*layout.inputs(CASADI, ca.vertsplit(state)))
     for k, (weight, bias) in enumerate(layout.layers(network.xi)):
         value = ca.DM(weight) @ (ca.tanh(value) if k else value) + ca.DM(bias)
-    return ca.vertcat(*layout.given(CASADI, ca.vertsplit(state), ca.vertsplit(value)))
+    return ca.vertcat(*layout.acceleration(CASADI, ca.vertsplit(state), ca.vertsplit(value)))
 
 
 def _unrolled(model: StageModel) -> tuple[list[ca.SX], ca.SX, ca.SX, ca.SX]:
