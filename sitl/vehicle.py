@@ -71,7 +71,7 @@ class SimulatedVehicle:
         self._power_up(flight)
 
     @classmethod
-    def create(
+    def create(  # noqa: PLR0913 (one keyword for each choice)
         cls,
         vehicle: Vehicle,
         *,

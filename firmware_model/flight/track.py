@@ -143,7 +143,7 @@ def climb(
     return _legs([(0, node_at_rest(p))], (yaw, 0.0), corners, yaw_end, speed=speed, hover_us=hover_us)
 
 
-def transit(
+def transit(  # noqa: PLR0913 (the data of one problem)
     state: Node,
     yaw: YawState,
     target: Vector,

@@ -53,7 +53,7 @@ class Reference(NamedTuple):
     yaw_rate: Any
 
 
-def control(
+def control(  # noqa: PLR0913 (an equation of many variables)
     ops: Ops,
     gains: Gains,
     model: Body,
@@ -81,7 +81,7 @@ def control(
     return collective, torque, rate_cmd, integral_dot
 
 
-def outer_loop(
+def outer_loop(  # noqa: PLR0913 (an equation of many variables)
     ops: Ops,
     gains: Gains,
     model: Body,

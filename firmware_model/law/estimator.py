@@ -64,7 +64,7 @@ def predict(
     return Estimate(p, v, q, est.bias), rate, a, R
 
 
-def correct(
+def correct(  # noqa: PLR0913 (an equation of many variables)
     ops: Ops,
     est: Estimate,
     rate: Vector,

@@ -52,7 +52,7 @@ DELAY_S = 0.01
 """Scale of the delay of poses."""
 
 
-def condense(
+def condense(  # noqa: PLR0913 (the data of one problem)
     engine: Rollouts | LaneRollouts,
     segments: Segments,
     *,

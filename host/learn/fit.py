@@ -69,7 +69,7 @@ def accelerations(basis: Basis, xi: np.ndarray, states: np.ndarray) -> np.ndarra
     return flat.T.reshape(*states.shape[:2], 3)
 
 
-def fit(
+def fit(  # noqa: PLR0913 (the data of one problem)
     basis: Basis,
     train: Examples,
     validation: Examples,

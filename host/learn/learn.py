@@ -95,7 +95,7 @@ class Learned:
         return all(judged.ratio < 1.0 for judged in (self.train, self.test) if judged is not None)
 
 
-def learn(
+def learn(  # noqa: PLR0913 (one keyword for each choice)
     flights: Sequence[Flight],
     *,
     hold_out: Sequence[Flight] | None = None,

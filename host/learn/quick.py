@@ -71,7 +71,7 @@ class CondensedTrained:
         return sum(each.iterations for each in self.fitted)
 
 
-def train_condensed(
+def train_condensed(  # noqa: PLR0913 (the data of one problem)
     phi: Phi,
     theta: np.ndarray,
     segments: Segments,

@@ -34,7 +34,7 @@ def standing_errors(gains: EstimatorGains, age_s: Any, interval_s: Any) -> tuple
     return 1.0 / (gains.velocity * jump) + age_s * velocity - 0.5 * age_s**2, velocity
 
 
-def accelerometer_bias(
+def accelerometer_bias(  # noqa: PLR0913 (an equation of many variables)
     error: np.ndarray,
     R: np.ndarray,
     v: np.ndarray,

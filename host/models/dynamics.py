@@ -17,7 +17,7 @@ from trimtab.host.models.slots import add, gravity_ned, inertia, loads, motor_la
 Scalar = Any
 
 
-def derivative(
+def derivative(  # noqa: PLR0913 (an equation of many variables)
     ops: Ops,
     vehicle: Airframe,
     effects: Sequence[Part],
@@ -33,7 +33,7 @@ def derivative(
     return [*body, *thrust_rates(x[THRUST], thrust_command, motor_lag_s(ops, vehicle, effects))]
 
 
-def rigid_body(
+def rigid_body(  # noqa: PLR0913 (an equation of many variables)
     ops: Ops,
     vehicle: Airframe,
     effects: Sequence[Part],

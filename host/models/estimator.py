@@ -44,7 +44,7 @@ def turn(ops: Ops, R: Sequence[Scalar], e_q: Sequence[Scalar]) -> tuple[Scalar, 
     )
 
 
-def error_rates(
+def error_rates(  # noqa: PLR0913 (an equation of many variables)
     gains: EstimatorGains,
     errors: Sequence[Scalar],
     R: Sequence[Scalar],

@@ -38,7 +38,7 @@ def reference_drive(
     return np.ascontiguousarray(rows.T)
 
 
-def roll_out(
+def roll_out(  # noqa: PLR0913 (the data of one problem)
     phi: Phi,
     *,
     x0: np.ndarray,

@@ -151,7 +151,7 @@ def along(table: Table, times_s: Array) -> Array:
     return evaluate(table, np.minimum(times_s * 1e6, float(table.times_us[-1])))[0]
 
 
-def make_problem(
+def make_problem(  # noqa: PLR0913 (the data of one problem)
     dynamics: Dynamics,
     waypoints_ned: Array,
     grid: Grid,

@@ -58,7 +58,7 @@ class Task:
     with_baselines: bool
 
 
-def run(
+def run(  # noqa: PLR0913 (one keyword for each choice)
     *,
     folder: Path,
     seed: int,

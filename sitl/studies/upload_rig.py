@@ -160,7 +160,7 @@ class UploadRig:
     `now_us` is the time since power-up, `begin_us` when the upload began.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 (one keyword for each choice)
         self,
         blob: bytes,
         *,

@@ -111,7 +111,7 @@ def paper(
     return Timed(candidate=candidate, seconds=seconds, trained=trained)
 
 
-def condensed(
+def condensed(  # noqa: PLR0913 (one keyword for each choice)
     phi: Phi,
     train_on: Segments,
     validation: Segments,
