@@ -153,7 +153,7 @@ class LogWriter:
         p_ned: Sequence[float],
         q_ned_frd: Sequence[float],
     ) -> bool:
-        """`/mocap/pose`; `vehicle_us` is the stamp it was forwarded with, 0 where it was not."""
+        """Write `/mocap/pose`; `vehicle_us` is the stamp it was forwarded with, 0 where it was not."""
         message = self._messages.pose
         message.source_us = stamps.source_us
         message.vehicle_us = vehicle_us
@@ -171,7 +171,7 @@ class LogWriter:
         gyro_bias: Sequence[float],
         mocap_age_us: int,
     ) -> bool:
-        """`/fc/estimate`."""
+        """Write `/fc/estimate`."""
         message = self._messages.estimate
         message.source_us = stamps.source_us
         message.p_ned_m[:] = p_ned
@@ -189,7 +189,7 @@ class LogWriter:
         reference_us: int,
         flat: Sequence[float],
     ) -> bool:
-        """Return `/reference`; `flat` is p, v, a, j (3 each), yaw, yaw rate."""
+        """Write `/reference`; `flat` is p, v, a, j (3 each), yaw, yaw rate."""
         message = self._messages.reference
         message.source_us = stamps.source_us
         message.reference_id = reference_id
@@ -213,7 +213,7 @@ class LogWriter:
         means: Sequence[float] | None,
         observer_ned: Sequence[float] = (),
     ) -> bool:
-        """`/fc/control`; `means`: motor 4, gyro 3, specific force 3, or None for an invalid interval.
+        """Write `/fc/control`; `means`: motor 4, gyro 3, specific force 3, or None for an invalid interval.
 
         `observer_ned`: the disturbance observed, empty for none.
         """
@@ -231,7 +231,7 @@ class LogWriter:
         return self.write(topics.FC_CONTROL, message, stamps.log_us, stamps.publish_us)
 
     def text(self, log_us: int, publish_us: int, severity: int, text: str, name: str) -> bool:
-        """`/log`; `severity` as in STATUSTEXT (0 emergency .. 7 debug), `name` says who speaks."""
+        """Write `/log`; `severity` as in STATUSTEXT (0 emergency .. 7 debug), `name` says who speaks."""
         message = self._messages.text
         message.level = _foxglove_level(severity)
         message.message = text

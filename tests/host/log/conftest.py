@@ -11,6 +11,7 @@ from typing import IO
 import pytest
 
 from trimtab.host.log import FLIGHT_TOPICS, LogWriter, Provenance
+from trimtab.host.log.writer import Stamps
 from trimtab.host.vehicle import Vehicle, load_vehicle
 from trimtab.protocol.blobs import Node, Reference
 from trimtab.protocol.generated import flight_pb2
@@ -58,11 +59,12 @@ def fly(provenance: Provenance) -> Callable[[Path | IO[bytes]], None]:
                 vehicle_us = ARM_HOST_US + publish_us + OFFSET_US
                 p = (ms * 1e-3, math.sin(ms * 1e-3), -1.0)
                 q = (1.0, 0.0, 0.0, 0.0)
-                log.pose(log_us, publish_us, ARM_HOST_US + publish_us, vehicle_us, p, q)
-                log.estimate(log_us, publish_us, vehicle_us, p, (1.0, 0.0, 0.0), q, p, p, 8000)
+                log.pose(Stamps(log_us, publish_us, ARM_HOST_US + publish_us), vehicle_us, p, q)
+                stamps = Stamps(log_us, publish_us, vehicle_us)
+                log.estimate(stamps, p, (1.0, 0.0, 0.0), q, p, p, 8000)
                 means = None if ms == 0 else [0.5] * 4 + [0.1] * 3 + [0.0, 0.0, -9.81]
                 observed = (ms * 1e-3, 0.0, -1.0) if ms % 50 else ()
-                log.control(log_us, publish_us, vehicle_us, 7.4, p, p, p, 10_000, means, observed)
+                log.control(stamps, 7.4, p, p, p, 10_000, means, observed)
                 if ms % 100 == 0:
                     log.write("/fc/status", _status(ms, vehicle_us), log_us, publish_us)
                     link = flight_pb2.Link(frames_sent=ms, clock_offset_us=OFFSET_US, rtt_us=9000.0)

@@ -22,6 +22,7 @@ KILLED_WRITER = """
 import os, signal, sys
 from pathlib import Path
 from trimtab.host.log import LogWriter, Provenance
+from trimtab.host.log.writer import Stamps
 from trimtab.host.vehicle import load_vehicle
 log = LogWriter(Path(sys.argv[1]), Provenance(vehicle=load_vehicle("research")))
 for ms in range(0, 30000, 10):
