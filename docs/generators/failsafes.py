@@ -63,24 +63,15 @@ the first reason.
 """
 
 _REFERENCE = """
-<<<<<<< HEAD
-Tilt must be within {tilt}. At rest is what for {rest:g} s has been slower than {speed:g} m/s and felt g
-within {force:g} m/s^2. Poses are askew where their down is over {askew} from the accelerometer's: the
-camera frame is not level, or the rigid body was defined on a slope. Arming needs no reference (it warns
-where there is none); a start needs one that is at rest at its ends. With a live reference on board both are
-refused below BAT_EMPTY_V + {cell:g} V a cell, where no reference is accepted either; a measured 0 V says
-nothing.
-=======
-- **Tilt** must be within {tilt:g} deg.
+- **Tilt** must be within {tilt}.
 - **Rest** means that the vehicle has been slower than {speed:g} m/s for {rest:g} s and has measured g within
   {force:g} m/s^2.
 - **Poses' vertical**: arming is refused if the vertical of the poses differs from the accelerometer's by
-  over {askew:g} deg. Then the camera frame is not level, or the rigid body was defined on a slope.
+  over {askew}. Then the camera frame is not level, or the rigid body was defined on a slope.
 - **Reference**: arming needs no reference, but warns if there is none. A start needs a reference that is at
   rest at its ends.
 - **Battery**: with a live reference on board, arming and start are refused below BAT_EMPTY_V + {cell:g} V a
   cell. No reference is accepted below it either. A measured 0 V counts as no measurement.
->>>>>>> h-docs
 
 Parameters are consistent if all of these hold:
 
@@ -126,17 +117,6 @@ setpoint that does not command a height leaves the vehicle on the floor.
 | frame 7, 8 | velocity in NED or along the heading; no position |
 | SET_ATTITUDE_TARGET | thrust, as a share of 4 THRUST_MAX, with body rate or attitude (rates on top) |
 
-<<<<<<< HEAD
-Fields masked out or not finite are left out; what then makes no setpoint is refused, each reason told once.
-The reference never steps: every setpoint begins a polynomial in its present position, velocity, acceleration
-and jerk, at least {shortest:g} s long, within LIM_SPEED and OFFB_ACCEL. A stream of positions alone is
-followed about 0.3 s late. Positions end at the fence and OFFB_HEIGHT above the floor, velocities stop there.
-Where no such way is gentle and stays inside, it first takes out the acceleration, or stops and goes on.
-Rates stay within LIM_RATE_* and thrust above THRUST_FLOOR; no position is held then.
-
-A stop (hold, land, landing in place) brakes by LAND_DECEL, sideways and in height each in its own time; where
-it would lead through the fence or below OFFB_HEIGHT, it brakes up to twice as hard.
-=======
 Fields that are masked out or not finite are ignored. If the remaining fields form no setpoint, it is refused.
 Each reason is reported once.
 
@@ -144,13 +124,12 @@ The reference never steps. Every setpoint begins a polynomial in the present pos
 and jerk of the reference, at least {shortest:g} s long, within LIM_SPEED and OFFB_ACCEL. A stream of
 positions alone is followed about 0.3 s late.
 
-Positions end at the fence and {lowest:g} m above the floor; velocities stop there. If no such path is gentle
+Positions end at the fence and `OFFB_HEIGHT` above the floor; velocities stop there. If no such path is gentle
 and stays inside, the vehicle first reduces the acceleration to zero, or stops and then continues. Rates stay
 within LIM_RATE_* and thrust above THRUST_FLOOR; in that case, no position is held.
 
 A stop (hold, land, landing in place) brakes by LAND_DECEL, sideways and in height each in its own time. If it
-would lead through the fence or below {lowest:g} m, the vehicle brakes up to twice as hard.
->>>>>>> h-docs
+would lead through the fence or below `OFFB_HEIGHT`, the vehicle brakes up to twice as hard.
 """
 
 
