@@ -1,8 +1,9 @@
 """Search for the set of missing effects.
 
-The search takes forward steps, swaps and drops. Each is screened in a linearisation, then fitted. The search
-selects the smallest set that explains the flights. A `Fitter` fits the sets: to command-driven segments
-(`host.trace.segment_fit.fit`) or to whole flights in closed loop (`host.trace.flight_fit.fit`).
+The search adds, swaps and drops effects. It screens sets in a linearisation, then fits the promising ones. It
+selects the smallest set whose log evidence is close to the greatest. A `Fitter` fits the sets: to
+command-driven segments (`host.trace.segment_fit.fit`) or to whole flights in closed loop
+(`host.trace.flight_fit.fit`).
 """
 
 from __future__ import annotations
@@ -129,7 +130,7 @@ def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: N
         fits[promising] = fitter.fit(promising, selected)
         on_progress(f"{', '.join(promising)} fitted")
         selected, scores = _select(fitter, fits)
-    # An effect that no fit supports (within its tolerance, or at its bounds) is in no other set either.
+    # Drop all sets with an effect that no fit supports because it is within tolerance or at its bounds.
     supported = {name for names, fit in fits.items() if _is_supported(fitter, fit) for name in names}
     unsupported = {name for names in fits for name in names} - supported
     scores = {names: score for names, score in scores.items() if not unsupported & set(names)}

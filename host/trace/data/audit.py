@@ -71,13 +71,15 @@ def audit(data: FlightData) -> Audit:
     )
 
 
-def with_missing_twins(audits: Sequence[Audit], twins: Sequence[tuple[int, int]]) -> tuple[Audit, ...]:
-    """Return the audits with a finding for each flight without a twin; `twins` pair their indices."""
-    paired = {index for pair in twins for index in pair}
+def with_missing_repeats(
+    audits: Sequence[Audit], repeat_flights: Sequence[tuple[int, int]]
+) -> tuple[Audit, ...]:
+    """Return the audits with a finding for each flight without a twin; `repeat_flights` pair their indices."""
+    paired = {index for pair in repeat_flights for index in pair}
     return tuple(
         one
         if index in paired
-        else replace(one, findings=(*one.findings, Finding(code=Code.NO_TWIN, log=one.log)))
+        else replace(one, findings=(*one.findings, Finding(code=Code.NO_REPEAT, log=one.log)))
         for index, one in enumerate(audits)
     )
 

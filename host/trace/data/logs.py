@@ -21,7 +21,7 @@ class TraceData:
     """The flights of one trace, read once.
 
     flights: those that effects are looked for in; held_out: those that the answer is scored on; unknown: what
-    any of the logs declares unknown; drive: what all of them can be predicted from; twins: pairs of indices
+    any of the logs declares unknown; drive: what all of them can be predicted from; repeat_flights: pairs of indices
     into `flights` that repeat each other.
     """
 
@@ -30,7 +30,7 @@ class TraceData:
     held_out: tuple[FlightData, ...]
     unknown: frozenset[str]
     drive: Drive
-    twins: tuple[tuple[int, int], ...]
+    repeat_flights: tuple[tuple[int, int], ...]
 
 
 def read_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Vehicle | None) -> TraceData:
@@ -69,7 +69,7 @@ def read_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Ve
         held_out=tuple(by_id[flight.id] for flight in held_out),
         unknown=unknowns([*flights, *held_out]),
         drive=drive_of([*flights, *held_out]),
-        twins=tuple(twins_of(flights)),
+        repeat_flights=tuple(repeat_flights_of(flights)),
     )
 
 
@@ -94,7 +94,7 @@ def drive_of(flights: Sequence[Flight]) -> Drive:
     return "reference" if known else "inputs"
 
 
-def twins_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
+def repeat_flights_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
     """Pairs of indices of flights of the same reference under the same feed-forward and firmware parameters.
 
     A law that holds the vehicle closer repeats other errors of the model than one that does not.
@@ -106,10 +106,10 @@ def twins_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
     return [(a, b) for a, b in combinations(range(len(flights)), 2) if keys[a][0] and keys[a] == keys[b]]
 
 
-def strata_of(twins: Sequence[tuple[int, int]], count: int) -> list[list[int]]:
+def strata_of(repeat_flights: Sequence[tuple[int, int]], count: int) -> list[list[int]]:
     """Return indices of `count` flights, those of one reference together; all that have no twin together."""
     group = list(range(count))
-    for a, b in twins:
+    for a, b in repeat_flights:
         group[b] = min(group[a], group[b])
     found: dict[int, list[int]] = {}
     for flight, first in enumerate(group):

@@ -76,7 +76,7 @@ class Evidence:
     extent_m: float
 
     @property
-    def has_twins(self) -> bool:
+    def has_repeats(self) -> bool:
         """Whether a reference was flown twice."""
         return self.residual.pairs > 0
 
@@ -115,7 +115,7 @@ def decide(evidence: Evidence, rules: Rules = RULES) -> Decision:
     shortfall = tracking_shortfall(evidence.tracking_s, evidence.extent_m, rules)
     aliases = _aliases(evidence, shortfall is not None, rules)
     disagreements = [
-        *([] if evidence.has_twins else excess_disturbance(evidence, rules)),
+        *([] if evidence.has_repeats else excess_disturbance(evidence, rules)),
         *_disagreement(evidence, rules),
     ]
     verdict = _verdict(evidence, outside, aliases, disagreements, rules)
@@ -169,7 +169,7 @@ def _aliases(evidence: Evidence, too_little: bool, rules: Rules) -> dict[str, di
     aliases = aliases_of(evidence.selected, evidence.posterior_weights, evidence.space, rules)
     if too_little:
         aliases = with_undetectable(aliases, evidence.space, evidence.detectability, rules)
-    if evidence.by_segments or not evidence.has_twins:
+    if evidence.by_segments or not evidence.has_repeats:
         aliases = with_each_other(aliases, evidence.space, rules)
     return aliases
 

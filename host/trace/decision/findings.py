@@ -44,7 +44,7 @@ class Code(StrEnum):
     SOMETHING_MISSING = "something-missing"
     HIDDEN = "hidden"
     # Health of one log.
-    NO_TWIN = "no-twin"
+    NO_REPEAT = "no-twin"
     NO_INPUTS = "no-inputs"
     NO_REFERENCE = "no-reference"
     NO_GYRO = "no-gyro"

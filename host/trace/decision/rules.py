@@ -108,10 +108,10 @@ class Rules:
         1.5, "1", "Effects that make the repeatable position error this many times larger are rejected."
     )
     worsened_m: float = _rule(0.01, "m", "The same: and larger than this.")
-    twin_shift_s: float = _rule(
+    repeat_shift_s: float = _rule(
         1.0, "s", "Twins shifted by more than this have nothing in common but by chance."
     )
-    twin_min_s: float = _rule(3.0, "s", "Shortest common time of two twins that is compared.")
+    repeat_min_s: float = _rule(3.0, "s", "Shortest common time of two repeat_flights that is compared.")
     excess_force_m_s2: float = _rule(
         0.5, "m/s^2", "Disturbance force above which it is more than indoor turbulence, if no twin tells."
     )

@@ -281,7 +281,7 @@ def build_residual(
     pairs: int = 1,
     flights: FlightRepeat | None = None,
 ) -> UnexplainedResidual:
-    """Return the residual of one pair of twins; by default nothing is unexplained."""
+    """Return the residual of one pair of repeat flights; by default nothing is unexplained."""
     return UnexplainedResidual(
         force=force or build_channel(), torque=torque or build_channel(), pairs=pairs, flights=flights
     )
@@ -292,7 +292,7 @@ LIBRARY = build_space("drag", "gain", "wind", "lag", "sag")
 
 
 def build_evidence(selected: Names = (), **changes: Any) -> Evidence:
-    """Return evidence for exactly the effects `selected` from long twin flights, but for `changes`."""
+    """Return evidence for exactly the effects `selected` from long repeat flights, but for `changes`."""
     clear: dict[str, Any] = {
         "space": LIBRARY,
         "null_probability": 0.0 if selected else 1.0,

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight
 from trimtab.host.trace import words
 from trimtab.host.trace.answer import audit_json
-from trimtab.host.trace.data.audit import Stretch, audit, with_missing_twins
+from trimtab.host.trace.data.audit import Stretch, audit, with_missing_repeats
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.findings import Code, Finding
@@ -239,9 +239,9 @@ def test_a_flight_without_inputs_says_so(flight: Flight) -> None:
     assert {Code.NO_INPUTS, Code.NO_GYRO} <= codes(findings)
 
 
-def test_a_flight_without_a_twin_says_so(flight: Flight) -> None:
-    found = with_missing_twins([audit(FlightData.of(flight))] * 3, [(0, 2)])
-    assert [codes(one.findings) for one in found] == [set(), {Code.NO_TWIN}, set()]
+def test_a_flight_without_a_repeat_says_so(flight: Flight) -> None:
+    found = with_missing_repeats([audit(FlightData.of(flight))] * 3, [(0, 2)])
+    assert [codes(one.findings) for one in found] == [set(), {Code.NO_REPEAT}, set()]
 
 
 def test_the_audit_of_a_flight_tells_machines_the_same(flight: Flight) -> None:

@@ -166,10 +166,12 @@ def test_a_held_quadratic_is_least_where_a_search_inside_the_bounds_finds() -> N
             return float((at - step) @ normal @ (at - step))
 
         best = minimize(rise, np.zeros(3), bounds=list(zip(lower, upper, strict=True)), tol=1e-14)
-        held = evidence.held(normal, step, lower, upper)
+        held = evidence.minimise_in_box(normal, step, lower, upper)
         assert np.all((held >= lower) & (held <= upper))
         assert rise(held) == pytest.approx(best.fun, abs=1e-6)
-    assert np.array_equal(evidence.held(np.eye(2), np.ones(2), -np.ones(2), 2.0 * np.ones(2)), np.ones(2))
+    assert np.array_equal(
+        evidence.minimise_in_box(np.eye(2), np.ones(2), -np.ones(2), 2.0 * np.ones(2)), np.ones(2)
+    )
 
 
 def test_a_step_that_meets_a_bound_is_made_up_for_by_the_others() -> None:

@@ -43,7 +43,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     },
     "flight_fit/loop.py": {
         "STABLE": "stability limit of RK4 along the real axis",
-        "_Z_STEP": "step of the difference quotients",
+        "_THETA_STEP": "step of the difference quotients",
     },
     "flight_fit/recording.py": {
         "SAMPLE_S": "step of the roll-out",
@@ -51,7 +51,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "LEAD_S": "time in which the start's own errors die away",
     },
     "flight_fit/repeatability.py": {
-        "_EVERY": "grid step of the shifts that the variance is estimated from",
+        "_SHIFT_STEP": "grid step of the shifts that the variance is estimated from",
     },
     "flight_fit/whitening.py": {
         "CHANNELS": "size of a bin's residual",
@@ -70,10 +70,10 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "_ROLL_OUT_STEP_S": "step of the roll-out",
     },
     "residual/closed_forms.py": {
-        "_EACH": "every so many rows are fitted",
+        "_ROW_STEP": "step between the rows that are fitted",
     },
     "residual/description.py": {
-        "_FEWEST": "fewest samples in a cell of the drawn grid",
+        "_MIN_CELL_BINS": "fewest samples in a cell of the drawn grid",
         "_CELLS": "number of cells along the drawn grid's longest side",
     },
     "residual/features.py": {

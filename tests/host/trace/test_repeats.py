@@ -1,4 +1,4 @@
-"""What of whole flights repeats between twins, against noise that does not."""
+"""Repeatability of whole flights: physics repeats between repeat flights, noise does not."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from trimtab.host.trace.residual.unexplained import (
 )
 
 BINS = 290
-TWINS = [(0, 1), (2, 3), (4, 5), (6, 7)]
+REPEAT_FLIGHTS = [(0, 1), (2, 3), (4, 5), (6, 7)]
 
 
 class Left:
@@ -47,7 +47,7 @@ def coloured(rng: np.random.Generator, bins: int) -> np.ndarray:
 
 
 def found(left: Left) -> FlightRepeat:
-    result = repeatability_of(cast(Loop, left), np.zeros(1), 2, TWINS)
+    result = repeatability_of(cast(Loop, left), np.zeros(1), 2, REPEAT_FLIGHTS)
     assert result is not None
     return result
 
@@ -67,13 +67,13 @@ def test_what_the_world_adds_to_both_is_found_with_its_power(physics: float):
     assert result.position_m > 0.0
 
 
-def test_twins_of_different_length_are_compared_as_far_as_both_go():
+def test_repeat_flights_of_different_length_are_compared_as_far_as_both_go():
     assert found(Left(3, 1.0, (BINS, 200) * 4)).share == pytest.approx(1.0, rel=0.4)
 
 
-def test_without_twins_or_with_moments_of_them_nothing_is_said():
+def test_without_repeats_or_with_moments_of_them_nothing_is_said():
     assert repeatability_of(cast(Loop, Left(0)), np.zeros(1), 2, []) is None
-    assert repeatability_of(cast(Loop, Left(0, bins=(70, 70) * 4)), np.zeros(1), 2, TWINS) is None
+    assert repeatability_of(cast(Loop, Left(0, bins=(70, 70) * 4)), np.zeros(1), 2, REPEAT_FLIGHTS) is None
 
 
 def test_whole_flights_overrule_what_segments_see_in_both_directions():

@@ -1,4 +1,4 @@
-"""Which noise the sizes of effects are weighed by: twins' differences, or all that is left."""
+"""Whitening of the weighted fit: by differences of repeat flights, else by the whole residual."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from trimtab.host.trace.flight_fit.repeatability import in_turbulence, turbulenc
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
 
 LONG = 200
-TWINS = [(0, 1)]
+REPEAT_FLIGHTS = [(0, 1)]
 FIT = build_closed_fit(
     ("drag",),
     log_evidence=12.0,
@@ -76,21 +76,26 @@ def is_tempered(fit: FlightFit) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("bins", "twins", "compared"),
+    ("bins", "repeat_flights", "compared"),
     [
-        pytest.param((LONG, LONG), [], False, id="no-twins"),
-        pytest.param((LONG, LONG), TWINS, True, id="twins"),
+        pytest.param((LONG, LONG), [], False, id="no-repeats"),
+        pytest.param((LONG, LONG), REPEAT_FLIGHTS, True, id="repeat_flights"),
         pytest.param(
-            (round(RULES.twin_min_s / FLIGHT_BIN_S) - 1, LONG), TWINS, False, id="one-just-too-short"
+            (round(RULES.repeat_min_s / FLIGHT_BIN_S) - 1, LONG),
+            REPEAT_FLIGHTS,
+            False,
+            id="one-just-too-short",
         ),
-        pytest.param((round(RULES.twin_min_s / FLIGHT_BIN_S), LONG), TWINS, True, id="one-just-long-enough"),
+        pytest.param(
+            (round(RULES.repeat_min_s / FLIGHT_BIN_S), LONG), REPEAT_FLIGHTS, True, id="one-just-long-enough"
+        ),
         pytest.param((LONG, LONG, 10), [(0, 1), (0, 2)], True, id="one-pair-of-two-long-enough"),
     ],
 )
-def test_in_turbulence_fits_once_more_where_twins_are_long_enough(
-    bins: tuple[int, ...], twins: list[tuple[int, int]], compared: bool, whitenings: list[Whitening]
+def test_in_turbulence_fits_once_more_where_repeat_flights_are_long_enough(
+    bins: tuple[int, ...], repeat_flights: list[tuple[int, int]], compared: bool, whitenings: list[Whitening]
 ) -> None:
-    found = in_turbulence(loop_of(bins), FIT, 1, twins)
+    found = in_turbulence(loop_of(bins), FIT, 1, repeat_flights)
     assert len(whitenings) == compared
     if not compared:
         assert is_tempered(found)
@@ -105,17 +110,17 @@ def test_in_turbulence_fits_once_more_where_twins_are_long_enough(
     assert (found.effects, found.log_evidence) == (FIT.effects, FIT.log_evidence)
 
 
-def test_in_turbulence_counts_only_bins_known_in_both_twins(whitenings: list[Whitening]) -> None:
+def test_in_turbulence_counts_only_bins_known_in_both_repeat_flights(whitenings: list[Whitening]) -> None:
     loop = ResidualsOnly()
     loop.known[0][: LONG // 2] = False
     loop.known[1][LONG // 2 :] = False
-    assert is_tempered(in_turbulence(cast(Loop, loop), FIT, 1, TWINS))
+    assert is_tempered(in_turbulence(cast(Loop, loop), FIT, 1, REPEAT_FLIGHTS))
     assert whitenings == []
 
 
-def test_in_turbulence_whitens_by_what_twins_differ_in(whitenings: list[Whitening]) -> None:
+def test_in_turbulence_whitens_by_what_repeat_flights_differ_in(whitenings: list[Whitening]) -> None:
     for physics in (0.0, 5.0):
-        in_turbulence(loop_of(physics=physics), FIT, 1, TWINS)
+        in_turbulence(loop_of(physics=physics), FIT, 1, REPEAT_FLIGHTS)
     calm, moved = whitenings
     np.testing.assert_allclose(moved.coefficients, calm.coefficients, atol=1e-9)
     np.testing.assert_allclose(moved.innovation, calm.innovation, atol=1e-9)
@@ -123,8 +128,8 @@ def test_in_turbulence_whitens_by_what_twins_differ_in(whitenings: list[Whitenin
     assert np.diag(calm.innovation).mean() == pytest.approx(1.0, abs=0.2)
 
 
-def test_turbulence_takes_an_order_that_the_twins_can_pay_for() -> None:
-    white = turbulence(loop_of(), FIT.theta_scaled, 4, TWINS)
+def test_turbulence_takes_an_order_that_the_repeat_flights_can_pay_for() -> None:
+    white = turbulence(loop_of(), FIT.theta_scaled, 4, REPEAT_FLIGHTS)
     assert white is not None
     assert white.order == 1
     assert turbulence(loop_of(), FIT.theta_scaled, 1, []) is None

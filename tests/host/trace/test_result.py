@@ -48,7 +48,7 @@ def test_hidden_without_findings_is_empty_whatever_the_detectability() -> None:
 def test_all_findings_are_those_of_the_flights_then_exact_aliases_then_those_of_each_log() -> None:
     whole = Finding(code=Code.HOVER_ONLY, value=0.1)
     exact = Finding(code=Code.EXACT_ALIAS, value=0.9, subject=("drag", "mass"), details={"sd": 0.01})
-    logged = [Finding(code=code, log=log) for log, code in (("a", Code.NO_TWIN), ("b", Code.NO_GYRO))]
+    logged = [Finding(code=code, log=log) for log, code in (("a", Code.NO_REPEAT), ("b", Code.NO_GYRO))]
     audits = tuple(
         Audit(log=each.log or "", rates=(), largest_gap_s=0.0, stretches=(), findings=(each,))
         for each in logged

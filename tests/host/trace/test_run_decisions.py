@@ -265,7 +265,7 @@ def without_faults(
     left: FlightRepeat | None,
 ) -> tuple[SearchResult[FlightFit], KnownLoopFitter]:
     """Return the search result where whole flights repeat by `left`, and the fitter that was used."""
-    monkeypatch.setattr(selection, "repeatability_of", lambda loop, theta_scaled, order, twins: left)
+    monkeypatch.setattr(selection, "repeatability_of", lambda loop, theta_scaled, order, repeat_flights: left)
     fitter = KnownLoopFitter(SWINGING)
     return without_form_faults(found, cast(FlightFitter, fitter), [(0, 1)]), fitter
 
@@ -283,8 +283,8 @@ NOT_SURE = build_flight_repeat(share=10.0, z_score=2.9, size=1000)
 @pytest.mark.parametrize(
     ("gap", "left", "reduced"),
     [
-        pytest.param(TIE_NATS * BELOW, None, True, id="no-twins-just-within"),
-        pytest.param(TIE_NATS * ABOVE, None, False, id="no-twins-just-beyond"),
+        pytest.param(TIE_NATS * BELOW, None, True, id="no-repeats-just-within"),
+        pytest.param(TIE_NATS * ABOVE, None, False, id="no-repeats-just-beyond"),
         pytest.param(TIE_NATS * ABOVE, NOT_SURE, False, id="repeats-by-chance"),
         pytest.param(TIE_NATS * BELOW, nats(1.0), True, id="repeats-a-little-just-within"),
         pytest.param(TIE_NATS * ABOVE, nats(1.0), False, id="repeats-a-little-just-beyond"),
@@ -501,9 +501,9 @@ ASKED = {"drag": 1.5}
 def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """Return a function that gathers the evidence of a diagnosis whose residuals are known without a fit."""
 
-    def residual(w: str, data: Any, twins: Sequence[Any], *, axial: bool) -> UnexplainedResidual:
+    def residual(w: str, data: Any, repeat_flights: Sequence[Any], *, axial: bool) -> UnexplainedResidual:
         lines = {"selected": 1.0, "nothing": 2.0}
-        return build_residual(force=build_channel(repeat=lines[w] + 10.0 * axial), pairs=len(twins))
+        return build_residual(force=build_channel(repeat=lines[w] + 10.0 * axial), pairs=len(repeat_flights))
 
     monkeypatch.setattr(gathering, "unexplained_residual", residual)
     monkeypatch.setattr(gathering, "_remainder", lambda segment_model, diagnosis: ("selected", None))
@@ -515,7 +515,7 @@ def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
         selected: Names = ("drag",),
         *,
         method: Method = "closed-loop",
-        twins: Sequence[tuple[int, int]] = (),
+        repeat_flights: Sequence[tuple[int, int]] = (),
         unknown: frozenset[str] = frozenset(),
         best: SegmentFit | None = None,
     ) -> Any:
@@ -529,33 +529,33 @@ def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             repeatability=(AFTER, BEFORE),
         )
         segment_model = cast(SegmentModel, SimpleNamespace(space=LIBRARY))
-        return gather_evidence(segment_model, diagnosis, twins, unknown, 12.0, 1.5)
+        return gather_evidence(segment_model, diagnosis, repeat_flights, unknown, 12.0, 1.5)
 
     return gather
 
 
 @pytest.mark.parametrize(
-    ("selected", "method", "twins", "asked"),
+    ("selected", "method", "repeat_flights", "asked"),
     [
-        pytest.param(("drag",), "closed-loop", [], True, id="closed-loop-without-twins"),
-        pytest.param(("drag",), "closed-loop", [(0, 1)], False, id="closed-loop-with-twins"),
-        pytest.param(("drag",), "segments", [], False, id="segments-without-twins"),
-        pytest.param(("drag",), "segments", [(0, 1)], False, id="segments-with-twins"),
+        pytest.param(("drag",), "closed-loop", [], True, id="closed-loop-without-repeats"),
+        pytest.param(("drag",), "closed-loop", [(0, 1)], False, id="closed-loop-with-repeats"),
+        pytest.param(("drag",), "segments", [], False, id="segments-without-repeats"),
+        pytest.param(("drag",), "segments", [(0, 1)], False, id="segments-with-repeats"),
         pytest.param((), "closed-loop", [], False, id="nothing-selected"),
     ],
 )
-def test_evidence_asks_segments_only_beside_the_closed_loop_without_twins(
-    evidence_of: Any, selected: Names, method: Method, twins: Any, asked: bool
+def test_evidence_asks_segments_only_beside_the_closed_loop_without_repeats(
+    evidence_of: Any, selected: Names, method: Method, repeat_flights: Any, asked: bool
 ) -> None:
-    found = evidence_of(selected, method=method, twins=twins)
+    found = evidence_of(selected, method=method, repeat_flights=repeat_flights)
     assert found.segment_disagreement_nats == (ASKED if asked else {})
     assert found.by_segments == (method == "segments")
-    assert found.has_twins == bool(twins)
+    assert found.has_repeats == bool(repeat_flights)
 
 
 def test_evidence_holds_the_diagnosis_and_what_both_models_leave(evidence_of: Any) -> None:
     best = build_fit(("drag",), lateral=0.2, axial=0.3, angular=0.4)
-    found = evidence_of(("drag",), twins=[(0, 1), (2, 3)], best=best)
+    found = evidence_of(("drag",), repeat_flights=[(0, 1), (2, 3)], best=best)
     assert found.selected == ("drag",)
     assert found.null_probability == 0.0
     assert found.posterior_weights == {("drag",): 3.0, ("gain",): 1.0}

@@ -73,6 +73,6 @@ def test_a_held_out_flight_too_short_to_predict_is_refused_by_name(tmp_path: Pat
         predict_segments([FlightData.of(long), FlightData.of(short)], form, np.zeros(len(form.space.columns)))
 
 
-def test_noise_floor_without_twins_is_unknown(tmp_path: Path) -> None:
+def test_noise_floor_without_repeats_is_unknown(tmp_path: Path) -> None:
     floor = noise_floor(read_logs([flight(tmp_path / "a.mcap")], [], None), None, {})
     assert floor == {"position_rmse_m": None, "velocity_rmse_m_s": None}

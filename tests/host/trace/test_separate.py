@@ -222,14 +222,16 @@ def test_next_flight_says_so_where_no_manoeuvre_decides() -> None:
     )
     assert not best.decides
     assert words.next_flight(best) == (
-        "no known route tells frame-tilt from wind: with the best, low (plan it with --time-s 14.0), they "
-        "are 2.1 sigma apart, 4.2 are needed; fly once more without wind, or level the camera system"
+        "no known route separates frame-tilt from wind well enough: the best one, low (plan it with --time-s "
+        "14.0), separates them by 2.1 sigma, but 4.2 sigma are needed; fly once more without wind, or level "
+        "the camera system"
     )
     enough = replace(best, expected_sigma=RULES.detectable_sigma, total_time_s=None)
     assert enough.decides
     assert enough.measurement is None
     assert words.next_flight(enough) == (
-        "fly low next and trace with it added: frame-tilt and wind are then 4.2 sigma apart, 0.5 so far"
+        "fly low next and trace all flights together: this separates frame-tilt and wind by 4.2 sigma, now "
+        "0.5 sigma"
     )
     assert enough.to_json()["decides"] is True
 

@@ -66,8 +66,8 @@ def is_honest(found: Trace, present: set[str]) -> bool:
 @pytest.mark.parametrize(
     ("change", "code"),
     [
-        (lambda f: f, Code.NO_TWIN),
-        (without_law, Code.NO_TWIN),
+        (lambda f: f, Code.NO_REPEAT),
+        (without_law, Code.NO_REPEAT),
         (lambda f: short(f, 3.12), Code.TRACKING_TOO_SHORT),
         (sampled, Code.SAMPLED_COMMANDS),
         (lambda f: sampled(f, every=5), Code.SLOW_COMMANDS),

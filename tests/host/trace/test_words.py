@@ -95,7 +95,7 @@ EXAMPLES: dict[Code, tuple[Finding, list[str]]] = {
         (Finding(code=Code.POSSIBLE, value=0.321, bound=0.05, subject=("sag",)), ["sag", "0.32"]),
         (Finding(code=Code.SOMETHING_MISSING, value=0.987, bound=0.5), ["0.99"]),
         (Finding(code=Code.HIDDEN, value=1.2, bound=4.2, unit="sigma", subject=("lag",)), ["lag"]),
-        (Finding(code=Code.NO_TWIN, log="a"), ["twin", "reference"]),
+        (Finding(code=Code.NO_REPEAT, log="a"), ["no repeat flight", "reference"]),
         (Finding(code=Code.NO_INPUTS, log="a"), ["no inputs"]),
         (Finding(code=Code.NO_REFERENCE, log="a"), ["no reference"]),
         (Finding(code=Code.NO_GYRO, log="a"), ["no gyro"]),
@@ -216,17 +216,17 @@ def audit_of(log: str, *codes: Code, stretches: int = 0, left_out: int = 0) -> A
 
 def test_audit_lines_tell_stretches_by_log_and_each_remark_once() -> None:
     audits = [
-        audit_of("a", Code.NO_TWIN, stretches=1),
-        audit_of("b", Code.NO_TWIN, Code.NO_GYRO, stretches=7),
-        audit_of("c", Code.NO_TWIN),
+        audit_of("a", Code.NO_REPEAT, stretches=1),
+        audit_of("b", Code.NO_REPEAT, Code.NO_GYRO, stretches=7),
+        audit_of("c", Code.NO_REPEAT),
     ]
-    first, second, twin, gyro = words.audit_lines(audits)
+    first, second, no_repeat, gyro = words.audit_lines(audits)
     assert first.startswith("a: not used from 0.00 to 0.50 s: an impact")
     assert "more" not in first
     assert second.startswith("b: ")
     assert second.count("an impact") == 5
     assert second.endswith("and 2 more")
-    assert twin == f"a and 2 more: {sentence(EXAMPLES[Code.NO_TWIN][0])}"
+    assert no_repeat == f"a and 2 more: {sentence(EXAMPLES[Code.NO_REPEAT][0])}"
     assert gyro == f"b: {sentence(EXAMPLES[Code.NO_GYRO][0])}"
     assert words.audit_lines([audit_of("c")]) == []
 
@@ -249,10 +249,10 @@ def test_refusals_name_the_log_and_what_it_lacks() -> None:
 @pytest.mark.parametrize(
     ("decides", "total_time_s", "mentioned"),
     [
-        pytest.param(True, None, ["helix", "drag and lag", "6.1 sigma", "2.4 so far"], id="decides"),
+        pytest.param(True, None, ["helix", "drag and lag", "6.1 sigma", "now 2.4"], id="decides"),
         pytest.param(True, 12.34, ["(plan it with --time-s 12.3)"], id="with-a-time"),
         pytest.param(
-            False, None, ["no known route", "drag from lag", "6.1 sigma", "4.2 are needed"], id="not"
+            False, None, ["no known route", "drag from lag", "6.1 sigma", "4.2 sigma are needed"], id="not"
         ),
         pytest.param(False, None, ["; weigh it"], id="another-measurement"),
     ],
@@ -340,17 +340,17 @@ def test_result_lines_hold_the_findings_in_groups() -> None:
         verdict=Verdict.UNDECIDED,
         findings=tuple(EXAMPLES[code][0] for code in told),
         possible={"gain": 0.321},
-        audits=(audit_of("a", Code.NO_TWIN),),
+        audits=(audit_of("a", Code.NO_REPEAT),),
     )
     lines = words.result_lines(result)
     assert lines[0] == "verdict: undecided"
     assert lines[1] == "  not excluded: gain (0.32)"
     assert lines[2] == f"  {sentence(EXAMPLES[Code.SOMETHING_MISSING][0])}"
     assert lines[3] == f"  {sentence(EXAMPLES[Code.HOVER_ONLY][0])}"
-    assert lines[4] == "  of typical size, these flights would not show: lag"
+    assert lines[4] == "  these flights would not show, at typical size: lag"
     assert lines[5] == f"  {sentence(EXAMPLES[Code.FORCE_RINGS][0])}"
     assert "no flight held out" in lines[6]
-    assert lines[7:] == [f"data: a: {sentence(EXAMPLES[Code.NO_TWIN][0])}"]
+    assert lines[7:] == [f"data: a: {sentence(EXAMPLES[Code.NO_REPEAT][0])}"]
 
 
 def test_verdict_of_an_undecided_trace_that_names_nothing_says_so() -> None:
@@ -369,4 +369,4 @@ def test_result_lines_of_an_effect_hold_its_alternatives_and_the_exact_alias_by_
     assert "or drag (0.26)" in lines[1]
     assert "or mass" not in lines[1]
     assert lines[2] == f"    {words.exact_alias(observed)}"
-    assert "only thrust over mass shows: 0.9314 +- 0.0050" in lines[2]
+    assert "flights show only thrust over mass: 0.9314 +- 0.0050" in lines[2]

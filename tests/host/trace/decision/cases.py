@@ -45,7 +45,7 @@ def verdict(selected: Names = (), **changes: Any) -> Verdict:
 REPEATING = build_residual(force=build_channel(repeat=1.0, z_score=10.0))
 RINGING = build_residual(torque=build_channel(line=SpectralLine(ratio=20.0, hz=1.0, chance=0.0, rms=5.0)))
 ALONE = build_residual(pairs=0)
-"""The residual of flights without twins: nothing is unexplained."""
+"""The residual of flights without repeat flights: nothing is unexplained."""
 SHAKEN = (2.0,) * 3 + (0.01,) * 3
 """Standard deviations of a disturbance whose force is far beyond turbulence."""
 SHORT = {"tracking_s": RULES.flight_fit_min_s * BELOW}

@@ -100,7 +100,7 @@ def test_excess_disturbance_holds_how_much_is_left(
 
 @pytest.mark.parametrize("by_segments", [False, True])
 @pytest.mark.parametrize(("pairs", "applied"), [(0, True), (1, False), (3, False)])
-def test_excess_disturbance_counts_only_without_twins(pairs: int, applied: bool, by_segments: bool) -> None:
+def test_excess_disturbance_counts_only_without_repeats(pairs: int, applied: bool, by_segments: bool) -> None:
     changes: dict[str, Any] = {"disturbance_sigma": SHAKEN, "by_segments": by_segments}
     decision = decide(build_evidence(("drag",), residual=build_residual(pairs=pairs), **changes))
     assert codes_of(decision.findings) == ([Code.EXCESS_FORCE] if applied else [])

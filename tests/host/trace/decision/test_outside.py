@@ -61,7 +61,7 @@ def test_shortfall_alone_does_not_make_the_verdict_undecided(
     ("changes", "extended"),
     [
         pytest.param({}, False, id="enough"),
-        pytest.param({"residual": ALONE}, False, id="enough-without-twins"),
+        pytest.param({"residual": ALONE}, False, id="enough-without-repeats"),
         pytest.param({"by_segments": True}, False, id="enough-by-segments"),
         pytest.param({"tracking_s": RULES.flight_fit_min_s}, False, id="long-enough"),
         pytest.param({"extent_m": RULES.hover_extent_m}, False, id="wide-enough"),
@@ -88,14 +88,14 @@ def test_aliases_that_would_show_and_effects_that_are_no_aliases_are_left_out_of
 @pytest.mark.parametrize(
     ("changes", "extended"),
     [
-        pytest.param({}, False, id="closed-loop-with-twins"),
-        pytest.param({"residual": ALONE}, True, id="closed-loop-without-twins"),
-        pytest.param({"by_segments": True}, True, id="segments-with-twins"),
-        pytest.param({"by_segments": True, "residual": ALONE}, True, id="segments-without-twins"),
-        pytest.param(SHORT, False, id="short-with-twins"),
+        pytest.param({}, False, id="closed-loop-with-repeats"),
+        pytest.param({"residual": ALONE}, True, id="closed-loop-without-repeats"),
+        pytest.param({"by_segments": True}, True, id="segments-with-repeats"),
+        pytest.param({"by_segments": True, "residual": ALONE}, True, id="segments-without-repeats"),
+        pytest.param(SHORT, False, id="short-with-repeats"),
     ],
 )
-def test_selected_effects_are_aliases_of_each_other_only_by_segments_or_without_twins(
+def test_selected_effects_are_aliases_of_each_other_only_by_segments_or_without_repeats(
     changes: dict[str, Any], extended: bool
 ) -> None:
     decision = decide(build_evidence(("drag", "lift"), space=RELATED, **changes))

@@ -51,8 +51,8 @@ EXPECTED: Mapping[str, float] = {
     "flight_form_amplitude": 0.2,
     "worsened_ratio": 1.5,
     "worsened_m": 0.01,
-    "twin_shift_s": 1.0,
-    "twin_min_s": 3.0,
+    "repeat_shift_s": 1.0,
+    "repeat_min_s": 3.0,
     "excess_force_m_s2": 0.5,
     "excess_torque_rad_s2": 3.0,
     # Uncertainty.

@@ -1,4 +1,4 @@
-"""Abstention: repeatable leftovers and ringing ones stand out, noise and driven frequencies do not."""
+"""Unexplained residual: repeatable and ringing parts stand out; noise and flown frequencies do not."""
 
 from __future__ import annotations
 
@@ -165,9 +165,9 @@ def test_residual_of_a_torque_rings_where_the_vehicle_was_not_made_to_turn(
 
 def test_what_repeats_beside_a_much_greater_force_that_was_explained_is_no_reason() -> None:
     w, greater = noise(1), noise(2)
-    twin = np.tile(np.random.default_rng(3).normal(size=(SEGMENTS, BINS, 3)), (FLIGHTS, 1, 1))
-    w[:, :, :3] += 0.06 * twin
-    greater[:, :, :3] += 1.5 * twin
+    repeated = np.tile(np.random.default_rng(3).normal(size=(SEGMENTS, BINS, 3)), (FLIGHTS, 1, 1))
+    w[:, :, :3] += 0.06 * repeated
+    greater[:, :, :3] += 1.5 * repeated
     found = unexplained_residual(w, data(), PAIRS)
     assert codes(found)
     assert codes_beside(found, unexplained_residual(greater, data(), PAIRS)) == []
@@ -186,7 +186,7 @@ def test_effects_with_which_more_of_the_position_repeats_explain_nothing(
     assert codes_beside(one, nothing) == ([Code.FLIGHTS_WORSENED] if speaks else [])
 
 
-def test_residual_without_twins_says_so() -> None:
+def test_residual_without_repeats_says_so() -> None:
     found = unexplained_residual(noise(0), data(), [])
     assert found.pairs == 0
     assert found.force.z_score == 0.0
