@@ -163,7 +163,7 @@ def _squares(x: np.ndarray) -> np.ndarray:
 def _bumps(p: np.ndarray) -> np.ndarray:
     """Return Gaussians (n, k) of positions p (n, 3) around centres that are as far apart as possible.
 
-    The standard deviation is the distance between neighbouring centres, but at least 0.1 m.
+    The standard deviation is about the spacing of the centres, but at least 0.1 m.
     """
     centres = [int(np.linalg.norm(p - p.mean(0), axis=1).argmin())]
     distance = np.full(len(p), np.inf)
@@ -176,7 +176,7 @@ def _bumps(p: np.ndarray) -> np.ndarray:
 
 
 def constant_columns(bins: Bins, world: bool) -> np.ndarray:
-    """Return columns (n, 3, k), FRD, of disturbances that are constant in body axes and, if `world`, in NED."""
+    """Return columns (n, 3, k), FRD, of disturbances constant in body axes and, if `world`, in NED."""
     ones = np.ones((len(bins.w), 1))
     body = columns_of(ones, None)
     return np.concatenate([body, columns_of(ones, bins.R)], axis=2) if world else body

@@ -15,7 +15,7 @@ from trimtab.host.models.model import Model
 from trimtab.host.trace.residual.description import Description
 
 SETTINGS = {"hidden": (16,), "epochs": 40, "patience": 20}
-"""Smaller and shorter than the defaults of `trimtab learn`: training takes about ten seconds for four flights."""
+"""Smaller than the defaults of `trimtab learn`, so that training takes about 10 s for four flights."""
 
 DIRECTED = ("position", "time", "attitude", "constant")
 """Groups whose force has a direction in the world. Flights then must not be rotated to other headings."""
@@ -44,7 +44,7 @@ def unexplained(
     model: Model,
     effects: Mapping[str, Effect],
     description: Description,
-    report: Callable[[str], None] = lambda _: None,
+    on_progress: Callable[[str], None] = lambda _: None,
 ) -> Unexplained | None:
     """Train a network on the residual of `model` and judge it on held-out flights.
 
@@ -60,7 +60,7 @@ def unexplained(
         Effects of that model by name.
     description
         Description of the residual. It decides whether training may rotate flights to other headings.
-    report
+    on_progress
         Called with a text after each epoch.
     """
     if not held_out:
@@ -76,7 +76,7 @@ def unexplained(
             settings=settings,
             as_asked=True,
             provenance=model.provenance,
-            on_epoch=lambda epoch, _: report(f"network: epoch {epoch} of at most {epochs}"),
+            on_epoch=lambda epoch, _: on_progress(f"network: epoch {epoch} of at most {epochs}"),
         )
     except TooLittleData:
         return None

@@ -106,7 +106,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "TURN_STEPS": "steps of the difference quotient for a body rate",
         "_LOCAL_STEP": "step of the difference quotients",
         "_BIN_STEP": "step of the difference quotients",
-        "_Z_STEP": "step of the difference quotients",
+        "_THETA_STEP": "step of the difference quotients",
     },
     "segment_fit/model.py": {
         "STATES": "size of the state",

@@ -100,7 +100,7 @@ def test_less_than_three_seconds_are_refused_with_what_to_do() -> None:
 def test_flights_of_two_vehicles_are_refused() -> None:
     one, other = (read_flight(DATA / f"{name}.mcap") for name in ("a1", "b1"))
     heavier = replace(other, vehicle=other.vehicle.model_copy(update={"mass_kg": 0.8}))
-    with pytest.raises(LogsRefused, match="trace each vehicle's logs apart") as refusal:
+    with pytest.raises(LogsRefused, match="trace each vehicle's logs separately") as refusal:
         run([one, heavier], [], load_effects())
     assert refusal.value.details == {"code": Code.MIXED_VEHICLES}
 

@@ -1,4 +1,4 @@
-"""The network on what is left: judged on held-out flights, over the model that is kept."""
+"""The network on the unexplained residual: it is judged on held-out flights, added to the traced model."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from trimtab.host.trace.residual.network import unexplained
 DATA = Path(__file__).parents[2] / "data"
 
 
-def test_a_network_takes_what_is_left_and_names_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_network_on_the_residual_predicts_and_names_no_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "SETTINGS", {"hidden": (4,), "epochs": 12, "patience": 12})
     flights = [read_flight(DATA / f"{name}.mcap") for name in ("a1", "a2")]
     held_out = [read_flight(DATA / "b1.mcap")]
@@ -38,7 +38,7 @@ def test_a_network_takes_what_is_left_and_names_nothing(monkeypatch: pytest.Monk
     assert found.after != found.before
     assert "names no cause" in words.network(found)
     assert found.to_json("x.model.toml")["model"] == "x.model.toml"
-    assert said[-1] == "network on what is left, 12 of at most 12 epochs"
+    assert said[-1] == "network: epoch 12 of at most 12"
     monkeypatch.setattr(module, "SETTINGS", {"hidden": (1,), "epochs": 1, "rate": 1e-12})
     found = unexplained(flights, held_out, model, load_effects(), told)
     assert found is not None
