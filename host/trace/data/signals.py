@@ -160,7 +160,7 @@ def _rotor_thrusts(vehicle: Vehicle, thrust_n: np.ndarray, torque: np.ndarray) -
 
 
 def nominal_thrust(vehicle: Vehicle, command: np.ndarray, *, in_newton: bool) -> np.ndarray:
-    """Return the rotor thrust in N of commands, before the motor lag; commands in N are returned unchanged."""
+    """Return the rotor thrust in N of commands before the motor lag; commands in N stay as they are."""
     c1, c2 = vehicle.thrust_curve
     return command if in_newton else vehicle.thrust_max_n * command * (c1 + c2 * command)
 

@@ -1,4 +1,4 @@
-"""What is true of one effect stands in its file only, and a user's own effect may say all that a shipped one
+"""Facts about one effect are only in its file, and an effect of a workspace may state all that a shipped one
 does.
 """
 
@@ -277,7 +277,7 @@ def told(observed: dict[str, ObservedAlias]) -> dict[str, str]:
     ("name", "other", "shows", "remedy"),
     [
         ("thrust-share", "ballast", "push over weight", "put the vehicle on a scale"),
-        ("thrust-gain", "mass", "thrust over mass", "weigh the vehicle to tell mass from thrust"),
+        ("thrust-gain", "mass", "thrust over mass", "weigh the vehicle to distinguish mass from thrust"),
     ],
 )
 def test_exact_alias_is_told_by_the_ratio_that_shows_and_its_remedy(
@@ -288,7 +288,7 @@ def test_exact_alias_is_told_by_the_ratio_that_shows_and_its_remedy(
     z, covariance = fitted(found, name, other)
     # Relative variances add, less twice the relative covariance: 0.75 (0.02^2/0.9^2 + ...)^0.5.
     sd = 0.75 * ((0.02 / 0.9) ** 2 + (0.03 / 1.2) ** 2 - 2.0 * 0.0004 / (0.9 * 1.2)) ** 0.5
-    said = f"only {shows} shows: 0.7500 +- {2 * sd:.4f} times the nominal ratio; {remedy}"
+    said = f"flights show only {shows}: 0.7500 +- {2 * sd:.4f} times the nominal ratio; {remedy}"
     assert told(exact_aliases(found, z, covariance, name)) == {other: said}
     assert told(exact_aliases(found, z, covariance, other)) == {name: said}
     assert exact_aliases(found, z, covariance, "wind") == {}
@@ -310,7 +310,7 @@ def test_exact_alias_without_a_ratio_is_told_by_its_remedy(effects: dict[str, Ef
     found = space(VEHICLE, {**effects, plain.name: plain})
     z, eye = np.zeros(len(found.columns)), np.eye(len(found.columns))
     assert told(exact_aliases(found, z, eye, plain.name)) == {
-        "ballast": "no flight tells thrust-share from ballast; put the vehicle on a scale"
+        "ballast": "no flight can distinguish thrust-share from ballast; put the vehicle on a scale"
     }
 
 
@@ -344,7 +344,7 @@ def test_measurement_that_separates_two_effects_is_the_one_that_either_states(
     }
     assert {pair: flight and flight.known_measurement for pair, flight in said.items()} == {
         ("motor-lag", "pose-age"): "film a lamp and its switch",
-        ("frame-tilt", "wind"): "fly once more without wind, or level the camera system",
+        ("frame-tilt", "wind"): "fly again without wind, or level the camera system",
         ("linear-drag", "wind"): None,
     }
 
@@ -410,7 +410,7 @@ def test_parameter_with_an_impossible_fact_is_refused_with_its_field(facts: dict
         ("thrust-share", {"family": "magic"}, "family 'magic'"),
         ("thrust-share", {"replaced_by": ("weather",)}, "replaced_by .*weather"),
         ("thrust-share", {"freed_by": "torque"}, "freed_by must be a tuple"),
-        ("thrust-share", {"freed_by": ("thrust",)}, "'thrust'. in replaced_by and in freed_by"),
+        ("thrust-share", {"freed_by": ("thrust",)}, "'thrust'. in both replaced_by and freed_by"),
         ("thrust-share", {"aliases": ()}, "exact_aliases ballast"),
         ("pose-age", {"freed_by": ()}, "age_s.*freed_by"),
         ("pose-age", {"separated_by": {"wind": "wait"}}, "separated_by wind"),
@@ -434,7 +434,7 @@ def test_effect_with_an_impossible_fact_is_refused_with_its_field(
 @pytest.mark.parametrize(
     ("file", "old", "new", "said"),
     [
-        ("thrust_share", '"ballast"', '"anchor"', "thrust-share: exact_aliases anchor, which nobody defines"),
+        ("thrust_share", '"ballast"', '"anchor"', "thrust-share: exact_aliases anchor, which is not defined"),
         (
             "thrust_share",
             '"ballast"',
@@ -445,7 +445,7 @@ def test_effect_with_an_impossible_fact_is_refused_with_its_field(
             "ballast",
             "adjustment=True",
             'observed_relative_to="anchor"',
-            "ballast: observed_relative_to anchor, which nobody defines",
+            "ballast: observed_relative_to anchor, which is not defined",
         ),
     ],
 )

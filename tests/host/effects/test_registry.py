@@ -82,8 +82,8 @@ def test_load_effects_workspace_changed_file_changes_source_id(tmp_path):
     ("file", "text", "message"),
     [
         ("broken.py", "EFFECT = (", r"effects/broken\.py: SyntaxError"),
-        ("nothing.py", "x = 1\n", r"effects/nothing\.py: defines no EFFECT"),
-        ("other.py", WORKSPACE_EFFECT.format(name="roll-push"), r"must be roll_push\.py"),
+        ("nothing.py", "x = 1\n", r"effects/nothing\.py: does not define EFFECT"),
+        ("other.py", WORKSPACE_EFFECT.format(name="roll-push"), r"rename the file to roll_push\.py"),
         ("wind.py", WORKSPACE_EFFECT.format(name="wind"), r"wind is a shipped effect"),
         (
             "bad_name.py",

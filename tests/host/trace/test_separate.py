@@ -207,7 +207,7 @@ def test_alias_that_acts_through_an_effect_not_found_gets_it(
     assert still is not None
     assert windy is not None
     assert windy.expected_sigma < 0.7 * still.expected_sigma
-    assert windy.known_measurement == "fly once more without wind, or level the camera system"
+    assert windy.known_measurement == "fly again without wind, or level the camera system"
     assert still.known_measurement is None
 
 
