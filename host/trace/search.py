@@ -41,7 +41,7 @@ F = TypeVar("F", bound=Fitted)
 
 
 class Fitter(Protocol[F]):
-    """Fits sets of effects, and scores other sets in the linearisation of a fit."""
+    """Fitter of sets of effects, which also scores other sets in the linearisation of a fit."""
 
     @property
     def space(self) -> ParameterSpace: ...
@@ -181,9 +181,7 @@ def _extensions(space: ParameterSpace, names: Names) -> list[Names]:
 
 
 def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
-    """Return the best set, the best with one effect more, the best with one swapped, and good ones with one
-    fewer.
-    """
+    """Return sets to fit: the best, the best extension, the best swap, and good sets with one effect fewer."""
     order = sorted(scores, key=lambda names: (-scores[names], names))
     now, size = set(current), len(current)
     more = [n for n in order if len(n) > size and now <= set(n)][:1]
@@ -230,8 +228,9 @@ def _most_parsimonious(fits: Mapping[Names, F]) -> F:
 def _scores(
     fitter: Fitter[F], selected: F, fits: Mapping[Names, F], left_out: frozenset[Names]
 ) -> dict[Names, float]:
-    """Return the log evidence of the fitted sets and, from the linearisation, of the selected fit's
-    neighbours.
+    """Return the log evidence of the fitted sets and, from the linearisation, of sets near the selected one.
+
+    Sets in left_out are left out.
     """
     depth = min(RULES.max_effects, len(selected.effects) + 1)
     score = fitter.scorers(selected)[-1]

@@ -35,9 +35,9 @@ def reason(stretch: Stretch) -> str:
     return stretch_reason(stretch.code)
 
 
-def stretch(one: Stretch) -> str:
+def stretch(unused: Stretch) -> str:
     """Return start, end and reason of a stretch that is not used."""
-    return f"{one.start_s:.2f} to {one.end_s:.2f} s: {reason(one)}"
+    return f"{unused.start_s:.2f} to {unused.end_s:.2f} s: {reason(unused)}"
 
 
 def remarks(audit: Audit) -> list[str]:
@@ -48,16 +48,16 @@ def remarks(audit: Audit) -> list[str]:
 def audit_lines(audits: Sequence[Audit]) -> list[str]:
     """Return the unused stretches of each log with reasons, and every remark once with its logs."""
     lines = []
-    for one in audits:
-        shown = [stretch(each) for each in one.stretches[:_SHOWN_STRETCHES]]
-        more = len(one.stretches) - len(shown)
+    for audit in audits:
+        shown = [stretch(each) for each in audit.stretches[:_SHOWN_STRETCHES]]
+        more = len(audit.stretches) - len(shown)
         if shown:
             tail = f", and {more} more" if more else ""
-            lines.append(f"{one.log}: not used from {'; '.join(shown)}{tail}")
+            lines.append(f"{audit.log}: not used from {'; '.join(shown)}{tail}")
     logs_by_remark: dict[str, list[str]] = {}
-    for one in audits:
-        for remark in remarks(one):
-            logs_by_remark.setdefault(remark, []).append(one.log)
+    for audit in audits:
+        for remark in remarks(audit):
+            logs_by_remark.setdefault(remark, []).append(audit.log)
     for remark, logs in logs_by_remark.items():
         others = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
         lines.append(f"{logs[0]}{others}: {remark}")
@@ -106,29 +106,31 @@ def description(description: Description) -> list[str]:
     return lines
 
 
-def dependence(one: Dependence) -> list[str]:
+def dependence(entry: Dependence) -> list[str]:
     """Return what the residual force or torque depends on, as a few lines."""
-    if one.group is None:
-        names = ", ".join(skill.group for skill in one.skills)
-        return [f"the {one.channel} depends on none of these, judged on held-out data: {names}"]
-    best = one.skill_of(one.group)
+    if entry.group is None:
+        names = ", ".join(skill.group for skill in entry.skills)
+        return [f"the {entry.channel} depends on none of these, judged on held-out data: {names}"]
+    best = entry.skill_of(entry.group)
     span = f"held-out skill {best.skill:.2f}, {best.low:.2f} to {best.high:.2f}"
-    if one.group == "constant":
-        x, y, z = one.mean
+    if entry.group == "constant":
+        x, y, z = entry.mean
         return [
-            f"the {one.channel} has only a constant part ({span}): its mean is "
-            f"({x:.2g}, {y:.2g}, {z:.2g}) {CHANNEL_UNITS[one.channel]} in body axes"
+            f"the {entry.channel} has only a constant part ({span}): its mean is "
+            f"({x:.2g}, {y:.2g}, {z:.2g}) {CHANNEL_UNITS[entry.channel]} in body axes"
         ]
     others = "".join(
-        f"; {'the control law changes' if s.group in one.responses else 'or on'} {s.group}, {s.skill:.2f}"
-        for s in one.rivals
+        f"; {'the control law changes' if s.group in entry.responses else 'or on'} {s.group}, {s.skill:.2f}"
+        for s in entry.rivals
     )
-    lines = [f"the {one.channel} depends on {best.group} ({span}{others})"]
-    if one.group in one.responses:
+    lines = [f"the {entry.channel} depends on {best.group} ({span}{others})"]
+    if entry.group in entry.responses:
         lines.append(
             f"  the control law changes {best.group} in response to any disturbance: it need not be the cause"
         )
-    return lines + [f"  {one.channel} {s.axis}: {s.value:+.3g} {s.unit} of {s.quantity}" for s in one.slopes]
+    return lines + [
+        f"  {entry.channel} {s.axis}: {s.value:+.3g} {s.unit} of {s.quantity}" for s in entry.slopes
+    ]
 
 
 def result_lines(result: Trace) -> list[str]:

@@ -157,10 +157,10 @@ def _jumps(flight: Flight, s: Signals) -> list[Stretch]:
     t, delay = s.pose_s, (flight.mocap.t_arrival_us - flight.mocap.t_us) * 1e-6
     edges = np.arange(s.span_s[0], s.span_s[1], 0.25)
     parts = np.searchsorted(t, edges)
-    least = np.array([delay[a:b].min() if b > a else np.inf for a, b in pairwise(parts)])
-    for k in range(4, len(least) - 3):
+    least_delay = np.array([delay[a:b].min() if b > a else np.inf for a, b in pairwise(parts)])
+    for k in range(4, len(least_delay) - 3):
         # Late arrivals only increase a delay, so the least delay over a second shows the clock offset.
-        before, after = least[k - 4 : k].min(), least[k : k + 4].min()
+        before, after = least_delay[k - 4 : k].min(), least_delay[k : k + 4].min()
         if np.isfinite(before) and np.isfinite(after) and abs(after - before) > RULES.clock_jump_s:
             jumps.append((edges[k] - 0.25, edges[k] + 0.25))
     if flight.control is not None:

@@ -48,7 +48,7 @@ def with_undetectable(
 ) -> dict[str, dict[str, float]]:
     """Return `aliases` together with the known aliases that the data would not show at typical size.
 
-    No data speaks against these, so each gets RULES.open_probability. detectability: sigma by which each
+    The data cannot contradict these, so each gets RULES.open_probability. detectability: sigma by which each
     effect of typical size would show.
     """
     undetectable = [

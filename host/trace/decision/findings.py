@@ -116,7 +116,7 @@ class Finding:
     unit
         Unit of both.
     subject
-        Names of effects, a topic, or the code of a stretch; empty if the code says it all.
+        Names of effects, a topic, or the code of a stretch; empty if there is none.
     log
         Name of the log; None if the finding is about all flights.
     details

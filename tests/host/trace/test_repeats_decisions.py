@@ -27,21 +27,21 @@ FIT = build_closed_fit(
     grams=np.full((2, 3, 3), 6.0),
 )
 AGAIN = np.array([1.5, 2.5]), np.diag([0.25, 0.5]), np.full((2, 3, 3), 7.0)
-"""What the weighted fit returns: z, covariance and Grams."""
+"""Result of the replaced weighted fit: theta_scaled, covariance and Grams."""
 
 
 class ResidualsOnly:
-    """Stand in for a loop with known residuals: noise of each flight, and physics that all share."""
+    """Stand-in for a loop with known residuals: noise of each flight, and physics common to all."""
 
     def __init__(self, bins: Sequence[int] = (LONG, LONG), physics: float = 0.0) -> None:
         rng = np.random.default_rng(5)
         noise = [rng.standard_normal((LONG, CHANNELS)) for _ in bins]
         shared = physics * rng.standard_normal((LONG, CHANNELS))
-        self.left = [(each + shared)[:count] for each, count in zip(noise, bins, strict=True)]
+        self.flight_residuals = [(each + shared)[:count] for each, count in zip(noise, bins, strict=True)]
         self.known = [np.ones(count, dtype=bool) for count in bins]
 
     def residuals(self, theta_scaled: np.ndarray) -> list[np.ndarray]:
-        return [each[None] for each in self.left]
+        return [each[None] for each in self.flight_residuals]
 
 
 def loop_of(bins: Sequence[int] = (LONG, LONG), physics: float = 0.0) -> Loop:
@@ -50,7 +50,7 @@ def loop_of(bins: Sequence[int] = (LONG, LONG), physics: float = 0.0) -> Loop:
 
 @pytest.fixture
 def whitenings(monkeypatch: pytest.MonkeyPatch) -> list[Whitening]:
-    """Replace the weighted fit by AGAIN; return the whitenings that it is called with."""
+    """Replace the weighted fit by AGAIN; return the whitenings of its calls."""
     used: list[Whitening] = []
 
     def weighted(
@@ -66,7 +66,7 @@ def whitenings(monkeypatch: pytest.MonkeyPatch) -> list[Whitening]:
 
 
 def is_tempered(fit: FlightFit) -> bool:
-    """Return whether the fit is FIT with residuals that count for 1/RULES.temper."""
+    """Return whether the fit is FIT with residuals weighted by 1/RULES.temper."""
     np.testing.assert_array_equal(fit.theta_scaled, FIT.theta_scaled)
     assert (fit.effects, fit.log_evidence) == (FIT.effects, FIT.log_evidence)
     return bool(
@@ -92,22 +92,22 @@ def is_tempered(fit: FlightFit) -> bool:
         pytest.param((LONG, LONG, 10), [(0, 1), (0, 2)], True, id="one-pair-of-two-long-enough"),
     ],
 )
-def test_in_turbulence_fits_once_more_where_repeat_flights_are_long_enough(
+def test_in_turbulence_refits_if_repeat_flights_are_long_enough(
     bins: tuple[int, ...], repeat_flights: list[tuple[int, int]], compared: bool, whitenings: list[Whitening]
 ) -> None:
-    found = in_turbulence(loop_of(bins), FIT, 1, repeat_flights)
+    refitted = in_turbulence(loop_of(bins), FIT, 1, repeat_flights)
     assert len(whitenings) == compared
     if not compared:
-        assert is_tempered(found)
-        assert found.whitening is FIT.whitening
+        assert is_tempered(refitted)
+        assert refitted.whitening is FIT.whitening
         return
     theta_scaled, covariance, grams = AGAIN
-    np.testing.assert_array_equal(found.theta_scaled, theta_scaled)
-    np.testing.assert_array_equal(found.at, theta_scaled)
-    np.testing.assert_array_equal(found.covariance, covariance)
-    np.testing.assert_array_equal(found.grams, grams)
-    assert found.whitening is whitenings[0]
-    assert (found.effects, found.log_evidence) == (FIT.effects, FIT.log_evidence)
+    np.testing.assert_array_equal(refitted.theta_scaled, theta_scaled)
+    np.testing.assert_array_equal(refitted.at, theta_scaled)
+    np.testing.assert_array_equal(refitted.covariance, covariance)
+    np.testing.assert_array_equal(refitted.grams, grams)
+    assert refitted.whitening is whitenings[0]
+    assert (refitted.effects, refitted.log_evidence) == (FIT.effects, FIT.log_evidence)
 
 
 def test_in_turbulence_counts_only_bins_known_in_both_repeat_flights(whitenings: list[Whitening]) -> None:
@@ -118,17 +118,17 @@ def test_in_turbulence_counts_only_bins_known_in_both_repeat_flights(whitenings:
     assert whitenings == []
 
 
-def test_in_turbulence_whitens_by_what_repeat_flights_differ_in(whitenings: list[Whitening]) -> None:
+def test_in_turbulence_whitens_by_differences_of_repeat_flights(whitenings: list[Whitening]) -> None:
     for physics in (0.0, 5.0):
         in_turbulence(loop_of(physics=physics), FIT, 1, REPEAT_FLIGHTS)
     calm, moved = whitenings
     np.testing.assert_allclose(moved.coefficients, calm.coefficients, atol=1e-9)
     np.testing.assert_allclose(moved.innovation, calm.innovation, atol=1e-9)
-    # Noise of unit variance each differs by sqrt(2), which is divided out.
+    # Differences of two noises of unit variance have a standard deviation of sqrt(2), which is divided out.
     assert np.diag(calm.innovation).mean() == pytest.approx(1.0, abs=0.2)
 
 
-def test_turbulence_takes_an_order_that_the_repeat_flights_can_pay_for() -> None:
+def test_turbulence_limits_the_order_by_the_amount_of_data() -> None:
     white = turbulence(loop_of(), FIT.theta_scaled, 4, REPEAT_FLIGHTS)
     assert white is not None
     assert white.order == 1

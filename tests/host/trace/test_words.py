@@ -1,4 +1,4 @@
-"""Every code has words, and the words hold the numbers of their finding as rounded."""
+"""Every code has a sentence, which contains the rounded numbers of its finding."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ REFUSALS = {
 }
 
 
-def test_every_code_is_a_finding_a_stretch_or_a_refusal() -> None:
+def test_every_code_belongs_to_a_finding_a_stretch_or_an_error() -> None:
     assert sorted(Code) == sorted([*EXAMPLES, *STRETCHES, *REFUSALS])
     assert set(STRETCH_ORDER) == set(STRETCHES)
 
@@ -172,20 +172,20 @@ def test_every_code_is_a_finding_a_stretch_or_a_refusal() -> None:
 @pytest.mark.parametrize("code", EXAMPLES)
 def test_sentence_of_a_finding_mentions_its_subject_and_numbers(code: Code) -> None:
     finding, mentioned = EXAMPLES[code]
-    told = sentence(finding)
-    assert [each for each in mentioned if each not in told] == []
-    assert not told.endswith(".")
-    assert told == told.strip()
-    assert "None" not in told
+    text = sentence(finding)
+    assert [each for each in mentioned if each not in text] == []
+    assert not text.endswith(".")
+    assert text == text.strip()
+    assert "None" not in text
 
 
 def test_sentences_of_all_findings_are_different() -> None:
-    told = [sentence(finding) for finding, _ in EXAMPLES.values()]
-    assert len(set(told)) == len(told)
+    text = [sentence(finding) for finding, _ in EXAMPLES.values()]
+    assert len(set(text)) == len(text)
 
 
 @pytest.mark.parametrize("code", STRETCHES)
-def test_reason_of_a_stretch_says_what_is_wrong_with_it(code: Code) -> None:
+def test_reason_of_a_stretch_names_its_cause(code: Code) -> None:
     one = Stretch(start_s=1.234, end_s=5.678, code=code)
     assert STRETCHES[code] in words.reason(one)
     assert words.stretch(one) == f"1.23 to 5.68 s: {words.reason(one)}"
@@ -214,7 +214,7 @@ def audit_of(log: str, *codes: Code, stretches: int = 0, left_out: int = 0) -> A
     )
 
 
-def test_audit_lines_tell_stretches_by_log_and_each_remark_once() -> None:
+def test_audit_lines_list_stretches_by_log_and_each_remark_once() -> None:
     audits = [
         audit_of("a", Code.NO_REPEAT, stretches=1),
         audit_of("b", Code.NO_REPEAT, Code.NO_GYRO, stretches=7),
@@ -231,19 +231,19 @@ def test_audit_lines_tell_stretches_by_log_and_each_remark_once() -> None:
     assert words.audit_lines([audit_of("c")]) == []
 
 
-def test_refusals_name_the_log_and_what_it_lacks() -> None:
+def test_refusals_name_the_log_and_the_reason() -> None:
     path = Path("one.mcap")
-    for told, mentioned in [
+    for text, mentioned in [
         (too_few_poses(path), "100 poses"),
         (too_few_tracking_poses(path), "10 poses"),
         (no_tracking(path), "no tracking phase"),
     ]:
-        assert told.startswith("one.mcap: ")
-        assert mentioned in told
+        assert text.startswith("one.mcap: ")
+        assert mentioned in text
     gaps = Finding(code=Code.SEGMENTS_WITH_GAPS, value=4, unit="segments", log="a")
-    told = too_few_segments({"a": [gaps], "b": []}, 2, 0.6)
-    assert told.startswith("a, b: only 2 usable segments of 0.6 s")
-    assert "(a: 4 segments with gaps" in told
+    text = too_few_segments({"a": [gaps], "b": []}, 2, 0.6)
+    assert text.startswith("a, b: only 2 usable segments of 0.6 s")
+    assert "(a: 4 segments with gaps" in text
 
 
 @pytest.mark.parametrize(
@@ -257,7 +257,7 @@ def test_refusals_name_the_log_and_what_it_lacks() -> None:
         pytest.param(False, None, ["; weigh it"], id="another-measurement"),
     ],
 )
-def test_next_flight_says_what_it_separates_and_by_how_much(
+def test_next_flight_names_the_pair_and_its_separation(
     decides: bool, total_time_s: float | None, mentioned: list[str]
 ) -> None:
     proposal = SimpleNamespace(
@@ -269,15 +269,15 @@ def test_next_flight_says_what_it_separates_and_by_how_much(
         so_far_sigma=2.44,
         measurement="weigh it",
     )
-    told = words.next_flight(cast(Any, proposal))
-    assert [each for each in mentioned if each not in told] == []
+    text = words.next_flight(cast(Any, proposal))
+    assert [each for each in mentioned if each not in text] == []
 
 
 SPACE = build_space("drag", "gain", "lag")
 
 
-def trace(kept: tuple[str, ...] = (), **changes: Any) -> Trace:
-    return build_trace(SPACE, build_diagnosis(kept), **changes)
+def trace(selected: tuple[str, ...] = (), **changes: Any) -> Trace:
+    return build_trace(SPACE, build_diagnosis(selected), **changes)
 
 
 @pytest.mark.parametrize(
@@ -308,13 +308,13 @@ def trace(kept: tuple[str, ...] = (), **changes: Any) -> Trace:
 def test_verdict_in_words_names_effects_or_reasons(
     result: Trace, mentioned: list[str], unmentioned: str
 ) -> None:
-    told = words.verdict(result)
-    assert [each for each in mentioned if each not in told] == []
-    assert unmentioned not in told
+    text = words.verdict(result)
+    assert [each for each in mentioned if each not in text] == []
+    assert unmentioned not in text
 
 
 def build_errors(position_m: float) -> Errors:
-    """Return the errors of a flight whose position is off by as much all the time."""
+    """Return the errors of a flight with a constant position error."""
     off = np.tile([position_m, 0.0, 0.0], (3, 1))
     return Errors(
         flight="a",
@@ -329,16 +329,16 @@ def build_errors(position_m: float) -> Errors:
 
 def test_verdict_with_held_out_flights_ends_with_errors_in_whole_millimetres() -> None:
     scores = {"before": [build_errors(0.0518)] * 2, "after": [build_errors(0.0121)] * 2}
-    told = words.verdict(trace(("drag",), named=("drag",), **scores))
-    assert told.endswith("On 2 held-out flights the prediction error went from 52 to 12 mm.")
+    text = words.verdict(trace(("drag",), named=("drag",), **scores))
+    assert text.endswith("On 2 held-out flights the prediction error went from 52 to 12 mm.")
     assert "mm" not in words.verdict(trace(**scores))
 
 
 def test_result_lines_hold_the_findings_in_groups() -> None:
-    told = [Code.FORCE_RINGS, Code.SOMETHING_MISSING, Code.HOVER_ONLY, Code.HIDDEN, Code.POSSIBLE]
+    text = [Code.FORCE_RINGS, Code.SOMETHING_MISSING, Code.HOVER_ONLY, Code.HIDDEN, Code.POSSIBLE]
     result = trace(
         verdict=Verdict.UNDECIDED,
-        findings=tuple(EXAMPLES[code][0] for code in told),
+        findings=tuple(EXAMPLES[code][0] for code in text),
         possible={"gain": 0.321},
         audits=(audit_of("a", Code.NO_REPEAT),),
     )
@@ -353,10 +353,10 @@ def test_result_lines_hold_the_findings_in_groups() -> None:
     assert lines[7:] == [f"data: a: {sentence(EXAMPLES[Code.NO_REPEAT][0])}"]
 
 
-def test_verdict_of_an_undecided_trace_that_names_nothing_says_so() -> None:
-    told = words.verdict(trace(verdict=Verdict.UNDECIDED))
-    assert "something" in told
-    assert " ;" not in told
+def test_verdict_of_an_undecided_trace_without_effects_is_a_sentence() -> None:
+    text = words.verdict(trace(verdict=Verdict.UNDECIDED))
+    assert "something" in text
+    assert " ;" not in text
 
 
 def test_result_lines_of_an_effect_hold_its_alternatives_and_the_exact_alias_by_itself() -> None:

@@ -34,7 +34,7 @@ def codes_of(findings: Sequence[Finding]) -> list[Code]:
 
 
 def codes(selected: Names = (), **changes: Any) -> list[Code]:
-    """Return the codes of everything that `decide` finds."""
+    """Return the codes of all findings of `decide`."""
     return codes_of(decide(build_evidence(selected, **changes)).findings)
 
 
@@ -63,7 +63,7 @@ ALIASES = pytest.mark.parametrize("share", [0.0, 0.3], ids=["no-aliases", "alias
 
 
 def doubted(doubt: str, residual: UnexplainedResidual | None = None) -> dict[str, Any]:
-    """Return the changes that raise a doubt, with `residual` in place of a quiet one."""
+    """Return changes of the evidence that cause a doubt, with `residual` instead of a quiet one."""
     changes = {"log_evidence": {(): 0.0}, **DOUBTED[doubt]}
     if residual is not None:
         changes["residual"] = replace(residual, pairs=0 if doubt == "excess" else residual.pairs)
@@ -71,7 +71,7 @@ def doubted(doubt: str, residual: UnexplainedResidual | None = None) -> dict[str
 
 
 def weights(selected: Names, share: float) -> dict[Names, float]:
-    """Return posterior weights of which `share` is of "wind" in place of what was selected."""
+    """Return posterior weights with the share `share` for "wind" instead of the selected effect."""
     return {selected: 1.0 - share, ("wind",): share}
 
 
