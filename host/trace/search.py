@@ -181,7 +181,7 @@ def _extensions(space: ParameterSpace, names: Names) -> list[Names]:
 
 
 def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
-    """Return sets to fit: the best, the best extension, the best swap, and good sets with one effect fewer."""
+    """Return the best set, the best extension and swap of `current`, and good sets with one effect fewer."""
     order = sorted(scores, key=lambda names: (-scores[names], names))
     now, size = set(current), len(current)
     more = [n for n in order if len(n) > size and now <= set(n)][:1]
