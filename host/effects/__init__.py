@@ -1,8 +1,8 @@
 """The candidate effects: one file each, found by name.
 
-An effect is data (`Effect`): equation, parameters with typical size and tolerance, known aliases, the slots
-through which it enters the model, what closing the loop on it means, and where it comes from. What is
-true of one effect alone stands in its file, and the code that uses it reads it there.
+An effect is data (`Effect`): its equation, parameters with typical size and tolerance, known aliases, the
+slots through which it enters the model, the consequences of closing the loop on it, and its source. Facts
+about a single effect are only in its file; all other code reads them there.
 """
 
 from trimtab.host.effects.effect import SLOTS, Closing, Context, Effect, ExactAlias

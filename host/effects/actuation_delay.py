@@ -1,4 +1,4 @@
-"""Actuation delay: a motor command takes effect later than it is given, apart from the rotors' lag."""
+"""Actuation delay: a motor command takes effect some time after it was sent, in addition to the motor lag."""
 
 from __future__ import annotations
 
@@ -27,17 +27,18 @@ EFFECT = Effect(
             lower=0.0,
             upper=0.03,
             description="time from a motor command to its arrival at the rotor",
-            # Rotors are no first-order lag; the loop's answer to noise within a step looks like a delay.
+            # Real rotors are no first-order lag, and the response of the loop to noise looks like a delay.
             discrepancy=0.4,
         ),
     ),
     aliases=("motor-lag", "mocap-latency", "inertia", "thrust-inflow"),
-    separated_by={"mocap-latency": "log the gyro, or measure the cameras' delay"},
-    observable="quick turns of roll and pitch with the gyro in the log; without it, it is a mocap latency",
+    separated_by={"mocap-latency": "log the gyro, or measure the delay of the cameras"},
+    observable="fast rotations in roll and pitch with the gyro logged; without the gyro, it looks like a "
+    "mocap latency",
     replaced_by=(THRUST, MOTOR_LAG, TORQUE),
     closing=Closing(
-        model="the rotors follow the commands of a moment ago",
-        planner="nothing: the rotor thrusts of a plan have no delay",
+        model="the rotors follow delayed commands",
+        planner="nothing: plans contain rotor thrusts, which have no delay",
         law=None,
     ),
     command_delay_s=_delay,

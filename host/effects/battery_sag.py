@@ -1,4 +1,4 @@
-"""Battery sag: thrust at a given motor command falls with the battery's voltage."""
+"""Battery sag: thrust at a given motor command falls with the battery voltage."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from trimtab.host.effects.effect import Closing, Effect
 from trimtab.host.effects.parameter import Parameter
 from trimtab.host.effects.unknowns import THRUST
 
-_VOLTMETER_NOISE = 0.01  # share of the full voltage; a battery that stayed closer shows no sag
+_VOLTMETER_NOISE = 0.01  # share of the full voltage; smaller changes of the voltage show no sag
 
 
 def _factor(ops, theta, ctx):
@@ -31,19 +31,20 @@ EFFECT = Effect(
             tolerance=0.1,
             lower=-1.0,
             upper=5.0,
-            description="power of the voltage ratio that thrust follows",
+            description="exponent of the voltage ratio in the thrust",
         ),
     ),
     aliases=("thrust-gain", "mass", "ground-effect"),
-    separated_by={"thrust-gain": "fly once more with a full battery and log its voltage"},
-    observable="flights from a full and from an emptier battery, or one long flight, with the voltage logged",
+    separated_by={"thrust-gain": "fly again with a full battery and log its voltage"},
+    observable="flights with a full and with a partly discharged battery, or one long flight, with logged "
+    "voltage",
     needs_signals={"voltage_ratio": _VOLTMETER_NOISE},
     replaced_by=(THRUST,),
     closing=Closing(
-        model="every rotor's thrust times a power of the measured voltage ratio",
-        planner="nothing: plans are made for a full battery",
-        law="the commanded thrust is divided by the sag at one voltage, the mean of the flights learned "
-        "from; what another battery differs by stays",
+        model="the thrust of every rotor is multiplied by a power of the measured voltage ratio",
+        planner="nothing: plans assume a full battery",
+        law="the commanded thrust is divided by the sag at the mean voltage of the flights used; the "
+        "difference at other voltages remains",
     ),
     thrust_factor=_factor,
     to_feedforward=_feedforward,

@@ -1,4 +1,4 @@
-"""Offset of the centre of mass: thrust through the rotors' middle turns the vehicle."""
+"""Offset of the centre of mass: collective thrust then exerts a torque on the vehicle."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _axis(key: str, direction: str) -> Parameter:
         tolerance=0.0002,
         lower=-0.03,
         upper=0.03,
-        description=f"centre of mass {direction} of the origin the rotor positions are given from",
+        description=f"offset of the centre of mass {direction} of the origin of the rotor positions",
     )
 
 
@@ -34,12 +34,12 @@ EFFECT = Effect(
     parameters=(_axis("x", "ahead"), _axis("y", "to the right")),
     aliases=("wind", "torque-bias", "rotor-loss", "frame-tilt"),
     separated_by={"torque-bias": "balance the vehicle on an edge"},
-    observable="changes of thrust, as in climbs and fast turns; in hover it is a torque bias",
+    observable="changes of thrust, as in climbs and fast turns; in hover it looks like a torque bias",
     replaced_by=(TORQUE,),
     closing=Closing(
-        model="a torque in proportion to the collective thrust",
-        planner="without a drag beside it, plans a path of less change of thrust, with which the "
-        "torque changes; hover's is left out",
+        model="a torque proportional to the collective thrust",
+        planner="if the model has no drag, prefers paths on which the thrust, and with it the torque, "
+        "changes less; the torque at hover is ignored",
         law=None,
     ),
     torque_frd=_torque,

@@ -1,8 +1,8 @@
-"""What a candidate effect is: equation, parameters, where it enters the model, what closing the loop means.
+"""Definition of a candidate effect: equation, parameters, slots of the model, and closing of the loop.
 
-An effect changes the nominal model only through slots. Every slot takes `ops` first (the arithmetic: floats,
-CasADi scalars or numpy lanes) and `theta`, the effect's own parameter values in the order of
-`Effect.parameters`; at the neutral values every slot leaves the model as it was.
+An effect changes the nominal model only through slots. The first argument of every slot is `ops`, the
+arithmetic: floats, CasADi scalars or NumPy lanes. The second is `theta`, the parameter values of the effect
+in the order of `Effect.parameters`. At the neutral values no slot changes the model.
 """
 
 from __future__ import annotations
@@ -22,19 +22,45 @@ Theta = Sequence[Scalar]
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 Family = Literal["force", "torque", "timing", "aerodynamic"]
-"""What an effect acts as, by which studies group their figures."""
+"""What an effect acts as. Studies group their figures by it."""
 
 Signal = Literal["voltage_ratio", "gyro"]
-"""A signal that an effect may need: battery voltage over full voltage, or the body rate by a gyro, rad/s."""
+"""A signal that an effect may need: battery voltage over full voltage, or the body rate of a gyro, rad/s."""
 
 
 class Context(NamedTuple):
-    """The state a slot may look at: SI units, world NED, body FRD.
+    """The state that a slot may use: SI units, world NED, body FRD.
 
-    `thrust` and `collective_n` are the lagged rotor thrusts: before the thrust factors where a thrust factor
-    is asked for, after them everywhere else. `voltage_ratio` is battery voltage over full voltage, 1 where
-    it is not known. `R` is R_ned_frd, row-major. `hover_n` is a rotor's thrust at hover, `inertia_kg_m2` the
-    vehicle file's principal moments. `memory` holds the effect's own states, empty where it has none.
+    For `memory_start` and `memory_rates` it is that of the nominal vehicle: nominal mass, thrusts without
+    factors, air at rest, a full battery, and time 0.
+
+    Attributes
+    ----------
+    p_ned, v_ned
+        Position and velocity (3,).
+    v_air_frd
+        Velocity relative to the air (3,), body axes.
+    R
+        R_ned_frd (9,), row-major.
+    rate_frd
+        Body rate (3,), rad/s.
+    thrust, collective_n
+        Thrust of each rotor after the motor lag (4,), and their sum, N. They include the thrust factors of
+        all effects, except in the slots `thrust_factor` and `rotor_factors`.
+    mass_kg
+        Mass, with the mass factors of all effects.
+    voltage_ratio
+        Battery voltage over full voltage; 1 if it is unknown.
+    t_s
+        Time.
+    rotor_positions, spin_signs
+        Position (4, 3) in m, FRD, and sense of rotation (4,) of each rotor; +1 is ccw seen from above.
+    inertia_kg_m2
+        Principal moments of inertia (3,) in the vehicle file.
+    hover_n
+        Thrust of one rotor at hover.
+    memory
+        States that the effect adds; empty if it adds none.
     """
 
     p_ned: Sequence[Scalar]
@@ -56,17 +82,17 @@ class Context(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ExactAlias:
-    """Another effect that fits every flight exactly as well as the one that states it.
+    """Another effect that fits every flight exactly as well as the effect that states this alias.
 
     Attributes
     ----------
     effect
         Name of the other effect.
     remedy
-        What tells the two apart, as a sentence for the verdict: "weigh the vehicle to ...".
+        Measurement that distinguishes the two, as an instruction: "weigh the vehicle to ...".
     ratio
-        What flights do show of the two, in words ("thrust over mass"): this effect's first parameter over the
-        other's, both over their neutral values. Absent where they show no ratio.
+        Name of the ratio that flights do show, such as "thrust over mass": the first parameter of this effect
+        over that of the other, both over their neutral values. None if flights show no ratio.
     """
 
     effect: str
@@ -76,11 +102,17 @@ class ExactAlias:
 
 @dataclass(frozen=True, kw_only=True)
 class Closing:
-    """What closing the loop on this effect means, as sentences for the report.
+    """Consequences of closing the loop on an effect, as sentences for the report.
 
-    `planner` begins with "nothing" where plans stay as they are, and with "nothing:" where even a star
-    (the model in the dynamics) changes none. `law` is None where the control law on board cannot compensate
-    it.
+    Attributes
+    ----------
+    model
+        How the closed-loop model changes.
+    planner
+        How new plans change. It begins with "nothing" if ordinary plans do not change, and with "nothing:" if
+        starred plans, which have the model in their dynamics, do not change either.
+    law
+        How the control law on board compensates the effect; None if it cannot.
     """
 
     model: str
@@ -90,55 +122,80 @@ class Closing:
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """A candidate: one named piece of physics the nominal model does not have.
+    """A candidate effect: one physical cause that the nominal model does not contain.
 
     Attributes
     ----------
     name, title, equation, source
-        Its name in lower-case words joined by hyphens, its name for people (made of `name` if absent), what
-        it adds to the model, and where that comes from.
+        Name, lower-case words joined by hyphens; title for people, made from `name` if empty; equation that
+        the effect adds to the model; and source of equation and sizes.
     parameters
-        Its numbers, in the order of theta.
+        Parameters, in the order of theta.
     closing
-        What closing the loop on it means.
+        Consequences of closing the loop.
     family
-        What it acts as; studies group their figures by it.
+        What the effect acts as; studies group their figures by it.
     aliases
-        Names of the effects it is mistaken for.
+        Names of effects that it may be confused with.
     exact_aliases
-        Those that fit every flight exactly as well. Each is stated by one effect of the two.
+        Aliases that fit every flight exactly as well. One effect of each pair states the alias.
     separated_by
-        By the name of an alias, what to measure where no flight tells the two apart. One effect of the two
-        states it.
+        Measurement that distinguishes the effect from an alias if no flight can, by the name of the alias.
+        One effect of each pair states it.
     observed_relative_to
-        Name of an effect: flights show the parameters of this one only over the first parameter of that one.
+        Name of another effect, if flights show the parameters of this effect only relative to the first
+        parameter of the other.
     observable
-        What a flight must do to show it, as a sentence.
+        Flights that show the effect, as a phrase.
     needs_signals
-        By signal, the least departure from rest (1 for `voltage_ratio`, 0 rad/s for `gyro`) in the flight
-        that departs most; less is noise. Without them the effect is left out of the model.
+        Signals that the effect needs, each with the deviation from rest that at least one flight must exceed.
+        Smaller deviations are noise. At rest `voltage_ratio` is 1 and `gyro` is 0 rad/s. Without these
+        signals the effect is left out of the model.
     adjustment
-        True for an effect that is in every model within its tolerance and never is a candidate.
+        Whether the effect is in every model within its tolerance and is never a candidate.
     replaced_by
-        What a log may declare unknown that takes the effect out of the model: a nuisance explains the same.
+        Words of `unknown` in a log that take the effect out of the model, since a nuisance explains the same.
     freed_by
-        What a log may declare unknown that is this effect: it is then in every model with `free_sigma`, not
-        a candidate, also where something else would replace it.
+        Words of `unknown` in a log that free the effect. It is then in every model with `free_sigma` and is
+        not a candidate. This takes precedence over `replaced_by`.
     requires_any
-        Names of the effects of which one must be present for this one to change anything.
+        Names of effects, of which one must be present for this effect to change anything.
     one_of
-        Whether exactly one of the parameters leaves neutral (one rotor of four); each is then a candidate.
+        Whether only one of the parameters may leave neutral, as for one rotor of four. Each parameter is then
+        a candidate.
     memory
-        Number of the effect's own states: `memory_start` gives them at rest, `memory_rates` their
+        Number of states that the effect adds. `memory_start` gives their values at rest, `memory_rates` their
         derivatives.
     starts
-        Values of all parameters from which a fit may begin, where the effect does not show from neutral.
+        Values of all parameters from which a fit may start, if the slope at neutral does not show the effect.
     source_id
-        First 12 hex digits of the SHA-256 of the file it came from, filled by the registry.
-
-    The other attributes are the slots: factors on mass, on all rotors' thrust, on each rotor's and on the
-    principal moments of inertia; the air's velocity; gravity added in the frame of the measurements; specific
-    force and torque; the rotors' lag; what a command and a pose are late by.
+        First 12 hex digits of the SHA-256 of the effect's file, set by the registry.
+    mass_factor
+        Factor on the mass.
+    thrust_factor
+        Factor on the thrust of all rotors.
+    rotor_factors
+        Factors (4,) on the thrust of each rotor.
+    inertia_factors
+        Factors (3,) on the principal moments of inertia.
+    wind_ned
+        Velocity of the air (3,), m/s.
+    gravity_ned
+        Acceleration (3,) that is added to gravity in the frame of the measurements, m/s^2.
+    specific_force_frd
+        Specific force (3,), m/s^2.
+    torque_frd
+        Torque (3,), N m.
+    motor_lag_s
+        Time constant of the rotors, given the nominal one.
+    command_delay_s
+        Delay of the motor commands.
+    mocap_latency_s
+        Age of a pose at its time stamp.
+    memory_start, memory_rates
+        Values of the added states at rest, and their derivatives.
+    to_feedforward
+        Contributions to the feed-forward block on board; see `compose_feedforward`.
     """
 
     name: str
@@ -185,40 +242,42 @@ class Effect:
         if not self.parameters:
             raise ValueError(f"effect {self.name}: no parameters")
         if len(set(self.keys)) != len(self.keys):
-            raise ValueError(f"effect {self.name}: parameter keys repeat: {self.keys}")
+            raise ValueError(f"effect {self.name}: duplicate parameter keys: {self.keys}")
         if self.name in self.aliases:
-            raise ValueError(f"effect {self.name} names itself as alias")
+            raise ValueError(f"effect {self.name} lists itself as an alias")
         if not any(getattr(self, slot) is not None for slot in SLOTS):
             raise ValueError(f"effect {self.name} fills none of the slots {SLOTS}")
         if (self.memory > 0) != (self.memory_start is not None) or (self.memory > 0) != (
             self.memory_rates is not None
         ):
-            raise ValueError(f"effect {self.name}: memory, memory_start and memory_rates go together")
+            raise ValueError(
+                f"effect {self.name}: memory, memory_start and memory_rates must be given together"
+            )
         if (self.closing.law is None) != (self.to_feedforward is None):
             raise ValueError(f"effect {self.name}: closing.law and to_feedforward must be given together")
         self._check_aliases()
         self._check_unknowns()
         if self.family not in get_args(Family):
-            raise ValueError(f"effect {self.name}: family {self.family!r} is none of {get_args(Family)}")
+            raise ValueError(f"effect {self.name}: family {self.family!r} is not one of {get_args(Family)}")
         self._check_signals()
 
     def _check_signals(self) -> None:
-        """Raise ValueError for a needed signal that is none, or a bound that is no size."""
-        for signal, least in self.needs_signals.items():
+        """Raise ValueError for an unknown signal or an invalid bound."""
+        for signal, bound in self.needs_signals.items():
             if signal not in get_args(Signal):
                 raise ValueError(
-                    f"effect {self.name}: needs_signals {signal!r} is none of {get_args(Signal)}"
+                    f"effect {self.name}: needs_signals {signal!r} is not one of {get_args(Signal)}"
                 )
-            if not 0.0 <= least < math.inf:
+            if not 0.0 <= bound < math.inf:
                 raise ValueError(
-                    f"effect {self.name}: needs_signals {signal} must be finite and >= 0, got {least}"
+                    f"effect {self.name}: needs_signals {signal} must be finite and >= 0, got {bound}"
                 )
 
     def _check_aliases(self) -> None:
-        """Raise ValueError where facts about other effects do not agree with the aliases or parameters."""
+        """Raise ValueError if facts about other effects contradict the aliases or the parameters."""
         for alias in self.exact_aliases:
             if alias.effect not in self.aliases:
-                raise ValueError(f"effect {self.name}: exact_aliases {alias.effect} is none of its aliases")
+                raise ValueError(f"effect {self.name}: exact_aliases {alias.effect} is not in aliases")
             if alias.ratio is not None and self.neutral[0] == 0.0:
                 raise ValueError(
                     f"effect {self.name}: exact_aliases {alias.effect} has a ratio, but {self.keys[0]} is 0 "
@@ -226,34 +285,34 @@ class Effect:
                 )
         for other in self.separated_by:
             if other not in self.aliases:
-                raise ValueError(f"effect {self.name}: separated_by {other} is none of its aliases")
+                raise ValueError(f"effect {self.name}: separated_by {other} is not in aliases")
         if self.observed_relative_to == self.name:
             raise ValueError(f"effect {self.name}: observed_relative_to is the effect itself")
 
     def _check_unknowns(self) -> None:
-        """Raise ValueError where a word is none that a log may declare unknown."""
+        """Raise ValueError for a word that a log may not declare unknown, or a contradiction."""
         for name in ("replaced_by", "freed_by"):
             words = getattr(self, name)
             if isinstance(words, str):
                 raise ValueError(f"effect {self.name}: {name} must be a tuple of words, got {words!r}")
-            strange = sorted(set(words) - set(UNKNOWN))
-            if strange:
-                raise ValueError(f"effect {self.name}: {name} {strange} is none of {UNKNOWN}")
+            unsupported = sorted(set(words) - set(UNKNOWN))
+            if unsupported:
+                raise ValueError(f"effect {self.name}: {name} {unsupported} is not in {UNKNOWN}")
         both = sorted(set(self.replaced_by) & set(self.freed_by))
         if both:
-            raise ValueError(f"effect {self.name}: {both} in replaced_by and in freed_by")
-        stated = [parameter.key for parameter in self.parameters if parameter.has_free_facts]
-        if stated and not self.freed_by:
-            raise ValueError(f"effect {self.name}: {stated} say what is free, but freed_by names no unknown")
+            raise ValueError(f"effect {self.name}: {both} in both replaced_by and freed_by")
+        freed = [parameter.key for parameter in self.parameters if parameter.has_free_facts]
+        if freed and not self.freed_by:
+            raise ValueError(f"effect {self.name}: {freed} have free_* values, but freed_by is empty")
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The parameter keys, in the order of theta."""
+        """Keys of the parameters, in the order of theta."""
         return tuple(parameter.key for parameter in self.parameters)
 
     @property
     def neutral(self) -> tuple[float, ...]:
-        """The theta that changes nothing."""
+        """Theta at which the effect changes nothing."""
         return tuple(parameter.neutral for parameter in self.parameters)
 
 

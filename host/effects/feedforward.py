@@ -1,4 +1,4 @@
-"""Turns effects with values into the numbers of the feed-forward block on board."""
+"""Composition of the feed-forward block on board from effects and their parameter values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Contributions = dict[str, Any]
 
 
 def neutral_contributions() -> Contributions:
-    """Return the block that changes nothing: gain 1, the rest 0."""
+    """Return the block that changes nothing: gain 1, all other entries 0."""
     return {
         "gain": 1.0,
         "bias_ned": (0.0, 0.0, 0.0),
@@ -25,13 +25,25 @@ def neutral_contributions() -> Contributions:
 def compose_feedforward(
     effects: Iterable[tuple[Effect, Sequence[float]]], voltage_ratio: float = 1.0
 ) -> Contributions:
-    """Return the block's numbers for all effects together: gains multiply, the rest adds.
+    """Return the entries of the feed-forward block for all effects together.
 
-    An effect without `to_feedforward` contributes nothing. Wind enters as the drag it causes at rest and
-    level, bias_ned = (d + c |w|) w with d the mean of the horizontal linear coefficients: the block has no
-    air speed. A `voltage_exponent` enters as the gain at `voltage_ratio`, the battery voltage expected over
-    full voltage: the block has no battery. Raises ValueError for a contribution the block does not have and
-    for a ratio that is not positive.
+    Gains are multiplied, all other contributions are added. An effect without `to_feedforward` contributes
+    nothing. The block does not know the air speed, so wind enters as the drag that it causes on a level
+    vehicle at rest: bias_ned = (d + c |w|) w, with d and c the means of the horizontal linear and quadratic
+    coefficients. The block does not know the battery, so a `voltage_exponent` enters as the gain at
+    `voltage_ratio`.
+
+    Parameters
+    ----------
+    effects
+        Effects with their parameter values.
+    voltage_ratio
+        Expected battery voltage over full voltage.
+
+    Raises
+    ------
+    ValueError
+        If an effect contributes an entry that the block does not have, or if voltage_ratio is not positive.
     """
     if not voltage_ratio > 0.0:
         raise ValueError(f"voltage ratio must be positive, got {voltage_ratio}")

@@ -1,4 +1,4 @@
-"""Let effect files written for version 0.1, which import `host.effects`, run for one more release."""
+"""Support for effect files of version 0.1, which import `host.effects`, for one more release."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _PACKAGE = "trimtab"
 
 
 def flat_imports(source: bytes) -> list[str]:
-    """Return the modules that a source text imports by their names of version 0.1, sorted."""
+    """Return the modules, sorted, that a source text imports by their names of version 0.1."""
     try:
         tree = ast.parse(source)
     except (SyntaxError, ValueError):
-        return []  # running the file reports it
+        return []  # executing the file reports the error
     names = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -33,14 +33,17 @@ def flat_imports(source: bytes) -> list[str]:
 
 @contextmanager
 def accepted(label: str, source: bytes) -> Iterator[None]:
-    """Resolve flat imports of the file `label` to `trimtab.*` inside the context, and warn about them."""
+    """Resolve imports by names of version 0.1 to `trimtab.*` inside the context, and warn about them.
+
+    label: name of the file in the warning. source: its content.
+    """
     flat = flat_imports(source)
     if not flat:
         yield
         return
     warnings.warn(
         f"{label}: imports {', '.join(flat)}; write {', '.join(f'{_PACKAGE}.{name}' for name in flat)}. "
-        "The old names work for this release only",
+        "The old names work only in this release",
         FutureWarning,
         stacklevel=2,
     )
@@ -56,13 +59,13 @@ def accepted(label: str, source: bytes) -> Iterator[None]:
 
 
 def _take_flat_modules() -> dict[str, ModuleType]:
-    """Remove and return the loaded modules that have flat names: a user's own, or the aliases."""
+    """Remove and return the loaded modules with names of version 0.1: modules of the user, or aliases."""
     names = [name for name in sys.modules if name.partition(".")[0] in _FLAT]
     return {name: sys.modules.pop(name) for name in names}
 
 
 class _Finder(MetaPathFinder):
-    """Finds `host.effects` and its like as `trimtab.host.effects`."""
+    """Finder of `host.effects` and other names of version 0.1 as `trimtab.host.effects` etc."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -73,7 +76,7 @@ class _Finder(MetaPathFinder):
 
 
 class _Alias(Loader):
-    """Loads a module under its flat name: the module of the full name, not a second copy."""
+    """Loader of a module under its name of version 0.1: the same module, not a second copy."""
 
     def exec_module(self, module: ModuleType) -> None:
         sys.modules[module.__name__] = importlib.import_module(f"{_PACKAGE}.{module.__name__}")

@@ -1,4 +1,4 @@
-"""Tilt of the camera frame: its vertical is not gravity's, so hover needs a lean that nobody planned."""
+"""Tilt of the camera frame: its vertical differs from gravity, so hover requires an unplanned tilt."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _axis(key: str, direction: str) -> Parameter:
         tolerance=0.001,
         lower=-0.1,
         upper=0.1,
-        description=f"turn of the camera frame about its {direction} axis, against the true vertical",
+        description=f"rotation of the camera frame about its {direction} axis, relative to the true vertical",
         free_sigma=0.02,
     )
 
@@ -36,15 +36,15 @@ EFFECT = Effect(
     name="frame-tilt",
     title="Tilt of the camera frame",
     equation="g in the camera frame = (g tilt_y, -g tilt_x, g)",
-    source="calibration of a camera system by hand: 0.2-2 deg, 0.17 m/s^2 a degree",
+    source="manual calibration of a camera system: 0.2-2 deg, 0.17 m/s^2 per degree",
     parameters=(_axis("tilt_x", "north"), _axis("tilt_y", "east")),
     aliases=("wind", "com-offset"),
-    observable="a force that stays with the room when the heading turns and does not grow with speed",
+    observable="a force that is constant in the room for all headings and does not grow with speed",
     freed_by=(FRAME_TILT,),
     closing=Closing(
-        model="gravity turned in the frame of the poses",
-        planner="nothing, except with a star: then the dynamics hold it",
-        law="the push it amounts to is fed forward as a constant acceleration",
+        model="gravity is rotated in the frame of the poses",
+        planner="nothing, except in starred plans, whose dynamics contain it",
+        law="the horizontal part of gravity in the tilted frame is fed forward as a constant acceleration",
     ),
     gravity_ned=_gravity,
     to_feedforward=_feedforward,

@@ -1,4 +1,4 @@
-"""Ground effect: near the floor the rotors' wake is dammed up and thrust rises."""
+"""Ground effect: near the floor, the obstructed wake of the rotors increases thrust."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from trimtab.host.effects.parameter import Parameter
 from trimtab.host.effects.unknowns import THRUST
 
 _LEAST_HEIGHT_M = 0.25
-_GREATEST = 1.5
+_GREATEST_FACTOR = 1.5
 
 
 def _factor(ops, theta, ctx):
     (k,) = theta
     height = ops.maximum(-ctx.p_ned[2], _LEAST_HEIGHT_M)
-    return 1.0 / ops.maximum(1.0 - k / (height * height), 1.0 / _GREATEST)
+    return 1.0 / ops.maximum(1.0 - k / (height * height), 1.0 / _GREATEST_FACTOR)
 
 
 EFFECT = Effect(
@@ -21,7 +21,7 @@ EFFECT = Effect(
     title="Ground effect",
     family="aerodynamic",
     equation="T_i = T_i,nominal min(1.5, 1 / (1 - k / h^2)), h the height over the floor, at least 0.25 m",
-    source="Cheeseman and Bennett 1955 with k = (R/4)^2; for whole quadrotors several times a rotor's k",
+    source="Cheeseman and Bennett 1955 with k = (R/4)^2; k of a quadrotor is several times that of one rotor",
     parameters=(
         Parameter(
             key="k",
@@ -31,15 +31,16 @@ EFFECT = Effect(
             tolerance=0.0005,
             lower=0.0,
             upper=0.05,
-            description="square of a quarter of the radius that the vehicle acts like",
+            description="square of a quarter of the effective rotor radius of the vehicle",
         ),
     ),
     aliases=("thrust-gain", "mass", "battery-sag"),
-    observable="a flight that goes low, below some 0.8 m, and high; at one height it is a thrust gain",
+    observable="a flight both below about 0.8 m and high above the floor; at one height it looks like a "
+    "thrust gain",
     replaced_by=(THRUST,),
     closing=Closing(
-        model="every rotor's thrust rises towards the floor",
-        planner="without a drag beside it, plans a path that keeps off the floor where its waypoints let it",
+        model="the thrust of every rotor increases near the floor",
+        planner="if the model has no drag, stays away from the floor where the waypoints permit it",
         law=None,
     ),
     thrust_factor=_factor,

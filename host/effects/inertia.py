@@ -1,4 +1,4 @@
-"""Inertia: the vehicle turns more or less readily than its file's principal moments say."""
+"""Inertia: the principal moments differ from those in the vehicle file."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def _axis(key: str, tolerance: float) -> Parameter:
         tolerance=tolerance,
         lower=0.3,
         upper=3.0,
-        description=f"moment of inertia about body {key} over the vehicle file's",
-        # The loop's answer to noise within a step looks like a wrong inertia.
+        description=f"moment of inertia about body {key} over that in the vehicle file",
+        # The response of the loop to noise within a step looks like a wrong inertia.
         discrepancy=0.2,
         free_sigma=0.5,
     )
@@ -32,16 +32,17 @@ EFFECT = Effect(
     title="Inertia",
     family="torque",
     equation="J = diag(x, y, z) J_nominal",
-    source="payloads, batteries and drawings that left out the wiring: 10-30 %",
+    source="payloads, batteries, and CAD models without wiring: 10-30 %",
     parameters=(_axis("x", 0.02), _axis("y", 0.02), _axis("z", 0.04)),
     aliases=("motor-lag", "actuation-delay", "thrust-gain", "gyroscopic"),
     observed_relative_to="thrust-gain",
-    observable="quick turns; only thrust times arm over inertia shows, swing the vehicle for more",
+    observable="fast rotations, which show only thrust times arm over inertia; swing the vehicle as a "
+    "pendulum to measure the inertia itself",
     replaced_by=(TORQUE,),
     freed_by=(INERTIA,),
     closing=Closing(
-        model="the principal moments times constants",
-        planner="without a drag beside it, plans a path of gentler turns, for which less torque is missing",
+        model="the principal moments are multiplied by constants",
+        planner="if the model has no drag, prefers gentler rotations, which need less torque",
         law=None,
     ),
     inertia_factors=_factors,

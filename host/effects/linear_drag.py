@@ -1,4 +1,4 @@
-"""Linear rotor drag: the blades of a moving rotor push back in proportion to the air speed."""
+"""Linear rotor drag: a force of the rotor blades against the air velocity, proportional to it."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ EFFECT = Effect(
     source="Faessler, Franchi, Scaramuzza 2018 (dx 0.43-0.54, dy 0.24-0.39 1/s)",
     parameters=(_axis("dx", 0.4), _axis("dy", 0.35), _axis("dz", 0.2)),
     aliases=("quadratic-drag", "wind", "mocap-latency", "thrust-inflow", "translational-lift"),
-    observable="speed along each body axis, beyond 1 m/s; from quadratic drag only over a range of speeds",
+    observable="above 1 m/s along each body axis; at several speeds, to distinguish it from quadratic drag",
     closing=Closing(
-        model="a drag force linear in the air speed, axis by axis",
-        planner="plans a path of less drag: slower where it costs most; the heading stays the route's",
+        model="a drag force linear in the air velocity along each body axis",
+        planner="prefers paths with less drag: slower where drag costs most; keeps the heading of the route",
         law="the predicted drag along the reference is fed forward",
     ),
     specific_force_frd=_force,

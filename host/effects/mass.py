@@ -1,4 +1,4 @@
-"""Mass: the vehicle weighs more or less than its file says."""
+"""Mass: the mass of the vehicle differs from that in its file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EFFECT = Effect(
     name="mass",
     title="Mass",
     equation="m = factor m_nominal",
-    source="payloads and batteries: 5-30 %; only thrust over mass shows without a weighing",
+    source="payloads and batteries: 5-30 %; flights show only thrust over mass",
     parameters=(
         Parameter(
             key="factor",
@@ -34,13 +34,12 @@ EFFECT = Effect(
         ),
     ),
     aliases=("thrust-gain", "battery-sag", "ground-effect", "slung-payload"),
-    observable="never apart from thrust in flight; weigh the vehicle",
+    observable="only thrust over mass is observable in flight; weigh the vehicle",
     adjustment=True,
     closing=Closing(
-        model="the mass times a constant",
-        planner="without a drag beside it, plans a path of less acceleration, of which a share "
-        "is missing; what hover lacks is "
-        "left out",
+        model="the mass is multiplied by a constant",
+        planner="if the model has no drag, prefers paths with less acceleration, since a share of it is "
+        "missing; the missing share at hover is ignored",
         law="the commanded thrust is multiplied by the factor",
     ),
     mass_factor=_factor,

@@ -1,4 +1,4 @@
-"""Mocap latency: a pose is older than its time stamp says, for the vehicle and in the log."""
+"""Mocap latency: a pose is older than its time stamp, both on the vehicle and in the log."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EFFECT = Effect(
     title="Undeclared mocap latency",
     family="timing",
     equation="pose(t) = true pose(t - latency_s)",
-    source="5-15 ms of exposure, computation and network in camera systems",
+    source="5-15 ms for exposure, computation and network in camera systems",
     parameters=(
         Parameter(
             key="latency_s",
@@ -30,19 +30,19 @@ EFFECT = Effect(
             tolerance=0.0005,
             lower=0.0,
             upper=0.08,
-            description="age of a pose at the time it is stamped with",
+            description="age of a pose at its time stamp",
             discrepancy=0.1,
-            # Two clocks that were brought together after the flight are off either way.
+            # Clocks that were aligned after the flight may be off in either direction.
             free_sigma=0.02,
             free_lower=-0.08,
         ),
     ),
     aliases=("motor-lag", "actuation-delay", "linear-drag"),
-    observable="fast flight: an error along the velocity; without a gyro it is an actuation delay",
+    observable="fast flight, as an error along the velocity; without a gyro it looks like an actuation delay",
     freed_by=(POSE_LATENCY,),
     closing=Closing(
-        model="the pose the estimator corrects with, and the logged pose, are delayed",
-        planner="nothing: only a slower plan would lessen the error",
+        model="the poses that the estimator uses, and the logged poses, are delayed",
+        planner="nothing: only a slower plan would reduce the error",
         law="the estimate is predicted forward by the latency",
     ),
     mocap_latency_s=_latency,

@@ -1,4 +1,4 @@
-"""Motor lag: the rotors follow their command more slowly, or faster, than the vehicle file says."""
+"""Motor lag: the time constant of the rotors differs from that in the vehicle file."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ EFFECT = Effect(
             tolerance=0.001,
             lower=-0.008,
             upper=0.08,
-            description="time constant beyond the vehicle file's",
-            # Rotors are no first-order lag; the loop's answer to noise within a step looks like a wrong one.
+            description="time constant minus that in the vehicle file",
+            # Real rotors are no first-order lag, and the loop's response to noise looks like a wrong lag.
             discrepancy=0.25,
-            # What phi reads into flights of a simulated vehicle without noise, turbulence or effect.
+            # What phi fits to flights of a simulated vehicle without noise, turbulence and effects.
             loop_discrepancy=0.05,
             free_sigma=0.05,
         ),
     ),
     aliases=("mocap-latency", "actuation-delay", "inertia", "thrust-inflow"),
-    observable="quick turns of roll and pitch with the gyro in the log",
+    observable="fast rotations in roll and pitch with the gyro logged",
     replaced_by=(THRUST,),
     freed_by=(MOTOR_LAG,),
     closing=Closing(
-        model="rotor thrust with the longer time constant",
-        planner="nothing: the rotor thrusts of a plan have no lag",
+        model="rotor thrust follows commands with the other time constant",
+        planner="nothing: plans contain rotor thrusts, which have no lag",
         law=None,
     ),
     motor_lag_s=_lag,

@@ -1,4 +1,4 @@
-"""Parameters of an effect: neutral and typical value, bounds, tolerance, unit."""
+"""Parameters of an effect: neutral value, typical size, bounds, tolerance and unit."""
 
 from __future__ import annotations
 
@@ -8,45 +8,45 @@ from dataclasses import dataclass
 from typing import TypedDict, Unpack
 
 DISCREPANCY = 0.05
-"""Usual `Parameter.discrepancy`."""
+"""Default of `Parameter.discrepancy`."""
 LOOP_DISCREPANCY = 0.01
-"""Usual `Parameter.loop_discrepancy`."""
+"""Default of `Parameter.loop_discrepancy`."""
 _KEY = re.compile(r"[a-z][a-z0-9_]*")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One number of an effect.
+    """One parameter of an effect.
 
     Attributes
     ----------
     key, unit, description
-        Its name in `lower_snake_case`, its unit ("1" for none) and its meaning.
+        Name in `lower_snake_case`, unit ("1" for none) and meaning.
     neutral
-        The value that changes nothing.
+        Value that changes nothing.
     typical
-        Usual distance from neutral where the effect is present; the scale of every fit.
+        Usual distance from neutral if the effect is present. It scales the parameter in every fit.
     tolerance
-        One sigma of what is not worth naming. A vehicle file may override it.
+        One standard deviation of a value that is not worth naming. A vehicle file may override it.
     lower, upper
         Bounds of the value.
     strength
-        False for a parameter that changes nothing by itself, such as a line's length without a payload.
+        False for a parameter that changes nothing by itself, such as the length of a line without a payload.
     discrepancy
-        One sigma, in typical sizes, of what segments of flights read into the parameter where the effect is
-        absent, since the model's form is not exact.
+        One standard deviation, in typical sizes, of the value that segments show if the effect is absent,
+        since no model is exact.
     loop_discrepancy
-        The same for whole flights over the closed loop.
+        The same for whole flights in closed loop.
     free_sigma
-        One sigma of the value where a log leaves the effect free (`Effect.freed_by`); `typical` if absent.
+        One standard deviation of the value if a log frees the effect (`Effect.freed_by`); `typical` if None.
     free_lower, free_upper
-        Bounds of the value there; `lower` and `upper` if absent. An effect that takes either sign only there
-        has a negative `free_lower`.
+        Bounds of the value in that case; `lower` and `upper` if None. A parameter that may be negative only
+        in that case has a negative `free_lower`.
     measured_below
-        A tolerance below this one means that the value was measured: the effect is then no exact alias of
-        another. Absent where no measurement is known.
+        Tolerance below which the value counts as measured, so that the effect is no exact alias of another
+        one. None if the value cannot be measured.
 
-    All but the texts, `strength` and the two discrepancies are in the parameter's unit.
+    All numbers except the two discrepancies are in the unit of the parameter.
     """
 
     key: str
@@ -96,7 +96,7 @@ class Parameter:
 
     @property
     def free_bounds(self) -> tuple[float, float]:
-        """Bounds of the value where a log leaves the effect free."""
+        """Bounds of the value if a log frees the effect."""
         return (
             self.lower if self.free_lower is None else self.free_lower,
             self.upper if self.free_upper is None else self.free_upper,
@@ -104,7 +104,7 @@ class Parameter:
 
     @property
     def has_free_facts(self) -> bool:
-        """Whether anything is stated about the parameter where a log leaves the effect free."""
+        """Whether any of `free_sigma`, `free_lower` and `free_upper` is given."""
         return any(fact is not None for fact in (self.free_sigma, self.free_lower, self.free_upper))
 
 
@@ -131,7 +131,7 @@ def number(
     description: str,
     **options: Unpack[NumberOptions],
 ) -> Parameter:
-    """Return a Parameter in one line, for a workspace's own effects; arguments as of `Parameter`."""
+    """Return a `Parameter` from positional arguments, for short effect files in a workspace."""
     return Parameter(
         key=key,
         unit=unit,

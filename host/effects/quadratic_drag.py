@@ -1,11 +1,11 @@
-"""Quadratic body drag: the frame's own air resistance, growing with the square of the air speed."""
+"""Quadratic body drag: air resistance of the frame, proportional to the square of the air speed."""
 
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect
 from trimtab.host.effects.parameter import Parameter
 
-_SPEED_SQUARED_FLOOR = 1e-12  # keeps the derivative of |v| finite at rest; 1e-6 m/s of speed
+_SPEED_SQUARED_FLOOR = 1e-12  # (1e-6 m/s)^2, keeps the derivative of |v| finite at rest
 
 
 def _force(ops, theta, ctx):
@@ -39,10 +39,10 @@ EFFECT = Effect(
         ),
     ),
     aliases=("linear-drag", "wind", "translational-lift"),
-    observable="level flight over a range of speeds, up to 4 m/s and beyond",
+    observable="level flight over a range of speeds, up to 4 m/s or more",
     closing=Closing(
         model="a drag force quadratic in the air speed",
-        planner="plans a path of less drag: slower where it is fastest",
+        planner="prefers paths with less drag: slower where the speed is greatest",
         law="the predicted drag along the reference is fed forward",
     ),
     specific_force_frd=_force,

@@ -1,4 +1,4 @@
-"""Finds the candidate effects: the shipped ones and those of a workspace's `effects/` folder."""
+"""Registry of candidate effects: the shipped ones and those in the `effects/` folder of a workspace."""
 
 from __future__ import annotations
 
@@ -16,16 +16,26 @@ _NOT_EFFECTS = {"__init__", "effect", "registry", "feedforward", "flat_imports",
 
 
 class EffectError(TrimtabError, ValueError):
-    """An effect file that cannot be used, or an effect name nobody defines."""
+    """Error for an effect file that cannot be used, or for the name of an unknown effect."""
 
     exit_code = 2
 
 
 def load_effects(workspace: Path | str | None = None) -> dict[str, Effect]:
-    """Every effect by name: the shipped ones sorted by name, then the workspace's.
+    """Return all effects by name: the shipped ones, then those of the workspace, each sorted by name.
 
-    A file defines one effect, as `EFFECT`, named like the file with hyphens for underscores. Raises
-    EffectError naming the file where that does not hold, or where a workspace file takes a shipped name.
+    A file defines one effect as `EFFECT`. Its name is that of the file, with hyphens instead of underscores.
+
+    Parameters
+    ----------
+    workspace
+        Folder that may hold a folder `effects`; None for the shipped effects only.
+
+    Raises
+    ------
+    EffectError
+        If a file does not define its effect, a workspace file takes a shipped name, or an effect refers to an
+        unknown effect.
     """
     effects = {effect.name: effect for effect in _read_folder(Path(__file__).parent)}
     folder = None if workspace is None else Path(workspace) / "effects"
@@ -39,17 +49,17 @@ def load_effects(workspace: Path | str | None = None) -> dict[str, Effect]:
     for effect in effects.values():
         for other in effect.requires_any:
             if other not in effects:
-                raise EffectError(f"effect {effect.name} requires {other}, which nobody defines")
+                raise EffectError(f"effect {effect.name} requires {other}, which is not defined")
         _check_references(effect, effects)
     return effects
 
 
 def _check_references(effect: Effect, effects: Mapping[str, Effect]) -> None:
-    """Raise EffectError where an effect is exactly like, or shows relative to, what is not there for it."""
+    """Raise EffectError if exact_aliases or observed_relative_to refer to an unknown or unsuitable effect."""
     for alias in effect.exact_aliases:
         other = effects.get(alias.effect)
         if other is None:
-            raise EffectError(f"effect {effect.name}: exact_aliases {alias.effect}, which nobody defines")
+            raise EffectError(f"effect {effect.name}: exact_aliases {alias.effect}, which is not defined")
         if alias.ratio is not None and other.neutral[0] == 0.0:
             raise EffectError(
                 f"effect {effect.name}: exact_aliases {alias.effect} has a ratio, but {other.keys[0]} of "
@@ -57,7 +67,7 @@ def _check_references(effect: Effect, effects: Mapping[str, Effect]) -> None:
             )
     over = effect.observed_relative_to
     if over is not None and over not in effects:
-        raise EffectError(f"effect {effect.name}: observed_relative_to {over}, which nobody defines")
+        raise EffectError(f"effect {effect.name}: observed_relative_to {over}, which is not defined")
 
 
 def _stem(name: str) -> str:
@@ -80,13 +90,13 @@ def _read_file(path: Path) -> Effect:
     try:
         with flat_imports.accepted(label, source):
             spec.loader.exec_module(module)
-    except Exception as error:  # whatever a user's file raises is that file's error
+    except Exception as error:  # any exception of a user's file is an error of that file
         raise EffectError(f"{label}: {type(error).__name__}: {error}") from error
     effect = getattr(module, "EFFECT", None)
     if not isinstance(effect, Effect):
-        raise EffectError(f"{label}: defines no EFFECT = Effect(...)")
+        raise EffectError(f"{label}: does not define EFFECT = Effect(...)")
     if _stem(effect.name) != path.stem:
         raise EffectError(
-            f"{label}: its effect is named {effect.name}; the file must be {_stem(effect.name)}.py"
+            f"{label}: defines effect {effect.name}; rename the file to {_stem(effect.name)}.py"
         )
     return dataclasses.replace(effect, source_id=digest)

@@ -1,4 +1,4 @@
-"""Loss of one rotor: a chipped propeller or a tired motor gives less thrust than the three others."""
+"""Thrust loss of one rotor: a damaged propeller or a worn motor gives less thrust than the other three."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _rotor(number: int) -> Parameter:
         tolerance=0.004,
         lower=-0.2,
         upper=0.6,
-        description=f"share of its thrust that rotor {number} of the vehicle file does not give",
+        description=f"share of its thrust that rotor {number} of the vehicle file loses",
     )
 
 
@@ -33,17 +33,17 @@ EFFECT = Effect(
     title="Loss of one rotor",
     family="torque",
     equation="T_i = (1 - loss_i) T_i,nominal, for one of the rotors",
-    source="damaged propellers and worn motors: 0.8-0.95 of one rotor's thrust left",
+    source="damaged propellers and worn motors: 0.8-0.95 of the thrust of one rotor remains",
     parameters=tuple(_rotor(number) for number in (1, 2, 3, 4)),
     aliases=("com-offset", "torque-bias", "thrust-gain"),
-    observable="roll, pitch and yaw torque in one fixed ratio; a centre of mass that is off does not yaw",
+    observable="roll, pitch and yaw torque in a fixed ratio; an offset of the centre of mass has no yaw part",
     replaced_by=(THRUST, TORQUE),
     closing=Closing(
-        model="the thrust of one rotor times a constant",
-        planner="without a drag beside it, plans a path of less change of thrust, with which the "
-        "lost share changes; what hover "
-        "lacks is left out",
-        law="the commanded thrust is divided by the mean of the four; the rate integral holds the torque",
+        model="the thrust of one rotor is multiplied by a constant",
+        planner="if the model has no drag, prefers paths on which the thrust, and with it the loss, "
+        "changes less; the loss at hover is ignored",
+        law="the commanded thrust is divided by the mean factor of the four rotors; the rate integral "
+        "compensates the torque",
     ),
     one_of=True,
     rotor_factors=_factors,

@@ -1,4 +1,4 @@
-"""Thrust gain: every rotor gives a constant share more or less than its curve says."""
+"""Thrust gain: the thrust of every rotor differs from its curve by the same factor."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EFFECT = Effect(
     name="thrust-gain",
     title="Thrust gain",
     equation="T_i = gain T_i,nominal",
-    source="5-10 % between propellers, batteries and motor controllers of one type",
+    source="5-10 % between propellers, batteries and motor controllers of the same type",
     parameters=(
         Parameter(
             key="gain",
@@ -29,7 +29,7 @@ EFFECT = Effect(
             tolerance=0.01,
             lower=0.4,
             upper=2.0,
-            description="thrust over the vehicle file's thrust, all rotors alike",
+            description="thrust over that in the vehicle file, the same for all rotors",
         ),
     ),
     aliases=(
@@ -45,16 +45,15 @@ EFFECT = Effect(
         ExactAlias(
             effect="mass",
             ratio="thrust over mass",
-            remedy="weigh the vehicle to tell mass from thrust",
+            remedy="weigh the vehicle to distinguish mass from thrust",
         ),
     ),
-    observable="any flight; from mass only by weighing",
+    observable="any flight; weigh the vehicle to distinguish it from mass",
     replaced_by=(THRUST, THRUST_CURVE),
     closing=Closing(
-        model="every rotor's thrust times a constant",
-        planner="without a drag beside it, plans a path of less acceleration, of which a share "
-        "is missing; what hover lacks is "
-        "left out",
+        model="the thrust of every rotor is multiplied by a constant",
+        planner="if the model has no drag, prefers paths with less acceleration, since a share of it is "
+        "missing; the missing share at hover is ignored",
         law="the commanded thrust is divided by the gain",
     ),
     thrust_factor=_factor,

@@ -1,4 +1,4 @@
-"""Thrust against axial speed: climbing, the blades meet the air at a smaller angle and give less thrust."""
+"""Thrust against axial speed: in a climb the angle of attack of the blades, and so the thrust, decreases."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from trimtab.host.effects.unknowns import THRUST
 
 
 def _losses(ops, theta, ctx):
-    """Return what each rotor loses per m/s of axial speed, over the vehicle's mass."""
+    """Return the thrust loss of each rotor per m/s of axial air speed, over the mass of the vehicle, 1/s."""
     scale = 0.25 * theta[0] / (ctx.hover_n + _FLOOR_N) ** 0.5
     return [scale * ops.sqrt(ops.maximum(thrust, 0.0) + _FLOOR_N) for thrust in ctx.thrust]
 
@@ -21,8 +21,8 @@ def _torque(ops, theta, ctx):
     p, q, _ = ctx.rate_frd
     x_torque = y_torque = 0.0
     for loss, (x, y, _) in zip(_losses(ops, theta, ctx), ctx.rotor_positions, strict=True):
-        push = -loss * ctx.mass_kg * (p * y - q * x)
-        x_torque, y_torque = x_torque + y * push, y_torque - x * push
+        force = -loss * ctx.mass_kg * (p * y - q * x)
+        x_torque, y_torque = x_torque + y * force, y_torque - x * force
     return (x_torque, y_torque, 0.0)
 
 
@@ -30,14 +30,14 @@ def _feedforward(theta):
     return {"linear_drag": (0.0, 0.0, theta[0])}
 
 
-_FLOOR_N = 1e-9  # keeps the derivative of the root finite where a rotor stands
+_FLOOR_N = 1e-9  # keeps the derivative of the square root finite at zero thrust
 
 EFFECT = Effect(
     name="thrust-inflow",
     title="Thrust against axial speed",
     family="aerodynamic",
     equation="F_i = -(k m / 4) sqrt(T_i / T_hover) (v_air + omega x r_i)_z along z_frd",
-    source="blade element theory: thrust falls by k_z Omega v_z, about 0.44 N/(m/s) in all at 0.75 kg",
+    source="blade element theory: thrust falls by k_z Omega v_z, about 0.44 N/(m/s) in total at 0.75 kg",
     parameters=(
         Parameter(
             key="k",
@@ -47,16 +47,16 @@ EFFECT = Effect(
             tolerance=0.01,
             lower=-0.2,
             upper=3.0,
-            description="thrust lost over mass a metre a second of axial air speed, at hover rotor speed",
+            description="thrust loss over mass per m/s of axial air speed, at hover rotor speed",
         ),
     ),
     aliases=("linear-drag", "motor-lag", "actuation-delay"),
-    observable="climbs and descents beyond 1 m/s; from drag along z only where thrust changes meanwhile",
+    observable="climbs and descents above 1 m/s; changing thrust, to distinguish it from drag along z",
     replaced_by=(THRUST,),
     closing=Closing(
-        model="a force of each rotor against its axial air speed that grows with rotor speed",
-        planner="plans a path of less of it: slower climbs and descents",
-        law="what it is at hover's rotor speed is fed forward like a drag along body z",
+        model="a force of each rotor against its axial air speed, which grows with rotor speed",
+        planner="prefers slower climbs and descents",
+        law="its value at hover rotor speed is fed forward as a drag along body z",
     ),
     specific_force_frd=_force,
     torque_frd=_torque,

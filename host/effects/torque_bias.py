@@ -1,4 +1,4 @@
-"""Torque bias: a constant torque, as of a bent arm or trim that nobody took out."""
+"""Torque bias: a constant torque, for example from a bent arm or a residual trim."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _axis(key: str) -> Parameter:
         tolerance=0.3,
         lower=-30.0,
         upper=30.0,
-        description=f"constant torque about body {key} over the vehicle file's moment of inertia",
+        description=f"constant torque about body {key} over the moment of inertia in the vehicle file",
     )
 
 
@@ -29,15 +29,15 @@ EFFECT = Effect(
     title="Torque bias",
     family="torque",
     equation="tau_frd = J_nominal (x, y, z)",
-    source="bent arms and tilted motor mounts; some 5-10 mN m on a 0.75 kg quadrotor",
+    source="bent arms and tilted motor mounts; about 5-10 mN m on a 0.75 kg quadrotor",
     parameters=(_axis("x"), _axis("y"), _axis("z")),
     aliases=("com-offset", "rotor-loss"),
-    observable="constant while the thrust varies; in hover it is an offset of the centre of mass",
+    observable="flight with changing thrust; in hover it looks like an offset of the centre of mass",
     replaced_by=(TORQUE,),
     closing=Closing(
         model="a constant torque",
-        planner="nothing, except with a star: then the dynamics hold it; limits are judged on the nominal "
-        "vehicle",
+        planner="nothing, except in starred plans, whose dynamics contain it; limits are checked for the "
+        "nominal vehicle",
         law=None,
     ),
     torque_frd=_torque,

@@ -1,4 +1,4 @@
-"""Translational lift: moving sideways, the rotors meet fresh air and give more thrust."""
+"""Translational lift: in horizontal flight the rotors meet undisturbed air and give more thrust."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EFFECT = Effect(
     title="Translational lift",
     family="aerodynamic",
     equation="a_frd = (0, 0, -k (v_air,x^2 + v_air,y^2))",
-    source="Faessler, Franchi, Scaramuzza 2018 (0.009 1/m); 3.4e-3 N/(m/s)^2 a rotor on a 0.75 kg quadrotor",
+    source="Faessler, Franchi, Scaramuzza 2018 (0.009 1/m); 3.4e-3 N/(m/s)^2 per rotor at 0.75 kg",
     parameters=(
         Parameter(
             key="k",
@@ -28,17 +28,17 @@ EFFECT = Effect(
             tolerance=0.001,
             lower=-0.05,
             upper=0.2,
-            description="lift over mass a square of the air speed across the rotors, positive upwards",
-            # What phi reads into flights of a simulated vehicle without noise, turbulence or effect.
+            description="lift over mass per square of the air speed across the rotors, positive upwards",
+            # What phi fits to flights of a simulated vehicle without noise, turbulence and effects.
             loop_discrepancy=0.05,
         ),
     ),
     aliases=("thrust-gain", "quadratic-drag", "linear-drag"),
-    observable="level flight at several speeds above 2 m/s; at one speed it is a thrust gain",
+    observable="level flight at several speeds above 2 m/s; at one speed it looks like a thrust gain",
     replaced_by=(THRUST,),
     closing=Closing(
-        model="a force against the body's down axis that grows with the square of the air speed across it",
-        planner="plans a path of less lift: slower where it is fastest",
+        model="a force along body -z that grows with the square of the air speed across the rotors",
+        planner="prefers paths with less lift: slower where the speed is greatest",
         law=None,
     ),
     specific_force_frd=_force,

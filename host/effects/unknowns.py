@@ -1,8 +1,7 @@
-"""What a log may declare unknown: the words of its metadata entry `unknown`.
+"""The words of the metadata entry `unknown`, by which a log declares what it does not determine.
 
-Tracing estimates what a log does not determine as a nuisance and counts it as no effect. Each effect states
-which of these words take it out of the candidates (`Effect.replaced_by`) and which leave it free
-(`Effect.freed_by`).
+Tracing estimates unknown quantities as nuisances and does not count them as effects. Each effect states which
+of these words take it out of the candidates (`Effect.replaced_by`) and which free it (`Effect.freed_by`).
 """
 
 THRUST = "thrust"
@@ -24,4 +23,4 @@ UNKNOWN = (
     TORQUE,
     POSE_LATENCY,
 )
-"""Every word, in the order of messages."""
+"""All words, in the order in which messages list them."""

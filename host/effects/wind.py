@@ -1,4 +1,4 @@
-"""Constant horizontal wind: the drag acts on the air speed, not on the ground speed."""
+"""Constant horizontal wind: drag depends on the velocity relative to the air."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _axis(key: str, direction: str) -> Parameter:
         tolerance=0.05,
         lower=-10.0,
         upper=10.0,
-        description=f"velocity of the air to the {direction}",
+        description=f"{direction} component of the velocity of the air",
     )
 
 
@@ -38,14 +38,14 @@ EFFECT = Effect(
     source="0.5-3 m/s outdoors and near air conditioning; acts only through drag",
     parameters=(_axis("wx", "north"), _axis("wy", "east")),
     aliases=("linear-drag", "quadratic-drag", "com-offset", "frame-tilt"),
-    separated_by={"frame-tilt": "fly once more without wind, or level the camera system"},
-    observable="flights both ways along each direction; in hover it is a tilt of the frame",
+    separated_by={"frame-tilt": "fly again without wind, or level the camera system"},
+    observable="flights in both directions of each axis; in hover it looks like a tilt of the camera frame",
     replaced_by=(FRAME_TILT,),
     requires_any=("linear-drag", "quadratic-drag"),
     closing=Closing(
-        model="the drag terms see the velocity through the air",
-        planner="plans with the drag of the air that moves: slower against the wind",
-        law="the drag of the mean wind at rest is fed forward as a constant acceleration",
+        model="drag depends on the velocity relative to the air",
+        planner="prefers paths with less drag in moving air: slower against the wind",
+        law="the drag of the mean wind on a vehicle at rest is fed forward as a constant acceleration",
     ),
     wind_ned=_wind,
     to_feedforward=_feedforward,

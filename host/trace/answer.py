@@ -1,4 +1,4 @@
-"""The JSON object of a trace: the numbers of the result, and its sentences."""
+"""The JSON object of a trace: the numbers of its result, and their sentences."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ def to_json(
     report_path: str | None = None,
     network_path: str | None = None,
 ) -> dict[str, Any]:
-    """Return the JSON object of `trimtab trace`. The paths name written files; None if a file was not
-    written.
+    """Return the JSON object of `trimtab trace`.
+
+    model_path, report_path, network_path: files that were written; None for a file that was not.
     """
     null = {"position_rmse_m": None, "velocity_rmse_m_s": None}
     return {
@@ -60,13 +61,14 @@ def to_json(
 
 
 def _repeat(repeat: FlightRepeat | None) -> dict[str, float] | None:
+    """Return an entry of the JSON object `repeats`."""
     if repeat is None:
         return None
     return {"share": repeat.share, "z": repeat.z_score, "position_m": repeat.position_m}
 
 
 def audit_json(audit: Audit) -> dict[str, Any]:
-    """Return the entry of a flight under `audit`."""
+    """Return the entry of one flight in the JSON list `audit`."""
     return {
         "log": audit.log,
         "used_s": round(audit.used_s, 3),
@@ -95,6 +97,8 @@ def audit_json(audit: Audit) -> dict[str, Any]:
     }
 
 
-def _description(told: Description | None) -> dict[str, Any] | None:
-    """Return the value of `description`, with its words."""
-    return None if told is None else {**told.to_json(), "words": words.description(told)}
+def _description(description: Description | None) -> dict[str, Any] | None:
+    """Return the JSON object `description`, including its sentences."""
+    if description is None:
+        return None
+    return {**description.to_json(), "words": words.description(description)}

@@ -1,4 +1,4 @@
-"""What a trace answers with: named effects, the model, and errors on held-out flights."""
+"""Assembly of the result of a trace: named effects, the model, and errors on held-out flights."""
 
 from __future__ import annotations
 
@@ -26,30 +26,31 @@ from trimtab.host.trace.selection import Diagnosis
 
 
 def named_effects(
-    chosen: ParameterSpace, diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]
+    space: ParameterSpace, diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]
 ) -> tuple[Named, ...]:
-    """Return the selected effects with values, probability and aliases."""
-    values, sd = (
-        chosen.values(diagnosis.selected.theta_scaled),
-        np.sqrt(np.diag(diagnosis.selected.covariance)) * chosen.scale,
-    )
-    out = []
+    """Return the selected effects with values, standard deviations, probabilities and aliases.
+
+    aliases: probability of each alternative by the selected effect that it would replace.
+    """
+    values = space.values(diagnosis.selected.theta_scaled)
+    sd = np.sqrt(np.diag(diagnosis.selected.covariance)) * space.scale
+    named = []
     for name in diagnosis.selected.effects:
-        effect = chosen.effect(name)
+        effect = space.effect(name)
         parameters = {
-            chosen.columns[i].key: Value(value=float(values[i]), sd=float(sd[i]), unit=chosen.columns[i].unit)
-            for i in chosen.groups[name]
+            space.columns[i].key: Value(value=float(values[i]), sd=float(sd[i]), unit=space.columns[i].unit)
+            for i in space.groups[name]
         }
         others: dict[str, float] = {}
         for other, probability in aliases[name].items():
-            title = chosen.effect(other).name
-            others[title] = others.get(title, 0.0) + probability
+            other_name = space.effect(other).name
+            others[other_name] = others.get(other_name, 0.0) + probability
         exact = exact_aliases(
-            chosen, diagnosis.selected.theta_scaled, diagnosis.selected.covariance, effect.name
+            space, diagnosis.selected.theta_scaled, diagnosis.selected.covariance, effect.name
         )
         for other in exact:
             others.setdefault(other, diagnosis.inclusion_probability[name])
-        out.append(
+        named.append(
             Named(
                 name=effect.name,
                 title=effect.title,
@@ -59,11 +60,11 @@ def named_effects(
                 exact_aliases=exact,
             )
         )
-    return tuple(out)
+    return tuple(named)
 
 
 def model_of(
-    chosen: ParameterSpace,
+    space: ParameterSpace,
     diagnosis: Diagnosis,
     theta_scaled: np.ndarray,
     flights: Sequence[Flight],
@@ -71,40 +72,58 @@ def model_of(
     added: bool,
     provenance: Mapping[str, object] | None,
 ) -> Model:
-    """Return the model file's content: named effects, everything else within tolerance as adjustments.
+    """Return the model: named effects as effects, all other parameters as adjustments.
 
-    Unless effects are `added` there are none, no adjustments beside what the logs declare unknown, and no
+    If the effects are not `added`, the model holds only the adjustments that the logs declare unknown, and no
     covariance.
+
+    Parameters
+    ----------
+    space
+        Parameter space of the trace.
+    diagnosis
+        Gives the covariance, and the segments that the trained region is computed from.
+    theta_scaled
+        Scaled parameters (P,) of the model.
+    flights
+        Flights of the trace, all of one vehicle.
+    named
+        Effects that the trace names.
+    added
+        Whether the selected effects go into the model.
+    provenance
+        Recorded in the model file.
     """
-    values = chosen.values(theta_scaled)
-    found = {effect.name for effect in named}
-    tables: dict[bool, dict[str, dict[str, float]]] = {True: {}, False: {}}
-    kept = [owner for owner in chosen.owners if added or owner in chosen.unknown]
-    for owner in kept:
-        table = {chosen.columns[i].key: float(values[i]) for i in chosen.owners[owner]}
-        tables[owner in found][owner] = table
+    values = space.values(theta_scaled)
+    effect_names = {effect.name for effect in named}
+    effects: dict[str, dict[str, float]] = {}
+    adjustments: dict[str, dict[str, float]] = {}
+    owners = [owner for owner in space.owners if added or owner in space.unknown]
+    for owner in owners:
+        table = effects if owner in effect_names else adjustments
+        table[owner] = {space.columns[i].key: float(values[i]) for i in space.owners[owner]}
     covariance = None
     if added:
-        scaled = diagnosis.selected.covariance * np.outer(chosen.scale, chosen.scale)
+        scaled = diagnosis.selected.covariance * np.outer(space.scale, space.scale)
         covariance = Covariance(
-            names=tuple(f"{c.owner}.{c.key}" for c in chosen.columns),
+            names=tuple(f"{c.owner}.{c.key}" for c in space.columns),
             matrix=tuple(tuple(float(x) for x in row) for row in 0.5 * (scaled + scaled.T)),
         )
     data, vehicle = diagnosis.selected.data, flights[0].vehicle
     tilt = np.arccos(np.clip(data.R_ned_frd[:, :, 8], -1.0, 1.0))
     speed = np.linalg.norm(np.diff(data.p_ned, axis=1), axis=2) / data.dt_s
-    seen = data.pose_weight[:, 1:] * data.pose_weight[:, :-1] > 0
+    both_posed = data.pose_weight[:, 1:] * data.pose_weight[:, :-1] > 0
     thrust = nominal_thrust(vehicle, data.command, in_newton=data.in_newton)
     thrust = np.maximum(thrust.sum(-1), 0.0)
     return Model(
         vehicle_id=vehicle.id,
         vehicle_name=vehicle.name,
-        effects=tables[True],
-        adjustments=tables[False],
+        effects=effects,
+        adjustments=adjustments,
         covariance=covariance,
-        sources={name: chosen.effects[name].source_id for name in chosen.parts if name in kept},
+        sources={name: space.effects[name].source_id for name in space.parts if name in owners},
         region=Region(
-            speed_max_m_s=float(np.quantile(speed[seen], 0.99)),
+            speed_max_m_s=float(np.quantile(speed[both_posed], 0.99)),
             tilt_max_deg=float(np.rad2deg(np.quantile(tilt[data.pose_weight > 0], 0.999))),
             thrust_min_n=float(np.quantile(thrust, 0.001)),
             thrust_max_n=float(np.quantile(thrust, 0.999)),
@@ -122,22 +141,28 @@ def held_out_errors(
     model: Model,
     effects: Mapping[str, Effect],
 ) -> tuple[tuple[Errors, ...], tuple[Errors, ...], tuple[Errors, ...]]:
-    """Held-out errors with nothing, with everything, and with the adjustments only."""
+    """Return held-out errors without effects, with the model, and with only its adjustments.
+
+    Each is a tuple with one entry for each held-out flight. If the effects are not `added`, all three are the
+    errors without effects.
+    """
     if not logs.held_out:
         return (), (), ()
-    chosen = segment_model.space
-    named = [i for name in diagnosis.selected.effects for i in chosen.groups[name]]
-    bare = Model(vehicle_id=model.vehicle_id, vehicle_name=model.vehicle_name, adjustments=model.adjustments)
+    space = segment_model.space
+    selected_columns = [i for name in diagnosis.selected.effects for i in space.groups[name]]
+    adjusted = Model(
+        vehicle_id=model.vehicle_id, vehicle_name=model.vehicle_name, adjustments=model.adjustments
+    )
 
     def predict(values: np.ndarray, whole: Model | None) -> tuple[Errors, ...]:
         if logs.drive == "reference":
             return predict_flights(logs.held_out, whole, effects)
         return predict_segments(logs.held_out, segment_model, values)
 
-    before = predict(unknowns_only(chosen, diagnosis.null_fit), None)
+    before = predict(unknowns_only(space, diagnosis.null_fit), None)
     if not added:
         return before, before, before
     theta_scaled = diagnosis.selected.theta_scaled
-    middle = theta_scaled.copy()
-    middle[named] = 0.0
-    return before, predict(theta_scaled, model), predict(middle, bare)
+    nuisance_only = theta_scaled.copy()
+    nuisance_only[selected_columns] = 0.0
+    return before, predict(theta_scaled, model), predict(nuisance_only, adjusted)

@@ -1,10 +1,17 @@
-"""Evidence for sets of effects from whitened, linearised segments.
+"""Log evidence of sets of effects from whitened, linearised segments.
 
-A segment's residual is r = X dx0 + S dz + Z w + e with sensor noise e of unit variance, a free initial state
-dx0 (projected out before it gets here), the scaled parameters theta_scaled of the library form and a process
-disturbance w, force and torque in bins of 0.1 s. Only the Gram matrix of [r, S, Z] of a segment is kept, so
-that any subset of effects costs one small solve. Spike and slab: a parameter whose effect is not selected
-still moves within its declared tolerance; a selected one is free within twice its typical size.
+The residual of a segment is r = X dx0 + S dtheta + L dl + Z w + e:
+
+- e: sensor noise of unit variance;
+- dx0: free initial state, projected out before the Grams reach this module;
+- dtheta: change of the scaled parameters theta_scaled (P,);
+- dl: change of the nuisances (K,) of the flight;
+- w: process disturbance, six components (force and torque) in each bin of 0.1 s.
+
+Only the Gram matrix of [r | S | L | Z] of each segment is kept, so the evidence of any set of effects costs
+one small solve. The prior is spike and slab. A parameter of an effect that is not selected moves within its
+declared tolerance. A parameter of a selected effect has a standard deviation of RULES.slab_sigma typical
+sizes.
 """
 
 from __future__ import annotations
@@ -19,16 +26,18 @@ from scipy.optimize import minimize
 from trimtab.host.trace.decision.rules import RULES
 
 FORCE_LIMITS = (-14.0, 6.0)
+"""Search range of the log variances of force, (m/s^2)^2."""
 TORQUE_LIMITS = (-14.0, 12.0)
+"""Search range of the log variance of torque, (rad/s^2)^2 or (rad/s)^2."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Process:
-    """Log variances of the process disturbance in body axes: lateral and axial specific force (m/s^2)^2, and
-    angular acceleration (rad/s^2)^2 or, where the measured body rate drives the attitude, body rate
-    (rad/s)^2.
+    """Log variances of the process disturbance, FRD.
 
-    Axial stands apart because errors of the thrust act along the thrust.
+    log_lateral, log_axial: specific force across and along the thrust, (m/s^2)^2. They differ because thrust
+    errors act along the thrust. log_torque: angular acceleration, (rad/s^2)^2, or body rate, (rad/s)^2, if
+    the measured body rate drives the attitude.
     """
 
     log_lateral: float
@@ -36,27 +45,27 @@ class Process:
     log_torque: float
 
     def sigma(self) -> np.ndarray:
-        """Return standard deviations (6,) of the disturbance: force x, y, z, torque x, y, z."""
+        """Return standard deviations (6,) of the disturbance, FRD: force x, y, z, torque x, y, z."""
         logs = [self.log_lateral] * 2 + [self.log_axial] + [self.log_torque] * 3
         return np.exp(0.5 * np.array(logs))
 
     def covariance(self, bins: int) -> np.ndarray:
-        """Covariance (6 bins, 6 bins) of the disturbance, bin by bin."""
+        """Return the covariance (6 bins, 6 bins) of the disturbance, ordered by bin, then component."""
         return np.kron(correlation(bins), np.diag(self.sigma() ** 2))
 
 
 def correlation(bins: int) -> np.ndarray:
-    """Correlation (bins, bins) of the disturbance between bins."""
+    """Return the correlation (bins, bins) of the disturbance between bins."""
     lag = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
     return RULES.disturbance_correlation**lag
 
 
 @dataclass(frozen=True, kw_only=True)
 class Linearisation:
-    """Grams of [r | S | L | Z] by segment at one point, initial states already projected out.
+    """Grams of [r | S | L | Z] of every segment at one point, with initial states projected out.
 
-    gram: (segments, 1 + P + K + 6 bins, same). flight: (segments,) index of the flight. z: (P,) scaled
-    parameters. local: (flights, K) nuisances that are constant over a flight.
+    gram: (segments, 1 + P + K + 6 bins, same). flight (segments,): index of the flight of each segment.
+    theta_scaled (P,): scaled parameters. local (flights, K): nuisances that are constant over a flight.
     """
 
     gram: np.ndarray
@@ -76,8 +85,9 @@ class Linearisation:
 
     @cached_property
     def by_innovations(self) -> tuple[np.ndarray, np.ndarray]:
-        """Grams Z' Z (segments, 6 bins, 6 bins) and Z' [r | S | L] with the disturbance written by what is
-        new in each bin: its covariance is then diagonal for every process.
+        """Grams Z' Z (segments, 6 bins, 6 bins) and Z' [r | S | L] for the innovations of the disturbance.
+
+        The innovations of the bins are independent, so their covariance is diagonal for every process.
         """
         n = 1 + self.parameters + self.local.shape[1]
         root = np.kron(np.linalg.cholesky(correlation(self.bins)), np.eye(6))
@@ -86,9 +96,10 @@ class Linearisation:
 
 @dataclass(frozen=True, kw_only=True)
 class Prior:
-    """Prior sigmas: spike (P,) of an effect left out, scaled; local (K,) of a flight's nuisances, physical.
+    """Prior standard deviations of parameters and nuisances.
 
-    `groups` names the columns of each effect or adjustment.
+    groups: column indices of each candidate or adjustment. spike (P,): standard deviation of each parameter,
+    scaled, if its effect is not selected. local (K,): of the nuisances of a flight, in physical units.
     """
 
     groups: dict[str, tuple[int, ...]]
@@ -96,7 +107,7 @@ class Prior:
     local: np.ndarray
 
     def precision(self, selected: Sequence[str]) -> np.ndarray:
-        """Prior precision (P,) when the effects `selected` are in the model."""
+        """Return the prior precision (P,), scaled, if the effects `selected` are in the model."""
         sigma = self.spike.copy()
         for name in selected:
             for column in self.groups[name]:
@@ -106,10 +117,12 @@ class Prior:
 
 @dataclass(frozen=True, kw_only=True)
 class Whitened:
-    """Summed Gram (1 + P, 1 + P) of [r | S] with disturbance and flight nuisances integrated out.
+    """Grams of [r | S] with the disturbance and the nuisances of the flights integrated out.
 
-    `log_det` completes the evidence. `flight_grams` (flights, 1 + P, 1 + P) are the same by flight, less the
-    nuisances' own prior; `local_gram` (flights, 1 + P + K, same) keeps what the nuisances' posterior needs.
+    gram (1 + P, 1 + P): sum over all flights. log_det: log determinant that completes the log evidence.
+    flight_grams (flights, 1 + P, 1 + P): the same for each flight, without the prior term of the nuisances.
+    local_gram (flights, 1 + P + K, same): Grams of [r | S | L], from which `local_step` solves for the
+    nuisances.
     """
 
     gram: np.ndarray
@@ -119,8 +132,10 @@ class Whitened:
 
 
 def whitened(lin: Linearisation, process: Process, prior: Prior) -> Whitened:
-    """Return the Grams under the covariance I + Z Q Z' (Woodbury), then the nuisances of each flight
-    integrated out.
+    """Return the Grams with disturbance and nuisances integrated out.
+
+    The noise covariance is I + Z Q Z', with Q the covariance of `process`; Woodbury's identity inverts it.
+    Then the nuisances of each flight are integrated out under `prior`.
     """
     count, width = lin.local.shape
     m = 1 + lin.parameters
@@ -136,15 +151,15 @@ def whitened(lin: Linearisation, process: Process, prior: Prior) -> Whitened:
     inner = flights[:, m:, m:] + np.diag(precision)
     rhs = flights[:, m:, :m].copy()
     rhs[:, :, 0] -= precision * lin.local
-    own = flights[:, :m, :m] - np.swapaxes(rhs, 1, 2) @ np.linalg.solve(inner, rhs)
-    gram = own.sum(0)
+    flight_grams = flights[:, :m, :m] - np.swapaxes(rhs, 1, 2) @ np.linalg.solve(inner, rhs)
+    gram = flight_grams.sum(0)
     gram[0, 0] += float((precision * lin.local**2).sum())
     log_det += float(np.linalg.slogdet(inner)[1].sum() - count * np.log(precision).sum())
-    return Whitened(gram=gram, log_det=log_det, flight_grams=own, local_gram=flights)
+    return Whitened(gram=gram, log_det=log_det, flight_grams=flight_grams, local_gram=flights)
 
 
 def local_step(lin: Linearisation, white: Whitened, prior: Prior, step: np.ndarray) -> np.ndarray:
-    """Step (flights, K) of the flights' nuisances when the parameters take `step` (P,)."""
+    """Return the step (flights, K) of the nuisances if the scaled parameters move by `step` (P,)."""
     m = 1 + lin.parameters
     precision = 1.0 / prior.local**2
     inner = white.local_gram[:, m:, m:] + np.diag(precision)
@@ -160,11 +175,25 @@ def log_evidence(
     count: int,
     limits: tuple[np.ndarray, np.ndarray],
 ) -> float:
-    """Log evidence, up to a constant, of a set of `count` effects in the linearisation at theta_scaled.
+    """Return the log evidence in nats, up to a constant, of a set of effects in a linearisation.
 
-    gram (1 + P, 1 + P) of the whitened [r | S], log_det of what whitened them. At the best point within
-    `limits` (P,) of the scaled parameters: bounds of an effect are physics, and what only a value beyond
-    them explains is not explained.
+    The evidence is that of the best point within `limits`. An effect cannot gain evidence from a value
+    outside its physical bounds.
+
+    Parameters
+    ----------
+    gram
+        Gram (1 + P, 1 + P) of the whitened [r | S].
+    log_det
+        Log determinant of the covariance by which they were whitened.
+    theta_scaled
+        Scaled parameters (P,) of the linearisation.
+    precision
+        Prior precision (P,) of the set, scaled.
+    count
+        Number of effects in the set.
+    limits
+        Lower and upper bounds (P,) of the scaled parameters.
     """
     rhs = gram[0, 1:] - precision * theta_scaled
     normal = gram[1:, 1:] + np.diag(precision)
@@ -172,15 +201,18 @@ def log_evidence(
     half = np.linalg.solve(chol, rhs)
     quadratic = gram[0, 0] + precision @ (theta_scaled * theta_scaled) - half @ half
     free = np.linalg.solve(chol.T, half)
-    off = held(normal, free, limits[0] - theta_scaled, limits[1] - theta_scaled) - free
-    quadratic += off @ normal @ off
+    bounded_step = minimise_in_box(normal, free, limits[0] - theta_scaled, limits[1] - theta_scaled)
+    excess = bounded_step - free
+    quadratic += excess @ normal @ excess
     occam = 2.0 * np.log(np.diag(chol)).sum() - np.log(precision).sum()
     return float(-0.5 * (quadratic + occam + log_det) + RULES.prior_log_odds * count)
 
 
-def held(normal: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Where (P,) between `lower` and `upper` a quadratic of Hessian `normal` (P, P) that is least at `step`
-    (P,) is least: what crosses a bound is put on it, the rest solved again.
+def minimise_in_box(normal: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return the point (P,) between `lower` and `upper` (P,) that minimises a quadratic.
+
+    normal (P, P): Hessian of the quadratic. step (P,): its unconstrained minimum. Components that cross a
+    bound are fixed there, and the others are solved again until none crosses.
     """
     fixed, at = np.zeros(len(step), dtype=bool), step
     while ((at < lower) | (at > upper)).any():
@@ -196,7 +228,11 @@ def held(normal: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndar
 def posterior(
     gram: np.ndarray, theta_scaled: np.ndarray, precision: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Step (P,) to the posterior mean and the posterior covariance (P, P), scaled units."""
+    """Return the step (P,) to the posterior mean and the posterior covariance (P, P), scaled.
+
+    gram (1 + P, 1 + P): of the whitened [r | S], linearised at theta_scaled (P,). precision (P,): of the
+    prior.
+    """
     covariance = np.linalg.inv(gram[1:, 1:] + np.diag(precision))
     return covariance @ (gram[0, 1:] - precision * theta_scaled), covariance
 
@@ -204,17 +240,18 @@ def posterior(
 def bounded(
     gram: np.ndarray, theta_scaled: np.ndarray, precision: np.ndarray, limits: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `posterior`, the step to the best point within `limits` (P,) of the scaled parameters.
+    """Return the step (P,) to the best point within `limits`, and the posterior covariance (P, P), scaled.
 
-    Cut off at a bound instead, a step would leave undone what it had meant to do beyond it.
+    Arguments are those of `posterior`; limits: lower and upper bounds (P,). The other parameters adapt to a
+    parameter that stops at its bound. If the step of `posterior` were clipped instead, they would not.
     """
     step, covariance = posterior(gram, theta_scaled, precision)
     normal = gram[1:, 1:] + np.diag(precision)
-    return held(normal, step, limits[0] - theta_scaled, limits[1] - theta_scaled), covariance
+    return minimise_in_box(normal, step, limits[0] - theta_scaled, limits[1] - theta_scaled), covariance
 
 
 def fit_process(lin: Linearisation, prior: Prior, selected: Sequence[str], start: Process) -> Process:
-    """Process variances of greatest evidence, searched from `start` (quasi-Newton in their logarithms)."""
+    """Return the process of greatest evidence for the set `selected`, searched by L-BFGS-B from `start`."""
     precision = prior.precision(selected)
 
     def process(point: np.ndarray) -> Process:
@@ -225,7 +262,7 @@ def fit_process(lin: Linearisation, prior: Prior, selected: Sequence[str], start
         value, slope = _evidence_and_slope(lin, process(point), prior, precision)
         return -value, -slope
 
-    found = minimize(
+    optimum = minimize(
         objective,
         np.array([start.log_lateral, start.log_axial, start.log_torque]),
         jac=True,
@@ -233,70 +270,72 @@ def fit_process(lin: Linearisation, prior: Prior, selected: Sequence[str], start
         bounds=(FORCE_LIMITS, FORCE_LIMITS, TORQUE_LIMITS),
         options={"gtol": 1.0, "ftol": 1e-10},
     )
-    return process(found.x)
+    return process(optimum.x)
 
 
 def _evidence_and_slope(
     lin: Linearisation, process: Process, prior: Prior, precision: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Log evidence of a set of prior `precision` (P,), and its slope (3,) in the process's log variances.
+    """Return the log evidence of a set and its gradient (3,) with respect to the process's log variances.
 
-    The slope in a log variance is half the sum of E[w^2] - 1 over its innovations w, in units of their sigma,
-    given the data (Fisher's identity).
+    precision (P,): of the prior of the set. The derivative by a log variance is half the sum of E[w^2] - 1
+    over its innovations w in units of their sigma, given the data (Fisher's identity).
     """
     m = 1 + lin.parameters
     count, width = lin.local.shape
     n = m + width
-    square, cross = lin.by_innovations
+    disturbance_gram, cross = lin.by_innovations
     sigma = np.tile(process.sigma(), lin.bins)
-    inner = np.eye(6 * lin.bins) + square * np.outer(sigma, sigma)
+    inner = np.eye(6 * lin.bins) + disturbance_gram * np.outer(sigma, sigma)
     cross = cross * sigma[:, None]
     inverse = np.linalg.inv(inner)
     gain = inverse @ cross
     each = lin.gram[:, :n, :n] - np.swapaxes(cross, 1, 2) @ gain
     flights = np.stack([each[lin.flight == flight].sum(0) for flight in range(count)])
     local_precision = 1.0 / prior.local**2
-    # All unknowns but the disturbance at once: parameters, then every flight's nuisances.
+    # Unknowns other than the disturbance: the parameters, then the nuisances of every flight.
     size = lin.parameters + count * width
     A, b = np.zeros((size, size)), np.zeros(size)
-    square_of_rest = float((local_precision * lin.local**2).sum() + precision @ lin.theta_scaled**2)
-    own = np.arange(lin.parameters)
-    A[own, own] = precision
-    b[own] = -precision * lin.theta_scaled
+    square = float((local_precision * lin.local**2).sum() + precision @ lin.theta_scaled**2)
+    parameters = np.arange(lin.parameters)
+    A[parameters, parameters] = precision
+    b[parameters] = -precision * lin.theta_scaled
     for k, gram in enumerate(flights):
-        at = np.r_[own, lin.parameters + k * width : lin.parameters + (k + 1) * width]
+        at = np.r_[parameters, lin.parameters + k * width : lin.parameters + (k + 1) * width]
         A[np.ix_(at, at)] += gram[1:, 1:]
         b[at] += gram[1:, 0]
         nuisances = at[lin.parameters :]
         A[nuisances, nuisances] += local_precision
         b[nuisances] -= local_precision * lin.local[k]
-        square_of_rest += gram[0, 0]
+        square += gram[0, 0]
     covariance = np.linalg.inv(A)
     best = covariance @ b
     log_dets = 2.0 * np.log(np.einsum("sii->si", np.linalg.cholesky(inner))).sum()
     log_dets += np.linalg.slogdet(A)[1] - np.log(precision).sum() - count * np.log(local_precision).sum()
-    value = -0.5 * (square_of_rest - b @ best + log_dets)
+    value = -0.5 * (square - b @ best + log_dets)
 
     power = np.zeros(6 * lin.bins)
     for k in range(count):
-        mine = lin.flight == k
-        at = np.r_[own, lin.parameters + k * width : lin.parameters + (k + 1) * width]
-        mean = gain[mine, :, 0] - gain[mine, :, 1:] @ best[at]
-        slopes = gain[mine, :, 1:]
+        segments = lin.flight == k
+        at = np.r_[parameters, lin.parameters + k * width : lin.parameters + (k + 1) * width]
+        mean = gain[segments, :, 0] - gain[segments, :, 1:] @ best[at]
+        slopes = gain[segments, :, 1:]
         spread = np.einsum("szi,szi->sz", slopes @ covariance[np.ix_(at, at)], slopes)
-        power += (mean**2 + np.einsum("szz->sz", inverse[mine]) + spread - 1.0).sum(0)
+        power += (mean**2 + np.einsum("szz->sz", inverse[segments]) + spread - 1.0).sum(0)
     by_channel = 0.5 * power.reshape(lin.bins, 6).sum(0)
     return float(value), np.array([by_channel[:2].sum(), by_channel[2], by_channel[3:].sum()])
 
 
 def disturbances(lin: Linearisation, process: Process, step: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """Best linear prediction (segments, bins, 6) of the disturbance left by the model at theta_scaled + step.
+    """Return the best linear prediction (segments, bins, 6), FRD, of the disturbance.
 
-    local: (flights, K) step of the flights' nuisances.
+    step (P,): change of the scaled parameters from the linearisation. local (flights, K): change of the
+    nuisances. Force in m/s^2, then angular acceleration in rad/s^2 or, if the measured body rate drives the
+    attitude, body rate in rad/s.
     """
     m = 1 + lin.parameters
     n = m + lin.local.shape[1]
-    rest = lin.gram[:, n:, 0] - lin.gram[:, n:, 1:m] @ step
-    rest = rest - np.einsum("szk,sk->sz", lin.gram[:, n:, m:n], local[lin.flight])
+    rhs = lin.gram[:, n:, 0] - lin.gram[:, n:, 1:m] @ step
+    rhs = rhs - np.einsum("szk,sk->sz", lin.gram[:, n:, m:n], local[lin.flight])
     inner = lin.gram[:, n:, n:] + np.linalg.inv(process.covariance(lin.bins))
-    return np.linalg.solve(inner, rest[:, :, None])[:, :, 0].reshape(len(lin.gram), lin.bins, 6)
+    return np.linalg.solve(inner, rhs[:, :, None])[:, :, 0].reshape(len(lin.gram), lin.bins, 6)

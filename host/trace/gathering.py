@@ -19,26 +19,40 @@ from trimtab.host.trace.selection import Diagnosis, is_judged
 def gather_evidence(
     segment_model: SegmentModel,
     diagnosis: Diagnosis,
-    twins: Sequence[tuple[int, int]],
+    repeat_flights: Sequence[tuple[int, int]],
     unknown: frozenset[str],
     tracking_s: float,
     extent_m: float,
 ) -> Evidence:
-    """Return everything that the verdict is decided by."""
-    best, nothing = diagnosis.selected, diagnosis.null_fit
+    """Return the numbers that the verdict depends on.
+
+    Parameters
+    ----------
+    segment_model
+        Model of the segments.
+    diagnosis
+        Selected effects and their probabilities.
+    repeat_flights
+        Pairs of indices of repeat flights.
+    unknown
+        What the logs declare unknown.
+    tracking_s, extent_m
+        Tracking time of all flights, and the greatest extent of one of them along an axis.
+    """
+    selected, null_fit = diagnosis.selected, diagnosis.null_fit
     axial = "thrust" not in unknown
     after, before = diagnosis.repeatability
-    residual = unexplained_residual(*_remainder(segment_model, diagnosis), twins, axial=axial)
+    residual = unexplained_residual(*_remainder(segment_model, diagnosis), repeat_flights, axial=axial)
     without = unexplained_residual(
-        disturbance_left(nothing, unknowns_only(segment_model.space, nothing)),
-        nothing.data,
-        twins,
+        disturbance_left(null_fit, unknowns_only(segment_model.space, null_fit)),
+        null_fit.data,
+        repeat_flights,
         axial=axial,
     )
     by_segments = diagnosis.method == "segments"
     return Evidence(
         space=segment_model.space,
-        selected=best.effects,
+        selected=selected.effects,
         null_probability=diagnosis.null_probability,
         log_evidence=diagnosis.log_evidence,
         posterior_weights=diagnosis.posterior_weights,
@@ -47,13 +61,13 @@ def gather_evidence(
         by_segments=by_segments,
         residual=replace(residual, flights=after),
         residual_without=replace(without, flights=before),
-        disturbance_sigma=tuple(best.process.sigma().tolist()),
+        disturbance_sigma=tuple(selected.process.sigma().tolist()),
         thrust_known=axial,
-        rate_driven=best.data.rate_driven,
+        rate_driven=selected.data.rate_driven,
         segment_disagreement_nats=(
             {}
-            if by_segments or twins or not best.effects
-            else segment_disagreement_nats(segment_model, nothing, best.effects)
+            if by_segments or repeat_flights or not selected.effects
+            else segment_disagreement_nats(segment_model, null_fit, selected.effects)
         ),
         tracking_s=tracking_s,
         extent_m=extent_m,
@@ -61,25 +75,29 @@ def gather_evidence(
 
 
 def segment_disagreement_nats(
-    segment_model: SegmentModel, nothing: SegmentFit, selected: Names
+    segment_model: SegmentModel, null_fit: SegmentFit, selected: Names
 ) -> dict[str, float]:
-    """Return by how many nats segments prefer the selected set without each of its effects."""
-    whole = refit(segment_model, nothing.data, selected, nothing)
+    """Return, for each selected effect, by how many nats segments prefer the set without it.
+
+    null_fit: segment fit without effects. selected: the set, fitted here to the same segments.
+    """
+    whole = refit(segment_model, null_fit.data, selected, null_fit)
     return {
-        name: refit(segment_model, nothing.data, tuple(n for n in selected if n != name), whole).log_evidence
+        name: refit(segment_model, null_fit.data, tuple(n for n in selected if n != name), whole).log_evidence
         - whole.log_evidence
         for name in selected
     }
 
 
 def _remainder(segment_model: SegmentModel, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
-    """Disturbance (segments, bins, 6) that the library leaves, by which abstention is judged.
+    """Return the unexplained disturbance (segments, bins, 6), FRD, and its segments.
 
-    Of the kept set; where none is kept though one is more probable than nothing, of the most probable.
+    It is that of the selected set, or that of the most probable set if the empty set is selected although it
+    is improbable.
     """
-    best = diagnosis.selected
+    selected = diagnosis.selected
     if is_judged(diagnosis):
-        return disturbance_left(best, best.theta_scaled), best.data
+        return disturbance_left(selected, selected.theta_scaled), selected.data
     fit = refit(
         segment_model, diagnosis.null_fit.data, most_probable(diagnosis.posterior_weights), diagnosis.null_fit
     )

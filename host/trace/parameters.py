@@ -1,8 +1,7 @@
-"""The scaled parameter space that tracing searches: the candidates' parameters and the adjustments beside
-them.
+"""The scaled parameter space that tracing searches: parameters of the candidates and of the adjustments.
 
-Every parameter is a column theta_scaled = (value - neutral) / scale. Candidates can be selected; adjustments
-never are: they move within their tolerance, or freely where a log declares them unknown.
+Every parameter is a column theta_scaled = (value - neutral) / scale. Candidates can be selected. Adjustments
+never are: they move within their tolerance, or freely if a log declares them unknown.
 """
 
 from __future__ import annotations
@@ -25,11 +24,26 @@ from trimtab.host.vehicle import Vehicle
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """One scaled parameter: whose it is, how it scales, and one sigma of what is not worth naming.
+    """One scaled parameter.
 
-    `discrepancy`: one sigma, in scales, of what the library's form of things may be off by here in segments;
-    `loop_discrepancy`: the same over the closed loop. `strength`: whether the effect is there where this one
-    alone is off neutral.
+    Attributes
+    ----------
+    owner, key, unit
+        Effect or other adjustment that the parameter belongs to, its key there, and its unit.
+    neutral
+        Value that changes nothing.
+    scale
+        Value of one scaled unit: the typical size.
+    tolerance
+        One standard deviation of a value that is not worth naming.
+    lower, upper
+        Bounds of the value.
+    discrepancy
+        One standard deviation, scaled, of the error of the effect's form in segments.
+    loop_discrepancy
+        The same for whole flights in closed loop.
+    strength
+        Whether the effect is present if only this parameter differs from neutral.
     """
 
     owner: str
@@ -51,10 +65,22 @@ class Column:
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterSpace:
-    """The columns of a trace and who owns them.
+    """The scaled parameters of a trace.
 
-    `candidates` may be selected, the other owners are adjustments; of these the logs declare `unknown` ones.
-    A candidate is an effect's name, or "effect.key" where one parameter of several leaves neutral.
+    Attributes
+    ----------
+    columns
+        The P parameters.
+    effects
+        Effects by name, of the candidates and of the adjustments.
+    candidates
+        Candidates that may be selected: the name of an effect, or "effect.key" if only one parameter of the
+        effect leaves neutral (`Effect.one_of`). All other owners of columns are adjustments.
+    unknown
+        Adjustments that the logs declare unknown, which are free.
+    local_sigma
+        Prior standard deviations (9,) of the nuisances of a flight: mounting tilt rad; angular acceleration
+        rad/s^2 or gyro bias rad/s; accelerometer bias m/s^2. Three each, FRD.
     """
 
     columns: tuple[Column, ...]
@@ -66,106 +92,113 @@ class ParameterSpace:
     @cached_property
     def owners(self) -> dict[str, tuple[int, ...]]:
         """Column indices by owner: an effect or another adjustment."""
-        found: dict[str, tuple[int, ...]] = {}
+        owners: dict[str, tuple[int, ...]] = {}
         for index, column in enumerate(self.columns):
-            found[column.owner] = (*found.get(column.owner, ()), index)
-        return found
+            owners[column.owner] = (*owners.get(column.owner, ()), index)
+        return owners
 
     @cached_property
     def groups(self) -> dict[str, tuple[int, ...]]:
         """Column indices by candidate or adjustment."""
-        found: dict[str, tuple[int, ...]] = {}
+        groups: dict[str, tuple[int, ...]] = {}
         for owner, indices in self.owners.items():
             keys = [self.columns[i].key for i in indices]
             split = owner in self.effects and self.effects[owner].one_of
-            found.update(
+            groups.update(
                 {f"{owner}.{k}": (i,) for k, i in zip(keys, indices, strict=True)}
                 if split
                 else {owner: indices}
             )
-        return found
+        return groups
 
     def effect(self, candidate: str) -> Effect:
-        """Return the effect that a candidate is, or is one parameter of."""
+        """Return the effect of a candidate, which may be only one of its parameters."""
         return self.effects[candidate.partition(".")[0]]
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Effects that act in the roll-outs, in the order of their columns."""
+        """Names of the effects in the roll-outs, in the order of their columns."""
         return tuple(name for name in self.owners if name in self.effects)
 
     @property
     def scale(self) -> np.ndarray:
-        """Scales (P,)."""
+        """Scales (P,) of the parameters, each in its unit."""
         return np.array([column.scale for column in self.columns])
 
     @property
     def prior(self) -> Prior:
-        """Spike sigmas in scaled units with the groups."""
+        """Prior of segment fits: its spike combines tolerance and discrepancy, scaled."""
         spike = np.array([np.hypot(c.tolerance / c.scale, c.discrepancy) for c in self.columns])
         return Prior(groups=self.groups, spike=spike, local=np.array(self.local_sigma))
 
     def values(self, theta_scaled: np.ndarray) -> np.ndarray:
-        """Physical values of scaled parameters; z is (P,) or (P, lanes)."""
+        """Return the physical values of scaled parameters, (P,) or (P, lanes)."""
         neutral = np.array([column.neutral for column in self.columns])
         shape = (-1,) + (1,) * (theta_scaled.ndim - 1)
         return neutral.reshape(shape) + self.scale.reshape(shape) * theta_scaled
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and greatest theta_scaled (P,)."""
+        """Lower and upper bounds (P,) of theta_scaled."""
         limits = [((c.lower - c.neutral) / c.scale, (c.upper - c.neutral) / c.scale) for c in self.columns]
         lower, upper = np.array(limits).T
         return lower, upper
 
     def clipped(self, theta_scaled: np.ndarray) -> np.ndarray:
-        """Return theta_scaled (P,) moved inside every parameter's bounds."""
+        """Return theta_scaled (P,) clipped to the bounds."""
         return np.clip(theta_scaled, *self.bounds)
 
     def check_finite(self, sizes: np.ndarray) -> None:
-        """Refuse roll-outs that diverge: sizes (1 + P,) of the residual and of each parameter's slope.
+        """Raise UsageError if roll-outs diverge; it names the parameter, or the effects with states.
 
-        Raises UsageError that names the parameter, or the effects with states of their own.
+        sizes (1 + P,): norm of the residual, then of the slope of each parameter.
         """
         bad = np.flatnonzero(~np.isfinite(sizes))
         if not len(bad):
             return
         if bad[0] == 0:
-            own = [name for name in self.parts if self.effects[name].memory] or list(self.parts)
-            what = f"the model with {', '.join(own)}"
+            suspects = [name for name in self.parts if self.effects[name].memory] or list(self.parts)
+            cause = f"the model with {', '.join(suspects)}"
         else:
-            what = f"{self.columns[bad[0] - 1].owner}.{self.columns[bad[0] - 1].key}"
-        raise UsageError(f"roll-outs with {what} diverge; bound what the effect's slots give, or take it out")
+            cause = f"{self.columns[bad[0] - 1].owner}.{self.columns[bad[0] - 1].key}"
+        raise UsageError(
+            f"roll-outs with {cause} diverge; bound the values that the effect's slots return, or remove the "
+            "effect"
+        )
 
     def bounded(self, theta_scaled: np.ndarray) -> np.ndarray:
-        """Which entries (P,) stand at a bound that is not neutral."""
+        """Return the mask (P,) of entries of theta_scaled that are at a bound other than neutral."""
         lower, upper = self.bounds
         return ((theta_scaled <= lower + 1e-9) & (lower < 0.0)) | (
             (theta_scaled >= upper - 1e-9) & (upper > 0.0)
         )
 
     def theta(self, values: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
-        """Parameter values by owner, in the order of each owner's keys."""
+        """Return P values as tuples by owner, each in the order of the owner's keys."""
         return {owner: tuple(values[i] for i in indices) for owner, indices in self.owners.items()}
 
     def admissible(self, selected: Iterable[str]) -> bool:
-        """Whether every effect of the set finds what it requires in it, and none is in it twice."""
-        chosen = [self.effect(candidate) for candidate in selected]
-        names = {effect.name for effect in chosen}
-        needs = (effect.requires_any for effect in chosen)
-        return len(names) == len(chosen) and all(not any_of or names & set(any_of) for any_of in needs)
+        """Return whether a set contains what each of its effects requires, and no effect twice."""
+        members = [self.effect(candidate) for candidate in selected]
+        names = {effect.name for effect in members}
+        needs = (effect.requires_any for effect in members)
+        return len(names) == len(members) and all(not any_of or names & set(any_of) for any_of in needs)
 
 
 _THRUST_CURVE = (("log_gain", 0.1, 1.5), ("linear", 0.2, 1.0))
-"""The adjustment for an unknown thrust curve: key, scale, bound."""
+"""Parameters of the adjustment for an unknown thrust curve: key, scale, bound."""
 
 
 def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str] = ()) -> ParameterSpace:
-    """Return the space for a vehicle, the candidate effects and what the logs declare unknown."""
+    """Return the parameter space of a vehicle.
+
+    effects: effects by name. unknown: what the logs declare unknown, of `UNKNOWN`. Raises ValueError for
+    another word in `unknown`.
+    """
     unknown = frozenset(unknown)
-    strange = unknown - set(UNKNOWN)
-    if strange:
-        raise ValueError(f"unknown to tracing: {sorted(strange)}; a log may declare {UNKNOWN}")
+    unsupported = unknown - set(UNKNOWN)
+    if unsupported:
+        raise ValueError(f"a log declares {sorted(unsupported)} unknown; it may declare {UNKNOWN}")
     free = [name for name, effect in effects.items() if unknown & set(effect.freed_by)]
     acting = [name for name in effects if name in free or not unknown & set(effects[name].replaced_by)]
     columns = [
@@ -196,8 +229,10 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
 
 
 def _column(vehicle: Vehicle, owner: str, parameter: Parameter, *, free: bool) -> Column:
-    """Return the column of an effect's parameter, with the vehicle file's tolerance where it gives one;
-    `free` where a log leaves the effect free.
+    """Return the column of a parameter of the effect `owner`.
+
+    The tolerance of the vehicle file takes precedence over that of the effect. free: whether a log declares
+    the effect unknown, so that it moves freely.
     """
     tolerance = float(vehicle.tolerance(owner, parameter.key, parameter.tolerance))
     lower, upper = parameter.lower, parameter.upper

@@ -1,8 +1,8 @@
-"""Prediction error before and after, on flights that were not used.
+"""Prediction errors on held-out flights, without and with the selected effects.
 
-Where a log has its reference and the law is known, the whole flight is predicted from the reference alone
-(`reference`); otherwise 0.6 s from the recorded inputs, with the initial state fitted to the time before
-(`inputs`). Before and after are treated identically.
+If all logs hold a reference and the control law, whole flights are predicted from their references alone
+(drive `reference`). Otherwise the next 0.6 s are predicted from the recorded inputs, with the initial state
+fitted to the 0.3 s before (drive `inputs`). Both models are treated identically.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ _ROLL_OUT_STEP_S = 0.005
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Prediction errors of one flight: at times t_s (n,).
+    """Prediction errors of one flight at times t_s (n,) in s.
 
-    p_error_ned (n, 3) m and v_error_ned (n, 3) m/s, measured less predicted; p_predicted_ned,
-    p_measured_ned.
+    flight: id of the log. reference_id: id of its reference. p_error_ned (n, 3) m and v_error_ned (n, 3) m/s:
+    measured minus predicted, NED. p_predicted_ned, p_measured_ned (n, 3): positions in m, NED.
     """
 
     flight: str
@@ -53,7 +53,7 @@ class Errors:
 
 
 def rmse(errors: Sequence[Errors]) -> dict[str, float]:
-    """Root mean square of the norm of the errors of all flights."""
+    """Return the root mean square norm of the position and velocity errors of all flights, m and m/s."""
     p = np.concatenate([e.p_error_ned for e in errors])
     v = np.concatenate([e.v_error_ned for e in errors])
     return {
@@ -63,21 +63,23 @@ def rmse(errors: Sequence[Errors]) -> dict[str, float]:
 
 
 def motion(data: FlightData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Measured times (n,) s, positions and velocities (n, 3) in the used span, by local quadratics over 0.1 s
-    or, where poses are rare, over seven of them.
+    """Return times (n,) in s since arming, positions (n, 3) in m and velocities (n, 3) in m/s, NED.
+
+    They come from local quadratics through the poses of the tracking phase, over windows of 0.11 s or, at
+    low pose rates, of seven pose intervals.
     """
     s = data.signals
     half_s = max(0.055, 3.5 * pose_interval_s(s))
     t = np.arange(s.span_s[0] + half_s + 0.005, s.span_s[1] - half_s - 0.005, DT_S)
     low, high = np.searchsorted(s.pose_s, t - half_s), np.searchsorted(s.pose_s, t + half_s)
-    good = high - low >= 6
-    t, low, high = t[good], low[good], high[good]
+    enough = high - low >= 6
+    t, low, high = t[enough], low[enough], high[enough]
     if not len(t):
         return t, np.empty((0, 3)), np.empty((0, 3))
     near = low[:, None] + np.arange((high - low).max())
     inside = near < high[:, None]
     near = np.minimum(near, len(s.pose_s) - 1)
-    # Times in units of the window, so that the powers are of one size.
+    # Times in units of the half window keep the normal equations well conditioned.
     x = (s.pose_s[near] - t[:, None]) / half_s
     powers = np.stack([np.ones_like(x), x, x * x], axis=2) * inside[:, :, None]
     normal = np.swapaxes(powers, 1, 2) @ powers
@@ -88,22 +90,22 @@ def motion(data: FlightData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def predict_flights(
     flights: Sequence[FlightData], model: Model | None, effects: Mapping[str, Effect]
 ) -> tuple[Errors, ...]:
-    """Errors of whole flights predicted from their references by phi with the model's effects.
+    """Return the errors of whole flights, predicted from their references by phi with the model's effects.
 
-    Flights of one firmware setting are rolled out together.
+    model: None for the nominal model. Flights with the same firmware parameters are rolled out together.
     """
     settings: dict[str, list[int]] = {}
     for index, data in enumerate(flights):
         settings.setdefault(json.dumps(data.flight.firmware_parameters, sort_keys=True), []).append(index)
-    found: dict[int, Errors] = {}
+    errors: dict[int, Errors] = {}
     for indices in settings.values():
         predicted = _predict([flights[index] for index in indices], model, effects)
-        found.update(zip(indices, predicted, strict=True))
-    return tuple(found[index] for index in range(len(flights)))
+        errors.update(zip(indices, predicted, strict=True))
+    return tuple(errors[index] for index in range(len(flights)))
 
 
 def _predict(data: Sequence[FlightData], model: Model | None, effects: Mapping[str, Effect]) -> list[Errors]:
-    """Errors of flights of one firmware setting."""
+    """Return the errors of flights that all have the same firmware parameters."""
     flights = [each.flight for each in data]
     parts = [] if model is None else model.parts(effects)
     phi = Phi(
@@ -112,8 +114,8 @@ def _predict(data: Sequence[FlightData], model: Model | None, effects: Mapping[s
         parameters=flights[0].firmware_parameters,
     )
     latency = float(latency_of(NUMPY, parts))
-    known = flight_states(flights, latency_s=latency)
-    duration = [states.reference.nodes[-1].t_us * 1e-6 for states in known]
+    starts = flight_states(flights, latency_s=latency)
+    duration = [states.reference.nodes[-1].t_us * 1e-6 for states in starts]
     steps = round(max(duration) / _ROLL_OUT_STEP_S)
     fine = phi.substeps(_ROLL_OUT_STEP_S)
     stages = half_steps(0.0, steps * fine, _ROLL_OUT_STEP_S / fine)
@@ -124,13 +126,13 @@ def _predict(data: Sequence[FlightData], model: Model | None, effects: Mapping[s
             feedforward=states.feedforward,
             voltage_ratio=np.interp(stages, states.t_s, states.voltage_ratio),
         )
-        for states in known
+        for states in starts
     ]
     rolled = roll_out(
         phi,
-        x0=np.stack([states.initial(phi) for states in known], axis=1),
+        x0=np.stack([states.initial(phi) for states in starts], axis=1),
         drive=np.stack(drives, axis=2),
-        flight=np.stack([states.constants for states in known], axis=1),
+        flight=np.stack([states.constants for states in starts], axis=1),
         theta=phi.theta(parts),
         step_s=_ROLL_OUT_STEP_S / fine,
         every=fine,
@@ -144,15 +146,15 @@ def _predict(data: Sequence[FlightData], model: Model | None, effects: Mapping[s
         t = t - flight.tracking[0] * 1e-6
         inside = (t > 0.1) & (t < duration[k])
         t, p, v = t[inside], p[inside], v[inside]
-        at = np.column_stack([np.interp(t - latency, grid, rolled[:, i, k]) for i in range(6)])
+        predicted = np.column_stack([np.interp(t - latency, grid, rolled[:, i, k]) for i in range(6)])
         out.append(
             Errors(
                 flight=flight.id,
                 reference_id=flight.reference_id,
                 t_s=t,
-                p_error_ned=p - at[:, :3],
-                v_error_ned=v - at[:, 3:6],
-                p_predicted_ned=at[:, :3],
+                p_error_ned=p - predicted[:, :3],
+                v_error_ned=v - predicted[:, 3:6],
+                p_predicted_ned=predicted[:, :3],
                 p_measured_ned=p,
             )
         )
@@ -162,57 +164,58 @@ def _predict(data: Sequence[FlightData], model: Model | None, effects: Mapping[s
 def predict_segments(
     flights: Sequence[FlightData], segment_model: SegmentModel, theta_scaled: np.ndarray
 ) -> tuple[Errors, ...]:
-    """Errors over 0.6 s ahead from recorded inputs, each start fitted to the 0.3 s before it.
+    """Return the errors of predictions over 0.6 s from recorded inputs at theta_scaled (P,).
 
-    A flight's own nuisances come from its first quarter, and what is predicted lies behind that: nothing of a
-    prediction knows what is measured later. Raises TooLittleData where nothing lies behind.
+    The initial state of each prediction is fitted to the 0.3 s before it. The nuisances of a flight are
+    fitted to its first quarter (RULES.calibration_share), and predictions begin after that, so no prediction
+    uses a later measurement. Raises TooLittleData if a flight has no segment after its first quarter.
     """
     whole, _ = segments_of(flights, rate_driven=segment_model.rate_driven)
     data, _ = segments_of(flights, rate_driven=segment_model.rate_driven, segment_s=_LEAD_S + SEGMENT_S)
     spans = np.array([each.signals.span_s for each in flights])
-    known_s = RULES.calibration_share * (spans[:, 1] - spans[:, 0])
-    early = whole.take(whole.start_s + SEGMENT_S <= known_s[whole.flight])
+    calibration_s = RULES.calibration_share * (spans[:, 1] - spans[:, 0])
+    early = whole.take(whole.start_s + SEGMENT_S <= calibration_s[whole.flight])
     local = _fitted_local(segment_model, early, theta_scaled, len(flights))
-    data = data.take(data.start_s >= known_s[data.flight])
+    data = data.take(data.start_s >= calibration_s[data.flight])
     for index, each in enumerate(flights):
         if not (data.flight == index).any():
             raise TooLittleData(
-                f"{each.flight.path}: too short to be held out; fly longer or hold out another"
+                f"{each.flight.path}: too short to hold out; fly longer or hold out another flight"
             )
     lead = round(_LEAD_S / DT_S)
-    before = (np.arange(data.steps) < lead).astype(float)
-    fit = replace(
+    in_lead = (np.arange(data.steps) < lead).astype(float)
+    lead_data = replace(
         data,
-        pose_weight=data.pose_weight * before,
-        rate_weight=data.rate_weight * before,
-        force_weight=data.force_weight * before,
+        pose_weight=data.pose_weight * in_lead,
+        rate_weight=data.rate_weight * in_lead,
+        force_weight=data.force_weight * in_lead,
     )
-    kept = linearise.basis(segment_model, fit, theta_scaled, local)
-    x0 = linearise.fitted_x0(segment_model, fit, theta_scaled, local, kept, iterations=4)
+    basis = linearise.basis(segment_model, lead_data, theta_scaled, local)
+    x0 = linearise.fitted_x0(segment_model, lead_data, theta_scaled, local, basis, iterations=4)
     rolled = rollout.roll_out(
         segment_model, data, x0.T[:, None, :], theta_scaled[:, None], local[data.flight].T[:, None, :]
     )
     predicted = np.transpose(rolled[:, :3, 0, :], (2, 0, 1))
     speed = np.gradient(predicted, DT_S, axis=1)
-    seen = data.pose_weight > 0
-    seen[:, :lead] = False
+    posed = data.pose_weight > 0
+    posed[:, :lead] = False
     out = []
     for index, each in enumerate(flights):
         t, p, v = motion(each)
-        mine = seen & (data.flight == index)[:, None]
+        mask = posed & (data.flight == index)[:, None]
         grid = data.start_s[:, None] + spans[index, 0] + DT_S * np.arange(data.steps)
-        # A prediction is of its pose's own time; its slope along the grid is the speed at the grid's.
-        ahead, steps = (grid + data.shift_s)[mine], grid[mine]
-        measured = np.column_stack([np.interp(ahead, t, p[:, i]) for i in range(3)])
-        velocity = np.column_stack([np.interp(steps, t, v[:, i]) for i in range(3)])
+        # Positions are predicted at the stamps of the poses, speeds at the times of the grid.
+        pose_s, grid_s = (grid + data.shift_s)[mask], grid[mask]
+        measured = np.column_stack([np.interp(pose_s, t, p[:, i]) for i in range(3)])
+        velocity = np.column_stack([np.interp(grid_s, t, v[:, i]) for i in range(3)])
         out.append(
             Errors(
                 flight=each.flight.id,
                 reference_id=each.flight.reference_id,
-                t_s=ahead,
-                p_error_ned=measured - predicted[mine],
-                v_error_ned=velocity - speed[mine],
-                p_predicted_ned=predicted[mine],
+                t_s=pose_s,
+                p_error_ned=measured - predicted[mask],
+                v_error_ned=velocity - speed[mask],
+                p_predicted_ned=predicted[mask],
                 p_measured_ned=measured,
             )
         )
@@ -222,14 +225,17 @@ def predict_segments(
 def _fitted_local(
     segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, flights: int
 ) -> np.ndarray:
-    """Nuisances (flights, 9) of flights that were not used, under given parameters; 0 where no segment is."""
+    """Return the nuisances (flights, 9) of held-out flights at theta_scaled (P,); 0 without segments.
+
+    data: segments of the flights. flights: number of flights.
+    """
     local = np.zeros((flights, LOCALS))
     if not len(data.flight):
         return local
     process = starting_process(data)
-    kept = linearise.basis(segment_model, data, theta_scaled, local)
+    basis = linearise.basis(segment_model, data, theta_scaled, local)
     for _ in range(3):
-        grams = linearise.linearise(segment_model, data, theta_scaled, local, kept)
+        grams = linearise.linearise(segment_model, data, theta_scaled, local, basis)
         data = data.with_x0(grams.x0)
         lin = linearise.project(grams, data, theta_scaled, local)
         process = evidence.fit_process(lin, segment_model.space.prior, (), process)
@@ -243,20 +249,21 @@ def _fitted_local(
 def noise_floor(
     logs: TraceData, model: Model | None, effects: Mapping[str, Effect]
 ) -> dict[str, float | None]:
-    """Estimate the error that a perfect model would leave: what does not repeat between twins.
+    """Return an estimate of the prediction error of a perfect model, from differences of repeat flights.
 
-    Each flight is predicted whole, by one model; voltage and the like, which the model follows, drop out.
-    None where nothing was flown twice or flights cannot be predicted whole.
+    It is the part of the errors of whole flights that does not repeat. One model predicts all flights, so
+    known differences between flights, such as the battery voltage, drop out. The entries, in m and m/s, are
+    None without repeat flights or if flights cannot be predicted whole.
     """
-    whole = logs.drive == "reference" and logs.twins
+    whole = logs.drive == "reference" and logs.repeat_flights
     errors = predict_flights(logs.flights, model, effects) if whole else ()
     squares: dict[str, list[np.ndarray]] = {"p_error_ned": [], "v_error_ned": []}
-    for a, b in logs.twins if errors else ():
+    for a, b in logs.repeat_flights if errors else ():
         first, second = errors[a], errors[b]
         t = first.t_s[(first.t_s >= second.t_s[0]) & (first.t_s <= second.t_s[-1])]
-        for kind, found in squares.items():
+        for field, differences in squares.items():
             for i in range(3):
-                x, y = (np.interp(t, e.t_s, getattr(e, kind)[:, i]) for e in (first, second))
-                found.append((x - y) ** 2)
+                x, y = (np.interp(t, e.t_s, getattr(e, field)[:, i]) for e in (first, second))
+                differences.append((x - y) ** 2)
     rms = {k: float(np.sqrt(1.5 * np.mean(np.concatenate(v)))) if v else None for k, v in squares.items()}
     return {"position_rmse_m": rms["p_error_ned"], "velocity_rmse_m_s": rms["v_error_ned"]}

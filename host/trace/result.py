@@ -33,7 +33,11 @@ class Value:
 
 @dataclass(frozen=True, kw_only=True)
 class Named:
-    """A named effect: parameters by key, posterior probability, and its aliases with their probability."""
+    """A named effect.
+
+    parameters: by key. probability: posterior. aliases: probability of each alias. exact_aliases: aliases
+    that fit every flight exactly as well, with what the flights show of the pair.
+    """
 
     name: str
     title: str
@@ -41,20 +45,46 @@ class Named:
     probability: float
     aliases: Mapping[str, float]
     exact_aliases: Mapping[str, ObservedAlias]
-    """Effects that fit exactly as well, by name, with what flights show of the two."""
 
     @property
     def inexact_aliases(self) -> dict[str, float]:
-        """Return the probability of the aliases that flights can tell apart from it."""
+        """Probability of the aliases that flights can distinguish from the effect."""
         return {name: p for name, p in self.aliases.items() if name not in self.exact_aliases}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """The whole result.
+    """The result of a trace.
 
-    possible: other effects that the data does not exclude, with their probability. before, after: one entry
-    for each held-out flight; empty if none was held out.
+    Attributes
+    ----------
+    verdict, findings
+        The verdict, and the findings about the flights as a whole.
+    effects
+        The named effects.
+    possible
+        Probability of further effects that the data does not exclude.
+    drive
+        What predictions of held-out flights start from.
+    before, after, adjustments_only
+        Prediction errors without effects, with the model, and with only its adjustments: one entry for each
+        held-out flight.
+    noise_floor
+        Estimated prediction error of a perfect model.
+    next_flight
+        The proposed next flight; None if none is proposed.
+    model
+        The content of the model file.
+    space, diagnosis
+        Parameter space, and the selected effects with their probabilities.
+    residual
+        Unexplained residual that the findings refer to.
+    audits
+        Audit of each flight.
+    description
+        What a disturbance outside the library depends on; None for other verdicts.
+    unexplained
+        Errors of the network that was trained on the residual; None if none was trained.
     """
 
     verdict: Verdict
@@ -73,31 +103,28 @@ class Trace:
     residual: UnexplainedResidual
     audits: tuple[Audit, ...]
     description: Description | None
-    """What a disturbance outside the library depends on; None for other verdicts."""
     unexplained: Unexplained | None
-    """Errors of the network that was trained on the residual; None if none was trained."""
 
     @property
     def horizon_s(self) -> float | None:
-        """Return the prediction horizon on held-out flights; None for whole flights."""
+        """Prediction horizon on held-out flights; None for whole flights."""
         return None if self.drive == "reference" else SEGMENT_S
 
     @property
     def before_score(self) -> dict[str, float] | None:
-        """Return the held-out RMSE without effects; None if no flight was held out."""
+        """Held-out RMSE without effects; None if no flight was held out."""
         return rmse(self.before) if self.before else None
 
     @property
     def after_score(self) -> dict[str, float] | None:
-        """Return the held-out RMSE with the model; None if no flight was held out."""
+        """Held-out RMSE with the model; None if no flight was held out."""
         return rmse(self.after) if self.after else None
 
     @property
     def evidence(self) -> dict[str, float]:
-        """Return the nats that each candidate is worth: lost without a selected one, gained with another one.
+        """Nats by which each candidate matters: the loss without a selected one, the gain with another one.
 
-        It uses the sets considered. A candidate without a considered set next to the selected one is left
-        out.
+        A candidate is left out if the search did not consider the selected set with or without it.
         """
         weights, selected = self.diagnosis.posterior_weights, set(self.diagnosis.selected.effects)
         log_weight = float(np.log(max(weights[tuple(sorted(selected))], 1e-300)))
@@ -111,11 +138,11 @@ class Trace:
 
     @property
     def hidden(self) -> tuple[str, ...]:
-        """Return the effects that these flights would not show at typical size, or only in an alias."""
+        """Effects that these flights would not show at typical size, or only within an alias."""
         return tuple(finding.subject[0] for finding in self.findings if finding.code is Code.HIDDEN)
 
     @property
     def all_findings(self) -> tuple[Finding, ...]:
-        """Return the findings about the flights as a whole, the exact aliases, then those about each log."""
+        """Findings about the flights as a whole, then exact aliases, then findings about each log."""
         exact = [each.finding for effect in self.effects for each in effect.exact_aliases.values()]
         return (*self.findings, *exact, *(finding for audit in self.audits for finding in audit.findings))

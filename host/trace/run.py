@@ -1,4 +1,4 @@
-"""Trace flight logs to an answer: call the packages of `trimtab.host.trace` in order."""
+"""Trace flight logs: call the packages of `trimtab.host.trace` in order."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from trimtab.host.effects import Effect
 from trimtab.host.effects.unknowns import TORQUE
 from trimtab.host.log import Flight
 from trimtab.host.trace.assembly import held_out_errors, model_of, named_effects
-from trimtab.host.trace.data.audit import with_missing_twins
+from trimtab.host.trace.data.audit import with_missing_repeats
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.logs import observable_effects, read_logs
 from trimtab.host.trace.decision.decide import decide, tracking_shortfall
@@ -41,11 +41,32 @@ def run(
     network: bool = False,
     on_progress: OnProgress = lambda _: None,
 ) -> Trace:
-    """Trace `flights` to the effects that their model lacks, and score the answer on `held_out`.
+    """Find the effects that the nominal model of `flights` lacks, and score the result on `held_out`.
 
-    manoeuvres: candidates for the next flight, if the data cannot decide. network: train a network on the
-    residual of a cause outside the library. on_progress: called with each step as it begins. Raises
-    LogsRefused.
+    Parameters
+    ----------
+    flights
+        Logs in which effects are searched.
+    held_out
+        Logs that only the prediction error is computed on.
+    effects
+        Candidate effects by name.
+    vehicle
+        Vehicle of all logs; that of the first log if None.
+    manoeuvres
+        Returns the candidates for the next flight. It is called only if the verdict is undecided; None to
+        propose no flight.
+    provenance
+        Recorded in the model file.
+    network
+        Whether to train a network on the residual if the cause is outside the library.
+    on_progress
+        Called with a text as each step begins or ends.
+
+    Raises
+    ------
+    LogsRefused
+        If the logs cannot be traced, alone or together.
     """
     logs = read_logs(flights, held_out, vehicle)
     on_progress("reading segments")
@@ -53,9 +74,9 @@ def run(
     data, audits = segments_of(logs.flights, rate_driven=TORQUE in logs.unknown)
     segment_model = SegmentModel.of(logs.vehicle, parameters, data)
     extent = tracking_extent(logs.flights)
-    in_loop = logs.flights if logs.drive == "reference" and tracking_shortfall(*extent) is None else ()
-    diagnosis = select_effects(segment_model, data, in_loop, logs.twins, on_progress)
-    decision = decide(gather_evidence(segment_model, diagnosis, logs.twins, logs.unknown, *extent))
+    whole_flights = logs.flights if logs.drive == "reference" and tracking_shortfall(*extent) is None else ()
+    diagnosis = select_effects(segment_model, data, whole_flights, logs.repeat_flights, on_progress)
+    decision = decide(gather_evidence(segment_model, diagnosis, logs.repeat_flights, logs.unknown, *extent))
     added, null_fit = decision.effects_added, diagnosis.null_fit
     named = named_effects(parameters, diagnosis, decision.aliases) if added else ()
     theta_scaled = diagnosis.selected.theta_scaled if added else unknowns_only(parameters, null_fit)
@@ -64,10 +85,10 @@ def run(
     before, after, adjusted = held_out_errors(logs, segment_model, diagnosis, added, model, effects)
     next_flight = description = learned = None
     if decision.to_separate is not None and manoeuvres is not None:
-        on_progress("looking for the flight that decides")
+        on_progress("searching for the next flight")
         next_flight = propose(segment_model, diagnosis.selected, *decision.to_separate, manoeuvres())
     if not added:
-        on_progress("describing what is outside the library")
+        on_progress("describing the unexplained disturbance")
         disturbance = disturbance_left(null_fit, theta_scaled)
         description = describe(disturbance, null_fit.data, [f.reference_id for f in flights], logs.vehicle)
         if network and logs.drive == "reference":
@@ -87,7 +108,7 @@ def run(
         space=parameters,
         diagnosis=diagnosis,
         residual=decision.residual,
-        audits=with_missing_twins(audits, logs.twins),
+        audits=with_missing_repeats(audits, logs.repeat_flights),
         description=description,
         unexplained=learned,
     )

@@ -1,8 +1,9 @@
 """Search for the set of missing effects.
 
-The search takes forward steps, swaps and drops. Each is screened in a linearisation, then fitted. The search
-selects the smallest set that explains the flights. A `Fitter` fits the sets: to command-driven segments
-(`host.trace.segment_fit.fit`) or to whole flights in closed loop (`host.trace.flight_fit.fit`).
+The search adds, swaps and drops effects. It screens sets in a linearisation, then fits the promising ones. It
+selects the smallest set whose log evidence is close to the greatest. A `Fitter` fits the sets: to
+command-driven segments (`host.trace.segment_fit.fit`) or to whole flights in closed loop
+(`host.trace.flight_fit.fit`).
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ F = TypeVar("F", bound=Fitted)
 
 
 class Fitter(Protocol[F]):
-    """Fits sets of effects, and scores other sets in the linearisation of a fit."""
+    """Fitter of sets of effects, which also scores other sets in the linearisation of a fit."""
 
     @property
     def space(self) -> ParameterSpace: ...
@@ -129,7 +130,7 @@ def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: N
         fits[promising] = fitter.fit(promising, selected)
         on_progress(f"{', '.join(promising)} fitted")
         selected, scores = _select(fitter, fits)
-    # An effect that no fit supports (within its tolerance, or at its bounds) is in no other set either.
+    # Drop all sets with an effect that no fit supports because it is within tolerance or at its bounds.
     supported = {name for names, fit in fits.items() if _is_supported(fitter, fit) for name in names}
     unsupported = {name for names in fits for name in names} - supported
     scores = {names: score for names, score in scores.items() if not unsupported & set(names)}
@@ -180,9 +181,7 @@ def _extensions(space: ParameterSpace, names: Names) -> list[Names]:
 
 
 def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
-    """Return the best set, the best with one effect more, the best with one swapped, and good ones with one
-    fewer.
-    """
+    """Return the best set, the best extension and swap of `current`, and good sets with one effect fewer."""
     order = sorted(scores, key=lambda names: (-scores[names], names))
     now, size = set(current), len(current)
     more = [n for n in order if len(n) > size and now <= set(n)][:1]
@@ -229,8 +228,9 @@ def _most_parsimonious(fits: Mapping[Names, F]) -> F:
 def _scores(
     fitter: Fitter[F], selected: F, fits: Mapping[Names, F], left_out: frozenset[Names]
 ) -> dict[Names, float]:
-    """Return the log evidence of the fitted sets and, from the linearisation, of the selected fit's
-    neighbours.
+    """Return the log evidence of the fitted sets and, from the linearisation, of sets near the selected one.
+
+    Sets in left_out are left out.
     """
     depth = min(RULES.max_effects, len(selected.effects) + 1)
     score = fitter.scorers(selected)[-1]

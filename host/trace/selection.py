@@ -1,4 +1,4 @@
-"""Select the missing effects: over whole flights if there are enough, else over segments."""
+"""Selection of the missing effects: from whole flights if there is enough data, otherwise from segments."""
 
 from __future__ import annotations
 
@@ -40,11 +40,25 @@ Method = Literal["segments", "closed-loop"]
 class Diagnosis:
     """The selected effects and their probabilities.
 
-    selected: segment fit of the selected set. null_fit: segment fit without effects. method: data that
-    selected the set and its parameters. inclusion_probability: of each candidate. posterior_weights:
-    relative, of every set considered. log_evidence: of every fitted set, in nats. detectability: number of
-    sigma by which each effect of typical size would show in these flights. repeatability: of the residual of
-    whole repeat flights, with the selected set and without effects; None without repeat flights.
+    Attributes
+    ----------
+    selected
+        Segment fit of the selected set.
+    null_fit
+        Segment fit without effects.
+    method
+        Data from which the set was selected and its parameters were estimated.
+    inclusion_probability
+        Posterior probability of each candidate.
+    posterior_weights
+        Relative posterior weight of every set considered.
+    log_evidence
+        Log evidence in nats of every fitted set.
+    detectability
+        Number of sigma by which each effect of typical size would show in these flights.
+    repeatability
+        Repeatability of the residual of whole flights, with the selected set and without effects; None
+        without repeat flights.
     """
 
     selected: SegmentFit
@@ -65,10 +79,12 @@ class Diagnosis:
 def detectability(space: ParameterSpace, gram: np.ndarray, precision: np.ndarray) -> dict[str, float]:
     """Return by how many sigma each effect of typical size would show.
 
-    gram (1 + P, 1 + P): whitened, of [residual | slopes]. precision (P,): of the prior under which all other
-    parameters move. The value is sqrt(theta' S' (I - P) S theta) with all parameters of the effect one
-    typical step away. Of several candidates for one effect, the greatest counts. An effect that acts through
-    another one shows only as far as that one is present.
+    The value is sqrt(theta' S' (I - Q) S theta), where theta sets all parameters of the effect to one typical
+    size and Q projects on the slopes of all other parameters. If an effect has several candidates, the
+    greatest value counts. An effect that acts through another one is detectable only if that one is present.
+
+    gram (1 + P, 1 + P): of the whitened [residual | slopes S]. precision (P,): of the prior of the other
+    parameters, scaled.
     """
     hessian = gram[1:, 1:] + np.diag(precision)
     sigmas: dict[str, float] = {}
@@ -87,23 +103,33 @@ def select_effects(
     segment_model: SegmentModel,
     data: Segments,
     flights: Sequence[FlightData],
-    twins: Sequence[tuple[int, int]],
+    repeat_flights: Sequence[tuple[int, int]],
     on_progress: OnProgress,
 ) -> Diagnosis:
-    """Select the missing effects from whole `flights` in closed loop, or from segments if there are none.
+    """Select the missing effects from whole flights in closed loop, or from segments.
 
-    twins: pairs of indices of repeat flights. In both cases the segments give the disturbance that the
-    selected set leaves.
+    Parameters
+    ----------
+    segment_model
+        Model of the segments.
+    data
+        Segments of all flights. They give the unexplained disturbance in either case.
+    flights
+        Whole flights to search; empty to search the segments.
+    repeat_flights
+        Pairs of indices of repeat flights.
+    on_progress
+        Called with a text after each fit.
     """
     null_fit = refit(segment_model, data, (), None, iterations=3)
     on_progress("no effect fitted")
     if not flights:
         return _from_segments(segment_model, null_fit, on_progress)
-    return _from_flights(segment_model, null_fit, flights, twins, on_progress)
+    return _from_flights(segment_model, null_fit, flights, repeat_flights, on_progress)
 
 
 def _from_segments(segment_model: SegmentModel, null_fit: SegmentFit, on_progress: OnProgress) -> Diagnosis:
-    """Select the effects over segments."""
+    """Select the effects from segments."""
     result = search(SegmentFitter(segment_model=segment_model), null_fit, on_progress)
     selected = replace(result.selected, covariance=by_segments(segment_model.space, result.selected))
     prior = segment_model.space.prior
@@ -123,24 +149,24 @@ def _from_flights(
     segment_model: SegmentModel,
     null_fit: SegmentFit,
     flights: Sequence[FlightData],
-    twins: Sequence[tuple[int, int]],
+    repeat_flights: Sequence[tuple[int, int]],
     on_progress: OnProgress,
 ) -> Diagnosis:
-    """Select the effects over whole flights; describe the selected set on segments."""
+    """Select the effects from whole flights; fit nuisances and disturbance of the segments to that set."""
     space = segment_model.space
     loop = closed_loop(flights, segment_model.vehicle, space, null_fit.theta_scaled)
     order = order_of(loop)
     fitter = FlightFitter(loop=loop, order=order)
     result = search(fitter, fit_loop(loop, (), null_fit.theta_scaled, order), on_progress)
-    on_progress("comparing twin flights")
-    result = without_form_faults(result, fitter, twins)
-    fit = in_turbulence(loop, result.selected, order, twins)
+    on_progress("comparing repeat flights")
+    result = without_form_faults(result, fitter, repeat_flights)
+    fit = in_turbulence(loop, result.selected, order, repeat_flights)
     present = tuple(name for name, size in sizes(fitter, fit).items() if size > RULES.present_tolerances)
-    if present != fit.effects:  # this fit's sizes are more accurate than the search's
+    if present != fit.effects:  # this fit determines sizes more accurately than the search
         result = replace(result, selected=fitter.fit(present, result.selected))
-        fit = in_turbulence(loop, result.selected, order, twins)
+        fit = in_turbulence(loop, result.selected, order, repeat_flights)
     judged = fit if is_judged(result) else fitter.fit(most_probable(result.posterior_weights), fit)
-    covariance = inflated_covariance(space, fit, strata_of(twins, len(flights)))
+    covariance = inflated_covariance(space, fit, strata_of(repeat_flights, len(flights)))
     selected = at_parameters(
         segment_model, null_fit, fit.effects, fit.theta_scaled, covariance, fit.log_evidence
     )
@@ -153,23 +179,24 @@ def _from_flights(
         log_evidence=result.log_evidence,
         detectability=detectability(space, fit.grams.sum(0), prior_of(space).precision(selected.effects)),
         repeatability=(
-            repeatability_of(loop, judged.theta_scaled, order, twins),
-            repeatability_of(loop, unknowns_only(space, null_fit), order, twins),
+            repeatability_of(loop, judged.theta_scaled, order, repeat_flights),
+            repeatability_of(loop, unknowns_only(space, null_fit), order, repeat_flights),
         ),
     )
 
 
 def without_form_faults(
-    result: SearchResult[FlightFit], fitter: FlightFitter, twins: Sequence[tuple[int, int]]
+    result: SearchResult[FlightFit], fitter: FlightFitter, repeat_flights: Sequence[tuple[int, int]]
 ) -> SearchResult[FlightFit]:
-    """Drop effects that explain only the error of a swinging effect's form.
+    """Drop effects that explain only the form error of an effect with states of its own.
 
-    The residual of a payload on its line is strong and repeats, and other effects explain a little of it.
+    The form of a slung payload is not exact. Its residual is strong and repeats between flights, and other
+    effects explain a little of it. repeat_flights: pairs of indices of repeat flights.
     """
     selected = result.selected
     if not any(fitter.space.effect(name).memory for name in selected.effects):
         return result
-    residual = repeatability_of(fitter.loop, selected.theta_scaled, fitter.order, twins)
+    residual = repeatability_of(fitter.loop, selected.theta_scaled, fitter.order, repeat_flights)
     tie_nats = RULES.tie_nats
     if residual is not None:
         tie_nats = max(tie_nats, RULES.memory_fault_share * residual.log_evidence(RULES))
@@ -180,5 +207,9 @@ def without_form_faults(
 
 
 def is_judged(result: SearchResult[Any] | Diagnosis) -> bool:
-    """Return whether the selected set decides on abstention: the empty set does not if it is improbable."""
+    """Return whether the residual of the selected set is the one to judge.
+
+    If the empty set is selected although it is improbable, the residual of the most probable set is judged
+    instead.
+    """
     return bool(result.selected.effects) or is_null_probable(result.null_probability)

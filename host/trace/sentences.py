@@ -1,6 +1,6 @@
 """Sentences of single findings, refusals and closed forms, made from codes and numbers.
 
-Nothing reads them back.
+The program never reads a sentence.
 """
 
 from __future__ import annotations
@@ -12,13 +12,16 @@ from pathlib import Path
 from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.decision.rules import RULES
 
-MIXED_INPUTS = "the logs record inputs of different kinds; trace those with motor commands apart"
-
+MIXED_INPUTS = (
+    "some logs record motor commands and others thrusts or no inputs; trace the logs with motor commands "
+    "separately"
+)
+"""Refusal of logs with inputs of different kinds."""
 
 _STRETCHES = {
-    Code.CLOCK_JUMP: "a clock that jumps",
+    Code.CLOCK_JUMP: "a clock jump",
     Code.MOTOR_AT_LIMIT: "a motor at its limit",
-    Code.PITCH_SINGULAR: "a pitch near 90 deg, where Euler angles are singular",
+    Code.PITCH_SINGULAR: "pitch near 90 deg, where Euler angles are singular",
     Code.IMPACT: "an impact",
     Code.GAP_IN_COMMANDS: "gaps in the commands",
     Code.GAP_IN_POSES: "gaps in the poses",
@@ -40,21 +43,30 @@ def sentences(findings: Sequence[Finding], codes: frozenset[Code]) -> list[str]:
 def _channel_repeats(f: Finding) -> str:
     z = f.details["z"]
     if f.code is Code.FORCE_REPEATS:
-        return f"a force of {f.value:.2f} m/s^2 repeats between twin flights (z {z:.1f})"
-    return f"an angular acceleration of {f.value:.2f} rad/s^2 repeats between twin flights (z {z:.1f})"
+        return f"an unexplained force of {f.value:.2f} m/s^2 repeats between repeat flights (z {z:.1f})"
+    return (
+        f"an unexplained angular acceleration of {f.value:.2f} rad/s^2 repeats between repeat flights "
+        f"(z {z:.1f})"
+    )
 
 
 def _rings(f: Finding) -> str:
     name = "force" if f.code is Code.FORCE_RINGS else "torque"
-    return f"the residual {name} rings at {f.details['hz']:.2f} Hz, {f.value:.1f} times its surroundings"
+    return (
+        f"the residual {name} rings at {f.details['hz']:.2f} Hz, with {f.value:.1f} times the power of "
+        "neighbouring frequencies"
+    )
 
 
 def _excess(f: Finding) -> str:
     if f.code is Code.EXCESS_FORCE:
-        what = f"a force of {f.value:.1f} m/s^2"
+        residual = f"a force of {f.value:.1f} m/s^2"
     else:
-        what = f"an angular acceleration of {f.value:.0f} rad/s^2"
-    return f"{what} is left, too much for turbulence indoors; fly references twice to see whether it repeats"
+        residual = f"an angular acceleration of {f.value:.0f} rad/s^2"
+    return (
+        f"{residual} remains unexplained, which is too much for indoor turbulence; fly each reference twice "
+        "to see whether it repeats"
+    )
 
 
 def _topic_at(f: Finding, rate_hz: float | None) -> str:
@@ -63,62 +75,69 @@ def _topic_at(f: Finding, rate_hz: float | None) -> str:
 
 _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     Code.FLIGHTS_REPEAT: lambda f: (
-        f"{1e3 * f.details['position_m']:.1f} mm of whole flights' error repeat between twin flights, "
-        f"{f.details['amplitude']:.1f} times turbulence and noise (z {f.details['z']:.1f})"
+        f"{1e3 * f.details['position_m']:.1f} mm of the prediction error repeat between repeat flights, with "
+        f"{f.details['amplitude']:.1f} times the amplitude of turbulence and noise (z {f.details['z']:.1f})"
     ),
     Code.FLIGHTS_WORSENED: lambda f: (
-        f"{1e3 * (f.value or 0.0):.1f} mm of whole flights' error repeat with the effects that fit best, "
-        f"less than {1e3 * (f.bound or 0.0):.1f} mm without any"
+        f"the best effects make the prediction worse: {1e3 * (f.value or 0.0):.1f} mm of its error repeat, "
+        f"and the bound is {1e3 * (f.bound or 0.0):.1f} mm"
     ),
     Code.FORCE_REPEATS: _channel_repeats,
     Code.TORQUE_REPEATS: _channel_repeats,
     Code.FORCE_RINGS: _rings,
     Code.TORQUE_RINGS: _rings,
     Code.TRACKING_TOO_SHORT: lambda f: (
-        f"only {f.value:.1f} s of tracking in all: fly longer; whole flights are not searched"
+        f"all flights together track for only {f.value:.1f} s, so tracing used segments instead of whole "
+        "flights; fly longer"
     ),
-    Code.HOVER_ONLY: lambda f: "a hover throughout: fly manoeuvres; whole flights are not searched",
+    Code.HOVER_ONLY: lambda f: (
+        "the flights only hover, so tracing used segments instead of whole flights; fly manoeuvres"
+    ),
     Code.EXCESS_FORCE: _excess,
     Code.EXCESS_TORQUE: _excess,
     Code.BETTER_BUT_INADMISSIBLE: lambda f: (
-        f"{', '.join(f.subject)} would explain more, but not in sizes that they could have"
+        f"{', '.join(f.subject)} would explain the flights better, but only with parameter values that are "
+        "not admissible"
     ),
-    Code.SEGMENTS_DISAGREE: lambda f: f"{', '.join(f.subject)}: whole flights say yes, segments no; fly more",
+    Code.SEGMENTS_DISAGREE: lambda f: (
+        f"whole flights support {', '.join(f.subject)}, but segments do not; fly more"
+    ),
     Code.ALIAS: lambda f: f"{f.subject[0]} may be {f.subject[1]} ({f.value:.2f})",
-    Code.EXACT_ALIAS: lambda f: f"no flight tells {f.subject[0]} from {f.subject[1]}",
+    Code.EXACT_ALIAS: lambda f: f"no flight can distinguish {f.subject[0]} from {f.subject[1]}",
     Code.POSSIBLE: lambda f: f"{f.subject[0]} is not excluded ({f.value:.2f})",
     Code.SOMETHING_MISSING: lambda f: (
-        f"something is missing with probability {f.value:.2f}, and these flights do not say what"
+        f"an effect is missing with probability {f.value:.2f}, but these flights do not show which one"
     ),
-    Code.HIDDEN: lambda f: f"of typical size, these flights would not show {f.subject[0]}",
-    Code.NO_TWIN: lambda f: (
-        "no twin: fly its reference once more; without, physics outside the library passes for turbulence"
+    Code.HIDDEN: lambda f: f"these flights would not show {f.subject[0]} of typical size",
+    Code.NO_REPEAT: lambda f: (
+        "no repeat flight: fly the same reference again; otherwise physics outside the library looks like "
+        "turbulence"
     ),
-    Code.NO_INPUTS: lambda f: "no inputs recorded: only forces across the thrust show",
+    Code.NO_INPUTS: lambda f: "no inputs recorded: only forces perpendicular to the thrust are observable",
     Code.NO_REFERENCE: lambda f: (
-        "no reference with the law that flew it: read in segments, which know timing less well"
+        "no reference or no control law recorded: tracing uses segments, which determine timing less well"
     ),
-    Code.NO_GYRO: lambda f: "no gyro: delay and latency are hard to tell apart",
+    Code.NO_GYRO: lambda f: "no gyro: actuation delay and mocap latency are hard to distinguish",
     Code.SAMPLED_COMMANDS: lambda f: (
-        "sampled commands make false lag and inertia: what the motors did between two is unknown"
+        "sampled commands bias motor lag and inertia, since commands between two samples are unknown"
     ),
     Code.SLOW_COMMANDS: lambda f: (
-        f"{_topic_at(f, f.value)}: too slow to show the motors' lag of "
+        f"{_topic_at(f, f.value)} is too slow to show the motor lag of "
         f"{1e3 * f.details['motor_lag_s']:.0f} ms"
     ),
     Code.RATE_DROPS: lambda f: (
-        f"{_topic_at(f, f.details['median_hz'])} falls to {f.value:.0f} Hz in its leanest second"
+        f"{_topic_at(f, f.details['median_hz'])} drops to {f.value:.0f} Hz in its worst second"
     ),
     Code.REPEATED_STAMPS: lambda f: (
-        f"{f.subject[0]}: {f.value:.0f} time stamps are repeated; one sample of each pair is misplaced"
+        f"{f.subject[0]}: {f.value:.0f} time stamps are repeated; one sample of each pair has a wrong time"
     ),
     Code.CLOCK_DRIFT: lambda f: (
-        f"camera and vehicle clocks drift apart by {1e3 * (f.value or 0.0):.1f} ms while tracking: it reads "
-        "as a latency that changes"
+        f"the clocks of camera and vehicle drift apart by {1e3 * (f.value or 0.0):.1f} ms while tracking, "
+        "which looks like a changing latency"
     ),
     Code.ROTORS_SATURATED: lambda f: (
-        f"rotors clipped on {100 * (f.value or 0.0):.0f} % of the ticks: the reference asks for more than "
-        "they have"
+        f"rotors saturate in {100 * (f.value or 0.0):.0f} % of the ticks: the reference demands more thrust "
+        "than they have"
     ),
     Code.SEGMENTS_LEFT_OUT: lambda f: f"{f.value:.0f} segments with {_STRETCHES[Code(f.subject[0])]}",
     Code.SEGMENTS_WITH_GAPS: lambda f: f"{f.value:.0f} segments with gaps in poses or commands",
@@ -126,47 +145,51 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
 
 
 def too_few_poses(path: Path) -> str:
-    """Return the refusal of a log with too few poses."""
+    """Return the error message for a log with too few poses."""
     return f"{path}: fewer than {RULES.min_poses} poses; log /mocap/pose in flight"
 
 
 def too_few_tracking_poses(path: Path) -> str:
-    """Return the refusal of a log with too few poses in its tracking phase."""
+    """Return the error message for a log with too few poses in its tracking phase."""
     return f"{path}: fewer than {RULES.min_tracking_poses} poses in the tracking phase; fly or log longer"
 
 
 def no_tracking(path: Path) -> str:
-    """Return the refusal of a log without a tracking phase."""
+    """Return the error message for a log without a tracking phase."""
     return f"{path}: no tracking phase; the flight ended before its reference began"
 
 
 def closed_form(name: str, parameters: Mapping[str, float]) -> str:
-    """Return a closed form of a force that depends on the place, as the predicate of a sentence."""
+    """Return the predicate of a sentence about a force field, such as "pulls towards ...".
+
+    name: one of the closed forms of `trimtab.host.trace.residual.closed_forms`. parameters: its parameters.
+    """
     return _FORMS[name](parameters)
 
 
 def _point(x: Mapping[str, float]) -> str:
-    way = "pulls towards" if x["per_s2"] > 0.0 else "pushes away from"
+    verb = "pulls towards" if x["per_s2"] > 0.0 else "pushes away from"
     text = (
-        f"{way} ({x['north_m']:.2f}, {x['east_m']:.2f}, {x['down_m']:.2f}), "
-        f"{abs(x['per_s2']):.2g} m/s^2 a metre"
+        f"{verb} ({x['north_m']:.2f}, {x['east_m']:.2f}, {x['down_m']:.2f}) m by "
+        f"{abs(x['per_s2']):.2g} m/s^2 per metre"
     )
     return text + (f" beyond {x['slack_m']:.2g} m" if x["slack_m"] > RULES.shown_slack_m else "")
 
 
 def _place(x: Mapping[str, float]) -> str:
     return (
-        f"pushes by ({x['push_north']:.2g}, {x['push_east']:.2g}, {x['push_down']:.2g}) m/s^2 at "
-        f"({x['north_m']:.2f}, {x['east_m']:.2f}, {x['down_m']:.2f}), and half as much "
-        f"{1.18 * x['width_m']:.2g} m from there"
+        f"is ({x['push_north']:.2g}, {x['push_east']:.2g}, {x['push_down']:.2g}) m/s^2 at "
+        f"({x['north_m']:.2f}, {x['east_m']:.2f}, {x['down_m']:.2f}) m, and half as strong "
+        f"{1.18 * x['width_m']:.2g} m away from that place"
     )
 
 
 def _along(x: Mapping[str, float]) -> str:
-    way = "pushes" if x["greatest_m_s2"] > 0.0 else "pushes back"
+    azimuth_deg = x["azimuth_deg"]
+    push = "pushes towards" if x["greatest_m_s2"] > 0.0 else "pushes against"
     return (
-        f"{way} towards azimuth {x['azimuth_deg']:.0f} deg, twice as much each {0.69 * x['length_m']:.2g} m "
-        f"that way, up to {abs(x['greatest_m_s2']):.2g} m/s^2 where it was flown"
+        f"{push} azimuth {azimuth_deg:.0f} deg, doubles every {0.69 * x['length_m']:.2g} m in the direction "
+        f"of that azimuth, and reaches {abs(x['greatest_m_s2']):.2g} m/s^2 on the flown paths"
     )
 
 
@@ -174,8 +197,8 @@ def _jet(x: Mapping[str, float]) -> str:
     azimuth = math.radians(x["azimuth_deg"])
     north, east = -x["offset_m"] * math.sin(azimuth), x["offset_m"] * math.cos(azimuth)
     return (
-        f"blows by {x['push_m_s2']:.2g} m/s^2 towards azimuth {x['azimuth_deg']:.0f} deg along a line "
-        f"through ({north:.2f}, {east:.2f}), and half as much {1.18 * x['width_m']:.2g} m beside it"
+        f"is a jet of {x['push_m_s2']:.2g} m/s^2 towards azimuth {x['azimuth_deg']:.0f} deg along a line "
+        f"through ({north:.2f}, {east:.2f}) m, and half as strong {1.18 * x['width_m']:.2g} m beside it"
     )
 
 
@@ -193,13 +216,17 @@ def stretch_reason(code: Code) -> str:
 
 
 def too_few_segments(findings_by_log: Mapping[str, Sequence[Finding]], count: int, segment_s: float) -> str:
-    """Return the refusal of logs with too few usable segments, with what each of them lost."""
-    why = "; ".join(
+    """Return the error message for logs with too few usable segments, with the reasons of each log.
+
+    findings_by_log: findings about left-out segments. count: number of usable segments of length segment_s.
+    """
+    reasons = "; ".join(
         f"{log}: {', '.join(map(sentence, findings))}"
         for log, findings in findings_by_log.items()
         if findings
     )
     logs = ", ".join(findings_by_log)
     return (
-        f"{logs}: only {count} usable segments of {segment_s} s; fly longer or log more{why and f' ({why})'}"
+        f"{logs}: only {count} usable segments of {segment_s} s; fly longer or log more"
+        f"{reasons and f' ({reasons})'}"
     )

@@ -1,4 +1,4 @@
-"""Intervals that mean what they say: standard deviations widened by what flights disagree in."""
+"""Inflated covariances: standard deviations widened by the disagreement between flights."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from trimtab.host.trace.segment_fit.fit import SegmentFit
 def inflated_covariance(
     space: ParameterSpace, closed: FlightFit, strata: Sequence[Sequence[int]] | None = None
 ) -> np.ndarray:
-    """Covariance (P, P), scaled: the fit's, widened by its jackknife over flights or within `strata`, and by
-    RULES.min_widening at least.
+    """Return the covariance (P, P), scaled, of a flight fit, widened by the jackknife over flights.
+
+    closed: the fit. strata: groups of indices of flights that are alike; all flights if None. Each standard
+    deviation is widened by a factor of at least RULES.min_widening.
     """
     precision = prior_of(space).precision(closed.effects)
     widened = np.maximum(jackknife_by_flight(closed.grams, closed.at, precision, strata), RULES.min_widening)
@@ -27,28 +29,28 @@ def inflated_covariance(
 
 
 def by_segments(space: ParameterSpace, fit: SegmentFit) -> np.ndarray:
-    """Covariance (P, P), scaled, of an estimate from segments alone.
+    """Return the covariance (P, P), scaled, of a segment fit, widened by the jackknife and the discrepancy.
 
-    Widened by the jackknife over flights, or over quarters of them where there are few, and by what is read
-    into segments (`Column.discrepancy`).
+    The jackknife is over flights, or over RULES.jackknife_pieces parts of each flight if there are fewer
+    flights than that. `Column.discrepancy` is added in squares.
     """
     prior = space.prior
     grams = evidence.whitened(_in_pieces(fit.lin), fit.process, prior).flight_grams
     widened = jackknife_by_flight(grams, fit.lin.theta_scaled, prior.precision(fit.effects))
-    read_into = np.array([column.discrepancy for column in space.columns])
-    return fit.covariance * np.outer(widened, widened) + np.diag(read_into**2)
+    discrepancy = np.array([column.discrepancy for column in space.columns])
+    return fit.covariance * np.outer(widened, widened) + np.diag(discrepancy**2)
 
 
 def _in_pieces(lin: Linearisation) -> Linearisation:
-    """Return the linearisation with each flight cut into pieces where there are few flights."""
+    """Return the linearisation with each flight cut into pieces if there are few flights."""
     if len(lin.local) >= RULES.jackknife_pieces:
         return lin
-    quarter = np.empty(len(lin.flight), dtype=int)
+    part = np.empty(len(lin.flight), dtype=int)
     for flight in range(len(lin.local)):
-        mine = np.flatnonzero(lin.flight == flight)
-        quarter[mine] = np.arange(len(mine)) * RULES.jackknife_pieces // max(len(mine), 1)
-    owner, piece = np.unique(lin.flight * RULES.jackknife_pieces + quarter, return_inverse=True)
-    return replace(lin, flight=piece, local=lin.local[owner // RULES.jackknife_pieces])
+        segments = np.flatnonzero(lin.flight == flight)
+        part[segments] = np.arange(len(segments)) * RULES.jackknife_pieces // max(len(segments), 1)
+    piece_ids, piece = np.unique(lin.flight * RULES.jackknife_pieces + part, return_inverse=True)
+    return replace(lin, flight=piece, local=lin.local[piece_ids // RULES.jackknife_pieces])
 
 
 def jackknife_by_flight(
@@ -57,14 +59,25 @@ def jackknife_by_flight(
     precision: np.ndarray,
     strata: Sequence[Sequence[int]] | None = None,
 ) -> np.ndarray:
-    """(P,) factors >= 1 on the standard deviations for what repeats within a flight but not between flights.
+    """Return factors (P,), at least 1, that widen standard deviations by the disagreement between flights.
 
-    grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes], linearised at theta_scaled (P,); the
-    prior's precision (P,). Each parameter's spread over the fits that leave one flight out (Efron's
-    jackknife), the others of its stratum counting for it, over its posterior's. Since so few flights tell
-    one spread badly, it counts together with a number of flights that spread as the parameters do in the
-    median. `strata` part the flights that are alike (default: all are): what differs between strata, such as
-    references, is what was flown, not chance.
+    Errors that repeat within a flight but not between flights do not average out as the posterior assumes.
+    Efron's jackknife measures them: the spread of the fits that each leave one flight out, over the spread
+    that the posterior predicts. When a flight is left out, the other flights of its stratum take its weight.
+    A few flights determine a spread badly. The spread of each parameter is therefore pooled with
+    RULES.jackknife_prior_flights flights that have the median spread of all parameters.
+
+    Parameters
+    ----------
+    grams
+        Grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes].
+    theta_scaled
+        Scaled parameters (P,) of the linearisation.
+    precision
+        Prior precision (P,), scaled.
+    strata
+        Groups of indices of flights that are alike; all flights if None. Differences between strata, such as
+        other references, do not count, since they are no chance.
     """
     total = grams.sum(0)
     parts = [list(part) for part in (strata or [range(len(grams))]) if len(part) > 1]
@@ -72,21 +85,21 @@ def jackknife_by_flight(
     if not freedom:
         return np.ones(len(theta_scaled))
     _, covariance = evidence.posterior(total, theta_scaled, precision)
-    # A parameter's prior does not vary between flights: expected is the data's share of the variance.
+    # The prior is the same for all flights: the expected spread is only the data's share of the variance.
     data = grams[[i for part in parts for i in part]].sum(0)
     expected = np.diag(covariance @ data[1:, 1:] @ covariance)
     spread = np.zeros(len(theta_scaled))
     for part in parts:
-        own, count = grams[part].sum(0), len(part)
-        rest = [total - own + (own - grams[i]) * (count / (count - 1)) for i in part]
-        steps = np.stack([evidence.posterior(gram, theta_scaled, precision)[0] for gram in rest])
+        stratum, count = grams[part].sum(0), len(part)
+        without = [total - stratum + (stratum - grams[i]) * (count / (count - 1)) for i in part]
+        steps = np.stack([evidence.posterior(gram, theta_scaled, precision)[0] for gram in without])
         spread += (count - 1) / count * ((steps - steps.mean(0)) ** 2).sum(0)
-    told = expected > 0.0
-    ratio = np.where(told, spread / np.where(told, expected, 1.0), 0.0)
-    # Wilson and Hilferty's median of chi-square over its degrees of freedom.
-    middle = (1.0 - 2.0 / (9.0 * freedom)) ** 3
-    usual = max(1.0, float(np.median(ratio[told])) / middle) if told.any() else 1.0
-    variance = (RULES.jackknife_prior_flights * usual + freedom * ratio) / (
+    informed = expected > 0.0
+    ratio = np.where(informed, spread / np.where(informed, expected, 1.0), 0.0)
+    # Median of chi-square over its degrees of freedom, by Wilson and Hilferty.
+    chi2_median = (1.0 - 2.0 / (9.0 * freedom)) ** 3
+    typical = max(1.0, float(np.median(ratio[informed])) / chi2_median) if informed.any() else 1.0
+    variance = (RULES.jackknife_prior_flights * typical + freedom * ratio) / (
         RULES.jackknife_prior_flights + freedom
     )
     return np.sqrt(np.maximum(variance, 1.0))

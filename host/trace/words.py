@@ -1,4 +1,4 @@
-"""A whole result in words for people; `trimtab.host.trace.sentences` words what it is made of."""
+"""The result of a trace as text for people; `trimtab.host.trace.sentences` words single findings."""
 
 from __future__ import annotations
 
@@ -15,16 +15,19 @@ from trimtab.host.trace.result import Named, Trace
 from trimtab.host.trace.sentences import closed_form, sentence, sentences, stretch_reason
 
 _SHOWN_STRETCHES = 5
+"""Stretches of one log that the text lists."""
 
 
 def exact_alias(observed: ObservedAlias) -> str:
-    """Return what flights show of two effects that fit exactly alike, and what tells them apart."""
+    """Return what flights show of two exact aliases, and which measurement distinguishes them."""
     finding, alias = observed.finding, observed.alias
-    shows = sentence(finding)
+    observable = sentence(finding)
     if alias.ratio is not None:
         sd = finding.details["sd"]
-        shows = f"only {alias.ratio} shows: {finding.value:.4f} +- {2 * sd:.4f} times the nominal ratio"
-    return f"{shows}; {alias.remedy}"
+        observable = (
+            f"flights show only {alias.ratio}: {finding.value:.4f} +- {2 * sd:.4f} times the nominal ratio"
+        )
+    return f"{observable}; {alias.remedy}"
 
 
 def reason(stretch: Stretch) -> str:
@@ -32,9 +35,9 @@ def reason(stretch: Stretch) -> str:
     return stretch_reason(stretch.code)
 
 
-def stretch(one: Stretch) -> str:
-    """Return a stretch that is not used: from, to and why."""
-    return f"{one.start_s:.2f} to {one.end_s:.2f} s: {reason(one)}"
+def stretch(unused: Stretch) -> str:
+    """Return start, end and reason of a stretch that is not used."""
+    return f"{unused.start_s:.2f} to {unused.end_s:.2f} s: {reason(unused)}"
 
 
 def remarks(audit: Audit) -> list[str]:
@@ -43,18 +46,18 @@ def remarks(audit: Audit) -> list[str]:
 
 
 def audit_lines(audits: Sequence[Audit]) -> list[str]:
-    """Return what is not used of each log and why, and every remark once with the logs that it is about."""
+    """Return the unused stretches of each log with reasons, and every remark once with its logs."""
     lines = []
-    for one in audits:
-        shown = [stretch(each) for each in one.stretches[:_SHOWN_STRETCHES]]
-        more = len(one.stretches) - len(shown)
+    for audit in audits:
+        shown = [stretch(each) for each in audit.stretches[:_SHOWN_STRETCHES]]
+        more = len(audit.stretches) - len(shown)
         if shown:
             tail = f", and {more} more" if more else ""
-            lines.append(f"{one.log}: not used from {'; '.join(shown)}{tail}")
+            lines.append(f"{audit.log}: not used from {'; '.join(shown)}{tail}")
     logs_by_remark: dict[str, list[str]] = {}
-    for one in audits:
-        for remark in remarks(one):
-            logs_by_remark.setdefault(remark, []).append(one.log)
+    for audit in audits:
+        for remark in remarks(audit):
+            logs_by_remark.setdefault(remark, []).append(audit.log)
     for remark, logs in logs_by_remark.items():
         others = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
         lines.append(f"{logs[0]}{others}: {remark}")
@@ -67,64 +70,71 @@ def next_flight(proposal: NextFlight) -> str:
     plan = "" if proposal.total_time_s is None else f" (plan it with --time-s {proposal.total_time_s:.1f})"
     if proposal.decides:
         return (
-            f"fly {proposal.route} next{plan} and trace with it added: {a} and {b} are then "
-            f"{proposal.expected_sigma:.1f} sigma apart, {proposal.so_far_sigma:.1f} so far"
+            f"fly {proposal.route} next{plan} and trace all flights together: this separates {a} and {b} by "
+            f"{proposal.expected_sigma:.1f} sigma, now {proposal.so_far_sigma:.1f} sigma"
         )
     other = f"; {proposal.measurement}" if proposal.measurement else ""
     return (
-        f"no known route tells {a} from {b}: with the best, {proposal.route}{plan}, they are "
-        f"{proposal.expected_sigma:.1f} sigma apart, {RULES.detectable_sigma} are needed{other}"
+        f"no known route separates {a} from {b} well enough: the best one, {proposal.route}{plan}, separates "
+        f"them by {proposal.expected_sigma:.1f} sigma, but {RULES.detectable_sigma} sigma are needed{other}"
     )
 
 
 def network(outcome: Unexplained) -> str:
-    """Return what the network on the unexplained residual predicts, as one line."""
+    """Return the errors of the network that was trained on the unexplained residual, as one line."""
     before, after = outcome.before.position_rmse_m, outcome.after.position_rmse_m
     return (
-        f"unexplained: a network trained on what is left predicts the held-out flights {1e3 * before:.1f} mm "
-        f"off without it, {1e3 * after:.1f} mm with it; "
+        "unexplained: a network trained on the residual changes the error on held-out flights from "
+        f"{1e3 * before:.1f} to {1e3 * after:.1f} mm; "
         f"{'it names no cause' if outcome.model is not None else 'it is not kept'}"
     )
 
 
-def description(told: Description) -> list[str]:
-    """Return what a disturbance outside the library depends on, a few lines."""
-    lines = dependence(told.force)
-    if told.form is not None:
-        form = closed_form(told.form.name, told.form.parameters)
-        lines = [lines[0], f"  it {form} (held-out skill {told.form.skill:.2f})"]
-    if told.torque is not None:
-        lines += dependence(told.torque)
-    if told.held_out == "blocks":
-        lines.append("all flights flew one reference: skill is on parts of them left out, a weaker test")
+def description(description: Description) -> list[str]:
+    """Return what a disturbance outside the library depends on, as a few lines."""
+    lines = dependence(description.force)
+    if description.form is not None:
+        form = closed_form(description.form.name, description.form.parameters)
+        lines = [lines[0], f"  it {form} (held-out skill {description.form.skill:.2f})"]
+    if description.torque is not None:
+        lines += dependence(description.torque)
+    if description.held_out == "blocks":
+        lines.append(
+            "all flights flew one reference: skill is computed on held-out parts of the flights, which is a "
+            "weaker test"
+        )
     return lines
 
 
-def dependence(one: Dependence) -> list[str]:
-    """Return what one channel depends on."""
-    if one.group is None:
-        names = ", ".join(skill.group for skill in one.skills)
-        return [f"the {one.channel} depends on none of {names}: none explains it on held-out data"]
-    best = one.skill_of(one.group)
+def dependence(entry: Dependence) -> list[str]:
+    """Return what the residual force or torque depends on, as a few lines."""
+    if entry.group is None:
+        names = ", ".join(skill.group for skill in entry.skills)
+        return [f"the {entry.channel} depends on none of these, judged on held-out data: {names}"]
+    best = entry.skill_of(entry.group)
     span = f"held-out skill {best.skill:.2f}, {best.low:.2f} to {best.high:.2f}"
-    if one.group == "constant":
-        x, y, z = one.mean
+    if entry.group == "constant":
+        x, y, z = entry.mean
         return [
-            f"of the {one.channel} only a constant part shows ({span}): in the mean "
-            f"({x:.2g}, {y:.2g}, {z:.2g}) {CHANNEL_UNITS[one.channel]} in body axes"
+            f"the {entry.channel} has only a constant part ({span}): its mean is "
+            f"({x:.2g}, {y:.2g}, {z:.2g}) {CHANNEL_UNITS[entry.channel]} in body axes"
         ]
     others = "".join(
-        f"; {'the law answers with' if s.group in one.answers else 'or'} {s.group}, {s.skill:.2f}"
-        for s in one.rivals
+        f"; {'the control law changes' if s.group in entry.responses else 'or on'} {s.group}, {s.skill:.2f}"
+        for s in entry.rivals
     )
-    lines = [f"the {one.channel} depends on {best.group} ({span}{others})"]
-    if one.group in one.answers:
-        lines.append(f"  the law answers any disturbance with {best.group}: it need not be the cause")
-    return lines + [f"  {one.channel} {s.axis}: {s.value:+.3g} {s.unit} of {s.quantity}" for s in one.slopes]
+    lines = [f"the {entry.channel} depends on {best.group} ({span}{others})"]
+    if entry.group in entry.responses:
+        lines.append(
+            f"  the control law changes {best.group} in response to any disturbance: it need not be the cause"
+        )
+    return lines + [
+        f"  {entry.channel} {s.axis}: {s.value:+.3g} {s.unit} of {s.quantity}" for s in entry.slopes
+    ]
 
 
 def result_lines(result: Trace) -> list[str]:
-    """Return the whole result for people, a few lines."""
+    """Return the whole result as lines of text."""
     lines = [f"verdict: {result.verdict}"]
     for effect in result.effects:
         lines += _effect_lines(effect)
@@ -132,11 +142,11 @@ def result_lines(result: Trace) -> list[str]:
         lines.append("  (+- is two standard deviations)")
     if result.possible:
         names = ", ".join(f"{name} ({p:.2f})" for name, p in result.possible.items())
-        lines.append(f"  not excluded beside them: {names}" if result.effects else f"  not excluded: {names}")
+        lines.append(f"  also not excluded: {names}" if result.effects else f"  not excluded: {names}")
     lines += [f"  {text}" for text in sentences(result.findings, frozenset({Code.SOMETHING_MISSING}))]
     lines += [f"  {text}" for text in sentences(result.findings, DOUBTS)]
     if result.hidden:
-        lines.append(f"  of typical size, these flights would not show: {', '.join(result.hidden)}")
+        lines.append(f"  these flights would not show, at typical size: {', '.join(result.hidden)}")
     lines += [f"  {text}" for text in sentences(result.findings, UNEXPLAINED)]
     if result.description is not None:
         lines += [f"  {line}" for line in description(result.description)]
@@ -160,13 +170,13 @@ def _effect_lines(effect: Named) -> list[str]:
 
 def _errors_line(result: Trace) -> str:
     if result.before_score is None or result.after_score is None:
-        return "no flight held out: no error before and after; add --hold-out LOG"
-    how = "whole flights" if result.horizon_s is None else f"{result.horizon_s} s ahead"
+        return "no flight held out, so no prediction error; add --hold-out LOG"
+    span = "whole flights" if result.horizon_s is None else f"{result.horizon_s} s ahead"
     return (
-        f"prediction error on {len(result.before)} held-out flights ({how}): "
+        f"prediction error on {len(result.before)} held-out flights ({span}): "
         f"{1e3 * result.before_score['position_rmse_m']:.1f} mm before, "
         f"{1e3 * result.after_score['position_rmse_m']:.1f} mm after"
-        f"{' (nothing was added)' if result.verdict is Verdict.OUTSIDE_LIBRARY else ''}"
+        f"{' (no effect was added)' if result.verdict is Verdict.OUTSIDE_LIBRARY else ''}"
     )
 
 
@@ -178,12 +188,12 @@ def verdict(result: Trace) -> str:
     elif result.verdict is Verdict.UNDECIDED and names:
         text = f"The model may be missing {names}; another explanation cannot be excluded."
     elif result.verdict is Verdict.UNDECIDED:
-        text = "The model may be missing something; these flights do not say what."
+        text = "The model may be missing something; these flights do not show what."
     elif result.verdict is Verdict.NOTHING_MISSING:
-        text = "Nothing beyond the vehicle's tolerances stands out."
+        text = "Nothing stands out beyond the tolerances of the vehicle."
     else:
         reasons = sentences(result.findings, UNEXPLAINED)
-        text = "Something acts that the library does not hold: " + "; ".join(reasons) + "."
+        text = "The cause is an effect that the library does not hold: " + "; ".join(reasons) + "."
     if result.before_score and result.after_score and result.effects:
         b, a = result.before_score["position_rmse_m"], result.after_score["position_rmse_m"]
         n = len(result.before)
@@ -195,5 +205,5 @@ def verdict(result: Trace) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Return names as in a sentence: a, b and c; an empty text for none."""
+    """Return names joined as in a sentence ("a, b and c"); an empty text for no names."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -1,1 +1,1 @@
-"""From logs to segments: checks of what belongs together, health of the data, signals on one clock."""
+"""From logs to segments: checks that logs belong together, audits, and signals on one clock."""

@@ -1,4 +1,4 @@
-"""What a log is worth before anything is fitted to it: rates, sampling, clocks, stretches to leave out."""
+"""Audit of a log before any fit: rates, sampling, clocks, and stretches to leave out."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from trimtab.host.trace.decision.rules import RULES
 
 @dataclass(frozen=True, kw_only=True)
 class Rate:
-    """How often a topic came: median, and in its leanest second; "averaged" over intervals or "sampled"."""
+    """Rate of a topic: median, and in its worst second. sampling: "averaged" over intervals or "sampled"."""
 
     topic: str
     median_hz: float
@@ -35,9 +35,22 @@ class Rate:
 
 @dataclass(frozen=True, kw_only=True)
 class Audit:
-    """The health of one flight: rates by topic, largest gap between poses, stretches left out, findings.
+    """Audit of one flight.
 
-    segments, left_out and used_s say what the cutting made of it: 0 until then.
+    Attributes
+    ----------
+    log
+        Name of the log file.
+    rates
+        Rate of each topic.
+    largest_gap_s
+        Longest interval between poses in the tracking phase.
+    stretches
+        Stretches that are not used.
+    findings
+        Findings about the log.
+    used_s, segments, left_out
+        Time in use, number of used segments and of left-out segments; 0 until the flight is cut.
     """
 
     log: str
@@ -50,12 +63,12 @@ class Audit:
     left_out: int = 0
 
     def overlaps(self, start_s: float, end_s: float) -> Stretch | None:
-        """Return the first stretch that takes part of the time from start_s to end_s since tracking began."""
+        """Return the first stretch that overlaps start_s to end_s, in s since tracking began, or None."""
         return next((s for s in self.stretches if s.start_s < end_s and s.end_s > start_s), None)
 
 
 def audit(data: FlightData) -> Audit:
-    """Return the health of a flight's tracking phase."""
+    """Return the audit of the tracking phase of a flight."""
     flight, s = data.flight, data.signals
     rates = _rates(flight, s.span_s)
     stretches = [*_gaps(s), *_jumps(flight, s), *_attitudes(s), *_saturation(s), *ground_contact(data)]
@@ -71,14 +84,19 @@ def audit(data: FlightData) -> Audit:
     )
 
 
-def with_missing_twins(audits: Sequence[Audit], twins: Sequence[tuple[int, int]]) -> tuple[Audit, ...]:
-    """Return the audits with a finding for each flight without a twin; `twins` pair their indices."""
-    paired = {index for pair in twins for index in pair}
+def with_missing_repeats(
+    audits: Sequence[Audit], repeat_flights: Sequence[tuple[int, int]]
+) -> tuple[Audit, ...]:
+    """Return the audits with a finding for each flight that has no repeat flight.
+
+    repeat_flights: pairs of indices into `audits`.
+    """
+    paired = {index for pair in repeat_flights for index in pair}
     return tuple(
-        one
+        each
         if index in paired
-        else replace(one, findings=(*one.findings, Finding(code=Code.NO_TWIN, log=one.log)))
-        for index, one in enumerate(audits)
+        else replace(each, findings=(*each.findings, Finding(code=Code.NO_REPEAT, log=each.log)))
+        for index, each in enumerate(audits)
     )
 
 
@@ -112,49 +130,50 @@ def _rates(flight: Flight, span_s: tuple[float, float]) -> tuple[Rate, ...]:
 
 
 def _gaps(s: Signals) -> list[Stretch]:
-    """Return times without poses and without commands; a mean over so long an interval is no command
-    either.
+    """Return the stretches without poses or without commands.
+
+    A command interval longer than RULES.gap_s counts as a gap.
     """
     inside = s.pose_s[within(s.pose_s, s.span_s)]
-    at = np.r_[s.span_s[0], inside, s.span_s[1]]
-    found = [
-        clipped_stretch(s, at[k], at[k + 1], Code.GAP_IN_POSES)
-        for k in np.flatnonzero(np.diff(at) > RULES.gap_s)
+    t = np.r_[s.span_s[0], inside, s.span_s[1]]
+    pose_gaps = [
+        clipped_stretch(s, t[k], t[k + 1], Code.GAP_IN_POSES)
+        for k in np.flatnonzero(np.diff(t) > RULES.gap_s)
     ]
     begin, end = s.input_s.T
-    if len(begin) == 1:  # one constant stands for commands that nobody recorded
-        return found
-    holes = [(end[k], begin[k + 1]) for k in np.flatnonzero(begin[1:] - end[:-1] > RULES.gap_s)]
-    holes += [(begin[k], end[k]) for k in np.flatnonzero(end - begin > RULES.gap_s)]
-    holes += [(s.span_s[0], begin[0]), (end[-1], s.span_s[1])]
-    seen = [hole for hole in holes if min(hole[1], s.span_s[1]) - max(hole[0], s.span_s[0]) > RULES.gap_s]
-    return found + [clipped_stretch(s, a, b, Code.GAP_IN_COMMANDS) for a, b in seen]
+    if len(begin) == 1:  # without recorded commands, a single constant stands for them
+        return pose_gaps
+    gaps = [(end[k], begin[k + 1]) for k in np.flatnonzero(begin[1:] - end[:-1] > RULES.gap_s)]
+    gaps += [(begin[k], end[k]) for k in np.flatnonzero(end - begin > RULES.gap_s)]
+    gaps += [(s.span_s[0], begin[0]), (end[-1], s.span_s[1])]
+    inside_span = [gap for gap in gaps if min(gap[1], s.span_s[1]) - max(gap[0], s.span_s[0]) > RULES.gap_s]
+    return pose_gaps + [clipped_stretch(s, a, b, Code.GAP_IN_COMMANDS) for a, b in inside_span]
 
 
 def _jumps(flight: Flight, s: Signals) -> list[Stretch]:
-    """Where the poses' least delay steps, or intervals of the vehicle's clock overlap."""
-    found = []
+    """Return the stretches around clock jumps: steps of the least pose delay, or overlapping intervals."""
+    jumps = []
     assert flight.mocap is not None
     t, delay = s.pose_s, (flight.mocap.t_arrival_us - flight.mocap.t_us) * 1e-6
     edges = np.arange(s.span_s[0], s.span_s[1], 0.25)
     parts = np.searchsorted(t, edges)
-    least = np.array([delay[a:b].min() if b > a else np.inf for a, b in pairwise(parts)])
-    for k in range(4, len(least) - 3):
-        # Late arrivals only add to a delay: its least over a second is the clocks' affair.
-        before, after = least[k - 4 : k].min(), least[k : k + 4].min()
+    least_delay = np.array([delay[a:b].min() if b > a else np.inf for a, b in pairwise(parts)])
+    for k in range(4, len(least_delay) - 3):
+        # Late arrivals only increase a delay, so the least delay over a second shows the clock offset.
+        before, after = least_delay[k - 4 : k].min(), least_delay[k : k + 4].min()
         if np.isfinite(before) and np.isfinite(after) and abs(after - before) > RULES.clock_jump_s:
-            found.append((edges[k] - 0.25, edges[k] + 0.25))
+            jumps.append((edges[k] - 0.25, edges[k] + 0.25))
     if flight.control is not None:
         begin, end = s.input_s.T
-        back = np.flatnonzero(begin[1:] - end[:-1] < -1e-3)
-        found += [(end[k] - 0.1, end[k] + 0.1) for k in back if s.span_s[0] <= end[k] <= s.span_s[1]]
-    return [clipped_stretch(s, a, b, Code.CLOCK_JUMP) for a, b in merged_spans(found)]
+        overlaps = np.flatnonzero(begin[1:] - end[:-1] < -1e-3)
+        jumps += [(end[k] - 0.1, end[k] + 0.1) for k in overlaps if s.span_s[0] <= end[k] <= s.span_s[1]]
+    return [clipped_stretch(s, a, b, Code.CLOCK_JUMP) for a, b in merged_spans(jumps)]
 
 
 def _attitudes(s: Signals) -> list[Stretch]:
-    """Attitudes that the model or its coordinates cannot hold."""
-    keep = within(s.pose_s, s.span_s)
-    t, R = s.pose_s[keep], s.R_ned_frd[keep]
+    """Return the stretches in which Euler angles are singular or the tilt is too large for the model."""
+    tracking = within(s.pose_s, s.span_s)
+    t, R = s.pose_s[tracking], s.R_ned_frd[tracking]
     singular = np.abs(R[:, 2, 0]) > np.sin(RULES.pitch_max_rad)
     tilted = (R[:, 2, 2] < np.cos(RULES.tilt_max_rad)) & ~singular
     return [
@@ -165,24 +184,25 @@ def _attitudes(s: Signals) -> list[Stretch]:
 
 
 def _saturation(s: Signals) -> list[Stretch]:
-    """Return times over RULES.saturation_s with a motor command at 0 or at 1."""
+    """Return the stretches longer than RULES.saturation_s with a motor command at 0 or at 1."""
     if s.in_newton:
         return []
     limit = np.any((s.command < RULES.saturation_low) | (s.command > RULES.saturation_high), axis=1)
     begin, end = s.input_s.T
-    keep = (end > s.span_s[0]) & (begin < s.span_s[1])
-    runs = zip(runs_of(begin[keep], limit[keep]), runs_of(end[keep], limit[keep]), strict=True)
+    tracking = (end > s.span_s[0]) & (begin < s.span_s[1])
+    at_limit = limit[tracking]
+    runs = zip(runs_of(begin[tracking], at_limit), runs_of(end[tracking], at_limit), strict=True)
     return [
         clipped_stretch(s, a, b, Code.MOTOR_AT_LIMIT) for (a, _), (_, b) in runs if b - a > RULES.saturation_s
     ]
 
 
 def _sampling(flight: Flight, rates: Sequence[Rate]) -> list[Finding]:
-    """Return findings on what the channels hold, and how often."""
+    """Return findings on missing topics and on their sampling and rates."""
     log = flight.path.name
     findings = []
-    driven = not without_inputs(flight)
-    if not driven:
+    has_inputs = not without_inputs(flight)
+    if not has_inputs:
         findings.append(Finding(code=Code.NO_INPUTS, log=log))
     if flight.reference is None or flight.firmware_parameters is None:
         findings.append(Finding(code=Code.NO_REFERENCE, log=log))
@@ -190,9 +210,9 @@ def _sampling(flight: Flight, rates: Sequence[Rate]) -> list[Finding]:
         findings.append(Finding(code=Code.NO_GYRO, log=log))
     lag_s = flight.vehicle.motor_lag_s
     for rate in rates:
-        if rate.topic == topics.RECORDED_INPUTS and driven:
+        if rate.topic == topics.RECORDED_INPUTS and has_inputs:
             findings.append(Finding(code=Code.SAMPLED_COMMANDS, log=log))
-        commands = rate.topic in (topics.RECORDED_INPUTS, topics.FC_CONTROL) and driven
+        commands = rate.topic in (topics.RECORDED_INPUTS, topics.FC_CONTROL) and has_inputs
         if commands and rate.median_hz * lag_s < 1.0:
             findings.append(
                 Finding(
@@ -225,7 +245,7 @@ def _sampling(flight: Flight, rates: Sequence[Rate]) -> list[Finding]:
 
 
 def _clocks(flight: Flight, s: Signals) -> list[Finding]:
-    """Return findings on time stamps."""
+    """Return findings on repeated time stamps and on clock drift."""
     log = flight.path.name
     findings = []
     recorded = flight.recorded_inputs
@@ -248,11 +268,11 @@ def _clocks(flight: Flight, s: Signals) -> list[Finding]:
             )
     link = flight.link
     if link is not None:
-        keep = within(link.t_us * 1e-6, s.span_s)
-        apart = (link.clock_offset_us - link.camera_offset_us)[keep] * 1e-6
-        if len(apart) > 4:
-            t = link.t_us[keep] * 1e-6
-            drift = float(np.polyfit(t - t[0], apart, 1)[0] * (t[-1] - t[0]))
+        tracking = within(link.t_us * 1e-6, s.span_s)
+        offset_s = (link.clock_offset_us - link.camera_offset_us)[tracking] * 1e-6
+        if len(offset_s) > 4:
+            t = link.t_us[tracking] * 1e-6
+            drift = float(np.polyfit(t - t[0], offset_s, 1)[0] * (t[-1] - t[0]))
             if abs(drift) > RULES.clock_drift_s:
                 findings.append(
                     Finding(code=Code.CLOCK_DRIFT, value=drift, bound=RULES.clock_drift_s, unit="s", log=log)
@@ -261,14 +281,14 @@ def _clocks(flight: Flight, s: Signals) -> list[Finding]:
 
 
 def _saturated_share(flight: Flight, s: Signals) -> list[Finding]:
-    """Return a finding where rotors could not give what was commanded for a share of the ticks."""
+    """Return a finding if the rotors saturated in a considerable share of the control ticks."""
     if flight.status is None:
         return []
-    keep = within(flight.status.t_us * 1e-6, s.span_s)
-    ticks = flight.status.flight_ticks[keep]
+    tracking = within(flight.status.t_us * 1e-6, s.span_s)
+    ticks = flight.status.flight_ticks[tracking]
     if len(ticks) < 2 or ticks[-1] == ticks[0]:
         return []
-    share = float(np.ptp(flight.status.saturated_ticks[keep]) / np.ptp(ticks))
+    share = float(np.ptp(flight.status.saturated_ticks[tracking]) / np.ptp(ticks))
     if share < RULES.saturation_share:
         return []
     bound = RULES.saturation_share

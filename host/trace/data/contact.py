@@ -1,4 +1,4 @@
-"""Where the floor carries a vehicle, or something hits it."""
+"""Detection of ground contact and of impacts."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.vehicle import Vehicle
 
 _WINDOW_S = 0.3
-"""Length of the windows that support by the floor is looked for in."""
-
+"""Length of the windows in which ground contact is detected."""
 
 _WINDOW_STEP_S = 0.1
+"""Step between the starts of these windows."""
 
 
 def ground_contact(data: FlightData) -> list[Stretch]:
-    """Where the floor carries the vehicle, or something hits it.
+    """Return the stretches in which the floor carries the vehicle or something hits it.
 
-    Either low over where it stood, or low in the log, not falling, with rotors that give less than the
-    specific force by more than what they give less in free flight.
+    The floor may carry the vehicle in two cases. Either the vehicle is close above its resting place. Or it
+    is close above the lowest place of the log, is not falling, and its specific force exceeds its rotor
+    thrust by more than in free flight. Without recorded inputs only impacts are detected.
     """
     flight, s = data.flight, data.signals
     t = np.arange(s.pose_s[0], s.pose_s[-1] - _WINDOW_S, _WINDOW_STEP_S)
     low, high = np.searchsorted(s.pose_s, t), np.searchsorted(s.pose_s, t + _WINDOW_S)
-    known = high - low >= 4
-    t, low, high = t[known], low[known], high[known]
+    enough = high - low >= 4
+    t, low, high = t[enough], low[enough], high[enough]
     flying = (t + _WINDOW_S > s.span_s[0]) & (t < s.span_s[1])
     if without_inputs(flight) or not flying.any():
         return _impacts(data)
@@ -37,18 +38,18 @@ def ground_contact(data: FlightData) -> list[Stretch]:
     thrust, force, speed = _carried(flight.vehicle, s, t, low, high)
     touching = np.zeros(len(t), dtype=bool)
     still = np.array([np.ptp(s.p_ned[a:b], axis=0).max() < RULES.still_m for a, b in spans])
-    if flight.kind == "flight":  # the log begins as it is armed, on the floor
+    if flight.kind == "flight":  # the log begins at arming, on the floor
         touching = np.median(s.p_ned[s.pose_s < s.pose_s[0] + 0.1, 2]) - down < RULES.clear_m
-    elif (rest := still & (thrust < RULES.resting_thrust_g * GRAVITY)).any():
-        touching = np.median(down[rest]) - down < RULES.clear_m
+    elif (resting := still & (thrust < RULES.resting_thrust_g * GRAVITY)).any():
+        touching = np.median(down[resting]) - down < RULES.clear_m
     height = down.max() - down
     ratio = force / np.maximum(thrust, 0.1)
     powered = thrust > RULES.powered_share * np.nanmedian(thrust[flying])
-    free = ratio[powered & (height > RULES.free_height_m)]
-    if len(free) <= 5:
-        free = np.sort(ratio[powered])[: powered.sum() // 2 + 1]
+    free_flight = ratio[powered & (height > RULES.free_height_m)]
+    if len(free_flight) <= 5:
+        free_flight = np.sort(ratio[powered])[: powered.sum() // 2 + 1]
     carried = (
-        (ratio > RULES.support_ratio * np.median(free))
+        (ratio > RULES.support_ratio * np.median(free_flight))
         & (np.abs(speed) < RULES.level_speed_m_s)
         & (height < RULES.low_m)
     )
@@ -61,13 +62,25 @@ def ground_contact(data: FlightData) -> list[Stretch]:
 def _carried(
     vehicle: Vehicle, s: Signals, t: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nominal specific thrust, specific force along it (m/s^2), and vertical speed, in windows from t (n,).
+    """Return nominal thrust over mass, specific force along the thrust, and vertical speed in each window.
 
-    The accelerometer says the force, without one the poses' curvature does. NaN without commands.
+    Returns three arrays (n,): m/s^2, m/s^2 and m/s, down positive. The accelerometer gives the force; without
+    one, the curvature of the positions does. Means are NaN where samples cover too little of a window.
+
+    Parameters
+    ----------
+    vehicle
+        Vehicle of the flight.
+    s
+        Signals of the flight.
+    t
+        Starts (n,) of the windows, s since arming.
+    low, high
+        Index (n,) of the first pose in each window, and of the first pose after it.
     """
     knots = np.ravel(np.column_stack([t, t + _WINDOW_S]))
     order = np.argsort(knots, kind="stable")
-    each = nominal_thrust(vehicle, s.command, in_newton=s.in_newton)
+    rotor_thrusts = nominal_thrust(vehicle, s.command, in_newton=s.in_newton)
     edges = np.unique(knots[order])
     first, last = np.searchsorted(edges, t), np.searchsorted(edges, t + _WINDOW_S)
 
@@ -82,23 +95,23 @@ def _carried(
             np.nan,
         )
 
-    thrust = means(s.input_s, each.sum(axis=1) / vehicle.mass_kg)
-    curve = [
+    thrust = means(s.input_s, rotor_thrusts.sum(axis=1) / vehicle.mass_kg)
+    quadratics = [
         np.polynomial.polynomial.polyfit(s.pose_s[a:b] - s.pose_s[a], s.p_ned[a:b], 2)
         for a, b in zip(low, high, strict=True)
     ]
-    speed = np.array([c[1, 2] + c[2, 2] * _WINDOW_S for c in curve])
+    speed = np.array([c[1, 2] + c[2, 2] * _WINDOW_S for c in quadratics])
     if len(s.force_frd):
         force = -means(s.imu_s, s.force_frd[:, 2])
     else:
-        acceleration = np.array([2.0 * c[2] for c in curve])
+        acceleration = np.array([2.0 * c[2] for c in quadratics])
         axis = s.R_ned_frd[(low + high) // 2, :, 2]
         force = -np.einsum("ni,ni->n", axis, acceleration - np.array([0.0, 0.0, GRAVITY]))
     return thrust, force, speed
 
 
 def _impacts(data: FlightData) -> list[Stretch]:
-    """Return times at which the accelerometer shows what no rotor can give and no air makes."""
+    """Return the stretches in which the accelerometer shows more than rotors and air can cause."""
     s, vehicle = data.signals, data.flight.vehicle
     if not len(s.force_frd):
         return []
@@ -107,6 +120,6 @@ def _impacts(data: FlightData) -> list[Stretch]:
     x, y, z = s.force_frd.T
     hit = (np.hypot(x, y) > beyond) | (z > beyond) | (z < -strongest - beyond)
     middle = s.imu_s.mean(axis=1)
-    keep = within(middle, s.span_s)
-    spans = merged_spans([(a - 0.1, b + 0.1) for a, b in runs_of(middle[keep], hit[keep])])
+    tracking = within(middle, s.span_s)
+    spans = merged_spans([(a - 0.1, b + 0.1) for a, b in runs_of(middle[tracking], hit[tracking])])
     return [clipped_stretch(s, a, b, Code.IMPACT) for a, b in spans]

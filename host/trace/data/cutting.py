@@ -1,4 +1,4 @@
-"""Cut flight logs into segments on a regular grid. An audit lists what is left out, and why."""
+"""Cutting of flight logs into segments on a regular grid, with an audit of the parts that are left out."""
 
 from __future__ import annotations
 
@@ -17,18 +17,21 @@ from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.sentences import MIXED_INPUTS, too_few_segments
 
 DT_S = 0.01
+"""Step of the grid."""
 SEGMENT_S = 0.6
+"""Length of a segment."""
 LAGS = 5
-"""Run-up of the rotors before a segment, in nominal lags."""
+"""Run-up of the rotors before a segment, in nominal motor lags."""
 
 
 def segments_of(
     flights: Sequence[FlightData], *, rate_driven: bool, segment_s: float = SEGMENT_S
 ) -> tuple[Segments, tuple[Audit, ...]]:
-    """Return all usable segments of one vehicle's flights, and the audit of each flight.
+    """Return all usable segments of the flights of one vehicle, and the audit of each flight.
 
-    rate_driven: the measured body rate drives the attitude, since the torque is unknown. Raises
-    LogsRefused if too few segments are usable.
+    rate_driven: whether the measured body rate drives the attitude, since the torque is unknown. segment_s:
+    length of a segment. Raises LogsRefused if too few segments are usable, or if some logs record motor
+    commands and others thrusts or no inputs.
     """
     parts, audits = [], []
     for index, data in enumerate(flights):
@@ -47,23 +50,24 @@ def segments_of(
 
 
 def _refusal(audits: Sequence[Audit], count: int, segment_s: float) -> str:
-    """Return the refusal of logs with too few usable segments."""
+    """Return the error message for logs with too few usable segments."""
     lost = {audit.log: audit.findings if audit.left_out else () for audit in audits}
     return too_few_segments(lost, count, segment_s)
 
 
 def _paths(flights: Sequence[FlightData]) -> np.ndarray:
-    """Return the measured state (flights, n, 12), every PATH_S from each flight's first pose on; body rate 0.
+    """Return the measured states (flights, n, 12) every PATH_S from the first pose of each flight on.
 
-    Shorter flights are padded with their last state.
+    A state is p, v NED, Euler angles Theta, and a body rate of 0. Shorter flights are padded with their last
+    state.
     """
     paths = []
     for data in flights:
         s = data.signals
         t = np.arange(s.pose_s[0], s.pose_s[-1] + 0.5 * PATH_S, PATH_S)
         p = np.column_stack([np.interp(t, s.pose_s, s.p_ned[:, i]) for i in range(3)])
-        at = np.minimum(np.searchsorted(s.pose_s, t), len(s.pose_s) - 1)
-        yaw, pitch, roll = Rotation.from_matrix(s.R_ned_frd[at]).as_euler("ZYX").T
+        pose = np.minimum(np.searchsorted(s.pose_s, t), len(s.pose_s) - 1)
+        yaw, pitch, roll = Rotation.from_matrix(s.R_ned_frd[pose]).as_euler("ZYX").T
         v = np.gradient(p, PATH_S, axis=0)
         paths.append(np.column_stack([p, v, roll, pitch, yaw, np.zeros((len(t), 3))]))
     longest = max(len(path) for path in paths)
@@ -72,11 +76,12 @@ def _paths(flights: Sequence[FlightData]) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class _Grid:
-    """A flight's measurements on a regular grid of DT_S.
+    """Measurements of one flight on a regular grid of DT_S.
 
-    t_s (n,): grid times; segments begin at index `run_up`, `count` of them of `steps` steps each.
-    command (n - 1, 4), rate_frd and force_frd (n - 1, 3): means over each step, with the share of the step
-    that samples cover, (n - 1,). voltage_ratio (n,). pose (n,): index of the nearest pose, -1 for none.
+    t_s (n,): times of the grid, since arming. run_up: index at which the first segment begins. count: number
+    of segments. steps: steps in a segment. command (n - 1, 4), rate_frd, force_frd (n - 1, 3): means over
+    each step; command_share, rate_share, force_share (n - 1,): share of the step that samples cover.
+    voltage_ratio (n,). pose (n,): index of the nearest pose, -1 if there is none.
     """
 
     t_s: np.ndarray
@@ -141,9 +146,9 @@ def _cut(
     for k in range(grid.count):
         first = grid.run_up + k * grid.steps
         start_s = float(grid.t_s[first] - data.signals.span_s[0])
-        fault = health.overlaps(start_s, start_s + segment_s)
-        if fault is not None:
-            left_out[fault.code] = left_out.get(fault.code, 0) + 1
+        stretch = health.overlaps(start_s, start_s + segment_s)
+        if stretch is not None:
+            left_out[stretch.code] = left_out.get(stretch.code, 0) + 1
         elif _has_gaps(grid, first, min_poses):
             with_gaps += 1
         else:
@@ -208,10 +213,10 @@ def _segment(grid: _Grid, s: Signals, first: int, rate_driven: bool) -> dict[str
 
 
 def _initial(s: Signals, t: float, rate: np.ndarray | None) -> np.ndarray:
-    """Return the initial state (12,) at t.
+    """Return the initial state (12,) at time t: p, v NED, Euler angles Theta, body rate FRD.
 
     Position and velocity come from a local quadratic through the positions, the attitude from the nearest
-    pose. rate: measured body rate, FRD; None to take the slope of the attitudes.
+    pose. rate (3,): measured body rate, rad/s, FRD; None to use the slope of the attitudes.
     """
     near = np.flatnonzero(np.abs(s.pose_s - t) < 0.06)
     if len(near) < 4:
@@ -219,7 +224,7 @@ def _initial(s: Signals, t: float, rate: np.ndarray | None) -> np.ndarray:
     fit = np.polynomial.polynomial.polyfit(s.pose_s[near] - t, s.p_ned[near], 2)
     nearest = near[np.argmin(np.abs(s.pose_s[near] - t))]
     if rate is None:
-        turned = Rotation.from_matrix(s.R_ned_frd[nearest].T @ s.R_ned_frd[near]).as_rotvec()
-        rate = np.polynomial.polynomial.polyfit(s.pose_s[near] - t, turned, 1)[1]
+        rotation = Rotation.from_matrix(s.R_ned_frd[nearest].T @ s.R_ned_frd[near]).as_rotvec()
+        rate = np.polynomial.polynomial.polyfit(s.pose_s[near] - t, rotation, 1)[1]
     yaw, pitch, roll = Rotation.from_matrix(s.R_ned_frd[nearest]).as_euler("ZYX")
     return np.concatenate([fit[0], fit[1], [roll, pitch, yaw], rate])

@@ -1,4 +1,4 @@
-"""Which logs belong together, and which effects they could show."""
+"""Checks that logs belong together, their repeat flights, and the effects that they can show."""
 
 from __future__ import annotations
 
@@ -14,15 +14,27 @@ from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.vehicle import Vehicle
 
 Drive = Literal["reference", "inputs"]
+"""Start of a prediction: the reference of a whole flight, or the recorded inputs of a segment."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TraceData:
     """The flights of one trace, read once.
 
-    flights: those that effects are looked for in; held_out: those that the answer is scored on; unknown: what
-    any of the logs declares unknown; drive: what all of them can be predicted from; twins: pairs of indices
-    into `flights` that repeat each other.
+    Attributes
+    ----------
+    vehicle
+        Vehicle of all flights.
+    flights
+        Flights in which effects are searched.
+    held_out
+        Flights that only the prediction error is computed on.
+    unknown
+        What any of the logs declares unknown or cannot show.
+    drive
+        Start from which all flights can be predicted.
+    repeat_flights
+        Pairs of indices into `flights` that are repeat flights of each other.
     """
 
     vehicle: Vehicle
@@ -30,14 +42,15 @@ class TraceData:
     held_out: tuple[FlightData, ...]
     unknown: frozenset[str]
     drive: Drive
-    twins: tuple[tuple[int, int], ...]
+    repeat_flights: tuple[tuple[int, int], ...]
 
 
 def read_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Vehicle | None) -> TraceData:
-    """Return the data of all flights, of one vehicle.
+    """Return the data of all flights, which must be of one vehicle.
 
-    Raises LogsRefused for a mixture, a log given twice or a held-out reference that was used, and
-    LogsRefused for a log without poses or tracking phase.
+    vehicle: the vehicle of the flights; that of the first flight if None. Raises LogsRefused for a log of
+    another vehicle, a log given twice, a held-out flight whose reference is also used, and a log without
+    poses or tracking phase.
     """
     first = vehicle or flights[0].vehicle
     by_id: dict[str, FlightData] = {}
@@ -47,7 +60,7 @@ def read_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Ve
                 Code.MIXED_VEHICLES,
                 f"{flight.path}: a log of vehicle {flight.vehicle.name} ({flight.vehicle.id}), "
                 f"not of {first.name} ({first.id}): {_differences(flight.vehicle, first)}; "
-                "trace each vehicle's logs apart",
+                "trace each vehicle's logs separately",
             )
         if flight.id in by_id:
             raise LogsRefused(
@@ -60,7 +73,7 @@ def read_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Ve
         if flight.reference_id in used:
             raise LogsRefused(
                 Code.HELD_OUT_REFERENCE_USED,
-                f"{flight.path}: flies reference {flight.reference_id}, which is among the flights used; "
+                f"{flight.path}: flies reference {flight.reference_id}, as do flights that are not held out; "
                 "hold out flights of other references",
             )
     return TraceData(
@@ -69,35 +82,35 @@ def read_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Ve
         held_out=tuple(by_id[flight.id] for flight in held_out),
         unknown=unknowns([*flights, *held_out]),
         drive=drive_of([*flights, *held_out]),
-        twins=tuple(twins_of(flights)),
+        repeat_flights=tuple(repeat_flights_of(flights)),
     )
 
 
-def _differences(one: Vehicle, other: Vehicle) -> str:
-    """Which entries of two vehicle files differ."""
-    keys = [key for key in Vehicle.model_fields if getattr(one, key) != getattr(other, key)]
+def _differences(first: Vehicle, second: Vehicle) -> str:
+    """Return which entries of two vehicle files differ, as text."""
+    keys = [key for key in Vehicle.model_fields if getattr(first, key) != getattr(second, key)]
     return ", ".join(keys) + " differ"
 
 
 def observable_effects(effects: Mapping[str, Effect], flights: Sequence[Flight]) -> dict[str, Effect]:
-    """Return the effects that these flights could show by their signals: no sag where every battery stayed
-    full.
+    """Return the effects whose required signals these flights contain.
+
+    Battery sag, for example, is left out if every battery stayed full.
     """
     return {name: effect for name, effect in effects.items() if has_signals(effect, flights)}
 
 
 def drive_of(flights: Sequence[Flight]) -> Drive:
-    """How these flights can be predicted: "reference" where all have one and the law on board, else
-    "inputs".
-    """
+    """Return "reference" if all flights hold a reference and the control law on board, else "inputs"."""
     known = all(f.reference is not None and f.firmware_parameters is not None for f in flights)
     return "reference" if known else "inputs"
 
 
-def twins_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
-    """Pairs of indices of flights of the same reference under the same feed-forward and firmware parameters.
+def repeat_flights_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
+    """Return the pairs of indices of repeat flights.
 
-    A law that holds the vehicle closer repeats other errors of the model than one that does not.
+    Repeat flights fly the same reference with the same feed-forward and the same firmware parameters. Another
+    control law tracks the reference differently, so other model errors would repeat.
     """
     keys = [
         (flight.reference_id, flight.metadata.get("feedforward_id"), flight.firmware_parameters)
@@ -106,13 +119,16 @@ def twins_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
     return [(a, b) for a, b in combinations(range(len(flights)), 2) if keys[a][0] and keys[a] == keys[b]]
 
 
-def strata_of(twins: Sequence[tuple[int, int]], count: int) -> list[list[int]]:
-    """Return indices of `count` flights, those of one reference together; all that have no twin together."""
+def strata_of(repeat_flights: Sequence[tuple[int, int]], count: int) -> list[list[int]]:
+    """Return groups of indices of `count` flights: repeat flights together, all other flights together.
+
+    repeat_flights: pairs of indices of repeat flights.
+    """
     group = list(range(count))
-    for a, b in twins:
+    for a, b in repeat_flights:
         group[b] = min(group[a], group[b])
-    found: dict[int, list[int]] = {}
+    strata: dict[int, list[int]] = {}
     for flight, first in enumerate(group):
-        found.setdefault(first, []).append(flight)
-    alone = [flight for flights in found.values() if len(flights) == 1 for flight in flights]
-    return [flights for flights in found.values() if len(flights) > 1] + ([alone] if alone else [])
+        strata.setdefault(first, []).append(flight)
+    single = [flight for flights in strata.values() if len(flights) == 1 for flight in flights]
+    return [flights for flights in strata.values() if len(flights) > 1] + ([single] if single else [])

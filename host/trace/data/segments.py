@@ -1,4 +1,4 @@
-"""Segments of flights on a regular grid: what was measured and commanded in each."""
+"""Segments of flights on a regular grid, with their measurements and commands."""
 
 from __future__ import annotations
 
@@ -8,25 +8,53 @@ from typing import Any
 import numpy as np
 
 BIN_S = 0.1
-
+"""Length of a bin of the disturbance."""
 
 PATH_S = 0.02
-"""Step of the measured paths along which the effects' own states are found."""
+"""Step of the measured paths along which the states of effects are integrated."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Segments:
-    """S segments of H steps with what was measured and commanded in them.
+    """S segments of H steps, with their measurements and commands.
 
-    flight (S,); start_s (S,) since arm; x0 (S, 12) p, v, Theta, rate; p_ned (S, H, 3);
-    R_ned_frd (S, H, 9); shift_s (S, H) time of the pose after its grid point; pose_weight and rate_weight
-    (S, H) 0 or 1; rate_frd and force_frd (S, H, 3) means over the step, force_weight (S, H); command (S, pre
-    + H, 4) motor command, or rotor thrust in N where `in_newton`; voltage_ratio (S, H). sigma (S, 4):
-    position m, attitude rad, body rate rad/s, specific force m/s^2. `rate_driven`: the measured body rate is
-    an input instead of the commanded torque, for logs that declare the torque unknown. disturbance_frd (S,
-    bins, 6): that the roll-outs are linearised at, so that they stay near what was measured whatever the
-    parameters lack. paths (flights, n, 12): measured state of whole flights each PATH_S, from rest;
-    path_start_s (S,) into them.
+    Attributes
+    ----------
+    dt_s
+        Step of the grid.
+    flight
+        Index (S,) of the flight of each segment.
+    start_s
+        Start (S,) since tracking began.
+    x0
+        Initial states (S, 12): p, v NED, Euler angles Theta, body rate FRD.
+    p_ned, R_ned_frd
+        Position (S, H, 3) in m and attitude (S, H, 9), row-major, of the pose nearest to each grid point.
+    shift_s
+        Time (S, H) from the grid point to that pose.
+    pose_weight, rate_weight, force_weight
+        Weights (S, H) of pose, body rate and specific force; 0 where there is no measurement.
+    rate_frd, force_frd
+        Body rate (S, H, 3) in rad/s and specific force (S, H, 3) in m/s^2, means over each step.
+    command
+        Motor commands (S, pre + H, 4), or rotor thrusts in N if `in_newton`, means over each step. The first
+        `pre` steps are the run-up of the rotors.
+    voltage_ratio
+        Battery voltage over full voltage (S, H).
+    sigma
+        Standard deviations (S, 4): position m, attitude rad, body rate rad/s, specific force m/s^2.
+    disturbance_frd
+        Disturbance (S, bins, 6) of the linearisation: specific force m/s^2, then angular acceleration
+        rad/s^2. It keeps roll-outs close to the measurements whatever the model lacks.
+    path_start_s
+        Start (S,) of each segment on the measured path of its flight.
+    paths
+        Measured states (flights, n, 12) of whole flights every PATH_S, with body rate 0.
+    in_newton
+        Whether commands are rotor thrusts in N.
+    rate_driven
+        Whether the measured body rate drives the attitude instead of the commanded torque, for logs that
+        declare the torque unknown.
     """
 
     dt_s: float
@@ -56,24 +84,24 @@ class Segments:
         if abs(per_bin - round(per_bin)) > 1e-9 or steps % round(per_bin):
             raise ValueError(f"{steps} steps of {self.dt_s} s do not fill whole bins of {BIN_S} s")
         if self.command.shape[1] <= steps:
-            raise ValueError("the command must begin before the segment: the rotors' lag needs a run-up")
+            raise ValueError("commands must begin before the segment: the motor lag needs a run-up")
 
     @property
     def steps(self) -> int:
-        """Steps H of a segment."""
+        """Number H of steps in a segment."""
         return self.p_ned.shape[1]
 
     @property
     def bins(self) -> int:
-        """Disturbance bins of a segment."""
+        """Number of disturbance bins in a segment."""
         return round(self.steps * self.dt_s / BIN_S)
 
     def with_x0(self, x0: np.ndarray) -> Segments:
-        """Return the same segments starting from other initial states (S, 12)."""
+        """Return the same segments with other initial states (S, 12)."""
         return replace(self, x0=x0)
 
     def with_w(self, w: np.ndarray) -> Segments:
-        """Return the same segments linearised at another disturbance (S, bins, 6)."""
+        """Return the same segments with another disturbance w (S, bins, 6), FRD, of the linearisation."""
         return replace(self, disturbance_frd=w)
 
     def take(self, index: Any) -> Segments:

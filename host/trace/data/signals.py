@@ -1,4 +1,4 @@
-"""A flight's measurements and inputs on one clock, and how noisy they are."""
+"""Measurements and inputs of a flight on one clock, and their noise."""
 
 from __future__ import annotations
 
@@ -21,20 +21,31 @@ from trimtab.host.vehicle import Vehicle
 from trimtab.host.vehicle.allocation import allocation_inverse
 
 WITHOUT_INPUTS = frozenset({THRUST, MOTOR_LAG, INERTIA, TORQUE})
-"""What a log of poses alone leaves unknown."""
+"""What a log of only poses does not determine."""
 
 TOO_SLOW = frozenset({MOTOR_LAG, INERTIA, TORQUE})
-"""What commands leave unknown that are sampled more seldom than the motors follow them."""
+"""What commands do not determine if their sampling interval is longer than the motor lag."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Signals:
-    """A flight's measurements and inputs on one clock, seconds since arm.
+    """Measurements and inputs of one flight on one clock, in seconds since arming.
 
-    pose_s (n,), p_ned (n, 3), R_ned_frd (n, 3, 3); input_s (m, 2) begin and end of each command interval,
-    command (m, 4) as motor command or N; body rate rate_frd and specific force force_frd (m', 3), means over
-    imu_s (m', 2), empty where not logged; voltage_s (k,), voltage_ratio (k,). span_s: the part of the flight
-    used.
+    Attributes
+    ----------
+    pose_s, p_ned, R_ned_frd
+        Times (n,), positions (n, 3) in m and attitudes (n, 3, 3) of the poses.
+    input_s, command
+        Begin and end (m, 2) of each command interval, and the commands (m, 4) in it.
+    in_newton
+        Whether commands are rotor thrusts in N, not motor commands.
+    imu_s, rate_frd, force_frd
+        Begin and end (k, 2) of each IMU interval, and the mean body rate (k, 3) in rad/s and specific force
+        (k, 3) in m/s^2 in it. Quantities that were not logged are empty.
+    voltage_s, voltage_ratio
+        Times (l,), and battery voltage over full voltage (l,).
+    span_s
+        Begin and end of the tracking phase.
     """
 
     pose_s: np.ndarray
@@ -53,23 +64,23 @@ class Signals:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FlightData:
-    """A flight with its measurements and inputs on one clock, built once for a trace."""
+    """A flight with its signals, which are computed once for a trace."""
 
     flight: Flight
     signals: Signals
 
     @classmethod
     def of(cls, flight: Flight) -> FlightData:
-        """Return the data of `flight`. Raises LogsRefused as `signals` does."""
+        """Return the data of `flight`; raises LogsRefused as `signals` does."""
         return cls(flight=flight, signals=signals(flight))
 
 
 def signals(flight: Flight) -> Signals:
-    """Return the flight's measurements and inputs. Raises TooLittleData when it has no poses or no tracking
-    phase.
+    """Return the signals of a flight.
 
-    Where nothing recorded drives the model, thrust is taken as hover's and what that gets wrong is left to
-    the nuisances; where torque is unknown and no gyro was logged, the body rate is that of the poses.
+    If no inputs were recorded, the commands are constant at hover thrust, and the nuisances absorb the error.
+    If the torque is unknown and no gyro was logged, the body rate comes from the attitudes of the poses.
+    Raises LogsRefused if the log has too few poses or no tracking phase.
     """
     if flight.mocap is None or len(flight.mocap) < RULES.min_poses:
         raise LogsRefused(Code.TOO_FEW_POSES, too_few_poses(flight.path))
@@ -92,13 +103,12 @@ def signals(flight: Flight) -> Signals:
             assert r.torque_n_m is not None
             command, in_newton = _rotor_thrusts(vehicle, r.thrust_n, r.torque_n_m), True
     else:
-        # No input at all, or only a reference and not the law that flew it: the poses speak of lateral
-        # forces.
+        # No input, or only a reference without the control law: the poses show only lateral forces.
         hover_n = vehicle.mass_kg * GRAVITY / 4.0
         input_s, command, in_newton = pose_s[[0, -1]][None, :], np.full((1, 4), hover_n), True
         imu_s, gyro, force = _recorded_imu(flight)
     if TORQUE in unknowns([flight]) and not len(gyro):
-        imu_s, gyro = _turned(pose_s, R)
+        imu_s, gyro = _rate_from_poses(pose_s, R)
     voltage_s, voltage_ratio = battery_of(flight)
     if flight.tracking is None:
         raise LogsRefused(Code.NO_TRACKING, no_tracking(flight.path))
@@ -121,56 +131,57 @@ def signals(flight: Flight) -> Signals:
     )
 
 
-def _turned(pose_s: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Intervals (n - 1, 2) between poses and the body rate (n - 1, 3) that turns one into the next."""
-    turn = Rotation.from_matrix(R)
+def _rate_from_poses(pose_s: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the intervals (n - 1, 2) between poses, and the mean body rate (n - 1, 3), rad/s, in each."""
+    attitude = Rotation.from_matrix(R)
     step = np.diff(pose_s)
-    rate = (turn[:-1].inv() * turn[1:]).as_rotvec() / step[:, None]
+    rate = (attitude[:-1].inv() * attitude[1:]).as_rotvec() / step[:, None]
     return np.column_stack([pose_s[:-1], pose_s[1:]]), rate
 
 
 def _recorded_imu(flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Intervals, gyro and specific force of an imported log; empty where not recorded."""
-    imu, none = flight.recorded_imu, np.zeros((0, 3))
+    """Return intervals (k, 2), body rate and specific force of an imported log; empty if not recorded."""
+    imu, empty = flight.recorded_imu, np.zeros((0, 3))
     if imu is None:
-        return np.zeros((0, 2)), none, none
-    gyro = none if imu.gyro is None else imu.gyro
-    return _intervals(imu.t_us), gyro, none if imu.specific_force is None else imu.specific_force
+        return np.zeros((0, 2)), empty, empty
+    gyro = empty if imu.gyro is None else imu.gyro
+    return _intervals(imu.t_us), gyro, empty if imu.specific_force is None else imu.specific_force
 
 
 def _intervals(t_us: np.ndarray) -> np.ndarray:
-    """Begin and end (n, 2) in s of the intervals that samples held until the next one cover."""
+    """Return begin and end (n, 2) in s of the interval from each sample to the next; t_us (n,)."""
     t = t_us * 1e-6
     return np.column_stack([t, np.append(t[1:], t[-1] + np.median(np.diff(t)))])
 
 
 def _rotor_thrusts(vehicle: Vehicle, thrust_n: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """Rotor thrusts (n, 4) in N that the vehicle file's allocation gives to a collective and a torque."""
+    """Return the rotor thrusts (n, 4) in N of a collective thrust (n,) and a torque (n, 3), N m."""
     return np.column_stack([thrust_n, torque]) @ allocation_inverse(vehicle).T
 
 
 def nominal_thrust(vehicle: Vehicle, command: np.ndarray, *, in_newton: bool) -> np.ndarray:
-    """Return the rotor thrust in N of motor commands before the lag; commands in N stay as they are."""
+    """Return the rotor thrust in N of commands before the motor lag; commands in N stay as they are."""
     c1, c2 = vehicle.thrust_curve
     return command if in_newton else vehicle.thrust_max_n * command * (c1 + c2 * command)
 
 
 def pose_interval_s(s: Signals) -> float:
-    """Median time between poses."""
+    """Return the median interval between poses in s."""
     return float(np.median(np.diff(s.pose_s)))
 
 
 def noise(s: Signals) -> np.ndarray:
-    """Sigma (4,) of position (m), attitude (rad), rate (rad/s), force (m/s^2), from the signals' third
-    differences.
+    """Return the noise (4,) of position (m), attitude (rad), body rate (rad/s) and specific force (m/s^2).
+
+    Standard deviations come from third differences of the signals, but are at least the floors of RULES.
     """
     inside = (s.pose_s >= s.span_s[0]) & (s.pose_s <= s.span_s[1])
-    turn = Rotation.from_matrix(s.R_ned_frd[inside])
-    small = (turn[:-1].inv() * turn[1:]).as_rotvec()
+    attitude = Rotation.from_matrix(s.R_ned_frd[inside])
+    rotation = (attitude[:-1].inv() * attitude[1:]).as_rotvec()
     flying = (s.imu_s[:, 0] >= s.span_s[0]) & (s.imu_s[:, 1] <= s.span_s[1])
     spread = (
         _robust(np.diff(s.p_ned[inside], 3, axis=0)) / np.sqrt(20.0),
-        _robust(np.diff(small, 2, axis=0)) / np.sqrt(20.0),
+        _robust(np.diff(rotation, 2, axis=0)) / np.sqrt(20.0),
         *(
             _robust(np.diff(x[flying], 3, axis=0)) / np.sqrt(20.0) if len(x) > 20 else 0.0
             for x in (s.rate_frd, s.force_frd)
@@ -186,13 +197,15 @@ def noise(s: Signals) -> np.ndarray:
 
 
 def _robust(x: np.ndarray) -> float:
-    """Return standard deviation from the median absolute value."""
+    """Return the standard deviation of zero-mean values, estimated by the median absolute value."""
     return float(1.4826 * np.median(np.abs(x)))
 
 
 def averaged(edges_s: np.ndarray, interval_s: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means (n, k) of interval data between grid edges (n + 1,), and the share (n,) of each step that has
-    data.
+    """Return the means (n, k) of interval data in n steps of a grid, and the covered share (n,) of each step.
+
+    edges_s (n + 1,): edges of the steps. interval_s (m, 2): begin and end of the intervals, in order. value
+    (m, k): data of the intervals.
     """
     length = np.maximum(interval_s[:, 1] - interval_s[:, 0], 1e-9)
     knots = np.ravel(interval_s)
@@ -209,7 +222,7 @@ def averaged(edges_s: np.ndarray, interval_s: np.ndarray, value: np.ndarray) -> 
 
 
 def unknowns(flights: Sequence[Flight]) -> frozenset[str]:
-    """Everything that any of the logs declares unknown, or cannot know without recorded inputs."""
+    """Return what any of the logs declares unknown or does not determine by its recorded inputs."""
     declared = {word for flight in flights for word in flight.metadata.get("unknown", "").split()}
     if any(without_inputs(flight) for flight in flights):
         declared |= WITHOUT_INPUTS
@@ -219,7 +232,7 @@ def unknowns(flights: Sequence[Flight]) -> frozenset[str]:
 
 
 def _too_slow(flight: Flight) -> bool:
-    """Whether commands were sampled, and more seldom than once a lag of the motors."""
+    """Return whether commands were sampled at intervals longer than the motor lag."""
     recorded = flight.recorded_inputs
     if flight.control is not None or recorded is None or len(recorded.t_us) < 2:
         return False
@@ -227,14 +240,16 @@ def _too_slow(flight: Flight) -> bool:
 
 
 def without_inputs(flight: Flight) -> bool:
-    """Whether nothing that was recorded says what the rotors did."""
+    """Return whether the log holds neither control telemetry nor recorded motor commands or thrusts."""
     recorded = flight.recorded_inputs
     return flight.control is None and (recorded is None or recorded.level == "reference")
 
 
 def departure(flight: Flight, signal: Signal) -> float:
-    """By how much a signal of the flight departs from rest at most: 1 for the battery's voltage over the full
-    one, 0 rad/s for the gyro, also where there is none.
+    """Return the greatest deviation of a signal from its value at rest.
+
+    At rest, battery voltage over full voltage is 1 and the body rate of the gyro is 0 rad/s. The deviation of
+    a signal that was not logged is 0.
     """
     if signal == "voltage_ratio":
         return float(np.abs(battery_of(flight)[1] - 1.0).max())
@@ -243,8 +258,8 @@ def departure(flight: Flight, signal: Signal) -> float:
 
 
 def has_signals(effect: Effect, flights: Sequence[Flight]) -> bool:
-    """Whether every signal that the effect needs departs far enough from rest in one of the flights."""
+    """Return whether every signal that the effect needs deviates enough from rest in one of the flights."""
     return all(
-        any(departure(flight, signal) > least for flight in flights)
-        for signal, least in effect.needs_signals.items()
+        any(departure(flight, signal) > bound for flight in flights)
+        for signal, bound in effect.needs_signals.items()
     )

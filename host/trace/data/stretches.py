@@ -1,4 +1,4 @@
-"""Stretches of a flight that are not used, and why."""
+"""Stretches of a flight that are not used, with their reasons."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ STRETCH_ORDER = (
     Code.GROUND_CONTACT,
     Code.TILTED,
 )
-"""Why a stretch is not used; of several that begin at one time, the first of these comes first."""
+"""Reasons for which a stretch is not used. Stretches that begin at the same time are sorted in this order."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stretch:
-    """A part of a flight that is not used, seconds since tracking began, and why."""
+    """A part of a flight that is not used: start and end in s since tracking began, and the reason."""
 
     start_s: float
     end_s: float
@@ -33,28 +33,28 @@ class Stretch:
 
 
 def within(t: np.ndarray, span_s: tuple[float, float]) -> np.ndarray:
-    """Return which of the times (n,) lie in the span."""
+    """Return the mask (n,) of the times t (n,) that lie in the span."""
     return (t >= span_s[0]) & (t <= span_s[1])
 
 
 def clipped_stretch(s: Signals, start_s: float, end_s: float, code: Code) -> Stretch:
-    """From times since arm, cut to the tracking phase."""
+    """Return a stretch, clipped to the tracking phase; start_s and end_s are since arming."""
     a, b = s.span_s
     return Stretch(start_s=max(start_s, a) - a, end_s=min(end_s, b) - a, code=code)
 
 
 def runs_of(t: np.ndarray, bad: np.ndarray) -> list[tuple[float, float]]:
-    """First and last time of each unbroken run of `bad` samples."""
+    """Return the first and last time of each unbroken run of `bad` samples; t and bad are (n,)."""
     edges = np.flatnonzero(np.diff(np.r_[False, bad, False].astype(int)))
     return [(float(t[a]), float(t[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def merged_spans(spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Spans in order, those that touch as one."""
-    out: list[tuple[float, float]] = []
-    for a, b in sorted(spans):
-        if out and a <= out[-1][1]:
-            out[-1] = (out[-1][0], max(b, out[-1][1]))
+    """Return the spans in order, with overlapping and touching spans merged."""
+    merged: list[tuple[float, float]] = []
+    for start, end in sorted(spans):
+        if merged and start <= merged[-1][1]:
+            merged[-1] = (merged[-1][0], max(end, merged[-1][1]))
         else:
-            out.append((a, b))
-    return out
+            merged.append((start, end))
+    return merged

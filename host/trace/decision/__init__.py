@@ -1,6 +1,6 @@
 """From evidence to a verdict: thresholds (`rules`), codes (`findings`) and the decision (`decide`).
 
-Evidence is numbers. `decide(evidence, rules)` is pure: it returns a verdict and findings, each with a code,
-a value, the bound it was held against and its subject. `trimtab.host.trace.sentences` alone makes sentences
-of them, and nothing in the program reads a sentence.
+Evidence is numbers. `decide(evidence, rules)` is a pure function: it returns a verdict and findings. Each
+finding has a code, a value, the bound that the value was compared with, and a subject. Only
+`trimtab.host.trace.sentences` turns findings into sentences; the program never reads a sentence.
 """

@@ -1,4 +1,4 @@
-"""What the data leaves open: effects in place of the selected ones, beside them, and the pair to separate."""
+"""What the data does not exclude: aliases of the selected effects, further effects, the pair to separate."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ Aliases = Mapping[str, Mapping[str, float]]
 def aliases_of(
     selected: Sequence[str], posterior_weights: Mapping[Names, float], space: ParameterSpace, rules: Rules
 ) -> dict[str, dict[str, float]]:
-    """Return, for each selected effect, the effects that the data puts in its place, most probable first."""
+    """Return, for each selected effect, its probable aliases, most probable first.
+
+    posterior_weights: relative, of every admissible set.
+    """
     return {name: _substitutes(name, selected, posterior_weights, space, rules) for name in selected}
 
 
@@ -26,7 +29,7 @@ def _substitutes(
     space: ParameterSpace,
     rules: Rules,
 ) -> dict[str, float]:
-    """Return the probability of each effect in place of `name`: sets without `name` that hold it."""
+    """Return the probability of each effect in place of `name`: of the sets that hold it but not `name`."""
     total = sum(posterior_weights.values())
     probabilities = {}
     for other in space.candidates:
@@ -43,9 +46,10 @@ def _substitutes(
 def with_undetectable(
     aliases: Aliases, space: ParameterSpace, detectability: Mapping[str, float], rules: Rules
 ) -> dict[str, dict[str, float]]:
-    """Return the aliases with the known aliases that too little data would not show at typical size.
+    """Return `aliases` together with the known aliases that the data would not show at typical size.
 
-    Nothing speaks against these, so they are as probable as what was selected.
+    The data cannot contradict these, so each gets RULES.open_probability. detectability: sigma by which each
+    effect of typical size would show.
     """
     undetectable = [
         name
@@ -66,18 +70,19 @@ def with_undetectable(
 
 
 def with_each_other(aliases: Aliases, space: ParameterSpace, rules: Rules) -> dict[str, dict[str, float]]:
-    """Return the aliases with those among the selected effects themselves.
+    """Return `aliases` together with the known aliases among the selected effects themselves.
 
-    For thin data: no form is exact, and a known alias takes up what an effect leaves of itself. An effect
-    that acts through another one is found beside it, not in its place.
+    This is for little data. No form is exact, so a known alias may have been selected only because it
+    explains the form error of another selected effect. An effect that acts through another one is no alias of
+    it.
     """
     extended = {name: dict(others) for name, others in aliases.items()}
     for name in aliases:
         effect = space.effect(name)
         for other in aliases:
-            beside = space.effect(other)
-            through = beside.name in effect.requires_any or effect.name in beside.requires_any
-            if not through and (beside.name in effect.aliases or effect.name in beside.aliases):
+            second = space.effect(other)
+            coupled = second.name in effect.requires_any or effect.name in second.requires_any
+            if not coupled and (second.name in effect.aliases or effect.name in second.aliases):
                 extended[name][other] = rules.open_probability
     return extended
 
@@ -85,7 +90,7 @@ def with_each_other(aliases: Aliases, space: ParameterSpace, rules: Rules) -> di
 def possible_beside(
     selected: Sequence[str], aliases: Aliases, inclusion_probability: Mapping[str, float], rules: Rules
 ) -> dict[str, float]:
-    """Return the effects beside the selected ones that the data does not exclude, most probable first."""
+    """Return the effects that may be present in addition to the selected ones, most probable first."""
     substitutes = {other for others in aliases.values() for other in others}
     possible = {
         name: probability
@@ -98,9 +103,9 @@ def possible_beside(
 def pair_to_separate(
     aliases: Aliases, inclusion_probability: Mapping[str, float], rules: Rules
 ) -> tuple[str, str] | None:
-    """Return the effect and the alias that the data separates least.
+    """Return the selected effect and its most probable alias, which the next flight should separate.
 
-    Where nothing was selected, the two most probable candidates; None where there are no two.
+    If nothing was selected, return the two most probable candidates. None if there is no such pair.
     """
     pairs = [
         (probability, name, other)

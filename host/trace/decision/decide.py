@@ -1,4 +1,4 @@
-"""The decision: from evidence and rules to a verdict and findings. Pure; nothing is fitted here."""
+"""The decision: a pure function of evidence and rules that returns a verdict and findings."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from trimtab.host.trace.residual.unexplained import UnexplainedResidual
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """Everything a verdict is decided by, as numbers.
+    """The numbers that a verdict depends on.
 
     Parameters
     ----------
     space
-        Candidates and what is known of them.
+        Candidates and the facts about their effects.
     selected
         The set of effects that the search selected.
     null_probability
@@ -42,20 +42,20 @@ class Evidence:
     detectability
         Sigma by which each effect of typical size would show in these flights.
     by_segments
-        Whether the set was found by segments, not by whole flights over the closed loop.
+        Whether the set was selected from segments, not from whole flights in closed loop.
     residual, residual_without
-        What the selected set leaves, and what a model without any effect leaves.
+        Unexplained residual of the selected set, and of the model without effects.
     disturbance_sigma
-        Standard deviations (6,) of the disturbance that the selected set leaves: force m/s^2, then angular
+        Standard deviations (6,) of the unexplained disturbance of the selected set: force m/s^2, then angular
         acceleration rad/s^2, FRD.
     thrust_known
-        Whether the logs tell the thrust; otherwise the force along it says nothing.
+        Whether the logs determine the thrust. Otherwise the force along the thrust is ignored.
     rate_driven
-        Whether the measured body rate drives the attitude; the torque then says nothing.
+        Whether the measured body rate drives the attitude. The torque is then ignored.
     segment_disagreement_nats
-        By how much segments prefer the selected set without each effect; empty where they were not asked.
+        By how many nats segments prefer the selected set without each of its effects; empty if not computed.
     tracking_s, extent_m
-        Tracking time of all flights, and the greatest extent of one.
+        Tracking time of all flights, and the greatest extent of one of them along an axis.
     """
 
     space: ParameterSpace
@@ -76,8 +76,8 @@ class Evidence:
     extent_m: float
 
     @property
-    def has_twins(self) -> bool:
-        """Whether a reference was flown twice."""
+    def has_repeats(self) -> bool:
+        """Whether any flights are repeat flights."""
         return self.residual.pairs > 0
 
     @property
@@ -90,10 +90,19 @@ class Evidence:
 class Decision:
     """A verdict with its findings.
 
-    aliases: alternatives to each selected effect. possible: effects beside them that the data does not
-    exclude. to_separate: the pair that the next flight should separate, where the verdict is undecided.
-    residual: what the findings about the residual are about: of the selected set or, outside the library, of
-    the model without any effect where that one shows something.
+    Attributes
+    ----------
+    verdict, findings
+        The verdict, and the comparisons that led to it.
+    aliases
+        Probability of each alternative, by the selected effect that it would replace.
+    possible
+        Probability of further effects that the data does not exclude.
+    to_separate
+        Pair of effects that the next flight should separate; None unless the verdict is undecided.
+    residual
+        Unexplained residual that the findings refer to: that of the selected set or, if the cause is outside
+        the library and the model without effects has findings, that of the model without effects.
     """
 
     verdict: Verdict
@@ -110,12 +119,12 @@ class Decision:
 
 
 def decide(evidence: Evidence, rules: Rules = RULES) -> Decision:
-    """Return the verdict on `evidence` and everything that was found."""
+    """Return the verdict on `evidence`, with its findings and alternatives."""
     outside, residual = _outside(evidence, rules)
     shortfall = tracking_shortfall(evidence.tracking_s, evidence.extent_m, rules)
     aliases = _aliases(evidence, shortfall is not None, rules)
     disagreements = [
-        *([] if evidence.has_twins else excess_disturbance(evidence, rules)),
+        *([] if evidence.has_repeats else excess_disturbance(evidence, rules)),
         *_disagreement(evidence, rules),
     ]
     verdict = _verdict(evidence, outside, aliases, disagreements, rules)
@@ -148,7 +157,7 @@ def _verdict(
     disagreements: Sequence[Finding],
     rules: Rules,
 ) -> Verdict:
-    """Return the verdict: outside before doubts, doubts before how sure the selected set is."""
+    """Return the verdict: first findings outside the library count, then disagreements, then aliases."""
     if outside:
         return Verdict.OUTSIDE_LIBRARY
     if disagreements:
@@ -160,24 +169,28 @@ def _verdict(
 
 
 def is_null_probable(null_probability: float, rules: Rules = RULES) -> bool:
-    """Return whether it is probable enough that no effect is missing to say so."""
+    """Return whether "no effect is missing" is probable enough for that verdict."""
     return null_probability > rules.alias_probability
 
 
 def _aliases(evidence: Evidence, too_little: bool, rules: Rules) -> dict[str, dict[str, float]]:
-    """Return the alternatives to each selected effect; thin data leave more of them open."""
+    """Return the alternatives to each selected effect.
+
+    too_little: whether there is too little data to fit whole flights, which leaves more alternatives open.
+    """
     aliases = aliases_of(evidence.selected, evidence.posterior_weights, evidence.space, rules)
     if too_little:
         aliases = with_undetectable(aliases, evidence.space, evidence.detectability, rules)
-    if evidence.by_segments or not evidence.has_twins:
+    if evidence.by_segments or not evidence.has_repeats:
         aliases = with_each_other(aliases, evidence.space, rules)
     return aliases
 
 
 def _outside(evidence: Evidence, rules: Rules) -> tuple[list[Finding], UnexplainedResidual]:
-    """Return what puts the cause outside the library, and the residual that it is about.
+    """Return the findings that put the cause outside the library, and the residual that they refer to.
 
-    How much is missing counts from the model without any effect: what the library fitted in vain may be wild.
+    The size of the unexplained residual is that of the model without effects, since the selected effects were
+    fitted to a cause that they do not describe.
     """
     bounds = residual_bounds(evidence.residual_without, has_memory=evidence.has_memory, rules=rules)
     findings = residual_findings(evidence.residual, bounds, rules)
@@ -188,9 +201,9 @@ def _outside(evidence: Evidence, rules: Rules) -> tuple[list[Finding], Unexplain
 
 
 def tracking_shortfall(tracking_s: float, extent_m: float, rules: Rules = RULES) -> Finding | None:
-    """Return what flights lack to be fitted whole over the closed loop; None where they are enough.
+    """Return why flights cannot be fitted whole in closed loop; None if they can.
 
-    tracking_s: tracking time of all flights. extent_m: greatest extent of one of them, largest axis.
+    tracking_s: tracking time of all flights. extent_m: greatest extent of one of them along an axis.
     """
     if tracking_s < rules.flight_fit_min_s:
         return Finding(code=Code.TRACKING_TOO_SHORT, value=tracking_s, bound=rules.flight_fit_min_s, unit="s")
@@ -200,7 +213,10 @@ def tracking_shortfall(tracking_s: float, extent_m: float, rules: Rules = RULES)
 
 
 def excess_disturbance(evidence: Evidence, rules: Rules) -> list[Finding]:
-    """Return the disturbance that is too much for turbulence, where no twin says whether it repeats."""
+    """Return a finding if the disturbance is too large for indoor turbulence.
+
+    It is for flights without repeat flights, which would show whether the disturbance repeats.
+    """
     sigma = evidence.disturbance_sigma
     force = float(max(sigma[: 3 if evidence.thrust_known else 2]))
     torque = float(max(sigma[3:]))
@@ -214,7 +230,7 @@ def excess_disturbance(evidence: Evidence, rules: Rules) -> list[Finding]:
 
 
 def _disagreement(evidence: Evidence, rules: Rules) -> list[Finding]:
-    """Return what speaks against the selected set: inadmissible sets, or segments."""
+    """Return what contradicts the selected set: a better but inadmissible set, or segments."""
     if evidence.by_segments:
         return better_but_inadmissible(evidence.log_evidence, evidence.posterior_weights, rules)
     return segment_disagreement(evidence.segment_disagreement_nats, rules)
@@ -223,16 +239,17 @@ def _disagreement(evidence: Evidence, rules: Rules) -> list[Finding]:
 def better_but_inadmissible(
     log_evidence: Mapping[Names, float], posterior_weights: Mapping[Names, float], rules: Rules
 ) -> list[Finding]:
-    """Return the set that explains segments far better, but with an effect at its bounds or negligible.
+    """Return a finding if a set explains the segments much better but cannot be selected.
 
-    Only sets that could be selected have posterior weights.
+    Such a set has an effect at its bounds or within its tolerance. Sets that cannot be selected have no entry
+    in posterior_weights.
     """
     admissible = max(value for names, value in log_evidence.items() if names in posterior_weights)
-    rest = {names: value for names, value in log_evidence.items() if names not in posterior_weights}
-    if not rest:
+    inadmissible = {names: value for names, value in log_evidence.items() if names not in posterior_weights}
+    if not inadmissible:
         return []
-    names = max(rest, key=lambda names: (rest[names], names))
-    gain = rest[names] - admissible
+    names = max(inadmissible, key=lambda names: (inadmissible[names], names))
+    gain = inadmissible[names] - admissible
     if gain < rules.tie_nats:
         return []
     return [
@@ -243,10 +260,11 @@ def better_but_inadmissible(
 
 
 def segment_disagreement(disagreement_nats: Mapping[str, float], rules: Rules) -> list[Finding]:
-    """Return the selected effects that segments find far more probably absent.
+    """Return a finding if segments prefer the selected set without some of its effects.
 
-    One flight's gusts are few, and its whitening may take them for physics; segments have a disturbance of
-    their own for them, and a free state at each start.
+    One flight contains few gusts, and a fit to the whole flight may mistake them for physics. Segments have a
+    free disturbance for gusts and a free initial state. disagreement_nats: by how many nats segments prefer
+    the set without each effect.
     """
     absent = {name: nats for name, nats in disagreement_nats.items() if nats > rules.tie_nats}
     if not absent:
@@ -265,7 +283,7 @@ def segment_disagreement(disagreement_nats: Mapping[str, float], rules: Rules) -
 def _open_alternatives(
     evidence: Evidence, verdict: Verdict, aliases: Aliases, possible: Mapping[str, float], rules: Rules
 ) -> list[Finding]:
-    """Return what the data does not exclude: aliases, effects beside the selected ones, something at all."""
+    """Return findings on what the data does not exclude: aliases, further effects, an unnamed effect."""
     bound = rules.alias_probability
     findings = [
         Finding(code=Code.ALIAS, value=p, bound=bound, subject=(name, other))

@@ -1,4 +1,4 @@
-"""Effects that fit every flight exactly alike: what flights show of two such, and what tells them apart."""
+"""Exact aliases: pairs of effects that fit every flight equally well, and the ratio that flights show."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from trimtab.host.trace.parameters import ParameterSpace
 
 @dataclass(frozen=True, kw_only=True)
 class ObservedAlias:
-    """An exact alias with what these flights show of the pair: their ratio, where that is observable."""
+    """An exact alias, with a finding on what the flights show of the pair: their ratio, if observable."""
 
     alias: ExactAlias
     finding: Finding
@@ -22,16 +22,18 @@ class ObservedAlias:
 def exact_aliases(
     space: ParameterSpace, theta_scaled: np.ndarray, covariance: np.ndarray, name: str
 ) -> dict[str, ObservedAlias]:
-    """Return what no flight tells from the effect `name`, by the other effect's name.
+    """Return the exact aliases of the effect `name`, by the name of the other effect.
 
-    An effect that the space does not hold, or whose value was measured, is left out.
+    Effects that the space does not hold, or whose value was measured, are left out.
 
     Parameters
     ----------
-    z : (P,)
-        Scaled parameters where the effects were fitted.
-    covariance : (P, P)
-        Their covariance.
+    space
+        Parameter space.
+    theta_scaled, covariance
+        Estimate (P,) and its covariance (P, P), scaled.
+    name
+        Name of the effect.
     """
     observed: dict[str, ObservedAlias] = {}
     for effect in space.effects.values():
@@ -51,17 +53,24 @@ def exact_aliases(
 
 
 def _is_measured(space: ParameterSpace, name: str) -> bool:
-    """Whether the first parameter of an effect was measured, by its tolerance."""
-    least = space.effects[name].parameters[0].measured_below
-    return least is not None and space.columns[space.owners[name][0]].tolerance < least
+    """Return whether the first parameter of an effect has a tolerance so small that it was measured."""
+    bound = space.effects[name].parameters[0].measured_below
+    return bound is not None and space.columns[space.owners[name][0]].tolerance < bound
 
 
 def _ratio(
-    space: ParameterSpace, theta_scaled: np.ndarray, covariance: np.ndarray, over: Effect, under: Effect
+    space: ParameterSpace,
+    theta_scaled: np.ndarray,
+    covariance: np.ndarray,
+    numerator: Effect,
+    denominator: Effect,
 ) -> tuple[float, float]:
-    """Return the ratio of two effects' first parameters, each over neutral, and its sd to first order."""
-    pair = [space.owners[over.name][0], space.owners[under.name][0]]
-    neutral = np.array([over.neutral[0], under.neutral[0]])
+    """Return the ratio of the first parameters of two effects, each over neutral, and its standard deviation.
+
+    The standard deviation is to first order.
+    """
+    pair = [space.owners[numerator.name][0], space.owners[denominator.name][0]]
+    neutral = np.array([numerator.neutral[0], denominator.neutral[0]])
     scale = space.scale[pair] / neutral
     a, b = space.values(theta_scaled)[pair] / neutral
     physical = covariance[np.ix_(pair, pair)] * np.outer(scale, scale)

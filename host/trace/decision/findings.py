@@ -1,4 +1,4 @@
-"""What a trace found, as codes with numbers; `trimtab.host.trace.sentences` words them."""
+"""Findings of a trace, as codes with numbers; `trimtab.host.trace.sentences` words them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from trimtab.host.base.errors import UsageError
 
 
 class Verdict(StrEnum):
-    """The answer of a trace."""
+    """The verdict of a trace."""
 
     TRACED = "traced"
     NOTHING_MISSING = "nothing-missing"
@@ -21,9 +21,9 @@ class Verdict(StrEnum):
 
 
 class Code(StrEnum):
-    """What a finding says. The values are part of the JSON of `trimtab trace`."""
+    """Kinds of findings. The values are part of the JSON of `trimtab trace`."""
 
-    # The unexplained residual cannot be the library's.
+    # The unexplained residual has a cause outside the library.
     FLIGHTS_REPEAT = "flights-repeat"
     FLIGHTS_WORSENED = "flights-worsened"
     FORCE_REPEATS = "force-repeats"
@@ -37,14 +37,14 @@ class Code(StrEnum):
     EXCESS_TORQUE = "excess-torque"
     BETTER_BUT_INADMISSIBLE = "better-but-inadmissible"
     SEGMENTS_DISAGREE = "segments-disagree"
-    # What the data does not exclude or would not show.
+    # Effects that the data does not exclude or would not show.
     ALIAS = "alias"
     EXACT_ALIAS = "exact-alias"
     POSSIBLE = "possible"
     SOMETHING_MISSING = "something-missing"
     HIDDEN = "hidden"
-    # Health of one log.
-    NO_TWIN = "no-twin"
+    # Quality of one log.
+    NO_REPEAT = "no-twin"
     NO_INPUTS = "no-inputs"
     NO_REFERENCE = "no-reference"
     NO_GYRO = "no-gyro"
@@ -56,7 +56,7 @@ class Code(StrEnum):
     ROTORS_SATURATED = "rotors-saturated"
     SEGMENTS_LEFT_OUT = "segments-left-out"
     SEGMENTS_WITH_GAPS = "segments-with-gaps"
-    # Parts of a flight that are not used.
+    # Stretches of a flight that are not used.
     CLOCK_JUMP = "clock-jump"
     MOTOR_AT_LIMIT = "motor-at-limit"
     PITCH_SINGULAR = "pitch-singular"
@@ -76,7 +76,7 @@ class Code(StrEnum):
 
 
 CHANNEL_UNITS = {"force": "m/s^2", "torque": "rad/s^2"}
-"""Units of a residual force and torque, per unit of mass and inertia."""
+"""Units of the residual force and torque, which are over mass and inertia."""
 
 UNEXPLAINED = frozenset(
     {
@@ -100,27 +100,27 @@ DOUBTS = frozenset(
         Code.SEGMENTS_DISAGREE,
     }
 )
-"""Findings about what the flights as a whole lack; the JSON's `doubts` are their sentences."""
+"""Findings on shortcomings of the flights as a whole; the JSON's `doubts` are their sentences."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One finding.
+    """One finding: a comparison of a number with a threshold, or a fact about the logs.
 
     Parameters
     ----------
     code
-        What it says.
+        Kind of the finding.
     value, bound
-        The number that was held against a threshold, and the threshold; None where nothing was compared.
+        Number that was compared with a threshold, and the threshold; None if nothing was compared.
     unit
         Unit of both.
     subject
-        What it is about: effects, a topic, a code of a stretch, or nothing.
+        Names of effects, a topic, or the code of a stretch; empty if there is none.
     log
-        Name of the log that it is about; None where it is about all of them.
+        Name of the log; None if the finding is about all flights.
     details
-        Further numbers of the sentence, by name.
+        Further numbers that the sentence shows, by name.
     """
 
     code: Code
@@ -132,7 +132,7 @@ class Finding:
     details: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the entry of `findings`."""
+        """Return an entry of the JSON list `findings`."""
         return {
             "code": str(self.code),
             "value": self.value,
@@ -145,7 +145,7 @@ class Finding:
 
 
 class LogsRefused(UsageError):
-    """Report logs that cannot be traced, alone or together. The JSON of the error holds `code`."""
+    """Error for logs that cannot be traced, alone or together. Its JSON holds the code of the reason."""
 
     def __init__(self, code: Code, message: str) -> None:
         super().__init__(message)

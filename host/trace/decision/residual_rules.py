@@ -1,4 +1,4 @@
-"""When a residual needs a cause outside the library: it repeats, it rings, or effects made it worse."""
+"""Rules on the residual: it needs a cause outside the library if it repeats, rings or was made worse."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ from trimtab.host.trace.residual.unexplained import ChannelResidual, Unexplained
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualBounds:
-    """What a residual may hold without needing a cause outside the library."""
+    """Bounds on a residual, above which it needs a cause outside the library.
+
+    force, torque: rms that repeats, m/s^2 and rad/s^2. line_ratio: power of a spectral line over its
+    surroundings. flight_share: repeatable power of whole flights over turbulence and noise. position_m:
+    repeatable position error of whole flights.
+    """
 
     force: float
     torque: float
@@ -22,7 +27,7 @@ class ResidualBounds:
 
 
 def no_model_bounds(rules: Rules) -> ResidualBounds:
-    """Return the bounds on the residual of a model without any effect."""
+    """Return the bounds on the residual of the model without effects."""
     return ResidualBounds(
         force=rules.force_floor_m_s2,
         torque=rules.torque_floor_rad_s2,
@@ -34,8 +39,11 @@ def no_model_bounds(rules: Rules) -> ResidualBounds:
 def residual_bounds(without: UnexplainedResidual, *, has_memory: bool, rules: Rules) -> ResidualBounds:
     """Return the bounds on the residual of the selected set.
 
-    They grow with what a model `without` any effect leaves, since no form is exact; the selected set has to
-    be an improvement on that. `has_memory`: an effect with states of its own is selected.
+    No form is exact, so the bounds grow with the residual without effects, on which the selected set must
+    improve.
+
+    without: residual of the model without effects. has_memory: whether an effect with states of its own is
+    selected.
     """
     share, position_m = 0.0, math.inf
     if without.flights is not None:
@@ -51,7 +59,7 @@ def residual_bounds(without: UnexplainedResidual, *, has_memory: bool, rules: Ru
 
 
 def residual_findings(residual: UnexplainedResidual, bounds: ResidualBounds, rules: Rules) -> list[Finding]:
-    """Return what of `residual` is beyond `bounds`: it repeats, it rings, or effects made it worse."""
+    """Return findings on what of `residual` exceeds `bounds`."""
     findings = []
     flights = residual.flights
     if flights is not None:
@@ -102,5 +110,6 @@ def residual_findings(residual: UnexplainedResidual, bounds: ResidualBounds, rul
 
 
 def _rings(channel: ChannelResidual, floor: float, line_ratio: float, rules: Rules) -> bool:
+    """Return whether the spectrum has a line that is strong, improbable under noise, and above `floor`."""
     line = channel.line
     return line.ratio > line_ratio and line.chance < rules.line_false_alarm and line.rms > floor

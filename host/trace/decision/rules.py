@@ -1,7 +1,7 @@
-"""The thresholds of tracing: one frozen table, each entry with its unit, its meaning and where it comes from.
+"""The thresholds of tracing: one frozen table with the unit, meaning and source of each entry.
 
-An effect's own tolerances, discrepancies and aliases stand on the effect (`trimtab.host.effects`). Steps of
-difference quotients, iteration counts and other settings of numerical methods stand beside the method.
+Tolerances, discrepancies and aliases of an effect are defined with the effect (`trimtab.host.effects`). Steps
+of difference quotients, iteration counts and other settings of numerical methods are defined with the method.
 """
 
 from __future__ import annotations
@@ -13,22 +13,23 @@ from typing import Any, NamedTuple
 MEASURED = "measured"
 """Measured in simulated worlds without effects; `trimtab study calibrate` repeats the measurement."""
 CHOSEN = "chosen"
-"""A definition or a judgement. No measurement stands behind it."""
+"""A definition or a judgement, without a measurement."""
 
 
 def _rule(value: Any, unit: str, meaning: str, source: str = CHOSEN) -> Any:
+    """Return a dataclass field with its unit, meaning and source as metadata."""
     return field(default=value, metadata={"unit": unit, "meaning": meaning, "source": source})
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rules:
-    """Every threshold that a trace decides by. `table()` lists them with unit, meaning and source."""
+    """The thresholds of a trace. `table()` lists them with unit, meaning and source."""
 
     # Evidence: which sets of effects explain the flights, and how sure that is.
     odds: float = _rule(
-        20.0, "1", "Odds that count as decided: less evidence leaves an alternative open, more excludes it."
+        20.0, "1", "Odds above which evidence excludes an alternative; below, the alternative stays open."
     )
-    prior_odds: float = _rule(40.0, "1", "Prior odds against the presence of any one effect.")
+    prior_odds: float = _rule(40.0, "1", "Prior odds against the presence of each effect.")
     slab_sigma: float = _rule(
         2.0, "typical sizes", "Prior standard deviation of a parameter whose effect is selected."
     )
@@ -37,242 +38,248 @@ class Rules:
     )
     max_effects: int = _rule(6, "effects", "Most effects in one set.")
     worth_fitting_nats: float = _rule(
-        12.0, "nats", "A set whose screened evidence is this far behind the best is not fitted."
+        12.0, "nats", "A set whose log evidence in the screening is this far below the best is not fitted."
     )
     present_tolerances: float = _rule(
-        1.0, "tolerances", "An effect is present if its greatest parameter is further than this from neutral."
+        1.0, "tolerances", "An effect is present if a strength parameter is farther than this from neutral."
     )
     carrier_tolerances: float = _rule(
-        4.0, "tolerances", "An effect carries another one (drag carries wind) if it is larger than this."
+        4.0, "tolerances", "Another effect can act through an effect larger than this, as wind through drag."
     )
     worse_fit_ratio: float = _rule(
         1.5,
         "1",
-        "A set whose position error is this many times that of the set it was made from is rejected.",
+        "A set is rejected if its position error is this many times that of the set that it started from.",
     )
     memory_fault_share: float = _rule(
         0.1,
         "1",
-        "Beside an effect with states of its own, another effect must explain this share of the log evidence "
-        "that something repeats.",
+        "If an effect with states of its own is selected, another effect must explain this share of the log "
+        "evidence of the repeatable residual.",
     )
     detectable_sigma: float = _rule(
-        4.2, "sigma", "Separation at which an effect shows, and at which two effects are told apart."
+        4.2, "sigma", "Separation above which an effect is detectable and two effects are distinguished."
     )
 
     majority: float = _rule(
-        0.5, "1", "Probability above which the answer says that something unnamed is missing."
+        0.5, "1", "Probability above which a trace reports that an effect is missing that it cannot name."
     )
     open_probability: float = _rule(
-        0.5, "1", "Probability of an alternative that nothing in the data speaks against."
+        0.5, "1", "Probability of an alternative about which the data contains no information."
     )
 
-    # Unexplained residual: what the selected effects leave behind.
-    repeat_z: float = _rule(3.0, "sigma", "Score above which a residual repeats between twin flights.")
+    # Unexplained residual.
+    repeat_z: float = _rule(3.0, "sigma", "z score above which a residual repeats between repeat flights.")
     force_floor_m_s2: float = _rule(
-        0.06, "m/s^2", "Specific force below which a residual needs no cause: the level of turbulence."
+        0.06, "m/s^2", "Residual specific force that needs no cause, since turbulence is as strong."
     )
-    torque_floor_rad_s2: float = _rule(
-        0.8, "rad/s^2", "Angular acceleration below which a residual needs no cause."
-    )
+    torque_floor_rad_s2: float = _rule(0.8, "rad/s^2", "Residual angular acceleration that needs no cause.")
     form_error_share: float = _rule(
-        0.1, "1", "Share of the residual without any effect that may remain: no form is exact."
+        0.1, "1", "Share of the residual without effects that may remain, since no form is exact."
     )
     line_ratio: float = _rule(
         3.5, "1", "Power of a spectral line over its surroundings above which the residual rings."
     )
     line_ratio_with_memory: float = _rule(
-        10.0, "1", "The same where an effect with states of its own is selected: some of its swing remains."
+        10.0, "1", "The same if an effect with states of its own is selected, whose swing partly remains."
     )
     line_false_alarm: float = _rule(
-        1e-3, "probability", "A line counts if noise alone shows one as strong less often than this."
+        1e-3, "probability", "A line counts if noise alone shows a line as strong less often than this."
     )
-    line_min_hz: float = _rule(0.3, "Hz", "Lowest frequency at which a line is looked for.")
-    line_max_hz: float = _rule(4.0, "Hz", "Highest frequency at which a line is looked for.")
+    line_min_hz: float = _rule(0.3, "Hz", "Lowest frequency of the search for lines.")
+    line_max_hz: float = _rule(4.0, "Hz", "Highest frequency of the search for lines.")
     excited_power_share: float = _rule(
-        0.02, "1", "Share of the motion's strongest frequency above which a frequency counts as flown."
+        0.02, "1", "A frequency counts as flown if the motion has this share of its greatest power there."
     )
     flight_repeat_share: float = _rule(
         0.08,
         "1",
-        "Repeatable power of whole flights, over turbulence and noise and two standard errors down, above "
-        "which it needs a cause.",
+        "Repeatable power of whole flights, over that of turbulence and noise, above which it needs a cause; "
+        "compared with the lower end of its interval.",
     )
     repeat_standard_errors: float = _rule(
-        2.0, "standard errors", "How far below its estimate a repeatable power is taken to be."
+        2.0, "standard errors", "The lower end of that interval is this far below the estimate."
     )
     flight_form_amplitude: float = _rule(
-        0.2, "1", "Share of the repeatable amplitude without any effect that may remain: no form is exact."
+        0.2, "1", "Share of the repeatable amplitude without effects that may remain, since no form is exact."
     )
     worsened_ratio: float = _rule(
-        1.5, "1", "Effects that make the repeatable position error this many times larger are rejected."
+        1.5, "1", "Effects that increase the repeatable position error by more than this factor are rejected."
     )
-    worsened_m: float = _rule(0.01, "m", "The same: and larger than this.")
-    twin_shift_s: float = _rule(
-        1.0, "s", "Twins shifted by more than this have nothing in common but by chance."
+    worsened_m: float = _rule(0.01, "m", "They are rejected only if the error is also larger than this.")
+    repeat_shift_s: float = _rule(
+        1.0, "s", "Repeat flights that are shifted by at least this much agree only by chance."
     )
-    twin_min_s: float = _rule(3.0, "s", "Shortest common time of two twins that is compared.")
+    repeat_min_s: float = _rule(
+        3.0, "s", "Shortest common duration for which two repeat flights are compared."
+    )
     excess_force_m_s2: float = _rule(
-        0.5, "m/s^2", "Disturbance force above which it is more than indoor turbulence, if no twin tells."
+        0.5, "m/s^2", "Greatest force of indoor turbulence; for flights without repeat flights."
     )
-    excess_torque_rad_s2: float = _rule(3.0, "rad/s^2", "The same for the angular acceleration.")
+    excess_torque_rad_s2: float = _rule(
+        3.0, "rad/s^2", "Greatest angular acceleration of indoor turbulence; likewise."
+    )
 
     # Uncertainty.
     temper: float = _rule(
         2.0,
         "1",
-        "Whitened residuals count for 1/this where sizes are estimated: the innovations keep what is slower "
-        "than the windows.",
+        "Whitened residuals are weighted by 1 over this when sizes are estimated, since the innovations keep "
+        "parts that are slower than the windows.",
         MEASURED,
     )
     min_widening: float = _rule(
         math.sqrt(2.0),
         "1",
-        "Least factor on the standard deviations of an estimate over whole flights.",
+        "Least factor by which standard deviations of flight fits are widened.",
         MEASURED,
     )
     jackknife_prior_flights: float = _rule(
         7.0,
         "flights",
-        "Flights that the jackknife is taken to have seen spread as the median parameter does.",
+        "Weight, in flights, of the median spread of all parameters in the jackknife of each parameter.",
     )
     jackknife_pieces: int = _rule(
-        4, "pieces", "Fewer flights than this are cut into as many pieces each for the jackknife."
+        4, "pieces", "If there are fewer flights than this, the jackknife cuts each into this many pieces."
     )
 
     # Amount and noise of the data.
     position_sigma_floor_m: float = _rule(
-        1e-3, "m", "Least standard deviation of a pose's position: smoothed logs look quieter than they are."
+        1e-3,
+        "m",
+        "Least standard deviation of a measured position, since smoothing hides noise in some logs.",
     )
-    attitude_sigma_floor_rad: float = _rule(3e-3, "rad", "The same for the attitude.")
-    rate_sigma_floor_rad_s: float = _rule(5e-3, "rad/s", "The same for the body rate.")
-    force_sigma_floor_m_s2: float = _rule(0.02, "m/s^2", "The same for the specific force.")
+    attitude_sigma_floor_rad: float = _rule(3e-3, "rad", "Least standard deviation of a measured attitude.")
+    rate_sigma_floor_rad_s: float = _rule(5e-3, "rad/s", "Least standard deviation of a measured body rate.")
+    force_sigma_floor_m_s2: float = _rule(0.02, "m/s^2", "Least standard deviation of a measured force.")
     mounting_sigma_rad: float = _rule(
-        0.001, "rad", "Prior standard deviation of the markers' mounting tilt, of one flight."
+        0.001, "rad", "Prior standard deviation of the mounting tilt of the markers in one flight."
     )
-    free_mounting_sigma_rad: float = _rule(0.1, "rad", "The same where the log declares the tilt unknown.")
+    free_mounting_sigma_rad: float = _rule(0.1, "rad", "The same if the log declares the tilt unknown.")
     torque_sigma_rad_s2: float = _rule(
-        0.3, "rad/s^2", "Prior standard deviation of a flight's own constant angular acceleration."
+        0.3, "rad/s^2", "Prior standard deviation of the constant angular acceleration of one flight."
     )
     gyro_bias_sigma_rad_s: float = _rule(
-        0.02, "rad/s", "Prior standard deviation of a flight's own gyro bias, where the torque is unknown."
+        0.02, "rad/s", "Prior standard deviation of the gyro bias of one flight, if the torque is unknown."
     )
     force_bias_sigma_m_s2: float = _rule(
-        0.05, "m/s^2", "Prior standard deviation of a flight's own accelerometer bias."
+        0.05, "m/s^2", "Prior standard deviation of the accelerometer bias of one flight."
     )
     free_force_bias_sigma_m_s2: float = _rule(
-        0.5, "m/s^2", "The same where the log declares the mounting tilt unknown."
+        0.5, "m/s^2", "The same if the log declares the mounting tilt unknown."
     )
-    min_segments: int = _rule(5, "segments", "Fewest usable segments that are traced.")
-    min_poses: int = _rule(100, "poses", "Fewest poses of a log.")
+    min_segments: int = _rule(5, "segments", "Fewest usable segments for a trace.")
+    min_poses: int = _rule(100, "poses", "Fewest poses in a log.")
     min_tracking_poses: int = _rule(10, "poses", "Fewest poses in the tracking phase of a log.")
     flight_fit_min_s: float = _rule(
-        9.6, "s", "Least tracking time for a fit over whole flights: 20 bins of 40 ms for each channel."
+        9.6, "s", "Least tracking time for a fit to whole flights: 20 bins of 40 ms for each channel."
     )
     hover_extent_m: float = _rule(
-        0.3, "m", "Extent below which a flight is a hover: whitened, what is constant in it does not show."
+        0.3, "m", "Extent below which a flight is a hover; whitening removes the constant errors of a hover."
     )
     bins_per_order: int = _rule(
-        168, "bins", "Bins that one more order of the autoregression needs: 14 for each coefficient."
+        168, "bins", "Bins for each order of the autoregression: 14 for each coefficient of a channel."
     )
     missing_share: float = _rule(
-        0.4, "1", "A segment that misses more of its commands or poses than this is left out."
+        0.4, "1", "A segment that lacks more than this share of its commands or poses is left out."
     )
     min_coverage: float = _rule(
-        0.5, "1", "Share of a step or window that must hold data for its mean to count."
+        0.5, "1", "Share of a step or window that data must cover for its mean to count."
     )
     calibration_share: float = _rule(
         0.25,
         "1",
-        "Share of a held-out flight that its own nuisances are fitted to, if inputs drive the model.",
+        "Share of a held-out flight to which its nuisances are fitted, if inputs drive the model.",
     )
 
-    # Health of the data.
+    # Quality of the data.
     gap_s: float = _rule(0.2, "s", "Longest time without poses or commands that is bridged.")
     saturation_s: float = _rule(
-        0.1, "s", "A motor command at its limit for longer than this ends the use of the flight."
+        0.1, "s", "A stretch with a motor command at its limit for longer than this is not used."
     )
-    saturation_low: float = _rule(0.01, "1", "Mean motor command that counts as 0.")
-    saturation_high: float = _rule(0.99, "1", "Mean motor command that counts as 1.")
+    saturation_low: float = _rule(0.01, "1", "Mean motor command below which it counts as 0.")
+    saturation_high: float = _rule(0.99, "1", "Mean motor command above which it counts as 1.")
     saturation_share: float = _rule(
         0.01, "1", "Share of ticks with saturated rotors above which the audit warns."
     )
     tilt_max_rad: float = _rule(
-        math.radians(75.0), "rad", "Tilt above which a flight is not used: no model of a hovering vehicle."
+        math.radians(75.0), "rad", "Tilt above which a flight is not used, since no model of flight is valid."
     )
     pitch_max_rad: float = _rule(
-        math.radians(80.0), "rad", "Pitch above which a flight is not used: Euler angles become singular."
+        math.radians(80.0), "rad", "Pitch above which a flight is not used, since Euler angles are singular."
     )
     clock_jump_s: float = _rule(
-        0.003, "s", "Step of the least pose delay above which a clock has jumped: five latency tolerances."
+        0.003, "s", "Step of the least pose delay above which a clock has jumped: six latency tolerances."
     )
     clock_drift_s: float = _rule(
         0.002, "s", "Drift between the clocks of camera and vehicle above which the audit warns."
     )
     clear_m: float = _rule(
-        0.05, "m", "Height over where the vehicle rested below which it may touch the floor."
+        0.05, "m", "Height above its resting place below which the vehicle may touch the floor."
     )
     low_m: float = _rule(
-        0.1, "m", "Height over the lowest place of a log without a floor below which it may be supported."
+        0.1, "m", "Height above the lowest place of a log below which something may support the vehicle."
     )
     support_ratio: float = _rule(
-        1.3, "1", "Specific force over rotor thrust, relative to free flight, above which the floor carries."
+        1.3,
+        "1",
+        "Specific force over thrust, relative to free flight, above which the floor carries.",
     )
-    level_speed_m_s: float = _rule(0.15, "m/s", "Vertical speed below which a vehicle does not fall.")
+    level_speed_m_s: float = _rule(0.15, "m/s", "Vertical speed below which a vehicle is not falling.")
     powered_share: float = _rule(
-        0.5, "1", "Share of the median rotor thrust in flight above which the rotors carry the vehicle."
+        0.5, "1", "Share of the median thrust in flight above which the rotors carry the vehicle."
     )
     impact_g: float = _rule(
-        2.0, "g", "Specific force beyond what the rotors give above which something hit the vehicle."
+        2.0, "g", "Specific force beyond the possible thrust above which something hit the vehicle."
     )
-    free_height_m: float = _rule(0.3, "m", "Height above the lowest place at which a vehicle flies free.")
+    free_height_m: float = _rule(
+        0.3, "m", "Height above the lowest place above which a vehicle flies freely."
+    )
     still_m: float = _rule(0.02, "m", "Extent over 0.3 s below which a vehicle rests.")
     resting_thrust_g: float = _rule(
         0.3, "g", "Specific thrust below which a still vehicle rests on the floor."
     )
     sparse_rate_hz: float = _rule(
-        20.0, "Hz", "Median rate below which a topic is not checked for seconds with few samples."
+        20.0, "Hz", "Median rate below which a topic is not checked for rate drops."
     )
     rate_drop_share: float = _rule(
-        0.5, "1", "A topic whose leanest second has fewer samples than this share of the median is reported."
+        0.5, "1", "A topic is reported if its rate in its worst second is below this share of the median."
     )
 
-    # Description of what is outside the library.
-    min_skill: float = _rule(
-        0.1, "1", "Held-out share of the variance below which a dependence is not reported."
-    )
+    # Description of a disturbance outside the library.
+    min_skill: float = _rule(0.1, "1", "Held-out skill below which a dependence is not reported.")
     clear_form_skill: float = _rule(
         0.5, "1", "Held-out skill above which a closed form of the force is reported."
     )
     form_skill_margin: float = _rule(
-        0.05, "1", "How far a simpler closed form may fall behind a richer one and still be preferred."
+        0.05, "1", "A simpler closed form is preferred if its skill is at most this far below the best."
     )
     leading_share: float = _rule(
-        0.35, "1", "Slopes that do at least this share of the strongest are reported."
+        0.35, "1", "A slope is reported if its contribution is at least this share of the strongest one."
     )
     shown_slack_m: float = _rule(0.1, "m", "Free length of a tether above which the description mentions it.")
     one_heading: float = _rule(
-        0.995, "1", "Mean resultant length of the heading above which all was flown in one heading."
+        0.995, "1", "Mean resultant length of the heading above which all flights had one heading."
     )
 
     @property
     def tie_nats(self) -> float:
-        """Return the difference of log evidence that is not yet decided, in nats."""
+        """Difference of log evidence, in nats, below which two sets count as equally good."""
         return math.log(self.odds)
 
     @property
     def alias_probability(self) -> float:
-        """Return the probability above which an alternative is not excluded."""
+        """Probability above which an alternative is not excluded."""
         return 1.0 / self.odds
 
     @property
     def undecided_sigma(self) -> float:
-        """Return the separation that leaves an alias a probability of 1/odds, in sigma."""
+        """Separation, in sigma, that leaves an alias a probability of 1/odds."""
         return math.sqrt(2.0 * math.log(self.odds))
 
     @property
     def prior_log_odds(self) -> float:
-        """Return the prior log odds of any one effect."""
+        """Prior log odds of each effect."""
         return math.log(1.0 / self.prior_odds)
 
 

@@ -1,1 +1,1 @@
-"""Sets of effects fitted to whole flights over the closed loop, and what repeats between twins."""
+"""Fits of sets of effects to whole flights in closed loop, and the repeatability of their residuals."""

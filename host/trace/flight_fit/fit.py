@@ -1,11 +1,12 @@
-"""Refinement over the closed loop: whole flights rolled out from their references by phi.
+"""Fits of sets of effects to whole flights in closed loop, rolled out by phi from their references.
 
-Command-driven segments see the gyro's noise in what drives them and in what they are compared with, which
-biases lag, delay and inertia. Here nothing measured drives the model: the reference does, through the law,
-and timing, inertia, thrust over mass and aerodynamic terms come out without that bias; what torque something
-takes the law's rate integral shows. Poses, body rate and integral, in bins, less their prediction are one
-coloured process in all channels at once, since a gust shows in position, attitude and rate: a vector
-autoregression, fitted to what is left, whitens it.
+In command-driven segments, noise of the gyro enters both the commands that drive the model and the
+measurements that it is compared with. This biases motor lag, delay and inertia. Here the reference drives the
+model through the control law, so timing, inertia, thrust over mass and aerodynamic parameters have no such
+bias. The rate integral of the control law shows unmodelled torques.
+
+A gust shows in position, attitude and rate at once. The residual of poses, body rate and rate integral is
+therefore one coloured process over all channels. A vector autoregression, fitted to the residual, whitens it.
 """
 
 from __future__ import annotations
@@ -31,19 +32,36 @@ from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import Names
 
 LOOP_SETTLED = 0.3
-"""Greatest step, in standard deviations, that is taken without looking at the roll-outs again."""
+"""Greatest step, in standard deviations, that the fit takes without another roll-out."""
 
 _ITERATIONS = 6
 _PASSES, _SETTLED_WELL = 6, 0.1
 _LINE = (1.0, 0.5, 0.25, 0.1)
+"""Step lengths of the line search, as shares of the Gauss-Newton step."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlightFit:
-    """A set of effects fitted over the closed loop, comparable with others of the same recordings and order.
+    """A set of effects fitted to whole flights in closed loop.
 
-    theta_scaled (P,) and its covariance (P, P); grams (flights, 1 + P, 1 + P) of the whitened
-    [residual | slopes] by flight, linearised at `at` (P,).
+    Log evidences of two fits are comparable if both use the same recordings and the same order.
+
+    Attributes
+    ----------
+    effects
+        The fitted set.
+    theta_scaled, covariance
+        Estimate (P,) and its covariance (P, P), scaled.
+    at
+        Scaled parameters (P,) of the last linearisation.
+    log_evidence
+        In nats.
+    whitening
+        Whitening of the residual.
+    grams
+        Grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes], linearised at `at`.
+    error_m
+        Root mean square of the position residual.
     """
 
     effects: tuple[str, ...]
@@ -59,7 +77,10 @@ class FlightFit:
 def whitened_grams(
     white: Whitening, loop: Loop, base: Sequence[np.ndarray], slopes: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Return the Grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes]."""
+    """Return the Grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes].
+
+    base: residual (bins, 12) of each flight. slopes: negative slopes (P, bins, 12) of each flight.
+    """
     grams = []
     for recording, r, s in zip(loop.recordings, base, slopes, strict=True):
         columns = whitened(white, np.concatenate([r[None], s]), recording.known)
@@ -68,9 +89,10 @@ def whitened_grams(
 
 
 def fit_loop(loop: Loop, effects: Sequence[str], theta_scaled: np.ndarray, order: int) -> FlightFit:
-    """Fit the set `effects` over the closed loop from theta_scaled (P,), by Gauss-Newton with line search.
+    """Fit the set `effects` to whole flights by Gauss-Newton with a line search.
 
-    The whitening is fitted again to the residual of every linear step.
+    theta_scaled (P,): start of the fit. order: order of the autoregression, which is fitted again to the
+    residual of every linear step.
     """
     space = loop.space
     precision = prior_of(space).precision(effects)
@@ -116,28 +138,28 @@ def _linear_step(
     precision: np.ndarray,
     step: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, Whitening, np.ndarray]:
-    """Return step, covariance, whitening and Grams; the whitening is fitted to the residual of `step`."""
-    left = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
-    white = autoregression(left, loop.known, order)
+    """Return step, covariance, whitening and Grams; the whitening is fitted to the residual after `step`."""
+    residuals = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
+    white = autoregression(residuals, loop.known, order)
     grams = whitened_grams(white, loop, base, slopes)
     step, covariance = evidence.bounded(grams.sum(0), theta_scaled, precision, loop.space.bounds)
     return step, covariance, white, grams
 
 
 def _position_rms(loop: Loop, residuals: Sequence[np.ndarray]) -> float:
-    """Root mean square of the position's residuals (bins, 12) by flight."""
-    known = [np.square(r[whole, :3]).sum(1) for r, whole in zip(residuals, loop.known, strict=True)]
-    return float(np.sqrt(np.concatenate(known).mean()))
+    """Return the root mean square in m of the position part of residuals (bins, 12) of each flight."""
+    squares = [np.square(r[mask, :3]).sum(1) for r, mask in zip(residuals, loop.known, strict=True)]
+    return float(np.sqrt(np.concatenate(squares).mean()))
 
 
 def prior_of(space: ParameterSpace) -> Prior:
-    """Return the prior over the closed loop: what is left out moves within tolerance and loop discrepancy."""
+    """Return the prior of flight fits: its spike combines tolerance and loop discrepancy."""
     tolerance = np.array([column.tolerance / column.scale for column in space.columns])
     return replace(space.prior, spike=np.hypot(tolerance, loop_discrepancy(space)))
 
 
 def loop_discrepancy(space: ParameterSpace) -> np.ndarray:
-    """One sigma (P,), in scales, of what phi itself may be off by in every column."""
+    """Return one sigma (P,), scaled, of the error of phi itself in every parameter."""
     return np.array([column.loop_discrepancy for column in space.columns])
 
 
@@ -149,10 +171,10 @@ def _line_search(
     step: np.ndarray,
     base: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Return the best of z and a few points along the step, by the cost of real roll-outs; z if none is
-    better.
+    """Return the best point along `step` by the cost of full roll-outs, and the residuals there.
 
-    With it, as `base` for z, per flight the residual (bins, 12) there.
+    The candidates are theta_scaled (P,) itself and theta_scaled plus the shares _LINE of `step` (P,). base:
+    residual (bins, 12) of each flight at theta_scaled.
     """
     points = np.column_stack([loop.space.clipped(theta_scaled + share * step) for share in _LINE])
     rolled = [np.concatenate([r[None], along]) for r, along in zip(base, loop.residuals(points), strict=True)]
@@ -166,20 +188,22 @@ def _line_search(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FlightFitter:
-    """Fits sets of effects to whole flights over the closed loop, whitened to one order."""
+    """Fitter of sets of effects to whole flights in closed loop, with one order of the autoregression."""
 
     loop: Loop
     order: int
-    _found: dict[tuple[str, Names, bytes], tuple[float, np.ndarray]] = field(default_factory=dict, init=False)
+    _starts: dict[tuple[str, Names, bytes], tuple[float, np.ndarray]] = field(
+        default_factory=dict, init=False
+    )
 
     @property
     def space(self) -> ParameterSpace:
-        """The parameters."""
+        """Parameter space of the fits."""
         return self.loop.space
 
     @property
     def prior(self) -> Prior:
-        """Their prior."""
+        """Prior of the parameters."""
         return prior_of(self.loop.space)
 
     def fit(self, effects: Sequence[str], start: FlightFit) -> FlightFit:
@@ -189,18 +213,20 @@ class FlightFitter:
             theta_scaled[list(self.space.groups[name])] = 0.0
         for name in set(effects) - set(start.effects):
             if self.space.effect(name).starts:
-                gain, begun = self._begun(name, start)
-                own = list(self.space.groups[name])
-                theta_scaled[own] = begun[own] if gain > RULES.worth_fitting_nats else theta_scaled[own]
+                gain, theta_start = self._start_gain(name, start)
+                columns = list(self.space.groups[name])
+                if gain > RULES.worth_fitting_nats:
+                    theta_scaled[columns] = theta_start[columns]
         fit = fit_loop(self.loop, effects, theta_scaled, self.order)
-        # What is smooth and large an autoregression foretells: that alone would not speak against it.
+        # The autoregression predicts a large smooth error well: log evidence alone would not reject it.
         worse = not fit.error_m < RULES.worse_fit_ratio * start.error_m or not np.isfinite(fit.log_evidence)
         return replace(fit, log_evidence=-np.inf) if worse else fit
 
     def scorers(self, fit: FlightFit) -> list[Callable[[Names], float]]:
-        """Log evidence of any set in the fit's linearisation and whitening.
+        """Return a function that gives the log evidence of any set in the linearisation of `fit`.
 
-        A hint for sets with more effects, since the whitening has taken up a part of what they explain.
+        It keeps the whitening of `fit`. For sets with more effects the value is only a hint, since the
+        whitening has absorbed a part of what the additional effects explain.
         """
         gram, prior, limits = fit.grams.sum(0), self.prior, self.space.bounds
         return [
@@ -208,48 +234,57 @@ class FlightFitter:
         ]
 
     def beyond(self, fit: FlightFit) -> list[Names]:
-        """Return sets with one effect more that explains much from one of its `starts`, if little as a
-        slope.
+        """Return sets with one more effect that gains much from one of its `Effect.starts`.
+
+        The linearisation of `fit` underrates such an effect, since its slope at neutral shows little.
         """
         absent = set(self.space.candidates) - set(fit.effects)
-        found = [name for name in sorted(absent) if self.space.effect(name).starts]
-        grown = [name for name in found if self._begun(name, fit)[0] > RULES.worth_fitting_nats]
-        return [tuple(sorted((*fit.effects, name))) for name in grown]
+        with_starts = [name for name in sorted(absent) if self.space.effect(name).starts]
+        promising = [
+            name for name in with_starts if self._start_gain(name, fit)[0] > RULES.worth_fitting_nats
+        ]
+        return [tuple(sorted((*fit.effects, name))) for name in promising]
 
-    def _begun(self, name: str, fit: FlightFit) -> tuple[float, np.ndarray]:
-        """Nats that the effect gains at the best of its starts, in whatever strength and with all else that
-        may move moving along, and the scaled parameters (P,) there. Asked of a fit twice, found once.
-        """
-        asked = (name, fit.effects, fit.theta_scaled.tobytes())
-        if asked not in self._found:
-            self._found[asked] = self._best_start(name, fit)
-        return self._found[asked]
+    def _start_gain(self, name: str, fit: FlightFit) -> tuple[float, np.ndarray]:
+        """Return `_best_start(name, fit)`, computed once for each effect and fit."""
+        key = (name, fit.effects, fit.theta_scaled.tobytes())
+        if key not in self._starts:
+            self._starts[key] = self._best_start(name, fit)
+        return self._starts[key]
 
     def _best_start(self, name: str, fit: FlightFit) -> tuple[float, np.ndarray]:
-        space, own = self.space, list(self.space.groups[name])
+        """Return the gain in nats of the effect at the best of its starts, and theta_scaled (P,) there.
+
+        The gain is that of the best non-negative multiple of the change at the start, with all other
+        parameters free under the prior of `fit`.
+        """
+        space, columns = self.space, list(self.space.groups[name])
         points = np.repeat(fit.theta_scaled[:, None], len(space.effect(name).starts), axis=1)
         for lane, values in enumerate(space.effect(name).starts):
-            columns = [space.columns[i] for i in own]
-            points[own, lane] = [(v - c.neutral) / c.scale for v, c in zip(values, columns, strict=True)]
+            points[columns, lane] = [
+                (value - space.columns[i].neutral) / space.columns[i].scale
+                for value, i in zip(values, columns, strict=True)
+            ]
         base = [r[0] for r in self.loop.residuals(fit.theta_scaled[:, None])]
         slopes = self.loop.slopes(fit.theta_scaled, fit.effects, base)
         gram = np.zeros((1 + len(fit.theta_scaled) + points.shape[1],) * 2)
-        for recording, r, s, there in zip(
+        for recording, r, s, r_start in zip(
             self.loop.recordings, base, slopes, self.loop.residuals(points), strict=True
         ):
-            columns = whitened(fit.whitening, np.concatenate([r[None], s, r - there]), recording.known)
-            gram += columns @ columns.T
-        rest = [i for i in range(len(fit.theta_scaled)) if i not in own]
-        precision = self.prior.precision(fit.effects)[rest]
-        rhs = gram[0, 1:][rest] - precision * fit.theta_scaled[rest]
-        normal = gram[1:, 1:][np.ix_(rest, rest)] + np.diag(precision)
+            white = whitened(fit.whitening, np.concatenate([r[None], s, r - r_start]), recording.known)
+            gram += white @ white.T
+        others = [i for i in range(len(fit.theta_scaled)) if i not in columns]
+        precision = self.prior.precision(fit.effects)[others]
+        rhs = gram[0, 1:][others] - precision * fit.theta_scaled[others]
+        normal = gram[1:, 1:][np.ix_(others, others)] + np.diag(precision)
         gains = []
         for start in range(1 + len(fit.theta_scaled), len(gram)):
-            cross = gram[start, 1:][rest]
-            along = np.linalg.solve(normal, cross)
-            left = gram[start, start] - cross @ along
-            pull = gram[0, start] - rhs @ along
-            gains.append(0.5 * max(pull, 0.0) ** 2 / left if np.isfinite(left) and left > 0.0 else 0.0)
+            cross = gram[start, 1:][others]
+            projection = np.linalg.solve(normal, cross)
+            curvature = gram[start, start] - cross @ projection
+            slope = gram[0, start] - rhs @ projection
+            valid = np.isfinite(curvature) and curvature > 0.0
+            gains.append(0.5 * max(slope, 0.0) ** 2 / curvature if valid else 0.0)
         best = int(np.argmax(gains))
         return gains[best], points[:, best]
 
@@ -263,10 +298,30 @@ def weighted(
     centre: np.ndarray | float = 0.0,
     count: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fit `effects` from theta_scaled with a given whitening.
+    """Fit `effects` with a given whitening; return estimate, covariance and Grams.
 
-    Returns scaled parameters (P,), covariance (P, P) and Grams (flights, 1 + P, 1 + P). Residuals count by
-    1/RULES.temper. centre (P,): mean of the prior. count: weight of each flight.
+    The Grams are divided by RULES.temper, since the innovations keep a slow part.
+
+    Parameters
+    ----------
+    loop
+        Closed-loop model with the recordings of the flights.
+    white
+        Whitening of the residuals.
+    effects
+        Effects that are free within the slab; all others stay within the spike of the prior.
+    theta_scaled
+        Start (P,) of the fit, scaled.
+    centre
+        Mean (P,) of the prior, scaled.
+    count
+        Weight of each flight.
+
+    Returns
+    -------
+    theta_scaled, covariance, grams
+        Scaled parameters (P,), their covariance (P, P), and Grams (flights, 1 + P, 1 + P) of the whitened
+        [residual | slopes].
     """
     precision = prior_of(loop.space).precision(effects)
     turn = 0
@@ -277,9 +332,9 @@ def weighted(
             / RULES.temper
             * whitened_grams(white, loop, base, loop.slopes(theta_scaled, effects, base, afresh=turn < 2))
         )
-        away = theta_scaled - centre
+        deviation = theta_scaled - centre
         limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
-        step, covariance = evidence.bounded(grams.sum(0), away, precision, limits)
+        step, covariance = evidence.bounded(grams.sum(0), deviation, precision, limits)
         theta_scaled = loop.space.clipped(theta_scaled + step)
         turn += 1
         settled = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < _SETTLED_WELL

@@ -1,7 +1,7 @@
-"""Whole flights over the closed loop: what of them is compared, and phi's roll-outs beside it.
+"""Roll-outs of whole flights in closed loop, and their residuals.
 
-Nothing measured drives the model: the reference does, through the law. Poses, body rate and rate integral are
-compared in bins, as telemetry shows them.
+The closed-loop model phi is driven by the reference through the control law, not by measurements. Poses, body
+rate and rate integral are compared as means over bins, as telemetry records them.
 """
 
 from __future__ import annotations
@@ -25,14 +25,19 @@ from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.vehicle import Vehicle
 
 STABLE = 2.5
-"""|eigenvalue| times step that RK4 stays stable at; what is that fast need not be exact here."""
+"""Greatest |eigenvalue| times step for which RK4 is stable. Modes this fast need not be accurate here."""
 
-_Z_STEP = 1e-4
+_THETA_STEP = 1e-4
+"""Step of the difference quotients, scaled."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Alike:
-    """Flights of one firmware setting: their indices, phi in `fine` steps to SAMPLE_S, and what drives it."""
+class _SettingGroup:
+    """Flights with the same firmware parameters, which are rolled out together.
+
+    flights: n indices of recordings. fine: integration steps in SAMPLE_S. x0 (states, n), drive (stages, 22,
+    n) and constants (constants, n): inputs of `roll_out`, one column for each flight.
+    """
 
     flights: tuple[int, ...]
     phi: Phi
@@ -43,7 +48,7 @@ class _Alike:
 
 
 class Loop:
-    """phi with a space's effects over recordings: residuals and their slopes."""
+    """Closed-loop model phi with the effects of a parameter space, over recordings of whole flights."""
 
     def __init__(self, recordings: Sequence[Recording], vehicle: Vehicle, space: ParameterSpace) -> None:
         self.recordings, self.space = tuple(recordings), space
@@ -54,61 +59,65 @@ class Loop:
         settings: dict[tuple[tuple[str, float], ...], list[int]] = {}
         for index, recording in enumerate(recordings):
             settings.setdefault(tuple(sorted((recording.states.parameters or {}).items())), []).append(index)
-        self._alike: list[_Alike] = []
+        self._groups: list[_SettingGroup] = []
         for flights in settings.values():
-            chosen = [recordings[index] for index in flights]
-            phi = Phi(vehicle=vehicle, effects=effects, parameters=chosen[0].states.parameters)
+            group = [recordings[index] for index in flights]
+            phi = Phi(vehicle=vehicle, effects=effects, parameters=group[0].states.parameters)
             fine = max(1, math.ceil(phi.stiffness * SAMPLE_S / STABLE))
-            steps = max(recording.bins for recording in chosen) * PER_BIN * fine
+            steps = max(recording.bins for recording in group) * PER_BIN * fine
             stages = half_steps(0.0, steps, SAMPLE_S / fine)
-            drives = [_drive(recording.states, stages) for recording in chosen]
-            self._alike.append(
-                _Alike(
+            drives = [_drive(recording.states, stages) for recording in group]
+            self._groups.append(
+                _SettingGroup(
                     flights=tuple(flights),
                     phi=phi,
                     fine=fine,
-                    x0=np.stack([recording.states.initial(phi) for recording in chosen], axis=1),
+                    x0=np.stack([recording.states.initial(phi) for recording in group], axis=1),
                     drive=np.stack(drives).transpose(1, 2, 0),
-                    constants=np.stack([recording.states.constants for recording in chosen], axis=1),
+                    constants=np.stack([recording.states.constants for recording in group], axis=1),
                 )
             )
 
     @property
     def known(self) -> list[np.ndarray]:
-        """Per flight (bins,) where everything was measured."""
+        """Masks (bins,), one for each flight, of the bins in which all channels were measured."""
         return [recording.known for recording in self.recordings]
 
     def predicted(self, theta_scaled: np.ndarray) -> list[np.ndarray]:
-        """Return per flight the means (lanes, bins, 12) as measured, for theta_scaled (P, lanes)."""
+        """Return predicted bin means (lanes, bins, 12) for each flight at theta_scaled (P, lanes).
+
+        The channels are those of `Recording.measured`.
+        """
         lanes = theta_scaled.shape[1]
         theta = self.space.values(theta_scaled)[self._rows]
-        parts = [self._alike[0].phi.parts(theta[:, lane]) for lane in range(lanes)]
+        parts = [self._groups[0].phi.parts(theta[:, lane]) for lane in range(lanes)]
         latency_s = np.array([float(latency_of(NUMPY, each)) for each in parts])
-        found: dict[int, np.ndarray] = {}
-        for alike in self._alike:
-            count = len(alike.flights)
+        predictions: dict[int, np.ndarray] = {}
+        for group in self._groups:
+            count = len(group.flights)
             samples = roll_out(
-                alike.phi,
-                x0=np.repeat(alike.x0, lanes, axis=1),
-                drive=alike.drive,
-                flight=alike.constants,
+                group.phi,
+                x0=np.repeat(group.x0, lanes, axis=1),
+                drive=group.drive,
+                flight=group.constants,
                 theta=np.tile(theta, (1, count)),
-                step_s=SAMPLE_S / alike.fine,
-                every=alike.fine,
+                step_s=SAMPLE_S / group.fine,
+                every=group.fine,
                 lane_flight=np.repeat(np.arange(count), lanes),
                 rows=INTEGRAL.stop,
                 compiled=True,
             ).reshape(-1, INTEGRAL.stop, count, lanes)
-            for k, index in enumerate(alike.flights):
+            for k, index in enumerate(group.flights):
                 recording = self.recordings[index]
-                own = samples[: recording.bins * PER_BIN + 1, :, k]
-                found[index] = _means(recording, own, latency_s)
-        return [found[index] for index in range(len(self.recordings))]
+                flight_samples = samples[: recording.bins * PER_BIN + 1, :, k]
+                predictions[index] = _means(recording, flight_samples, latency_s)
+        return [predictions[index] for index in range(len(self.recordings))]
 
     def residuals(self, theta_scaled: np.ndarray) -> list[np.ndarray]:
-        """Return per flight measured minus predicted (lanes, bins, 12) for theta_scaled (P, lanes).
+        """Return residuals (lanes, bins, 12), measured minus predicted, for each flight.
 
-        The body rate is less its mean.
+        theta_scaled: (P, lanes). Position is resolved along the heading, attitude in FRD. The body-rate
+        residual has its mean over the flight removed.
         """
         out = []
         for recording, predicted in zip(self.recordings, self.predicted(theta_scaled), strict=True):
@@ -125,36 +134,49 @@ class Loop:
         *,
         afresh: bool = False,
     ) -> list[np.ndarray]:
-        """Return per flight the negative slopes (P, bins, 12) of the residual at theta_scaled (P,).
+        """Return the negative slopes (P, bins, 12) of the residual of each flight at theta_scaled (P,).
 
-        `base` is the residual there, per flight (bins, 12).
+        The first call computes the slopes of all parameters and caches them. Later calls update only the
+        slopes of `effects` and of effects with states of their own. The slopes of the other effects hardly
+        change while these stay within their tolerance: the length of a payload's line, for example, has no
+        influence without a payload.
 
-        The first call computes all slopes, and any one `afresh`; others those of `effects` and of effects
-        with states of their own, for what else stays within its tolerance hardly changes them: a payload's
-        line does nothing where there is no payload.
+        Parameters
+        ----------
+        theta_scaled
+            Scaled parameters (P,).
+        effects
+            Effects whose slopes are computed again.
+        base
+            Residual (bins, 12) of each flight at theta_scaled.
+        afresh
+            Whether to compute all slopes again.
         """
-        chosen = {i for name in effects for i in self.space.groups[name]} | self._products
-        rows = [i for i in self._rows if afresh or not self._slopes or i in chosen]
+        updated = {i for name in effects for i in self.space.groups[name]} | self._products
+        rows = [i for i in self._rows if afresh or not self._slopes or i in updated]
         lanes = np.repeat(theta_scaled[:, None], len(rows), axis=1)
         for lane, row in enumerate(rows):
-            lanes[row, lane] += _Z_STEP
-        pushed = self.residuals(lanes) if rows else [np.empty((0, *r.shape)) for r in base]
+            lanes[row, lane] += _THETA_STEP
+        perturbed = self.residuals(lanes) if rows else [np.empty((0, *r.shape)) for r in base]
         if not self._slopes:
             self._slopes = [np.zeros((len(theta_scaled), *r.shape)) for r in base]
-        slopes = [kept.copy() for kept in self._slopes]
+        slopes = [cached.copy() for cached in self._slopes]
         sizes = np.zeros(1 + len(theta_scaled))
         sizes[0] = sum(float(np.square(r).sum()) for r in base)
-        sizes[[1 + row for row in rows]] = sum(np.square(r).sum((1, 2)) for r in pushed)
+        sizes[[1 + row for row in rows]] = sum(np.square(r).sum((1, 2)) for r in perturbed)
         self.space.check_finite(sizes)
-        for each, r, away in zip(slopes, base, pushed, strict=True):
-            each[rows] = (r - away) / _Z_STEP
+        for slope, r, r_perturbed in zip(slopes, base, perturbed, strict=True):
+            slope[rows] = (r - r_perturbed) / _THETA_STEP
         if len(rows) == len(self._rows):
             self._slopes = slopes
         return slopes
 
 
 def _drive(states: States, stages: np.ndarray) -> np.ndarray:
-    """(n, 22): what drives phi at times (n,) since the reference's start, which is held at its end."""
+    """Return the drive (n, 22) of phi at times (n,) in s since the start of the reference.
+
+    After its end the reference is held.
+    """
     return reference_drive(
         states.reference,
         stages,
@@ -164,8 +186,10 @@ def _drive(states: States, stages: np.ndarray) -> np.ndarray:
 
 
 def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> np.ndarray:
-    """(lanes, bins, 12) of states (n, 19, lanes): poses as stamped, `latency_s` (lanes,) old; mean rates;
-    integrals in the middle of each bin.
+    """Return bin means (lanes, bins, 12) of states (n, 19, lanes).
+
+    Poses are delayed by `latency_s` (lanes,) against their stamps. Body rates are means over each bin; rate
+    integrals are values in the middle of each bin.
     """
     lanes, bins = samples.shape[2], recording.bins
     out = np.empty((lanes, bins, CHANNELS))
@@ -184,7 +208,10 @@ def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> 
 
 
 def _pose_means(recording: Recording, latency_s: float, count: int) -> csr_array:
-    """(bins, count): means over each bin's poses of what samples every SAMPLE_S show `latency_s` earlier."""
+    """Return the matrix (bins, count) that maps `count` samples to the mean over the poses of each bin.
+
+    Samples are SAMPLE_S apart. Each pose shows the state `latency_s` before its stamp.
+    """
     poses = np.maximum(np.bincount(recording.pose_bin, minlength=recording.bins), 1)
     each = (1.0 / poses[recording.pose_bin], (recording.pose_bin, np.arange(len(recording.pose_bin))))
     mean = csr_array(each, shape=(recording.bins, len(recording.pose_bin)))
@@ -192,9 +219,9 @@ def _pose_means(recording: Recording, latency_s: float, count: int) -> csr_array
 
 
 def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
-    """Differences (lanes, bins, 12) as measured, with position along the heading and the turn in FRD.
+    """Return differences r (lanes, bins, 12) with position in the heading frame and attitude in FRD.
 
-    The rate loses its mean over the flight: the gyro's bias.
+    The mean body-rate difference over the flight is removed, since it is the bias of the gyro.
     """
     out = np.empty_like(r)
     c, s = np.cos(recording.measured[:, 5]), np.sin(recording.measured[:, 5])
@@ -213,10 +240,10 @@ def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
 def closed_loop(
     flights: Sequence[FlightData], vehicle: Vehicle, space: ParameterSpace, theta_scaled: np.ndarray
 ) -> Loop:
-    """Return the closed loop of `flights`, all with reference and law; poses are as late as theta_scaled
-    (P,) says.
+    """Return the closed-loop model of `flights`, whose logs all hold a reference and the control law.
 
-    Raises TooLittleData where a log lacks something.
+    theta_scaled (P,): scaled parameters that give the pose latency. Raises TooLittleData if a log lacks a
+    required topic.
     """
     values = space.theta(list(space.values(theta_scaled)))
     latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
@@ -225,7 +252,7 @@ def closed_loop(
 
 
 def tracking_extent(flights: Sequence[FlightData]) -> tuple[float, float]:
-    """Return the tracking time of all flights in s, and the greatest extent of one along an axis in m."""
+    """Return the tracking time of all flights in s, and the greatest extent of one along a NED axis in m."""
     spans = [data.signals for data in flights]
     return sum(s.span_s[1] - s.span_s[0] for s in spans), max(_extent(s) for s in spans)
 
@@ -236,5 +263,5 @@ def _extent(s: Signals) -> float:
 
 
 def order_of(loop: Loop) -> int:
-    """Return the order of the autoregression that these flights have enough bins for."""
-    return affordable(sum(int(whole.sum()) for whole in loop.known))
+    """Return the order of the autoregression that the known bins of these flights determine."""
+    return affordable(sum(int(mask.sum()) for mask in loop.known))

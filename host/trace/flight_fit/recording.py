@@ -1,4 +1,4 @@
-"""What of a whole flight is compared: means of poses, body rate and rate integral over bins of 40 ms."""
+"""Measurements of a whole flight as means of poses, body rate and rate integral over bins of 40 ms."""
 
 from __future__ import annotations
 
@@ -12,26 +12,37 @@ from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.rules import RULES
 
 SAMPLE_S = 0.02
-
+"""Interval between the samples of a roll-out."""
 
 PER_BIN = 2
-
+"""Sample intervals in a bin."""
 
 FLIGHT_BIN_S = PER_BIN * SAMPLE_S
-
+"""Length of a bin."""
 
 LEAD_S = 0.3
-"""Time after the reference's start that is not compared: the start's own errors die away in it."""
+"""Time after the start of the reference that is not compared. Errors of the initial state decay in it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """A flight's means over bins of FLIGHT_BIN_S, from the reference's start; of the integral, bin middles.
+    """Measurements of one flight in bins of FLIGHT_BIN_S from the start of the reference.
 
-    states: for its start, law and constants. pose_s (m,) s, of the pose's stamp, and pose_bin (m,). measured
-    (bins, 12): p NED, Theta, body rate and rate integral FRD; known (bins,) where all were. rates, integrals
-    (bins, samples): what telemetry makes of states sampled every SAMPLE_S; a gyro's mean goes over whole
-    intervals and the integral evenly from one frame to the next, as far apart as lost frames leave them.
+    Attributes
+    ----------
+    states
+        Initial state, control law and constants of the flight.
+    pose_s, pose_bin
+        Stamps (m,) in s since the start of the reference, and bin (m,), of each pose.
+    measured
+        Bin values (bins, 12), three each: position NED m, Euler angles Theta rad, body rate FRD rad/s, rate
+        integral FRD. The rate integral is the value in the middle of the bin; the others are means.
+    known
+        Mask (bins,) of the bins in which all channels were measured.
+    rates, integrals
+        Matrices (bins, samples) that map states sampled every SAMPLE_S to what telemetry records of them.
+        Gyro means cover whole telemetry intervals. The rate integral is interpolated linearly between
+        received frames, also across lost frames.
     """
 
     states: States
@@ -44,12 +55,15 @@ class Recording:
 
     @property
     def bins(self) -> int:
-        """How many bins."""
+        """Number of bins."""
         return len(self.measured)
 
 
 def record(data: FlightData, states: States) -> Recording:
-    """Return the recording of a flight with reference, law and telemetry, and its `states`."""
+    """Return the recording of a flight whose log holds a reference, a control law and control telemetry.
+
+    states: initial state, control law and constants of the same flight.
+    """
     flight, s = data.flight, data.signals
     start = s.span_s[0]
     duration = min(states.reference.nodes[-1].t_us * 1e-6, s.span_s[1] - start)
@@ -95,7 +109,7 @@ def bins_of_times(t_s: np.ndarray, bins: int) -> np.ndarray:
 
 
 def _shares(edges_s: np.ndarray, interval_s: np.ndarray) -> csr_array:
-    """(n, m): time in s that each of m intervals (m, 2), in order, has in each of n bins between edges."""
+    """Return the overlap (n, m) in s of n bins, between n + 1 edges, with m intervals (m, 2) in order."""
     cuts = np.unique(np.clip(np.concatenate([edges_s, interval_s.ravel()]), edges_s[0], edges_s[-1]))
     middle = 0.5 * (cuts[1:] + cuts[:-1])
     owner = np.maximum(np.searchsorted(interval_s[:, 0], middle, side="right") - 1, 0)
@@ -106,7 +120,10 @@ def _shares(edges_s: np.ndarray, interval_s: np.ndarray) -> csr_array:
 
 
 def _interval_means(interval_s: np.ndarray, samples: int) -> csr_array:
-    """(m, samples): means over intervals (m, 2) of what samples every SAMPLE_S show, by Simpson's rule."""
+    """Return the matrix (m, samples) of means over intervals (m, 2) in s, by Simpson's rule.
+
+    It applies to samples that are SAMPLE_S apart.
+    """
     length = np.diff(interval_s, axis=1)[:, 0]
     parts = np.maximum(np.ceil(length / SAMPLE_S - 1e-6), 1.0).astype(int)
     owner = np.repeat(np.arange(len(interval_s)), parts)
@@ -122,7 +139,10 @@ def _interval_means(interval_s: np.ndarray, samples: int) -> csr_array:
 
 
 def _between_frames(at_s: np.ndarray, frames_s: np.ndarray) -> csr_array:
-    """(n, m): linear interpolation at n times between m frames; at the ends the last frame's value."""
+    """Return the matrix (n, m) of linear interpolation at n times between m frames.
+
+    Outside the frames it takes the value of the nearest frame.
+    """
     k = np.clip(np.searchsorted(frames_s, at_s, side="right") - 1, 0, len(frames_s) - 2)
     u = np.clip((at_s - frames_s[k]) / np.maximum(frames_s[k + 1] - frames_s[k], 1e-9), 0.0, 1.0)
     rows = np.repeat(np.arange(len(at_s)), 2)
@@ -132,7 +152,10 @@ def _between_frames(at_s: np.ndarray, frames_s: np.ndarray) -> csr_array:
 
 
 def interpolation(t_s: np.ndarray, samples: int) -> csr_array:
-    """(n, samples): what samples every SAMPLE_S show at times (n,), by the cubic through four of them."""
+    """Return the matrix (n, samples) of cubic interpolation at times t_s (n,).
+
+    Samples are SAMPLE_S apart. The cubic goes through the four nearest samples.
+    """
     t = np.clip(t_s / SAMPLE_S, 0.0, samples - 1.0)
     k = np.clip(t.astype(int), 1, samples - 3)
     u = t - k
@@ -150,7 +173,7 @@ def interpolation(t_s: np.ndarray, samples: int) -> csr_array:
 
 
 def _euler(R: np.ndarray) -> np.ndarray:
-    """Theta (n, 3) of R_ned_frd (n, 3, 3), yaw unwrapped."""
+    """Return Euler angles Theta (n, 3) in rad of R_ned_frd (n, 3, 3), with yaw unwrapped."""
     roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])
     pitch = -np.arcsin(np.clip(R[:, 2, 0], -1.0, 1.0))
     return np.column_stack([roll, pitch, np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))])

@@ -1,9 +1,10 @@
-"""What of whole flights repeats between twins: abstention over the closed loop.
+"""Repeatability of the residuals of whole flights in closed loop.
 
-Twin flights share the world and the reference and nothing else. Their difference holds turbulence and noise
-only, so an autoregression fitted to it whitens without knowing any of the physics; what of the whitened
-residuals the twins then have in common is physics the model lacks. Segments cannot say this as finely: what
-the loop does about a gust within them looks like a wrong model, and repeats too.
+Repeat flights share only the vehicle, its surroundings and the reference. Their difference contains only
+turbulence and noise, so an autoregression fitted to the difference whitens the residuals without any
+knowledge of the physics. The part of the whitened residuals that repeat flights have in common is physics
+that the model lacks. Segments are less sensitive: within a segment, the response of the loop to a gust looks
+like a model error, and it repeats as well.
 """
 
 from __future__ import annotations
@@ -27,36 +28,47 @@ from trimtab.host.trace.flight_fit.whitening import (
 )
 from trimtab.host.trace.residual.unexplained import FlightRepeat
 
-_EVERY = 5
+_SHIFT_STEP = 5
+"""Step in bins between the time shifts that estimate the variance under chance."""
 
 
 def repeatability_of(
-    loop: Loop, theta_scaled: np.ndarray, order: int, twins: Sequence[tuple[int, int]]
+    loop: Loop, theta_scaled: np.ndarray, order: int, repeat_flights: Sequence[tuple[int, int]]
 ) -> FlightRepeat | None:
-    """Return what repeats at theta_scaled (P,), whitened by an autoregression of `order`; None without twins.
+    """Return how much of the residual repeats between repeat flights; None without repeat flights.
 
-    `twins` pair the loop's recordings.
+    Parameters
+    ----------
+    loop
+        Closed-loop model with the recordings of the flights.
+    theta_scaled
+        Scaled parameters (P,) at which the residual is computed.
+    order
+        Greatest order of the autoregression that whitens the residual.
+    repeat_flights
+        Pairs of indices into the loop's recordings.
     """
-    pairs = _pairs(loop, theta_scaled, twins)
+    pairs = _pairs(loop, theta_scaled, repeat_flights)
     white = _turbulence(pairs, order)
     if white is None:
         return None
     common, variance, count, position = 0.0, 0.0, 0, 0.0
-    for one, other, known in pairs:
-        at = stretches(known, white.span)
-        x, y = whitened(white, np.stack([one, other]), known).reshape(2, len(at), -1)
-        apart = range(
-            round(RULES.twin_shift_s / FLIGHT_BIN_S),
-            len(at) - round(RULES.twin_shift_s / FLIGHT_BIN_S),
-            _EVERY,
+    for first, second, known in pairs:
+        usable = stretches(known, white.span)
+        x, y = whitened(white, np.stack([first, second]), known).reshape(2, len(usable), -1)
+        shifts = range(
+            round(RULES.repeat_shift_s / FLIGHT_BIN_S),
+            len(usable) - round(RULES.repeat_shift_s / FLIGHT_BIN_S),
+            _SHIFT_STEP,
         )
-        by_chance = [float((x * np.roll(y, shift, axis=0)).sum()) for shift in apart]
+        by_chance = [float((x * np.roll(y, shift, axis=0)).sum()) for shift in shifts]
         common += float((x * y).sum())
         variance += max(float(x.size), float(np.var(by_chance)))
         count += x.size
-        position += float((one[known, :3] * other[known, :3]).sum()) / int(known.sum())
-    # The autoregression fits the difference, which it was made from, better than the sum: without any repeat
-    # the sum's power is greater by as much as the coefficients and the innovation's covariance took up.
+        position += float((first[known, :3] * second[known, :3]).sum()) / int(known.sum())
+    # The autoregression is fitted to the difference, so it fits the difference better than the sum. The power
+    # of the sum exceeds that of the difference even if nothing repeats. The excess is the power that the
+    # coefficients and the innovation covariance absorbed.
     rows, coefficients = count / CHANNELS, CHANNELS * white.order
     common -= 0.5 * count * (2 * coefficients + CHANNELS + 1) / (rows - coefficients - CHANNELS - 1)
     return FlightRepeat(
@@ -68,24 +80,31 @@ def repeatability_of(
 
 
 def turbulence(
-    loop: Loop, theta_scaled: np.ndarray, order: int, twins: Sequence[tuple[int, int]]
+    loop: Loop, theta_scaled: np.ndarray, order: int, repeat_flights: Sequence[tuple[int, int]]
 ) -> Whitening | None:
-    """Return what whitens turbulence and noise, from twins' differences at theta_scaled (P,).
+    """Return the whitening of turbulence and noise, fitted to differences of repeat flights.
 
-    None without twins.
+    theta_scaled (P,): scaled parameters at which the residuals are computed. order: greatest order of the
+    autoregression. repeat_flights: pairs of indices into the loop's recordings. Returns None without repeat
+    flights.
     """
-    return _turbulence(_pairs(loop, theta_scaled, twins), order)
+    return _turbulence(_pairs(loop, theta_scaled, repeat_flights), order)
 
 
-def in_turbulence(loop: Loop, fit: FlightFit, order: int, twins: Sequence[tuple[int, int]]) -> FlightFit:
-    """Return the fit's effects fitted once more, whitened by what twins differ by; without twins only
-    its covariance is another.
+def in_turbulence(
+    loop: Loop, fit: FlightFit, order: int, repeat_flights: Sequence[tuple[int, int]]
+) -> FlightFit:
+    """Return `fit` refitted with the whitening of turbulence; without repeat flights, `fit` tempered.
 
-    The search whitens by all that a set leaves, so that what no form explains counts as noise and names
-    nothing. For how large an effect is, only chance is noise: weights are then those of the flights, not of
-    the library's shortcomings.
+    The search whitens by the whole residual of a set, so a residual that no effect explains counts as noise
+    and cannot lead to the selection of an effect. To estimate the size of an effect, only chance should count
+    as noise: the refit weights the data by turbulence and noise, not by what the library cannot explain.
+
+    Without repeat flights the estimate stays. Then `RULES.temper` multiplies the covariance and divides the
+    Grams. order: greatest order of the autoregression. repeat_flights: pairs of indices into the loop's
+    recordings.
     """
-    white = turbulence(loop, fit.theta_scaled, order, twins)
+    white = turbulence(loop, fit.theta_scaled, order, repeat_flights)
     if white is None:
         return replace(fit, covariance=RULES.temper * fit.covariance, grams=fit.grams / RULES.temper)
     theta_scaled, covariance, grams = weighted(loop, white, fit.effects, fit.theta_scaled)
@@ -95,23 +114,25 @@ def in_turbulence(loop: Loop, fit: FlightFit, order: int, twins: Sequence[tuple[
 
 
 _Pair = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Residuals (bins, 12) of two repeat flights, and which of the bins (bins,) are known in both."""
 
 
-def _pairs(loop: Loop, theta_scaled: np.ndarray, twins: Sequence[tuple[int, int]]) -> list[_Pair]:
-    """Of twins long enough to be compared: residuals (bins, 12) of both, and where they are known (bins,)."""
-    left = [each[0] for each in loop.residuals(theta_scaled[:, None])] if twins else []
-    out = []
-    for a, b in twins:
-        bins = min(len(left[a]), len(left[b]))
+def _pairs(loop: Loop, theta_scaled: np.ndarray, repeat_flights: Sequence[tuple[int, int]]) -> list[_Pair]:
+    """Return the pairs of repeat flights that are long enough to be compared."""
+    residuals = [lanes[0] for lanes in loop.residuals(theta_scaled[:, None])] if repeat_flights else []
+    pairs = []
+    for a, b in repeat_flights:
+        bins = min(len(residuals[a]), len(residuals[b]))
         known = loop.known[a][:bins] & loop.known[b][:bins]
-        if known.sum() * FLIGHT_BIN_S >= RULES.twin_min_s:
-            out.append((left[a][:bins], left[b][:bins], known))
-    return out
+        if known.sum() * FLIGHT_BIN_S >= RULES.repeat_min_s:
+            pairs.append((residuals[a][:bins], residuals[b][:bins], known))
+    return pairs
 
 
 def _turbulence(pairs: Sequence[_Pair], order: int) -> Whitening | None:
+    """Return the whitening fitted to the differences of `pairs`; None without pairs."""
     if not pairs:
         return None
     order = min(order, affordable(sum(int(known.sum()) for *_, known in pairs)))
-    gusts = [(one - other) / np.sqrt(2.0) for one, other, _ in pairs]
-    return autoregression(gusts, [known for *_, known in pairs], order)
+    differences = [(first - second) / np.sqrt(2.0) for first, second, _ in pairs]
+    return autoregression(differences, [known for *_, known in pairs], order)

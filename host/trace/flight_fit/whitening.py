@@ -1,10 +1,10 @@
-"""What whitens whole flights less their prediction: one coloured process in all channels at once.
+"""Whitening of the residuals of whole flights: one vector autoregression over all channels.
 
-A gust shows in position, attitude and rate, so a bin is regressed on the bins before it: the last ones
-singly, earlier ones by their mean (Corsi 2009, "A simple approximate long-memory model of realized
-volatility"). The loop lets go of a gust only after about a second. Windows that reach so far learn the few
-gusts of these flights by heart and whiten no better; where sizes are told, that the innovations keep a slow
-part is reckoned with instead (`trimtab.host.trace.flight_fit.fit`).
+A gust shows in position, attitude and rate at once, so all channels of a bin are regressed on all channels of
+the bins before it. Recent bins enter one by one, earlier ones as means (Corsi 2009, "A simple approximate
+long-memory model of realized volatility"). The closed loop takes about a second to reject a gust. Windows
+that reach back that far overfit the few gusts of the flights and whiten no better. The innovations therefore
+keep a slow part; `trimtab.host.trace.flight_fit.fit.weighted` allows for it by `RULES.temper`.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ import numpy as np
 from trimtab.host.trace.decision.rules import RULES
 
 CHANNELS = 12
-"""Of a bin: position (heading frame), attitude (FRD), body rate (FRD), the law's rate integral (FRD): what it
-holds is the torque that something else takes.
+"""Channels of a bin, three each: position (heading frame), attitude (FRD), body rate (FRD) and rate integral
+of the control law (FRD). The rate integral shows the torque that counteracts an unmodelled torque.
 """
 
 WINDOWS = ((1, 1), (2, 2), (3, 3), (4, 6))
-"""First and last bin back of each mean that is looked at; an autoregression of some order has the first so
-many.
+"""First and last bin of each window, counted back from the current bin. An autoregression of order n uses the
+means over the first n windows.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Whitening:
-    """A vector autoregression: r_k = past_k A + e_k, past_k (12 order,) the means over WINDOWS before bin k.
+    """A vector autoregression r_k = past_k A + e_k; past_k (12 order,) are means over WINDOWS before bin k.
 
-    coefficients A (12 order, 12); covariance of e `innovation` (12, 12).
+    coefficients: A (12 order, 12). innovation: covariance (12, 12) of e.
     """
 
     coefficients: np.ndarray
@@ -39,64 +39,72 @@ class Whitening:
 
     @property
     def order(self) -> int:
-        """How many windows are looked at."""
+        """Number of windows."""
         return len(self.coefficients) // CHANNELS
 
     @property
     def span(self) -> int:
-        """How many earlier bins are looked at."""
+        """Number of earlier bins that a prediction uses."""
         return span_of(self.order)
 
 
 def affordable(bins: int) -> int:
-    """Return the greatest order whose coefficients so many known bins tell, at least 1."""
+    """Return the greatest order that `bins` known bins determine by RULES.bins_per_order; at least 1."""
     return max(1, min(len(WINDOWS), bins // RULES.bins_per_order))
 
 
 def span_of(order: int) -> int:
-    """Bins that an autoregression of this order looks back."""
+    """Return the number of earlier bins that an autoregression of this order uses."""
     return WINDOWS[order - 1][1]
 
 
 def autoregression(residuals: Sequence[np.ndarray], known: Sequence[np.ndarray], order: int) -> Whitening:
-    """Return the autoregression of residuals (bins, 12) by flight, where the bins it looks back at are
-    known.
+    """Return the autoregression fitted to residuals by least squares.
+
+    residuals: (bins, 12) for each flight. known: mask (bins,) for each flight. A bin is used if it and the
+    `span_of(order)` bins before it are known.
     """
     before, now = [], []
-    for r, whole in zip(residuals, known, strict=True):
-        at = stretches(whole, span_of(order))
-        before.append(_past(r, order)[at])
-        now.append(r[at])
+    for r, mask in zip(residuals, known, strict=True):
+        usable = stretches(mask, span_of(order))
+        before.append(_past(r, order)[usable])
+        now.append(r[usable])
     X, Y = np.concatenate(before), np.concatenate(now)
-    found, *_ = np.linalg.lstsq(X, Y, rcond=None)
-    left = Y - X @ found
-    return Whitening(coefficients=found, innovation=left.T @ left / len(Y))
+    coefficients, *_ = np.linalg.lstsq(X, Y, rcond=None)
+    innovations = Y - X @ coefficients
+    return Whitening(coefficients=coefficients, innovation=innovations.T @ innovations / len(Y))
 
 
 def _past(x: np.ndarray, order: int) -> np.ndarray:
-    """Means (..., bins, 12 order) over the windows before each bin of x (..., bins, 12), 0 if too early."""
+    """Return means (..., bins, 12 order) over the windows before each bin of x (..., bins, 12).
+
+    A window that begins before the first bin has a mean of 0.
+    """
     bins = x.shape[-2]
     sums = np.zeros((*x.shape[:-2], bins + 1, CHANNELS))
     np.cumsum(x, axis=-2, out=sums[..., 1:, :])
     out = np.zeros((*x.shape[:-1], order * CHANNELS))
     for i, (first, last) in enumerate(WINDOWS[:order]):
         columns = slice(i * CHANNELS, (i + 1) * CHANNELS)
-        found = sums[..., last - first + 1 : bins - first + 1, :] - sums[..., : bins - last, :]
-        out[..., last:, columns] = found / (last - first + 1)
+        window_sums = sums[..., last - first + 1 : bins - first + 1, :] - sums[..., : bins - last, :]
+        out[..., last:, columns] = window_sums / (last - first + 1)
     return out
 
 
 def stretches(known: np.ndarray, span: int) -> np.ndarray:
-    """Bins that are known with the `span` bins before them."""
-    run = np.convolve(known.astype(int), np.ones(span + 1, dtype=int))[: len(known)]
-    at = np.flatnonzero(run == span + 1)
-    return at[at >= span]
+    """Return the indices of bins that are known (bins,) together with the `span` bins before them."""
+    counts = np.convolve(known.astype(int), np.ones(span + 1, dtype=int))[: len(known)]
+    usable = np.flatnonzero(counts == span + 1)
+    return usable[usable >= span]
 
 
 def whitened(white: Whitening, columns: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Columns (m, bins, 12) of a flight as (m, n): innovations of unit covariance."""
-    at = stretches(known, white.span)
+    """Return columns (m, bins, 12) of one flight as innovations (m, n) of unit covariance.
+
+    known (bins,): mask. n = 12 times the number of bins that `stretches` returns.
+    """
+    usable = stretches(known, white.span)
     whiten = np.linalg.inv(np.linalg.cholesky(white.innovation))
-    out = columns[:, at] @ whiten.T
-    out -= _past(columns, white.order)[:, at] @ (white.coefficients @ whiten.T)
+    out = columns[:, usable] @ whiten.T
+    out -= _past(columns, white.order)[:, usable] @ (white.coefficients @ whiten.T)
     return out.reshape(len(columns), -1)

@@ -1,4 +1,4 @@
-"""Manoeuvres: routes that a vehicle can fly, as flat outputs, for the choice of the next flight."""
+"""Manoeuvres: plans along known routes, as flat outputs, among which the next flight is chosen."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ if TYPE_CHECKING:
     from trimtab.host.route import Route
 
 PACES = (1.0, 1.4, 2.0)
-"""Shares of a route's own time that are tried, the shortest first."""
+"""Multiples of the duration of a route that are tried, the shortest first."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Manoeuvre:
-    """A flight along a route in `total_time_s`; `slowed` where the route's own time is too short for it.
+    """A plan along a route.
 
-    flat (14, n): p, v, a, j NED, yaw, yaw rate each DT_S, as `trimtab.host.models.reference.flat_outputs`
-    gives them.
+    route: its name. total_time_s: duration of the plan. slowed: whether that is longer than the duration that
+    the route states. flat (14, n): position, velocity, acceleration and jerk NED, yaw and yaw rate, every
+    DT_S, as from `trimtab.host.models.reference.flat_outputs`.
     """
 
     route: str
@@ -35,10 +36,11 @@ class Manoeuvre:
 
 
 def manoeuvre(name: str, route: Route, vehicle: Vehicle) -> Manoeuvre | None:
-    """Return the min-snap flight along the route known as `name`, at the first of PACES that keeps limits and
-    geofence; None where none does.
+    """Return the min-snap plan along a route at the first of PACES that keeps limits and geofence.
+
+    name: name of the route. Returns None if no pace keeps them.
     """
-    from trimtab.host.plan import plan  # takes long to import, and few traces ask for a flight
+    from trimtab.host.plan import plan  # slow to import, and few traces propose a flight
 
     for pace in PACES:
         try:
@@ -56,6 +58,6 @@ def manoeuvre(name: str, route: Route, vehicle: Vehicle) -> Manoeuvre | None:
 
 
 def manoeuvres(routes: Mapping[str, Route], vehicle: Vehicle) -> tuple[Manoeuvre, ...]:
-    """Those of the routes that the vehicle can fly, by the routes' order."""
-    found = (manoeuvre(name, route, vehicle) for name, route in routes.items())
-    return tuple(each for each in found if each is not None)
+    """Return the manoeuvres along all routes that the vehicle can fly, in the order of the routes."""
+    candidates = (manoeuvre(name, route, vehicle) for name, route in routes.items())
+    return tuple(candidate for candidate in candidates if candidate is not None)

@@ -1,1 +1,1 @@
-"""What a model leaves of the flights: whether it repeats or rings, and what it depends on."""
+"""The residual of a model: whether it repeats between flights or rings, and what it depends on."""

@@ -1,4 +1,4 @@
-"""Closed descriptions of a force that depends on the place: towards a point, at a place, a jet, a wall."""
+"""Closed forms of a force that depends on position: towards a point, around a place, a jet, a wall."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from scipy.optimize import least_squares
 
 from trimtab.host.trace.sentences import closed_form
 
-_EACH = 3
-"""Rows from one to the next that is fitted: neighbours are hardly two measurements."""
+_ROW_STEP = 3
+"""Step between the rows that are fitted, since neighbouring rows are strongly correlated."""
 
 Law = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Specific force (n, 3) in m/s^2, NED, of the parameters of a form and of positions (n, 3) in m, NED."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClosedForm:
-    """A closed form of a force by name with its parameters and its held-out skill."""
+    """A closed form of a force: name, parameters by key, and held-out skill."""
 
     name: str
     parameters: dict[str, float]
     skill: float
 
     def to_json(self) -> dict[str, Any]:
-        """Return the value of `form`."""
+        """Return the JSON object `form`."""
         return {
             "name": self.name,
             "parameters": {key: round(value, 4) for key, value in self.parameters.items()},
@@ -36,30 +37,39 @@ class ClosedForm:
 
 
 def _to_point(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Force (n, 3) towards a point, growing with the distance beyond a slack: c, stiffness, slack."""
-    reach = theta[:3] - p
-    distance = np.linalg.norm(reach, axis=1)
+    """Return the force towards a point, proportional to the distance beyond a slack.
+
+    theta: point (3), stiffness in 1/s^2, slack in m.
+    """
+    offset = theta[:3] - p
+    distance = np.linalg.norm(offset, axis=1)
     beyond = np.maximum(distance - theta[4], 0.0)
-    return (theta[3] * beyond / np.maximum(distance, 1e-6))[:, None] * reach
+    return (theta[3] * beyond / np.maximum(distance, 1e-6))[:, None] * offset
 
 
 def _at_place(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return a push (n, 3) strongest at a place, Gaussian about it: c, push, width."""
-    apart = np.linalg.norm(p - theta[:3], axis=1)
-    return np.exp(-0.5 * (apart / theta[6]) ** 2)[:, None] * theta[3:6]
+    """Return a force of constant direction that is strongest at a place and Gaussian around it.
+
+    theta: place (3), force (3) there, standard deviation in m.
+    """
+    distance = np.linalg.norm(p - theta[:3], axis=1)
+    return np.exp(-0.5 * (distance / theta[6]) ** 2)[:, None] * theta[3:6]
 
 
 def _along(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return a push (n, 3) along a level direction that grows exponentially that way: azimuth, push at 0,
-    length.
+    """Return a force along a level direction that grows exponentially in that direction.
+
+    theta: azimuth in rad, force at the origin in m/s^2, length in m over which it grows by a factor e.
     """
     n = np.array([np.cos(theta[0]), np.sin(theta[0]), 0.0])
     return (theta[1] * np.exp(np.clip(p @ n / theta[2], -30.0, 30.0)))[:, None] * n
 
 
 def _jet(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return a level push (n, 3) along an axis, Gaussian across it: azimuth, offset to its right, push,
-    width.
+    """Return a level force along an axis, Gaussian across the axis.
+
+    theta: azimuth of the axis in rad, its offset to the right of the origin in m, force on the axis in m/s^2,
+    standard deviation in m.
     """
     n = np.array([np.cos(theta[0]), np.sin(theta[0]), 0.0])
     right = np.array([-n[1], n[0], 0.0])
@@ -69,32 +79,42 @@ def _jet(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
 def fit_forms(
     p: np.ndarray, force: np.ndarray, folds: np.ndarray, steady: np.ndarray
 ) -> list[tuple[ClosedForm, np.ndarray]]:
-    """Every closed form of a force (n, 3) at places p (n, 3), NED, and its held-out squared errors (n,).
+    """Fit every closed form; return each form with its held-out squared errors (n,), (m/s^2)^2.
 
-    folds (n,) says where each row is held out; columns `steady` (n, 3, k) take what the form leaves. The
-    forms' skill is not known yet; those of fewest parameters come first.
+    The skill of the returned forms is NaN. Forms with the fewest parameters come first.
+
+    Parameters
+    ----------
+    p
+        Positions (n, 3), m, NED.
+    force
+        Specific force (n, 3) at these positions, m/s^2, NED.
+    folds
+        Fold (n,) in which each row is held out.
+    steady
+        Columns (n, 3, k) of constant forces that are fitted to the residual of the form.
     """
-    found = []
+    forms = []
     for name, law, starts, bounds, parameters in _laws(p, force):
-        best = _fitted(law, p[::_EACH], force[::_EACH], starts, bounds)
+        best = _fitted(law, p[::_ROW_STEP], force[::_ROW_STEP], starts, bounds)
         errors = np.empty(len(p))
         for fold in np.unique(folds):
-            out = folds == fold
-            seen = np.flatnonzero(~out)[::_EACH]
-            theta = _fitted(law, p[seen], force[seen], [best, starts[0]], bounds)
-            left = force - law(theta, p)
-            rest = np.linalg.lstsq(
-                steady[~out].reshape(-1, steady.shape[2]), left[~out].reshape(-1), rcond=None
+            held_out = folds == fold
+            train = np.flatnonzero(~held_out)[::_ROW_STEP]
+            theta = _fitted(law, p[train], force[train], [best, starts[0]], bounds)
+            residual = force - law(theta, p)
+            constant, *_ = np.linalg.lstsq(
+                steady[~held_out].reshape(-1, steady.shape[2]), residual[~held_out].reshape(-1), rcond=None
             )
-            errors[out] = ((left[out] - steady[out] @ rest[0]) ** 2).sum(1)
-        found.append((ClosedForm(name=name, parameters=parameters(best), skill=np.nan), errors))
-    return found
+            errors[held_out] = ((residual[held_out] - steady[held_out] @ constant) ** 2).sum(1)
+        forms.append((ClosedForm(name=name, parameters=parameters(best), skill=np.nan), errors))
+    return forms
 
 
 def _fitted(
     law: Law, p: np.ndarray, force: np.ndarray, starts: list[np.ndarray], bounds: tuple[Any, Any]
 ) -> np.ndarray:
-    """Parameters of least squares, the best of several starts."""
+    """Return the parameters of the best least-squares fit from several starts."""
     fits = [
         least_squares(
             lambda theta: (law(theta, p) - force).reshape(-1),
@@ -109,7 +129,7 @@ def _fitted(
 
 
 def _laws(p: np.ndarray, force: np.ndarray) -> list[tuple[str, Law, list[np.ndarray], Any, Any]]:
-    """Return each form with its law, starts, bounds and what makes named parameters of its own."""
+    """Return name, law, starts, bounds and a function that names the parameters, for each form."""
     low, high, middle = p.min(0) - 2.0, p.max(0) + 2.0, p.mean(0)
     size = float(np.ptp(p, axis=0).max())
     floor = np.array([middle[0], middle[1], p[:, 2].max() + 0.5])

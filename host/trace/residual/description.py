@@ -1,8 +1,9 @@
-"""What a disturbance outside the library depends on: regressions with held-out skill, and the field itself.
+"""Description of a disturbance outside the library: what it depends on, and the field of its force.
 
-The estimated disturbance is regressed on one group of quantities at a time, by ridge on a small smooth basis,
-trained without the reference it is judged on. Skill is what a group explains beyond constant pushes, of the
-variance they leave. A group that has none explains nothing, however well it fits.
+The estimated disturbance is regressed on one group of quantities at a time, by ridge regression on a small
+smooth basis. The regression is trained without the reference that it is judged on. Skill is the held-out
+share of the variance that a group explains beyond constant forces. A group without held-out skill explains
+nothing, however well it fits.
 """
 
 from __future__ import annotations
@@ -36,19 +37,22 @@ from trimtab.host.trace.residual.regression import (
 )
 from trimtab.host.vehicle import Vehicle
 
-ANSWERS: dict[Channel, tuple[str, ...]] = {"force": ("thrust", "attitude"), "torque": ("thrust",)}
-"""What the law turns against any disturbance: it goes with one whatever its cause, so it names none where a
-cause explains as much."""
+RESPONSES: dict[Channel, tuple[str, ...]] = {"force": ("thrust", "attitude"), "torque": ("thrust",)}
+"""Groups that the control law changes in response to any disturbance, whatever its cause. They correlate with
+the disturbance, so another group that explains as much takes precedence."""
 
-_FEWEST = 5
+_MIN_CELL_BINS = 5
+"""Bins that a cell of the force field needs."""
 _CELLS = 6
+"""Cells along the longest side of the force field."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Slope:
-    """A leading linear dependence: change of one axis by a unit of a quantity.
+    """A leading linear dependence of one axis of the disturbance on one quantity.
 
-    curve (k, 2): mean quantity and mean disturbance on that axis, from low to high.
+    axis, quantity: their names. value, unit: change of the disturbance per unit of the quantity. curve (k,
+    2): mean quantity and mean disturbance on that axis in each of k groups of bins, ordered by the quantity.
     """
 
     axis: str
@@ -58,7 +62,7 @@ class Slope:
     curve: np.ndarray
 
     def to_json(self) -> dict[str, Any]:
-        """Return an entry of `slopes`."""
+        """Return an entry of the JSON list `slopes`."""
         return {
             "axis": self.axis,
             "quantity": self.quantity,
@@ -69,27 +73,40 @@ class Slope:
 
 @dataclass(frozen=True, kw_only=True)
 class Dependence:
-    """What one channel depends on: the group that carries it, None for none of them, every group's skill."""
+    """What the residual force or torque depends on.
+
+    Attributes
+    ----------
+    channel
+        Force or torque.
+    group
+        Group of quantities that explains the channel best; None if no group explains it.
+    skills
+        Held-out skill of every group.
+    slopes
+        Leading linear dependences on the quantities of that group.
+    mean
+        Mean (3,) over all bins, FRD, m/s^2 or rad/s^2.
+    """
 
     channel: Channel
     group: str | None
     skills: tuple[Skill, ...]
     slopes: tuple[Slope, ...]
     mean: tuple[float, float, float]
-    """Over all bins, body axes."""
 
     def skill_of(self, group: str) -> Skill:
-        """Return the skill of a group."""
+        """Return the skill of the group with this name."""
         return next(skill for skill in self.skills if skill.group == group)
 
     @property
-    def answers(self) -> tuple[str, ...]:
-        """Return the groups with which the law answers any disturbance of this channel."""
-        return ANSWERS[self.channel]
+    def responses(self) -> tuple[str, ...]:
+        """Groups that the control law changes in response to any disturbance of this channel."""
+        return RESPONSES[self.channel]
 
     @property
     def rivals(self) -> list[Skill]:
-        """Return the skills of the other groups that may explain as much; empty where no group does."""
+        """Skills of other groups that may explain as much; empty if `group` is None."""
         if self.group is None:
             return []
         best = self.skill_of(self.group)
@@ -102,11 +119,20 @@ class Dependence:
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """What the residual disturbance depends on.
+    """What the unexplained disturbance depends on.
 
-    held_out: "reference", or "blocks" of time where all flights flew one. cells (k, 3) NED and pushes (k, 3)
-    mean specific force there, NED, of a coarse grid where there is data; `form` a closed description where
-    one fits clearly.
+    Attributes
+    ----------
+    held_out
+        What a fold of the cross-validation is: a "reference", or "blocks" of time if all flights flew one
+        reference.
+    force, torque
+        Dependence of either channel. The torque is None if the measured body rate drives the attitude.
+    cells, pushes
+        Mean position (k, 3) in m and mean specific force (k, 3) in m/s^2, NED, of the cells of a coarse grid
+        that hold enough data.
+    form
+        Closed form of the force; None unless one fits clearly.
     """
 
     held_out: Literal["reference", "blocks"]
@@ -117,9 +143,9 @@ class Description:
     form: ClosedForm | None
 
     def to_json(self) -> dict[str, Any]:
-        """Return the value of `description`."""
+        """Return the JSON object `description` without its sentences."""
 
-        def told(one: Dependence) -> dict[str, Any]:
+        def dependence(one: Dependence) -> dict[str, Any]:
             return {
                 "group": one.group,
                 "skills": [
@@ -138,8 +164,8 @@ class Description:
 
         return {
             "held_out": self.held_out,
-            "force": told(self.force),
-            "torque": None if self.torque is None else told(self.torque),
+            "force": dependence(self.force),
+            "torque": None if self.torque is None else dependence(self.torque),
             "field": [
                 {"position_m": [round(float(x), 3) for x in p], "force_m_s2": [round(float(x), 4) for x in f]}
                 for p, f in zip(self.cells, self.pushes, strict=True)
@@ -151,11 +177,20 @@ class Description:
 def describe(
     w: np.ndarray, data: Segments, references: Sequence[str | None], vehicle: Vehicle
 ) -> Description:
-    """Return what disturbances w (segments, bins, 6) depend on; `references` names the reference of each
-    flight.
+    """Return what a disturbance depends on.
 
-    Where the measured body rate drives the attitude the last three channels are gyro errors: nothing is said
-    of torque.
+    Parameters
+    ----------
+    w
+        Disturbance (segments, bins, 6), FRD: specific force in m/s^2, then angular acceleration in rad/s^2.
+        If the measured body rate drives the attitude, the last three components are gyro errors and the
+        description has no torque.
+    data
+        Segments of the disturbance.
+    references
+        Id of the reference of each flight; None where it is unknown.
+    vehicle
+        Vehicle of all flights.
     """
     bins = bins_of(w, data, references, vehicle)
     folds, held_out = folds_of(bins)
@@ -177,62 +212,69 @@ def describe(
 def _clear_form(
     bins: Bins, folds: np.ndarray, force: Dependence, forms: Sequence[tuple[ClosedForm, np.ndarray]]
 ) -> ClosedForm | None:
-    """Return the closed form of most skill where the force depends on position and the form says as much."""
+    """Return the simplest closed form that explains the force about as well as the best description.
+
+    None if the force does not depend on position or no form has enough skill. forms: each form with its
+    held-out squared errors (n,).
+    """
     if force.group != "position":
         return None
     constant = constant_columns(bins, world=True)
-    left = held_out_squares(
-        segment_grams(constant, bins.w[:, :3], bins), bins, folds, constant.shape[2]
-    ).sum()
-    scored = [replace(form, skill=1.0 - float(errors.sum() / left)) for form, errors in forms]
-    margin = RULES.form_skill_margin
-    richest = max(*(form.skill for form in scored), force.skill_of("position").skill)
-    most = max(RULES.clear_form_skill, richest - margin)
-    return next((form for form in scored if form.skill >= most), None)
+    grams = segment_grams(constant, bins.w[:, :3], bins)
+    constant_errors = held_out_squares(grams, bins, folds, constant.shape[2]).sum()
+    scored = [replace(form, skill=1.0 - float(errors.sum() / constant_errors)) for form, errors in forms]
+    best = max(*(form.skill for form in scored), force.skill_of("position").skill)
+    min_skill = max(RULES.clear_form_skill, best - RULES.form_skill_margin)
+    return next((form for form in scored if form.skill >= min_skill), None)
 
 
 def _dependence(
     channel: Channel, bins: Bins, folds: np.ndarray, forms: Sequence[np.ndarray] = ()
 ) -> Dependence:
-    """Every group's skill for a channel, the group of most skill and its slopes.
+    """Return the skill of every group for a channel, the group that explains it best, and its slopes.
 
-    `forms` are squared errors (n,) of closed forms of position: a force of a small place that one reference
-    alone went through shows in them, not in a smooth fit.
+    forms: held-out squared errors (n,) of closed forms. They count as fits of position, since they show a
+    force that acts in a small place on the path of only one reference, which a smooth fit misses.
     """
     y = bins.w[:, :3] if channel == "force" else bins.w[:, 3:]
     world = channel == "force"
     constant = constant_columns(bins, world)
     base = segment_grams(constant, y, bins)
-    unit = pieces_of(bins)
-    left = held_out_squares(base, bins, folds, constant.shape[2])
-    skills = [skill_of_group(channel, "constant", left, np.bincount(bins.segment, (y**2).sum(1)), bins, unit)]
+    piece = pieces_of(bins)
+    constant_errors = held_out_squares(base, bins, folds, constant.shape[2])
+    power = np.bincount(bins.segment, (y**2).sum(1))
+    skills = [skill_of_group(channel, "constant", constant_errors, power, bins, piece)]
     features = features_of(bins)
     for group, (basis, _, _, natural) in features.items():
         columns = columns_of(standardised(basis), bins.R if natural and world else None)
         grams = segment_grams(np.concatenate([constant, columns], axis=2), y, bins)
         errors = held_out_squares(grams, bins, folds, constant.shape[2])
-        tried = [errors]
+        candidates = [errors]
         if group == "position":
-            tried += [np.bincount(bins.segment, squares) for squares in forms]
-        scored = [skill_of_group(channel, group, each, left, bins, unit) for each in tried]
+            candidates += [np.bincount(bins.segment, squares) for squares in forms]
+        scored = [skill_of_group(channel, group, each, constant_errors, bins, piece) for each in candidates]
         skills.append(max(scored, key=lambda skill: skill.skill))
     x, y_, z = (float(value) for value in y.mean(0))
-    good = [skill for skill in skills if skill.counts]
-    best = max(good, key=_rank(channel, good)).group if good else None
+    relevant = [skill for skill in skills if skill.counts]
+    best = max(relevant, key=_rank(channel, relevant)).group if relevant else None
     slopes = ()
     if best in features:
         slopes = _slopes(channel, bins, y, *features[best])
     return Dependence(channel=channel, group=best, skills=tuple(skills), slopes=slopes, mean=(x, y_, z))
 
 
-def _rank(channel: Channel, good: Sequence[Skill]) -> Callable[[Skill], tuple[bool, bool, float]]:
-    """Order of the groups: what varies before a constant, causes before what only answers as well."""
-    causes = [skill for skill in good if skill.group not in ("constant", *ANSWERS[channel])]
-    most = max((skill.high for skill in causes), default=-np.inf)
+def _rank(channel: Channel, relevant: Sequence[Skill]) -> Callable[[Skill], tuple[bool, bool, float]]:
+    """Return the sort key of groups, lowest first: constant, responses of the control law, causes.
+
+    Within these, groups rank by skill. A response ranks as a cause if it clearly explains more than all
+    causes.
+    """
+    causes = [skill for skill in relevant if skill.group not in ("constant", *RESPONSES[channel])]
+    highest = max((skill.high for skill in causes), default=-np.inf)
 
     def rank(skill: Skill) -> tuple[bool, bool, float]:
-        answers = skill.group in ANSWERS[channel] and skill.low < most
-        return skill.group != "constant", not answers, skill.skill
+        is_response = skill.group in RESPONSES[channel] and skill.low < highest
+        return skill.group != "constant", not is_response, skill.skill
 
     return rank
 
@@ -246,15 +288,19 @@ def _slopes(
     unit: str,
     natural: bool,
 ) -> tuple[Slope, ...]:
-    """Return the linear dependences that do most, each axis on each named quantity, fitted together."""
+    """Return the strongest linear dependences of the axes on the named quantities, fitted together.
+
+    y (n, 3): disturbance, FRD. basis (n, m): its first len(names) columns are the quantities, in `unit`.
+    natural: whether the world's axes are natural to the group.
+    """
     world = natural and channel == "force"
     target = bins.force_ned if world else y
     linear = basis[:, : len(names)]
     X = np.column_stack([linear - linear.mean(0), np.ones(len(y))])
     slope = np.linalg.lstsq(X, target, rcond=None)[0][:-1]
-    does = np.abs(slope) * linear.std(0)[:, None]
+    strength = np.abs(slope) * linear.std(0)[:, None]
     axes = ("north", "east", "down") if world else ("x", "y", "z")
-    found = [
+    slopes = [
         Slope(
             axis=axes[int(i)],
             quantity=names[int(k)],
@@ -262,27 +308,27 @@ def _slopes(
             unit=f"{CHANNEL_UNITS[channel]} a {unit}",
             curve=_curve(linear[:, k], target[:, i]),
         )
-        for k, i in np.argwhere(does >= RULES.leading_share * does.max())
+        for k, i in np.argwhere(strength >= RULES.leading_share * strength.max())
     ]
-    return tuple(sorted(found, key=lambda s: -does[names.index(s.quantity), axes.index(s.axis)]))
+    return tuple(sorted(slopes, key=lambda s: -strength[names.index(s.quantity), axes.index(s.axis)]))
 
 
 def _curve(quantity: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Mean quantity and value (k, 2) of tenths of the rows, in the quantity's order."""
+    """Return mean quantity and mean value (10, 2) of each tenth of the rows, ordered by the quantity."""
     order = np.argsort(quantity, kind="stable")
     return np.array([[quantity[part].mean(), value[part].mean()] for part in np.array_split(order, 10)])
 
 
 def _grid(bins: Bins) -> tuple[np.ndarray, np.ndarray]:
-    """Mean place (k, 3) and mean force (k, 3), NED, in the cells of a coarse grid that hold enough bins."""
+    """Return mean position (k, 3) and mean force (k, 3), NED, of the grid cells that hold enough bins."""
     span = np.ptp(bins.p, axis=0)
     size = max(float(span.max()) / _CELLS, 0.2)
     _, cell = np.unique(np.floor((bins.p - bins.p.min(0)) / size).astype(int), axis=0, return_inverse=True)
     cell = cell.reshape(-1)
     count = np.bincount(cell)
-    keep = count >= _FEWEST
+    filled = count >= _MIN_CELL_BINS
 
     def means(x: np.ndarray) -> np.ndarray:
-        return np.column_stack([np.bincount(cell, x[:, i]) / count for i in range(3)])[keep]
+        return np.column_stack([np.bincount(cell, x[:, i]) / count for i in range(3)])[filled]
 
     return means(bins.p), means(bins.force_ned)

@@ -1,4 +1,4 @@
-"""The disturbance by bins of 0.1 s, and the quantities that it may depend on."""
+"""The disturbance in bins of 0.1 s, and the quantities that it may depend on."""
 
 from __future__ import annotations
 
@@ -13,15 +13,29 @@ from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.vehicle import Vehicle
 
 _CENTRES = 16
+"""Gaussians of the radial basis of position."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bins:
-    """The disturbance and what it may depend on, a row for each bin of 0.1 s.
+    """The disturbance and the quantities that it may depend on, with one row for each bin of 0.1 s.
 
-    segment, flight, reference (n,) numbers; t_s (n,) since tracking began; w (n, 6) specific force m/s^2 and
-    angular acceleration rad/s^2, FRD; R (n, 3, 3) R_ned_frd; p, v (n, 3) NED; rate (n, 3) FRD; rotors (n, 4)
-    commanded thrust over mass, m/s^2.
+    Attributes
+    ----------
+    segment, flight, reference
+        Numbers (n,) of segment, flight and reference.
+    t_s
+        Time (n,) since tracking began.
+    w
+        Disturbance (n, 6), FRD: specific force in m/s^2, then angular acceleration in rad/s^2.
+    R
+        R_ned_frd (n, 3, 3).
+    p, v
+        Position (n, 3) in m and velocity (n, 3) in m/s, NED.
+    rate
+        Body rate (n, 3) in rad/s, FRD.
+    rotors
+        Commanded thrust of each rotor (n, 4) over the vehicle's mass, m/s^2.
     """
 
     segment: np.ndarray
@@ -37,18 +51,20 @@ class Bins:
 
     @property
     def force_ned(self) -> np.ndarray:
-        """Specific force (n, 3) in NED."""
+        """Disturbance force (n, 3) in m/s^2, NED."""
         return np.einsum("nij,nj->ni", self.R, self.w[:, :3])
 
     @property
     def v_frd(self) -> np.ndarray:
-        """Velocity (n, 3) in body axes."""
+        """Velocity (n, 3) in m/s, FRD."""
         return np.einsum("nij,ni->nj", self.R, self.v)
 
 
 def bins_of(w: np.ndarray, data: Segments, references: Sequence[str | None], vehicle: Vehicle) -> Bins:
-    """Return the rows of disturbances w (segments, bins, 6); `references` names that of each flight, if
-    known.
+    """Return the rows of a disturbance.
+
+    w (segments, bins, 6): disturbance, FRD. data: its segments. references: id of the reference of each
+    flight, None where it is unknown.
     """
     count, bins, _ = w.shape
     per_bin = data.steps // bins
@@ -59,8 +75,8 @@ def bins_of(w: np.ndarray, data: Segments, references: Sequence[str | None], veh
 
     names = [name or f"flight {index}" for index, name in enumerate(references)]
     number = {name: k for k, name in enumerate(dict.fromkeys(names))}
-    seen = data.pose_weight > 0
-    p, R = _filled(data.p_ned, seen), _filled(data.R_ned_frd, seen)
+    posed = data.pose_weight > 0
+    p, R = _filled(data.p_ned, posed), _filled(data.R_ned_frd, posed)
     command = data.command[:, -data.steps :]
     rotors = nominal_thrust(vehicle, command, in_newton=data.in_newton)
     start = np.repeat(data.start_s, bins)
@@ -79,25 +95,30 @@ def bins_of(w: np.ndarray, data: Segments, references: Sequence[str | None], veh
     )
 
 
-def _filled(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Values (S, H, k) with the steps that were not seen taken from their neighbours."""
-    steps = np.arange(seen.shape[1])
+def _filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return values (S, H, k) with unknown steps interpolated; known (S, H) is the mask of known steps."""
+    steps = np.arange(known.shape[1])
     out = np.empty(values.shape)
-    for k, here in enumerate(seen):
+    for k, mask in enumerate(known):
         for i in range(values.shape[2]):
-            out[k, :, i] = np.interp(steps, steps[here], values[k, here, i])
+            out[k, :, i] = np.interp(steps, steps[mask], values[k, mask, i])
     return out
 
 
 def features_of(bins: Bins) -> dict[str, tuple[np.ndarray, tuple[str, ...], str, bool]]:
-    """By group: basis (n, m), names of its first columns, which are linear, their units, and whether the
-    axes natural to it are the world's.
+    """Return the groups of quantities by name: (basis, names, unit, natural).
+
+    basis (n, m): its first columns are the quantities themselves, the others nonlinear functions of them.
+    names: of these first columns. unit: of all of them. natural: whether a force that depends on the group is
+    described in world axes, not in body axes.
     """
     up = bins.R[:, 2, :]
     collective = bins.rotors.sum(1)
     yaw = np.arctan2(bins.R[:, 1, 0], bins.R[:, 0, 0])
-    # Differences of front and rear, left and right, and of the two diagonals, whatever the order of rotors.
-    turn = bins.rotors @ np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0]]).T
+    # Differences of front and rear, of left and right, and of the diagonals, for any order of the rotors.
+    differences = (
+        bins.rotors @ np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [1.0, -1.0, -1.0, 1.0]]).T
+    )
     order = bins.flight.astype(float)
     t = bins.t_s
     v, attitude, angles = bins.v_frd, up[:, :2], ("tilt x", "tilt y")
@@ -127,44 +148,50 @@ def features_of(bins: Bins) -> dict[str, tuple[np.ndarray, tuple[str, ...], str,
             tuple(f"rate {axis}" for axis in body), "(rad/s)", False,
         ),
         "thrust": (
-            np.column_stack([collective, turn, _squares(np.column_stack([collective, turn]))]),
+            np.column_stack([collective, differences, _squares(np.column_stack([collective, differences]))]),
             ("collective thrust", "thrust 1+2-3-4", "thrust 1-2+3-4", "thrust 1-2-3+4"), "(m/s^2)", False,
         ),
     }  # fmt: skip
 
 
 def _squares(x: np.ndarray) -> np.ndarray:
-    """All products (n, m (m + 1) / 2) of two of the columns."""
+    """Return all products (n, m (m + 1) / 2) of two columns of x (n, m), squares included."""
     first, second = np.triu_indices(x.shape[1])
     return x[:, first] * x[:, second]
 
 
 def _bumps(p: np.ndarray) -> np.ndarray:
-    """Gaussian bumps (n, k) about places the farthest apart, as wide as they are apart."""
-    chosen = [int(np.linalg.norm(p - p.mean(0), axis=1).argmin())]
+    """Return Gaussians (n, k) of positions p (n, 3) around centres that are as far apart as possible.
+
+    The standard deviation is about the spacing of the centres, but at least 0.1 m.
+    """
+    centres = [int(np.linalg.norm(p - p.mean(0), axis=1).argmin())]
     distance = np.full(len(p), np.inf)
-    while len(chosen) < min(_CENTRES, len(p)):
-        distance = np.minimum(distance, np.linalg.norm(p - p[chosen[-1]], axis=1))
-        chosen.append(int(distance.argmax()))
+    while len(centres) < min(_CENTRES, len(p)):
+        distance = np.minimum(distance, np.linalg.norm(p - p[centres[-1]], axis=1))
+        centres.append(int(distance.argmax()))
     width = max(float(distance.max()), 0.1)
-    apart = np.linalg.norm(p[:, None] - p[chosen], axis=2)
-    return np.exp(-0.5 * (apart / width) ** 2)
+    from_centre = np.linalg.norm(p[:, None] - p[centres], axis=2)
+    return np.exp(-0.5 * (from_centre / width) ** 2)
 
 
 def constant_columns(bins: Bins, world: bool) -> np.ndarray:
-    """Columns (n, 3, k) of pushes constant in body axes and, for a force, in the world's."""
+    """Return columns (n, 3, k), FRD, of disturbances constant in body axes and, if `world`, in NED."""
     ones = np.ones((len(bins.w), 1))
     body = columns_of(ones, None)
     return np.concatenate([body, columns_of(ones, bins.R)], axis=2) if world else body
 
 
 def columns_of(basis: np.ndarray, R: np.ndarray | None) -> np.ndarray:
-    """Columns (n, 3, 3 m) in body axes of a basis (n, m) for each axis; R turns those of the world."""
+    """Return columns (n, 3, 3 m), FRD, of a basis (n, m) along each axis.
+
+    The axes are those of the body, or of NED if R, R_ned_frd (n, 3, 3), is given.
+    """
     axes = np.eye(3)[None] if R is None else np.swapaxes(R, 1, 2)
     product = basis[:, None, :, None] * axes[:, :, None, :]
     return product.reshape(len(basis), 3, -1)
 
 
 def standardised(basis: np.ndarray) -> np.ndarray:
-    """Return the columns of a basis with zero mean and unit variance."""
+    """Return the columns of a basis (n, m) with zero mean and unit variance."""
     return (basis - basis.mean(0)) / np.maximum(basis.std(0), 1e-9)

@@ -1,4 +1,4 @@
-"""The network on what no effect explains: it predicts, it names nothing."""
+"""The network trained on the unexplained residual: it predicts the residual but names no cause."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ from trimtab.host.models.model import Model
 from trimtab.host.trace.residual.description import Description
 
 SETTINGS = {"hidden": (16,), "epochs": 40, "patience": 20}
-"""Smaller and shorter than `trimtab learn` takes by default: some ten seconds for four flights."""
+"""Smaller than the defaults of `trimtab learn`, so that training takes about 10 s for four flights."""
 
 DIRECTED = ("position", "time", "attitude", "constant")
-"""Groups whose force has a direction in the world: a flight is then not as good in any heading."""
+"""Groups whose force has a direction in the world. Flights then must not be rotated to other headings."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unexplained:
-    """Errors of whole held-out flights with the model that is kept and with the network on it, and the
-    network's model; None where it predicts no better.
+    """Result of training a network on the unexplained residual.
+
+    before, after: errors on whole held-out flights with the traced model, and with the network added to it.
+    model: traced model with the network; None if it predicts no better.
     """
 
     before: Errors
@@ -32,7 +34,7 @@ class Unexplained:
     model: Model | None
 
     def to_json(self, model_path: str | None) -> dict[str, Any]:
-        """Return the value of `unexplained`."""
+        """Return the JSON object `unexplained`; model_path: file of the model, None if none was written."""
         return {"before": self.before.to_json(), "after": self.after.to_json(), "model": model_path}
 
 
@@ -42,11 +44,24 @@ def unexplained(
     model: Model,
     effects: Mapping[str, Effect],
     description: Description,
-    report: Callable[[str], None] = lambda _: None,
+    on_progress: Callable[[str], None] = lambda _: None,
 ) -> Unexplained | None:
-    """Return a network learned over `model` from the flights used, judged on those held out.
+    """Train a network on the residual of `model` and judge it on held-out flights.
 
-    None where nothing was held out, or where the logs are too little to learn from.
+    Returns None if no flight is held out or the logs are too short to learn from.
+
+    Parameters
+    ----------
+    flights, held_out
+        Logs for training and for judging.
+    model
+        Traced model that the network is added to.
+    effects
+        Effects of that model by name.
+    description
+        Description of the residual. It decides whether training may rotate flights to other headings.
+    on_progress
+        Called with a text after each epoch.
     """
     if not held_out:
         return None
@@ -61,10 +76,10 @@ def unexplained(
             settings=settings,
             as_asked=True,
             provenance=model.provenance,
-            on_epoch=lambda epoch, _: report(f"network on what is left, {epoch} of at most {epochs} epochs"),
+            on_epoch=lambda epoch, _: on_progress(f"network: epoch {epoch} of at most {epochs}"),
         )
     except TooLittleData:
         return None
     assert learned.test is not None
-    kept = learned.model if learned.improved else None
-    return Unexplained(before=learned.test.base, after=learned.test.learned, model=kept)
+    improved = learned.model if learned.improved else None
+    return Unexplained(before=learned.test.base, after=learned.test.learned, model=improved)

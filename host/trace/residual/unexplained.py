@@ -1,9 +1,9 @@
-"""Abstention: what the chosen effects leave behind, judged by flights of the same reference and by its
-spectrum.
+"""The unexplained residual of a set of effects: its repeatability between flights and its spectrum.
 
-Twin flights share the world and nothing else. What of the estimated disturbance repeats between them is
-therefore physics the model lacks, whatever its size beside the turbulence, and its power needs no noise
-floor: mean of w_1 . w_2. Twins cannot see a disturbance of random phase; a line in the spectrum can.
+Repeat flights share only the vehicle, its surroundings and the reference. The part of the estimated
+disturbance that repeats between them is therefore physics that the model lacks, however small it is next to
+the turbulence. Its power, the mean of w_1 . w_2, needs no noise floor. A disturbance of random phase does not
+repeat, but shows as a line in the spectrum.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from trimtab.host.trace.data.segments import BIN_S, Segments
 from trimtab.host.trace.decision.rules import RULES, Rules
 
 _FFT = 256
+"""Length in bins of the Fourier transform."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpectralLine:
-    """The strongest line of a residual's spectrum.
+    """The strongest line in the spectrum of a residual.
 
-    ratio: its power over the median around it. chance: probability that noise alone shows one as strong.
-    rms: its amplitude, in the unit of the residual.
+    ratio: its power over the median power of neighbouring frequencies. hz: its frequency. chance: probability
+    that noise alone shows a line of this ratio. rms: its amplitude, in the unit of the residual.
     """
 
     ratio: float = 1.0
@@ -39,10 +40,10 @@ NO_LINE = SpectralLine()
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelResidual:
-    """What a residual force (m/s^2) or torque (rad/s^2) holds beside turbulence.
+    """The residual specific force (m/s^2) or angular acceleration (rad/s^2) beyond turbulence.
 
-    repeat: rms that repeats between twin flights, negative where it reverses. z_score: its score, of unit
-    variance where nothing repeats. line: the strongest line of its spectrum.
+    repeat: rms that repeats between repeat flights, negative if it reverses. z_score: the z score of
+    `repeat`, of unit variance if nothing repeats. line: strongest line of the spectrum.
     """
 
     repeat: float
@@ -52,11 +53,11 @@ class ChannelResidual:
 
 @dataclass(frozen=True, kw_only=True)
 class FlightRepeat:
-    """What repeats between twins of whole flights less their prediction.
+    """The part of the prediction errors of whole flights that repeats between repeat flights.
 
-    share: its power over that of turbulence and noise, both whitened; negative where it reverses. z_score: of
-    unit variance where nothing repeats. position_m: rms of the position that repeats. size: number
-    of whitened values of either twin that were compared.
+    share: its power over the power of turbulence and noise, both whitened; negative if it reverses. z_score:
+    the z score of `share`, of unit variance if nothing repeats. position_m: rms of the position error that
+    repeats. size: number of whitened values compared, counted in one flight of each pair.
     """
 
     share: float
@@ -66,26 +67,33 @@ class FlightRepeat:
 
     @property
     def amplitude(self) -> float:
-        """Return its amplitude over that of turbulence and noise."""
+        """Amplitude of the repeatable part over that of turbulence and noise."""
         return float(np.sqrt(max(self.share, 0.0)))
 
     def lower_share(self, rules: Rules) -> float:
-        """Return the share `repeat_standard_errors` down, 0 where nothing repeats."""
+        """Return `share` minus RULES.repeat_standard_errors standard errors; 0 if nothing repeats."""
         if self.z_score <= rules.repeat_z:
             return 0.0
         return self.share * (1.0 - rules.repeat_standard_errors / self.z_score)
 
     def log_evidence(self, rules: Rules) -> float:
-        """Return the log evidence in nats that a model without fault would gain, 0 where nothing repeats."""
+        """Return the log evidence in nats that a perfect model would gain; 0 if nothing repeats."""
         return 0.5 * self.size * self.share if self.z_score > rules.repeat_z else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class UnexplainedResidual:
-    """What a model leaves of the flights that turbulence and noise do not explain.
+    """The residual of a model that turbulence and noise do not explain.
 
-    pairs: number of pairs of twin flights. flights: what whole flights repeat over the closed loop; None
-    where none were compared. Then `flights` says whether something repeats, and the channels say what.
+    Attributes
+    ----------
+    force, torque
+        Residual disturbance of segments.
+    pairs
+        Number of pairs of repeat flights.
+    flights
+        Repeatability of whole flights in closed loop; None if none were compared. If present, it decides
+        whether something repeats, and `force` and `torque` only show what.
     """
 
     force: ChannelResidual
@@ -95,48 +103,60 @@ class UnexplainedResidual:
 
 
 def unexplained_residual(
-    w: np.ndarray, data: Segments, twins: Sequence[tuple[int, int]], *, axial: bool = True
+    w: np.ndarray, data: Segments, repeat_flights: Sequence[tuple[int, int]], *, axial: bool = True
 ) -> UnexplainedResidual:
-    """Return repeatability and spectrum of disturbances w (segments, bins, 6); twins pair flight indices.
+    """Return the repeatability and the spectrum of a disturbance.
 
-    Twin segments match by their start since tracking began. Where the measured body rate drives the attitude,
-    the last three channels are gyro errors: they say nothing of torque. Without `axial`, force along the
-    thrust is left out: where the thrust is unknown, it holds what was commanded.
+    Segments of repeat flights match if they start at the same time since tracking began.
+
+    Parameters
+    ----------
+    w
+        Disturbance (segments, bins, 6), FRD: specific force in m/s^2, then angular acceleration in rad/s^2.
+        If the measured body rate drives the attitude, the last three components are gyro errors; their
+        spectrum is not searched.
+    data
+        Segments of the disturbance.
+    repeat_flights
+        Pairs of indices of repeat flights.
+    axial
+        Whether to include the force along the thrust. If the thrust is unknown, that force contains the
+        commanded thrust.
     """
     flight, start_s = data.flight, data.start_s
     per_bin = data.steps // w.shape[1]
     speed = np.gradient(data.p_ned, data.dt_s, axis=1)
-    turned = data.rate_frd if data.rate_weight.any() else speed
-    motions = [each.reshape(len(w), w.shape[1], per_bin, 3).mean(2) for each in (speed, turned)]
+    rotation = data.rate_frd if data.rate_weight.any() else speed
+    motions = [each.reshape(len(w), w.shape[1], per_bin, 3).mean(2) for each in (speed, rotation)]
     channels = (slice(0, 3 if axial else 2), slice(3, 6))
     residuals = []
-    for channel, motion, silent in zip(channels, motions, (False, data.rate_driven), strict=True):
-        repeat, z = _repeat(w[:, :, channel], flight, start_s, twins)
-        line = NO_LINE if silent else _line(w[:, :, channel], motion, flight, start_s)
+    for channel, motion, skip_line in zip(channels, motions, (False, data.rate_driven), strict=True):
+        repeat, z = _repeat(w[:, :, channel], flight, start_s, repeat_flights)
+        line = NO_LINE if skip_line else _line(w[:, :, channel], motion, flight, start_s)
         residuals.append(ChannelResidual(repeat=repeat, z_score=z, line=line))
     force, torque = residuals
-    return UnexplainedResidual(force=force, torque=torque, pairs=len(twins))
+    return UnexplainedResidual(force=force, torque=torque, pairs=len(repeat_flights))
 
 
 def _repeat(
-    w: np.ndarray, flight: np.ndarray, start_s: np.ndarray, twins: Sequence[tuple[int, int]]
+    w: np.ndarray, flight: np.ndarray, start_s: np.ndarray, repeat_flights: Sequence[tuple[int, int]]
 ) -> tuple[float, float]:
-    """Return the rms of w (segments, bins, 3) that repeats between twins, negative where it reverses, and
-    its z score.
+    """Return the rms of w (segments, bins, 3) that repeats, negative if it reverses, and its z score.
 
-    Without repetition the product of two segments has a mean of 0 and a variance in proportion to their
-    powers; how great, segments of twins at different times of the reference say.
+    If nothing repeats, the product of two segments has mean 0 and a variance proportional to the product of
+    their powers. Segments of repeat flights at different times of the reference give the constant of
+    proportionality.
     """
     power = (w**2).sum((1, 2))
     product, variance, cosine_squares = [0.0], [0.0], []
     bins = 0
-    for a, b in twins:
-        mine, other = np.flatnonzero(flight == a), np.flatnonzero(flight == b)
-        if not len(mine) or not len(other):
+    for a, b in repeat_flights:
+        first, second = np.flatnonzero(flight == a), np.flatnonzero(flight == b)
+        if not len(first) or not len(second):
             continue
-        products = np.einsum("icj,kcj->ik", w[mine], w[other])
-        powers = np.maximum(np.outer(power[mine], power[other]), 1e-300)
-        matched = np.round(start_s[mine] / BIN_S)[:, None] == np.round(start_s[other] / BIN_S)
+        products = np.einsum("icj,kcj->ik", w[first], w[second])
+        powers = np.maximum(np.outer(power[first], power[second]), 1e-300)
+        matched = np.round(start_s[first] / BIN_S)[:, None] == np.round(start_s[second] / BIN_S)
         product.append(products[matched].sum())
         variance.append(powers[matched].sum())
         cosine_squares.append((products**2 / powers)[~matched])
@@ -149,58 +169,59 @@ def _repeat(
 
 
 def _line(w: np.ndarray, motion: np.ndarray, flight: np.ndarray, start_s: np.ndarray) -> SpectralLine:
-    """Return the strongest line of w (segments, bins, 3).
+    """Return the strongest line in the spectrum of w (segments, bins, 3).
 
-    Channels count by their own median power. Frequencies at which the vehicle itself was made to move, seen
-    in `motion` (segments, bins, 3: velocity for a force, body rate for a torque), are left out: there any
-    force that depends on the motion has a line.
-    The chance is that of so great a ratio anywhere in the band without a line.
+    The spectrum of each channel is divided by its median. Frequencies at which the vehicle was flown are left
+    out, since any force that depends on the motion has a line there; `motion` (segments, bins, 3) shows them:
+    the velocity for a force, the body rate for a torque. `SpectralLine.chance` is the probability of such a
+    ratio anywhere in the band if there is no line.
     """
     hz = np.fft.rfftfreq(_FFT, BIN_S)
-    power, moved, series = np.zeros(len(hz)), np.zeros(len(hz)), 0
+    power, motion_power, series = np.zeros(len(hz)), np.zeros(len(hz)), 0
     squares, windows = np.zeros(len(hz)), 0
     for f in np.unique(flight):
-        mine = np.flatnonzero(flight == f)
-        mine = mine[np.argsort(start_s[mine])]
-        # A segment's edges know less than its middle: a constant force would have a line at its length.
-        for window in _windows(w[mine] - w[mine].mean(0), start_s[mine]):
-            found = _periodogram(window)
-            squares += 2.0 * found.sum(1) / np.hanning(len(window)).sum() ** 2
+        order = np.flatnonzero(flight == f)
+        order = order[np.argsort(start_s[order])]
+        # The disturbance is less certain at the edges of a segment than in its middle, so a constant force
+        # would show a line at the period of the segments. Subtracting the mean segment removes it.
+        for window in _windows(w[order] - w[order].mean(0), start_s[order]):
+            spectrum = _periodogram(window)
+            squares += 2.0 * spectrum.sum(1) / np.hanning(len(window)).sum() ** 2
             windows += 1
-            for each in found.T:
-                power += each / max(float(np.median(each)), 1e-300)
+            for channel in spectrum.T:
+                power += channel / max(float(np.median(channel)), 1e-300)
                 series += 1
-        for window in _windows(motion[mine], start_s[mine]):
-            moved += _periodogram(window).sum(1)
-    around = np.array([np.median(power[max(0, k - 14) : k + 15]) for k in range(len(power))])
-    quiet = moved <= RULES.excited_power_share * moved.max()
-    inside = (hz > RULES.line_min_hz) & (hz < RULES.line_max_hz) & quiet
+        for window in _windows(motion[order], start_s[order]):
+            motion_power += _periodogram(window).sum(1)
+    background = np.array([np.median(power[max(0, k - 14) : k + 15]) for k in range(len(power))])
+    not_flown = motion_power <= RULES.excited_power_share * motion_power.max()
+    inside = (hz > RULES.line_min_hz) & (hz < RULES.line_max_hz) & not_flown
     band = np.flatnonzero(inside)
     if not len(band):
         return NO_LINE
-    ratio = power[band] / np.maximum(around[band], 1e-300)
+    ratio = power[band] / np.maximum(background[band], 1e-300)
     best = int(ratio.argmax())
-    # Sums of `series` exponentials are gamma distributed.
+    # Under noise, a power is a sum of `series` exponential variables, which is gamma distributed.
     chance = len(band) * float(gammaincc(series, ratio[best] * gammainccinv(series, 0.5)))
     rms = float(np.sqrt(squares[band][best] / windows))
     return SpectralLine(ratio=float(ratio[best]), hz=float(hz[band][best]), chance=min(1.0, chance), rms=rms)
 
 
 def _windows(x: np.ndarray, start_s: np.ndarray) -> list[np.ndarray]:
-    """Segments (segments, bins, 3) in order as unbroken series (n, 3) of up to _FFT bins.
+    """Return segments x (segments, bins, 3), sorted by time, as unbroken series (n, 3) of up to _FFT bins.
 
-    A segment that was left out ends a series. One much shorter than the flight's longest tells little of slow
-    lines and is passed over.
+    A left-out segment ends a series. Series of at most half the length of the longest one are dropped, since
+    they resolve slow lines badly.
     """
     bins = x.shape[1]
     breaks = np.flatnonzero(np.abs(np.diff(start_s) - bins * BIN_S) > 0.5 * BIN_S) + 1
     runs = [run.reshape(-1, x.shape[2]) for run in np.split(x, breaks)]
-    cut = [run[k : k + _FFT] for run in runs for k in range(0, len(run), _FFT)]
-    longest = max(len(run) for run in cut)
-    return [run for run in cut if 2 * len(run) > longest]
+    windows = [run[k : k + _FFT] for run in runs for k in range(0, len(run), _FFT)]
+    longest = max(len(window) for window in windows)
+    return [window for window in windows if 2 * len(window) > longest]
 
 
 def _periodogram(series: np.ndarray) -> np.ndarray:
-    """Power (frequencies, 3) of a series (n, 3) of bins, tapered."""
+    """Return the power spectrum (frequencies, 3) of a series (n, 3), tapered by a Hann window."""
     tapered = (series - series.mean(0)) * np.hanning(len(series))[:, None]
     return np.abs(np.fft.rfft(tapered, _FFT, axis=0)) ** 2

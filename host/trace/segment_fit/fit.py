@@ -1,4 +1,4 @@
-"""Fit sets of effects to command-driven segments. The diagnosis is the result of a search over such sets."""
+"""Fits of sets of effects to command-driven segments."""
 
 from __future__ import annotations
 
@@ -17,20 +17,37 @@ from trimtab.host.trace.segment_fit.linearise import Basis
 from trimtab.host.trace.segment_fit.model import LOCALS, SegmentModel
 
 _CALM = float(np.log(0.05**2))
+"""Log variance of a force in calm air, (m/s^2)^2."""
 START = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6**2)))
 START_RATE_DRIVEN = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.02**2)))
 
 SEGMENTS_SETTLED = 0.2
-"""Greatest step at which a fit ends, in standard deviations. With a greater one, the start of the fit changes
-the evidence by nats."""
+"""Greatest step, in standard deviations, at which a fit ends. With a greater one, the evidence would depend
+on the start of the fit by nats."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentFit:
-    """One fitted set of effects.
+    """A set of effects fitted to segments.
 
-    theta_scaled (P,), local (flights, LOCALS): the estimate. covariance (P, P): of theta_scaled. lin: the
-    last linearisation; its point is up to a standard deviation from the estimate.
+    Attributes
+    ----------
+    effects
+        The fitted set.
+    log_evidence
+        In nats.
+    theta_scaled, covariance
+        Estimate (P,) and its covariance (P, P), scaled.
+    local
+        Nuisances (flights, LOCALS).
+    process
+        Process disturbance of greatest evidence.
+    lin
+        Last linearisation; its point is up to a standard deviation from the estimate.
+    data
+        Segments with the fitted initial states and disturbances.
+    basis
+        Columns of the Jacobian that further fits reuse.
     """
 
     effects: Names
@@ -45,24 +62,24 @@ class SegmentFit:
 
 
 def starting_process(data: Segments) -> Process:
-    """Return the process noise from which the first fit of these segments starts."""
+    """Return the process disturbance from which the first fit of these segments starts."""
     return START_RATE_DRIVEN if data.rate_driven else START
 
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentFitter:
-    """Fits sets of effects to command-driven segments."""
+    """Fitter of sets of effects to command-driven segments."""
 
     segment_model: SegmentModel
 
     @property
     def space(self) -> ParameterSpace:
-        """The parameters."""
+        """Parameter space of the fits."""
         return self.segment_model.space
 
     @property
     def prior(self) -> Prior:
-        """Their prior."""
+        """Prior of the parameters."""
         return self.segment_model.space.prior
 
     def fit(self, effects: Sequence[str], start: SegmentFit) -> SegmentFit:
@@ -70,9 +87,9 @@ class SegmentFitter:
         return refit(self.segment_model, start.data, effects, start)
 
     def scorers(self, fit: SegmentFit) -> list[Callable[[Names], float]]:
-        """Return two scorers of the log evidence of any set, both in the fit's linearisation.
+        """Return two functions that give the log evidence of any set in the linearisation of `fit`.
 
-        The first uses the process noise fitted with every candidate, the second the fit's own.
+        The first uses the process disturbance fitted with every candidate, the second that of `fit`.
         """
         prior, candidates = self.prior, self.space.candidates
         saturated = evidence.fit_process(fit.lin, prior, candidates, fit.process)
@@ -90,7 +107,7 @@ class SegmentFitter:
         ]
 
     def beyond(self, fit: SegmentFit) -> list[Names]:
-        """Return no set: segments start on the measured path, which already contains a swing."""
+        """Return no set: segments start on the measured path, which already contains a payload's swing."""
         return []
 
 
@@ -102,10 +119,24 @@ def refit(
     *,
     iterations: int = 6,
 ) -> SegmentFit:
-    """Fit all parameters by Gauss-Newton under the prior of `effects`; refit the process noise at every step.
+    """Fit all parameters by Gauss-Newton under the prior of `effects`.
 
-    The first fit, without `start`, also finds the trajectories along which the basis is computed: its columns
-    are long, and along a wrong trajectory they are no longer parallel to an effect of the same shape.
+    Every step also fits the process disturbance. The first fit, without `start`, also determines the
+    trajectories along which the basis is computed. Its columns are long vectors, so along a wrong trajectory
+    a column of the basis would no longer be parallel to the column of an effect of the same shape.
+
+    Parameters
+    ----------
+    segment_model
+        Model of the segments.
+    data
+        Segments. Their initial states and disturbances are the start of the fit.
+    effects
+        Effects that are free within the slab of the prior; all others stay within the spike.
+    start
+        Fit from which parameters, process and basis start; None for a first fit.
+    iterations
+        Greatest number of Gauss-Newton steps.
     """
     space, prior = segment_model.space, segment_model.space.prior
     precision = prior.precision(effects)
@@ -160,7 +191,7 @@ def refit(
 def _linearised(
     segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray, basis: Basis
 ) -> tuple[Linearisation, Segments]:
-    """Return the linearisation at a point, and the data with the initial states fitted there."""
+    """Return the linearisation at a point, and the segments with the initial states fitted there."""
     grams = linearise.linearise(segment_model, data, theta_scaled, local, basis)
     data = data.with_x0(grams.x0)
     return linearise.project(grams, data, theta_scaled, local), data
@@ -174,9 +205,22 @@ def at_parameters(
     covariance: np.ndarray,
     log_evidence: float,
 ) -> SegmentFit:
-    """Return the segments of `start` under `effects` with theta_scaled (P,) that was fitted otherwise.
+    """Return a segment fit at parameters that were fitted to whole flights.
 
-    Only the flights' nuisances, the disturbance and its strength are fitted.
+    Only nuisances, disturbance and process are fitted to the segments of `start`.
+
+    Parameters
+    ----------
+    segment_model
+        Model of the segments.
+    start
+        Segment fit that gives segments, nuisances, process and basis.
+    effects
+        The selected set.
+    theta_scaled, covariance
+        Estimate (P,) and covariance (P, P), scaled, of the flight fit.
+    log_evidence
+        Log evidence of the flight fit, in nats.
     """
     prior, data, local, process = segment_model.space.prior, start.data, start.local, start.process
     for last in (False, True):
@@ -184,12 +228,12 @@ def at_parameters(
         data = data.with_x0(grams.x0)
         lin = linearise.project(grams, data, theta_scaled, local)
         process = evidence.fit_process(lin, prior, effects, process)
-        moved = evidence.local_step(
+        local_step = evidence.local_step(
             lin, evidence.whitened(lin, process, prior), prior, np.zeros(len(theta_scaled))
         )
-        local = local + moved
+        local = local + local_step
         if not last:
-            data = data.with_w(evidence.disturbances(lin, process, np.zeros(len(theta_scaled)), moved))
+            data = data.with_w(evidence.disturbances(lin, process, np.zeros(len(theta_scaled)), local_step))
     return SegmentFit(
         effects=effects,
         log_evidence=log_evidence,
@@ -204,18 +248,21 @@ def at_parameters(
 
 
 def disturbance_left(fit: SegmentFit, theta_scaled: np.ndarray) -> np.ndarray:
-    """Return the disturbance (segments, bins, 6) that the model leaves at theta_scaled (P,).
+    """Return the unexplained disturbance (segments, bins, 6), FRD, at theta_scaled (P,).
 
-    In the linearisation of the fit.
+    Specific force in m/s^2, then angular acceleration in rad/s^2, in the linearisation of `fit`.
     """
     return evidence.disturbances(
         fit.lin, fit.process, theta_scaled - fit.lin.theta_scaled, fit.local - fit.lin.local
     )
 
 
-def unknowns_only(chosen: ParameterSpace, nothing: SegmentFit) -> np.ndarray:
-    """Scaled values (P,) of a model that adds nothing: only what the logs declare unknown is fitted."""
-    unknown = [i for i, column in enumerate(chosen.columns) if column.owner in chosen.unknown]
-    theta_scaled = np.zeros(len(chosen.columns))
-    theta_scaled[unknown] = nothing.theta_scaled[unknown]
+def unknowns_only(space: ParameterSpace, null_fit: SegmentFit) -> np.ndarray:
+    """Return theta_scaled (P,) of the model without effects: 0, except for what the logs declare unknown.
+
+    null_fit: segment fit without effects, which gives the values of the unknowns.
+    """
+    unknown = [i for i, column in enumerate(space.columns) if column.owner in space.unknown]
+    theta_scaled = np.zeros(len(space.columns))
+    theta_scaled[unknown] = null_fit.theta_scaled[unknown]
     return theta_scaled

@@ -1,8 +1,9 @@
-"""Command-driven segments: roll-outs of the library form from free initial states, linearised by lanes.
+"""Linearisation of command-driven segments with free initial states.
 
-A lane is one column of the Jacobian of one segment: the base roll-out, one initial-state direction, one
-scaled parameter, one local nuisance or one disturbance bin. All lanes advance together through the program of
-`trimtab.host.trace.segment_fit.model`.
+Each lane is one roll-out of a segment: the base roll-out, or one with a single perturbed input. The perturbed
+inputs are components of the initial state, scaled parameters, nuisances and components of the disturbance in
+a bin. Differences of the lanes are the columns of the Jacobian. All lanes advance together through the
+program of `trimtab.host.trace.segment_fit.model`.
 """
 
 from __future__ import annotations
@@ -20,22 +21,25 @@ from trimtab.host.trace.segment_fit.model import LOCALS, STATES, SegmentModel
 from trimtab.host.trace.segment_fit.rollout import remembered, residuals, roll_out
 
 _LANES = 2500
+"""Lanes that are rolled out together."""
 _X_STEP = np.full(STATES, 1e-6)
 TURN_STEPS = 6
-"""Steps over which poses say a body rate: noise of attitude asks for many, a turn that changes for few."""
+"""Steps between the poses that give a body rate. More average attitude noise, fewer follow fast turns."""
 
 _LOCAL_STEP = np.full(LOCALS, 1e-5)
 _BIN_STEP = np.full(6, 1e-5)
-_Z_STEP = 1e-5
-"""Steps of the difference quotients are small: attitude answers torque so strongly that columns of coarse
-steps are no longer parallel where the effects are, and what should cancel looks like information."""
+_THETA_STEP = 1e-5
+"""Step of the difference quotients, scaled. It must be small: attitude responds so strongly to torque that
+with coarse steps the columns of similar effects are no longer parallel. Terms that should cancel would then
+look like information."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Basis:
-    """Columns of the Jacobian that hardly depend on the parameters, whitened by sigma: kept between refits.
+    """Columns of the Jacobian that hardly depend on the parameters and are reused between refits.
 
-    columns (S, 12 + 9 + 6 bins, n): initial state, flight nuisances, disturbance; n = 12 H. gram: of these.
+    columns (S, 12 + 9 + 6 bins, n), in units of sigma: initial state, nuisances, disturbance; n = 12 H. gram:
+    their Gram.
     """
 
     columns: np.ndarray
@@ -43,19 +47,22 @@ class Basis:
 
     @property
     def x(self) -> np.ndarray:
-        """(S, 12, n)."""
+        """Columns (S, 12, n) of the initial state."""
         return self.columns[:, :STATES]
 
     @property
     def bins(self) -> np.ndarray:
-        """(S, 6 bins, n)."""
+        """Columns (S, 6 bins, n) of the disturbance."""
         return self.columns[:, STATES + LOCALS :]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grams:
-    """Unprojected Grams (S, m, m) of [r | S P | X 12 | L 9 | Z 6 bins], and the initial states (S, 12) they
-    hold at.
+    """Grams of every segment before initial states are projected out.
+
+    gram (S, m, m): of [r | S | X | L | Z], with P columns S of parameters, 12 columns X of the initial state,
+    9 columns L of nuisances and 6 bins columns Z of the disturbance. x0 (S, 12): initial states of the
+    linearisation. parameters: P.
     """
 
     gram: np.ndarray
@@ -64,7 +71,7 @@ class Grams:
 
 
 class _Lanes:
-    """Lanes of perturbed roll-outs, all starting from one point of every segment."""
+    """`count` lanes of every segment that start at one point, to be perturbed one by one."""
 
     def __init__(
         self,
@@ -83,10 +90,13 @@ class _Lanes:
         self.steps = np.ones(count)
 
     def jacobian(self, segment_model: SegmentModel, data: Segments, *, bins: bool) -> np.ndarray:
-        """(S, lanes, n): the residual in lane 0, in the others its negative slope along the perturbation."""
-        pushed = self.bins if bins else None
+        """Return (S, lanes, n): the residual in lane 0, its negative slopes by the perturbation in others.
+
+        bins: whether lanes perturb the disturbance.
+        """
+        added = self.bins if bins else None
         r = residuals(
-            data, roll_out(segment_model, data, self.x0, self.theta_scaled, self.local, pushed, self.memory)
+            data, roll_out(segment_model, data, self.x0, self.theta_scaled, self.local, added, self.memory)
         )
         A = (r[0] - r) / self.steps[:, None, None]
         A[0] = r[0]
@@ -94,6 +104,7 @@ class _Lanes:
 
 
 def _chunks(data: Segments, lanes: int) -> list[slice]:
+    """Return slices of segments that need about _LANES lanes each, if a segment needs `lanes`."""
     size = max(1, _LANES // lanes)
     return [slice(i, i + size) for i in range(0, len(data.flight), size)]
 
@@ -124,11 +135,11 @@ def basis(segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray,
 
 
 def measured_turn(segment_model: SegmentModel, data: Segments) -> np.ndarray:
-    """Disturbance (S, bins, 6) with the angular acceleration that the nominal model lacks along the
-    measurements.
+    """Return the disturbance (S, bins, 6), FRD, that explains the measured rotation with the nominal model.
 
-    Read off the measured body rate, where no gyro spoke off the poses' turning; the force part is zero,
-    errors of force turn nothing.
+    Its angular acceleration, in rad/s^2, is the measured one minus the modelled one. If the gyro was not
+    logged, the body rate comes from the attitudes of the poses. Its force is 0, since forces do not rotate
+    the vehicle.
     """
     w = np.zeros((len(data.flight), data.bins, 6))
     if data.rate_driven:
@@ -141,7 +152,7 @@ def measured_turn(segment_model: SegmentModel, data: Segments) -> np.ndarray:
     modelled = np.empty((len(data.flight), data.steps, 3))
     measured, weight = data.rate_frd.copy(), data.rate_weight.copy()
     for i in np.flatnonzero(~weight.any(axis=1)).tolist():
-        measured[i], weight[i] = _turning(data, i), 1.0
+        measured[i], weight[i] = _rate_from_poses(data, i), 1.0
     j = np.array(vehicle.inertia_kg_m2)
     for k in range(-pre, data.steps):
         thrust = thrust + (target[:, pre + k] - thrust) * share
@@ -150,21 +161,21 @@ def measured_turn(segment_model: SegmentModel, data: Segments) -> np.ndarray:
             rate = measured[:, k]
             modelled[:, k] = (torque - np.cross(rate, j * rate)) / j
     for b in range(data.bins):
-        a, e = b * per_bin, min((b + 1) * per_bin, data.steps - 1)
-        known = (weight[:, a] * weight[:, e])[:, None]
-        gained = (measured[:, e] - measured[:, a]) / ((e - a) * data.dt_s)
-        w[:, b, 3:] = known * (gained - modelled[:, a:e].mean(1))
+        first, last = b * per_bin, min((b + 1) * per_bin, data.steps - 1)
+        known = (weight[:, first] * weight[:, last])[:, None]
+        acceleration = (measured[:, last] - measured[:, first]) / ((last - first) * data.dt_s)
+        w[:, b, 3:] = known * (acceleration - modelled[:, first:last].mean(1))
     return w
 
 
-def _turning(data: Segments, i: int) -> np.ndarray:
-    """Body rate (steps, 3) along segment i from its poses alone: means over TURN_STEPS between them."""
-    at = np.flatnonzero(data.pose_weight[i])
-    apart = min(TURN_STEPS, len(at) - 1)
-    first, last = at[:-apart], at[apart:]
+def _rate_from_poses(data: Segments, i: int) -> np.ndarray:
+    """Return the body rate (steps, 3) in rad/s, FRD, of segment i from poses TURN_STEPS apart."""
+    posed = np.flatnonzero(data.pose_weight[i])
+    gap = min(TURN_STEPS, len(posed) - 1)
+    first, last = posed[:-gap], posed[gap:]
     R = data.R_ned_frd[i].reshape(-1, 3, 3)
-    turned = Rotation.from_matrix(np.swapaxes(R[first], 1, 2) @ R[last]).as_rotvec()
-    rate = turned / ((last - first) * data.dt_s)[:, None]
+    rotation = Rotation.from_matrix(np.swapaxes(R[first], 1, 2) @ R[last]).as_rotvec()
+    rate = rotation / ((last - first) * data.dt_s)[:, None]
     middle = 0.5 * (first + last)
     return np.column_stack([np.interp(np.arange(data.steps), middle, rate[:, axis]) for axis in range(3)])
 
@@ -174,53 +185,69 @@ def fitted_x0(
     data: Segments,
     theta_scaled: np.ndarray,
     local: np.ndarray,
-    kept: Basis,
+    basis: Basis,
     iterations: int = 1,
     memory: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return initial states (S, 12) that fit each segment's own measurements best; the rest is given.
+    """Return the initial states (S, 12) that fit the measurements of each segment best.
 
-    `memory` (M, 1, S) is `remembered` at z, where it is known.
+    Parameters
+    ----------
+    segment_model
+        Model of the segments.
+    data
+        Segments; the iteration starts at their x0.
+    theta_scaled
+        Scaled parameters (P,).
+    local
+        Nuisances (flights, 9).
+    basis
+        Columns of the Jacobian.
+    iterations
+        Number of Gauss-Newton steps.
+    memory
+        States (M, 1, S) of the effects at the start of each segment; computed by `remembered` if None.
     """
     x0 = data.x0
     if memory is None:
         memory = remembered(segment_model, data, theta_scaled[:, None])
-    normal = kept.gram[:, :STATES, :STATES] + 1e-9 * np.eye(STATES)
+    normal = basis.gram[:, :STATES, :STATES] + 1e-9 * np.eye(STATES)
     for _ in range(iterations):
         residual = []
         for chunk in _chunks(data, 1):
             part = data.take(chunk)
             lanes = _Lanes(part, x0[chunk], theta_scaled, local, memory[:, :, chunk], 1)
             residual.append(lanes.jacobian(segment_model, part, bins=False)[:, 0])
-        x0 = x0 + np.linalg.solve(normal, kept.x @ np.concatenate(residual)[:, :, None])[:, :, 0]
+        x0 = x0 + np.linalg.solve(normal, basis.x @ np.concatenate(residual)[:, :, None])[:, :, 0]
     return x0
 
 
 def linearise(
-    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray, kept: Basis
+    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray, basis: Basis
 ) -> Grams:
-    """Grams of all segments at scaled parameters theta_scaled (P,) and flight nuisances `local` (flights, 9).
+    """Return the Grams of all segments at scaled parameters theta_scaled (P,) and nuisances (flights, 9).
 
-    Initial states take one Gauss-Newton step towards their own segment first.
+    The initial states first take one Gauss-Newton step towards the measurements of their segment. basis:
+    columns of the Jacobian that are not computed again.
     """
     count = 1 + len(theta_scaled)
     points = np.repeat(theta_scaled[:, None], count, axis=1)
-    points[:, 1:] += _Z_STEP * np.eye(len(theta_scaled))
+    points[:, 1:] += _THETA_STEP * np.eye(len(theta_scaled))
     memory = remembered(segment_model, data, points)
-    x0 = fitted_x0(segment_model, data, theta_scaled, local, kept, memory=memory[:, :1])
+    x0 = fitted_x0(segment_model, data, theta_scaled, local, basis, memory=memory[:, :1])
     first = 1 + len(theta_scaled)
-    size = first + kept.columns.shape[1]
+    size = first + basis.columns.shape[1]
     gram = np.empty((len(data.flight), size, size))
-    gram[:, first:, first:] = kept.gram
+    gram[:, first:, first:] = basis.gram
     for chunk in _chunks(data, count):
         part = data.take(chunk)
         lanes = _Lanes(part, x0[chunk], theta_scaled, local, memory[:, :, chunk], count)
-        lanes.steps[1:] = _Z_STEP
+        lanes.steps[1:] = _THETA_STEP
         lanes.theta_scaled = points
         A = lanes.jacobian(segment_model, part, bins=False)
-        columns = kept.columns[chunk]
+        columns = basis.columns[chunk]
         A[:, 0] += np.einsum(
-            "szn,sz->sn", kept.bins[chunk], part.disturbance_frd.reshape(len(part.disturbance_frd), -1)
+            "szn,sz->sn", basis.bins[chunk], part.disturbance_frd.reshape(len(part.disturbance_frd), -1)
         )
         gram[chunk, :first, :first] = A @ np.swapaxes(A, 1, 2)
         gram[chunk, :first, first:] = A @ np.swapaxes(columns, 1, 2)
@@ -230,15 +257,18 @@ def linearise(
 
 
 def project(grams: Grams, data: Segments, theta_scaled: np.ndarray, local: np.ndarray) -> Linearisation:
-    """Return the linearisation left when every segment's initial state is free."""
+    """Return the linearisation with the initial state of every segment projected out, since it is free.
+
+    theta_scaled (P,), local (flights, 9): point of the linearisation.
+    """
     gram = grams.gram
     first = 1 + grams.parameters
-    head, rest = np.arange(first, first + STATES), np.r_[0:first, first + STATES : gram.shape[1]]
-    A = gram[:, head[:, None], head]
+    states, others = np.arange(first, first + STATES), np.r_[0:first, first + STATES : gram.shape[1]]
+    A = gram[:, states[:, None], states]
     scale = np.sqrt(np.einsum("sii->si", A)) + 1e-12
     A = A / scale[:, :, None] / scale[:, None, :] + 1e-10 * np.eye(STATES)
-    C = gram[:, head[:, None], rest] / scale[:, :, None]
-    B = gram[:, rest[:, None], rest]
+    C = gram[:, states[:, None], others] / scale[:, :, None]
+    B = gram[:, others[:, None], others]
     return Linearisation(
         gram=B - np.swapaxes(C, 1, 2) @ np.linalg.solve(A, C),
         flight=data.flight,

@@ -1,5 +1,6 @@
-"""The library form of a vehicle: one step of the model with every effect's parameters as inputs, as a program
-over lanes.
+"""The segment model of a vehicle: one step of the dynamics, with the parameters of every effect as inputs.
+
+Each step is a compiled program over lanes. A lane is one roll-out of one segment.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ Scalar = Any
 
 STATES = 12
 LOCALS = 9
-"""Nuisances of one flight: mounting tilt of the markers (3, rad); a constant angular acceleration (3,
-rad/s^2) or, where the measured body rate drives the attitude, a constant gyro bias (3, rad/s); accelerometer
-bias (3, m/s^2)."""
+"""Nuisances of one flight, three each, FRD: mounting tilt of the markers (rad); a constant angular
+acceleration (rad/s^2) or, if the measured body rate drives the attitude, the gyro bias (rad/s);
+accelerometer bias (m/s^2)."""
 
 CHANNELS = 12
-"""Predicted a step: position (m), attitude as a rotation vector from the measured one (rad), mean body rate
-(rad/s) and mean specific force (m/s^2), three each."""
+"""Predictions of one step, three each: position (m, NED), attitude as a rotation vector from the measured
+attitude (rad, FRD), mean body rate (rad/s, FRD) and mean specific force (m/s^2, FRD)."""
 
 _STEP_INPUTS = {
     "body": STATES, "thrust": 4, "z": 0, "memory": 0, "local": LOCALS, "w": 6, "command": 4,
@@ -40,14 +41,23 @@ _STEP_INPUTS = {
 }  # fmt: skip
 
 _THRUST_ROUNDS = 2
-"""Of the fixed point for the thrust along a measured path; what is left falls by a payload's share each."""
+"""Fixed-point iterations for the thrust along a measured path. The error shrinks in each one to about the
+payload's share of the mass."""
 
 
 class SegmentModel:
-    """The model of `vehicle` with the parameters of `space`, at a grid of dt_s.
+    """The model of a vehicle over segments, with all parameters of a parameter space as inputs.
 
-    `in_newton`: commands are rotor thrusts in N. `rate_driven`: the measured body rate is an input instead of
-    the commanded torque.
+    Parameters
+    ----------
+    vehicle, space
+        Vehicle, and parameters of the effects.
+    dt_s
+        Step of the grid.
+    in_newton
+        Whether commands are rotor thrusts in N, not motor commands.
+    rate_driven
+        Whether the measured body rate drives the attitude instead of the commanded torque.
     """
 
     def __init__(
@@ -67,39 +77,42 @@ class SegmentModel:
         return cls(vehicle, space, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
 
     def bind(self, name: str, lanes: int) -> Lanes:
-        """Return the program `name` ("step", "rotors" or "memory") with arrays for `lanes` lanes, kept."""
+        """Return a program with arrays for `lanes` lanes; calls with the same arguments share the arrays.
+
+        name: "step", "rotors" or "memory".
+        """
         key = name, lanes
         if key not in self._bound:
             self._bound[key] = self._programs[name].bind(lanes, compiled=name == "memory")
         return self._bound[key]
 
     def memory_of(self, owner: str) -> int:
-        """Return number of states of its own that an owner of columns has."""
+        """Return the number of states that the effect `owner` adds; 0 if the owner is not an effect."""
         return self.space.effects[owner].memory if owner in self.space.effects else 0
 
     def delay_s(self, theta_scaled: np.ndarray) -> np.ndarray:
-        """Delay (C,) of the commands for scaled parameters theta_scaled (P, C)."""
+        """Return the command delay (C,) in s at scaled parameters theta_scaled (P, C)."""
         return np.broadcast_to(
             np.asarray(slots.command_delay_s(CASADI, self._parts(theta_scaled))), theta_scaled.shape[1:]
         )
 
     def _parts(self, theta_scaled: Any) -> list[Part]:
-        """Every effect with its values for scaled parameters theta_scaled: rows of an array, or scalars."""
+        """Return every effect with its parameter values; theta_scaled: P rows of an array, or P scalars."""
         theta = self.space.theta(self._values(theta_scaled))
         return [(self.space.effects[name], theta[name]) for name in self.space.parts]
 
     def _values(self, theta_scaled: Any) -> list[Any]:
-        """Physical values for scaled parameters theta_scaled: rows of an array, or scalars."""
+        """Return the P physical values; theta_scaled: P rows of an array, or P scalars."""
         return [c.neutral + c.scale * theta_scaled[i] for i, c in enumerate(self.space.columns)]
 
     def _commanded(self, theta_scaled: Any, command: list) -> list[Scalar]:
-        """Rotor thrust in N that a command asks for, before the lag."""
+        """Return the four rotor thrusts in N that a command sets, before the motor lag."""
         log_gain, linear = self.space.theta(self._values(theta_scaled)).get("thrust-curve", (0.0, 0.0))
         gain = np.exp(log_gain) if isinstance(log_gain, float) else casadi.exp(log_gain)
         if self.in_newton:
             return [gain * u for u in command]
-        most, first = self.vehicle.thrust_max_n, self.vehicle.thrust_curve[0] + linear
-        return [most * gain * u * (first + (1.0 - first) * u) for u in command]
+        thrust_max_n, c1 = self.vehicle.thrust_max_n, self.vehicle.thrust_curve[0] + linear
+        return [thrust_max_n * gain * u * (c1 + (1.0 - c1) * u) for u in command]
 
     @cached_property
     @held_interrupts()
@@ -112,7 +125,10 @@ class SegmentModel:
         return columns, [[c[i] for i in range(c.shape[0])] for c in columns]
 
     def _rotors(self) -> LaneProgram:
-        """Return the rotor thrusts a step later: (thrust, z, command) -> next."""
+        """Return the program of the rotors: (thrust, z, command) -> (next, settled).
+
+        next: thrusts one step later. settled: thrusts at which the command would hold them.
+        """
         columns, (thrust, theta_scaled, command) = self._symbols("thrust", "z", "command")
         lag = slots.motor_lag_s(CASADI, self.vehicle, self._parts(theta_scaled))
         keep = casadi.exp(-self.dt_s / lag)
@@ -126,10 +142,10 @@ class SegmentModel:
         return lane_program(function)
 
     def _own_states(self) -> LaneProgram:
-        """Return the effects' own states: (body, z, memory, acceleration) -> derivative, and what they are
-        at rest.
+        """Return the program of the effects' states: (body, z, memory, acceleration) -> (rates, rest).
 
-        No rotor is known along a measured path: the thrust is what its `acceleration` (NED, m/s^2) takes.
+        rates: derivatives of the states. rest: their values at rest. Along a measured path the rotor thrusts
+        are not known, so they follow from the measured `acceleration` (NED, m/s^2).
         """
         names = ["body", "z", "memory", "acceleration"]
         columns, (body, theta_scaled, memory, acceleration) = self._symbols(*names)
@@ -140,8 +156,8 @@ class SegmentModel:
         for _ in range(_THRUST_ROUNDS):
             x = [*body, *(rotor,) * 4]
             out = dynamics.rigid_body(CASADI, vehicle, parts, x, 1.0, 0.0, none, none, memory)
-            short = sum(R[3 * i + 2] * (out[3 + i] - acceleration[i]) for i in range(3))
-            rotor = rotor + 0.25 * vehicle.mass_kg * short
+            error = sum(R[3 * i + 2] * (out[3 + i] - acceleration[i]) for i in range(3))
+            rotor = rotor + 0.25 * vehicle.mass_kg * error
         x = [*body, *(rotor,) * 4]
         rates = slots.memory_rates(CASADI, vehicle, parts, x, memory)
         rest = slots.memory_at_rest(CASADI, vehicle, parts, x)
@@ -151,7 +167,10 @@ class SegmentModel:
         return lane_program(casadi.Function("memory", columns, out, names, ["rates", "rest"]))
 
     def _step(self) -> LaneProgram:
-        """One step of the midpoint rule, rotors exactly: state after it, and what is measured in it."""
+        """Return the program of one step: the state after it, and the predicted measurements.
+
+        The body and the effects' states use the midpoint rule; the rotors are integrated exactly.
+        """
         names = list(_STEP_INPUTS)
         columns, scalars = self._symbols(*names)
         body, thrust, theta_scaled, memory, local, w, command, measured, rate = scalars[:9]
@@ -169,16 +188,18 @@ class SegmentModel:
         if self.rate_driven:
             body = [*body[:9], *(rate[i] + torque_frd[i] for i in range(3))]
 
-        def slopes(x: list, rotor: list, own: list) -> tuple[list[Scalar], list[Scalar]]:
+        def slopes(x: list, rotor: list, states: list) -> tuple[list[Scalar], list[Scalar]]:
             full = [*x, *rotor]
-            out = dynamics.rigid_body(CASADI, vehicle, parts, full, voltage, t_s, force_ned, torque_frd, own)
-            own_rates = slots.memory_rates(CASADI, vehicle, parts, full, own)
-            return ([*out[:9], 0.0, 0.0, 0.0] if self.rate_driven else out), own_rates
+            out = dynamics.rigid_body(
+                CASADI, vehicle, parts, full, voltage, t_s, force_ned, torque_frd, states
+            )
+            rates = slots.memory_rates(CASADI, vehicle, parts, full, states)
+            return ([*out[:9], 0.0, 0.0, 0.0] if self.rate_driven else out), rates
 
         k1, m1 = slopes(body, thrust, memory)
         half = [a + 0.5 * dt * b for a, b in zip(body, k1, strict=True)]
-        own = [a + 0.5 * dt * b for a, b in zip(memory, m1, strict=True)]
-        k2, m2 = slopes(half, middle, own)
+        half_memory = [a + 0.5 * dt * b for a, b in zip(memory, m1, strict=True)]
+        k2, m2 = slopes(half, middle, half_memory)
 
         late = shift - slots.mocap_latency_s(CASADI, parts)
         position = [body[i] + late * (body[3 + i] + 0.5 * late * k1[3 + i]) for i in range(3)]
@@ -207,7 +228,7 @@ def _specific_force(parts: list[Part], body: list, slope: list) -> Sequence[Scal
 
 
 def _turned(R: Any, phi: list) -> list:
-    """R exp(phi) to second order in the small rotation vector phi (rad), nine entries."""
+    """Return R exp(phi), nine entries, to second order in the small rotation vector phi (rad)."""
     a, b, c = phi
     aa, bb, cc = a * a, b * b, c * c
     E = (
@@ -223,6 +244,6 @@ def _turned(R: Any, phi: list) -> list:
 
 
 def _apart(measured: list, R: list) -> list:
-    """Rotation vector (rad) from the measured attitude to R, both row-major, to first order, in body axes."""
+    """Return the rotation vector (rad, FRD) from `measured` to R, row-major attitudes, to first order."""
     error = [[sum(measured[3 * k + i] * R[3 * k + j] for k in range(3)) for j in range(3)] for i in range(3)]
     return [0.5 * (error[i][j] - error[j][i]) for i, j in ((2, 1), (0, 2), (1, 0))]

@@ -1,4 +1,4 @@
-"""Roll-outs of segments from many initial states, with many parameters and disturbances, as lanes."""
+"""Roll-outs of segments with many initial states, parameters and disturbances at once, as lanes."""
 
 from __future__ import annotations
 
@@ -17,11 +17,28 @@ def roll_out(
     bins: np.ndarray | None = None,
     memory: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Predicted measurements (H, 12, C, S) of lanes: `form.CHANNELS` of every step.
+    """Return the predicted measurements (H, 12, C, S) of C lanes of each of S segments.
 
-    x0 (12, C, S); theta_scaled (P, C); local (9, C, S); bins (bins, 6, C) disturbance, specific force
-    m/s^2 then angular acceleration rad/s^2, both FRD. Motors start at the lagged command of the run-up, the
-    effects' own states at `memory` (M, C, S); by default with what the measured flight made of them.
+    The 12 predictions of a step are those of `trimtab.host.trace.segment_fit.model.CHANNELS`. Rotors start at
+    the lagged command of the run-up.
+
+    Parameters
+    ----------
+    segment_model
+        Model of the segments.
+    data
+        Segments.
+    x0
+        Initial states (12, C, S): p, v NED, Euler angles Theta, body rate FRD.
+    theta_scaled
+        Scaled parameters (P, C).
+    local
+        Nuisances (9, C, S) of the flights.
+    bins
+        Disturbance (bins, 6, C) in addition to that of the segments: specific force m/s^2, then angular
+        acceleration rad/s^2, FRD.
+    memory
+        Initial states (M, C, S) of the effects; `remembered` along the measured flight if None.
     """
     lanes, count = x0.shape[1:]
     total = lanes * count
@@ -33,12 +50,12 @@ def roll_out(
         rows = value.T[:, None] if value.ndim == 2 else value
         inputs[name].reshape(-1, lanes, count)[:] = rows
 
-    each = np.repeat(theta_scaled, count, axis=1)
-    inputs["z"][:] = each
+    repeated = np.repeat(theta_scaled, count, axis=1)
+    inputs["z"][:] = repeated
     inputs["body"][:] = x0.reshape(STATES, total)
     inputs["local"][:] = local.reshape(LOCALS, total)
     commands = _delayed(segment_model, data.command, theta_scaled)
-    inputs["thrust"][:] = _spun_up(segment_model, commands[:pre], each)
+    inputs["thrust"][:] = _spun_up(segment_model, commands[:pre], repeated)
     if segment_model.memory:
         memory = remembered(segment_model, data, theta_scaled) if memory is None else memory
         inputs["memory"][:] = memory.reshape(segment_model.memory, total)
@@ -65,22 +82,26 @@ def roll_out(
 
 
 def _delayed(segment_model: SegmentModel, command: np.ndarray, theta_scaled: np.ndarray) -> np.ndarray:
-    """Return commands (pre + H, 4, C S) as they arrive at theta_scaled (P, C), of those sent (S, pre + H, 4).
+    """Return the sent commands (S, pre + H, 4) delayed as at theta_scaled (P, C): (pre + H, 4, C S).
 
-    Means over steps, so that a delay of a fraction of a step mixes two of them; before the first, the first.
+    Commands are means over steps, so a delay by a fraction of a step mixes two of them. Before the first
+    command, the first command holds.
     """
-    each = []
+    delayed = []
     for delay in segment_model.delay_s(theta_scaled):
         whole, share = divmod(float(delay) / segment_model.dt_s, 1.0)
-        at = np.clip(np.arange(command.shape[1]) - int(whole), 0, command.shape[1] - 1)
-        now, before = command[:, at], command[:, np.maximum(at - 1, 0)]
-        each.append((1.0 - share) * now + share * before if share else now)
-    lanes = np.transpose(np.array(each), (2, 3, 0, 1))
+        index = np.clip(np.arange(command.shape[1]) - int(whole), 0, command.shape[1] - 1)
+        now, before = command[:, index], command[:, np.maximum(index - 1, 0)]
+        delayed.append((1.0 - share) * now + share * before if share else now)
+    lanes = np.transpose(np.array(delayed), (2, 3, 0, 1))
     return lanes.reshape(*lanes.shape[:2], -1)
 
 
 def _spun_up(segment_model: SegmentModel, commands: np.ndarray, theta_scaled: np.ndarray) -> np.ndarray:
-    """Rotor thrusts (4, lanes) after commands (n, 4, lanes), begun where the first of them settles."""
+    """Return the rotor thrusts (4, lanes) in N after commands (n, 4, lanes).
+
+    They start at the thrusts at which the first command would hold them.
+    """
     rotors = segment_model.bind("rotors", commands.shape[2])
     rotors.inputs["z"][:] = theta_scaled
     for k, command in enumerate(commands):
@@ -94,20 +115,20 @@ def _spun_up(segment_model: SegmentModel, commands: np.ndarray, theta_scaled: np
 
 
 def remembered(segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray) -> np.ndarray:
-    """Return the effects' own states (M, C, S) at the segments' starts for theta_scaled (P, C).
+    """Return the states (M, C, S) of the effects at the start of each segment for theta_scaled (P, C).
 
-    Along the measured paths of their flights.
+    They are integrated along the measured paths of the flights.
     """
     if not segment_model.memory:
         return np.empty((0, theta_scaled.shape[1], len(data.flight)))
-    own = [
+    columns = [
         i for name, rows in segment_model.space.owners.items() if segment_model.memory_of(name) for i in rows
     ]
-    kinds, lane = np.unique(theta_scaled[own], axis=1, return_inverse=True)
-    values = np.repeat(theta_scaled[:, :1], kinds.shape[1], axis=1)
-    values[own] = kinds
+    distinct, lane = np.unique(theta_scaled[columns], axis=1, return_inverse=True)
+    values = np.repeat(theta_scaled[:, :1], distinct.shape[1], axis=1)
+    values[columns] = distinct
     flights, steps = data.paths.shape[:2]
-    program = segment_model.bind("memory", flights * kinds.shape[1])
+    program = segment_model.bind("memory", flights * distinct.shape[1])
     program.inputs["z"][:] = np.repeat(values, flights, axis=1)
     body = program.inputs["body"].reshape(STATES, -1, flights)
     memory = program.inputs["memory"]
@@ -115,9 +136,9 @@ def remembered(segment_model: SegmentModel, data: Segments, theta_scaled: np.nda
     body[:] = data.paths[:, 0].T[:, None]
     program()
     now = program.outputs["rest"].copy()
-    found = np.empty((steps, segment_model.memory, kinds.shape[1], flights))
+    states = np.empty((steps, segment_model.memory, distinct.shape[1], flights))
     for k in range(steps):
-        found[k] = now.reshape(found.shape[1:])
+        states[k] = now.reshape(states.shape[1:])
         memory[:] = now
         after = data.paths[:, min(k + 1, steps - 1)]
         body[:] = data.paths[:, k].T[:, None]
@@ -127,17 +148,20 @@ def remembered(segment_model: SegmentModel, data: Segments, theta_scaled: np.nda
         body[:] = 0.5 * (data.paths[:, k] + after).T[:, None]
         program()
         now = now + PATH_S * program.outputs["rates"]
-    at = data.path_start_s / PATH_S
-    low = np.clip(at.astype(int), 0, steps - 2)
-    share = np.clip(at - low, 0.0, 1.0)
+    position = data.path_start_s / PATH_S
+    low = np.clip(position.astype(int), 0, steps - 2)
+    share = np.clip(position - low, 0.0, 1.0)
     low, share = low[None, :], share[None, :, None]
     lane, flight = lane.reshape(-1, 1), data.flight[None, :]
-    ends = [np.moveaxis(found, 1, 3)[low + end, lane, flight] for end in (0, 1)]
+    ends = [np.moveaxis(states, 1, 3)[low + end, lane, flight] for end in (0, 1)]
     return np.moveaxis((1.0 - share) * ends[0] + share * ends[1], 2, 0)
 
 
 def residuals(data: Segments, predicted: np.ndarray) -> np.ndarray:
-    """Measured minus predicted in units of their sigma, (C, S, 12 H), for `roll_out`'s (H, 12, C, S)."""
+    """Return measured minus predicted, in units of sigma, as (C, S, 12 H).
+
+    predicted (H, 12, C, S): result of `roll_out`.
+    """
     steps, _, lanes, segments = predicted.shape
     measured = np.concatenate([data.p_ned, np.zeros_like(data.p_ned), data.rate_frd, data.force_frd], axis=2)
     weights = (data.pose_weight, data.pose_weight, data.rate_weight, data.force_weight)

@@ -57,8 +57,8 @@ def measure(paths: Sequence[Path], vehicle: Vehicle, deviations: Mapping[str, fl
     loop = closed_loop(logs.flights, vehicle, chosen, np.zeros(len(chosen.columns)))
     order = order_of(loop)
     theta_scaled = fit_loop(loop, (), np.zeros(len(chosen.columns)), order).theta_scaled
-    repeats = repeatability_of(loop, theta_scaled, order, logs.twins)
-    white = turbulence(loop, theta_scaled, order, logs.twins)
+    repeats = repeatability_of(loop, theta_scaled, order, logs.repeat_flights)
+    white = turbulence(loop, theta_scaled, order, logs.repeat_flights)
     if repeats is None or white is None:
         raise ValueError("no reference was flown twice")
     residuals = [each[0] for each in loop.residuals(theta_scaled[:, None])]
@@ -67,7 +67,7 @@ def measure(paths: Sequence[Path], vehicle: Vehicle, deviations: Mapping[str, fl
     grams = whitened_grams(white, loop, residuals, slopes) / RULES.temper
     return Measured(
         repeat_share=repeats.lower_share(RULES),
-        slope_power=_slope_power(loop, white, residuals, slopes, logs.twins),
+        slope_power=_slope_power(loop, white, residuals, slopes, logs.repeat_flights),
         error_power=_error_power(chosen, grams.sum(0), theta_scaled, true),
     )
 

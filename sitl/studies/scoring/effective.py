@@ -18,7 +18,7 @@ import numpy as np
 from trimtab.host.effects import Effect
 from trimtab.host.log import Flight
 from trimtab.host.models.model import Model
-from trimtab.host.trace.data.logs import twins_of
+from trimtab.host.trace.data.logs import repeat_flights_of
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import prior_of, weighted
@@ -82,7 +82,7 @@ def effective(
         space, {f"{n}.{k}": v for n in candidates for k, v in _away(space, n, drawn[n]).items()}
     )
     flown = closed_loop([FlightData.of(flight) for flight in flights], vehicle, space, z)
-    white = turbulence(flown, z, order_of(flown), twins_of(flights))
+    white = turbulence(flown, z, order_of(flown), repeat_flights_of(flights))
     if white is None:
         raise ValueError("the flights have no twins: their turbulence cannot be told from physics")
     loop = closed_loop([FlightData.of(flight) for flight in still], vehicle, space, z)

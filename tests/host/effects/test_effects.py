@@ -1,4 +1,4 @@
-"""Each effect's equation against numbers worked out by hand, and neutral values that change nothing."""
+"""The equation of each effect against numbers computed by hand; neutral values change nothing."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_quadratic_drag_level_flight_grows_with_speed_times_velocity():
     np.testing.assert_allclose(change[3:6], (-0.45, -0.6, 0.0), atol=1e-9)
 
 
-def test_wind_at_rest_pushes_through_the_drag():
+def test_wind_at_rest_acts_through_the_drag():
     parts = [(EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["wind"], (1.0, -2.0))]
     np.testing.assert_allclose(
         (rates(parts, level()) - rates([], level()))[3:6], (0.4, -0.6, 0.0), atol=1e-14

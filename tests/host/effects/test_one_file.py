@@ -1,4 +1,4 @@
-"""What is true of one effect stands in its file only, and a user's own effect may say all that a shipped one
+"""Facts about one effect are only in its file, and an effect of a workspace may state all that a shipped one
 does.
 """
 
@@ -47,7 +47,7 @@ GENERAL = (
     *(ROOT / "host").rglob("compare.py"),
     *(ROOT / "sitl" / "studies" / "scoring").rglob("*.py"),
 )
-"""Sources that use effects without knowing any of them."""
+"""Sources that must not depend on any particular effect."""
 
 OWN = {
     "thrust_share": """
@@ -109,7 +109,7 @@ EFFECT = Effect(
 
 @pytest.fixture(scope="module")
 def effects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Effect]:
-    """The shipped effects and those of a workspace with the files OWN."""
+    """Return the shipped effects and those of a workspace with the files OWN."""
     folder = tmp_path_factory.mktemp("workspace") / "effects"
     folder.mkdir()
     for stem, text in OWN.items():
@@ -118,7 +118,7 @@ def effects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Effect]:
 
 
 def named_in(source: str) -> Iterator[tuple[int, str]]:
-    """(line, text) of every string that names an effect or its parameter, docstrings excepted."""
+    """Yield (line, text) of every string, except docstrings, that names an effect or its parameter."""
     tree = ast.parse(source)
     docstrings = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
@@ -132,12 +132,12 @@ def test_general_sources_name_no_effect() -> None:
     assert {"parameters.py", "fit.py", "run.py", "separation.py", "compare.py", "names.py"} <= {
         path.name for path in GENERAL
     }
-    found = [
+    named = [
         f"{path.relative_to(ROOT)}:{line} {text}"
         for path in GENERAL
         for line, text in named_in(path.read_text("utf-8"))
     ]
-    assert found == []
+    assert named == []
 
 
 def test_templates_of_reports_name_no_effect() -> None:
@@ -148,7 +148,7 @@ def test_templates_of_reports_name_no_effect() -> None:
 
 
 @pytest.mark.parametrize(
-    ("source", "found"),
+    ("source", "names"),
     [
         ('NAMES = ("wind", "x")', ["wind"]),
         ('"""wind"""\nx = 1\n"""mass"""', []),
@@ -157,41 +157,41 @@ def test_templates_of_reports_name_no_effect() -> None:
         ('say("the mass", "mass.of", "thrust")', []),
     ],
 )
-def test_effect_names_in_a_source_are_found(source: str, found: list[str]) -> None:
-    assert [text for _, text in named_in(source)] == found
+def test_effect_names_in_a_source_are_found(source: str, names: list[str]) -> None:
+    assert [text for _, text in named_in(source)] == names
 
 
-def column(found: ParameterSpace, owner: str) -> Column:
-    return found.columns[found.owners[owner][0]]
+def column(parameter_space: ParameterSpace, owner: str) -> Column:
+    return parameter_space.columns[parameter_space.owners[owner][0]]
 
 
-def test_own_effect_that_says_nothing_has_the_usual_facts(effects: dict[str, Effect]) -> None:
-    found = space(VEHICLE, effects)
-    usual, shipped = column(found, "thrust-share"), column(found, "thrust-gain")
+def test_workspace_effect_without_optional_facts_has_the_defaults(effects: dict[str, Effect]) -> None:
+    parameter_space = space(VEHICLE, effects)
+    usual, shipped = column(parameter_space, "thrust-share"), column(parameter_space, "thrust-gain")
     assert (usual.discrepancy, usual.loop_discrepancy) == (shipped.discrepancy, shipped.loop_discrepancy)
     assert usual.discrepancy == 0.05
     assert usual.loop_discrepancy == 0.01
-    assert {"thrust-share", "pose-age"} <= set(found.candidates)
+    assert {"thrust-share", "pose-age"} <= set(parameter_space.candidates)
 
 
-def test_own_discrepancies_widen_what_may_be_left_out(effects: dict[str, Effect]) -> None:
-    found = space(VEHICLE, effects)
-    (index,) = found.owners["pose-age"]
-    assert found.prior.spike[index] == pytest.approx(np.hypot(0.0005 / 0.015, 0.3))
-    assert loop_discrepancy(found)[index] == 0.07
-    (shipped,) = found.owners["motor-lag"]
-    assert loop_discrepancy(found)[shipped] == 0.05
+def test_workspace_effect_discrepancies_widen_the_spike(effects: dict[str, Effect]) -> None:
+    parameter_space = space(VEHICLE, effects)
+    (index,) = parameter_space.owners["pose-age"]
+    assert parameter_space.prior.spike[index] == pytest.approx(np.hypot(0.0005 / 0.015, 0.3))
+    assert loop_discrepancy(parameter_space)[index] == 0.07
+    (shipped,) = parameter_space.owners["motor-lag"]
+    assert loop_discrepancy(parameter_space)[shipped] == 0.05
 
 
-def test_own_adjustment_is_in_every_model_and_no_candidate(effects: dict[str, Effect]) -> None:
+def test_workspace_adjustment_is_in_every_model_and_no_candidate(effects: dict[str, Effect]) -> None:
     for unknown in ((), *((word,) for word in UNKNOWN)):
-        found = space(VEHICLE, effects, unknown)
+        parameter_space = space(VEHICLE, effects, unknown)
         for name in ("ballast", "mass"):
-            assert name in found.groups
-            assert name not in found.candidates
+            assert name in parameter_space.groups
+            assert name not in parameter_space.candidates
 
 
-def test_own_effect_is_replaced_and_freed_by_unknowns(effects: dict[str, Effect]) -> None:
+def test_workspace_effect_is_replaced_and_freed_by_unknowns(effects: dict[str, Effect]) -> None:
     replaced = space(VEHICLE, effects, [THRUST])
     assert not {"thrust-share", "pose-age", "thrust-gain"} & set(replaced.owners)
     for unknown in ([POSE_LATENCY], [THRUST, POSE_LATENCY]):
@@ -204,16 +204,16 @@ def test_own_effect_is_replaced_and_freed_by_unknowns(effects: dict[str, Effect]
     assert column(space(VEHICLE, effects), "pose-age").lower == 0.0
 
 
-def test_effect_left_free_without_facts_moves_by_its_typical_size_within_its_bounds(
+def test_freed_effect_without_free_values_has_typical_size_and_its_bounds(
     effects: dict[str, Effect],
 ) -> None:
     plain = replace(effects["thrust-share"], replaced_by=(), freed_by=("thrust-curve",))
-    found = column(space(VEHICLE, {**effects, plain.name: plain}, ["thrust-curve"]), plain.name)
-    assert (found.tolerance, found.lower, found.upper) == (0.08, 0.4, 2.0)
+    freed = column(space(VEHICLE, {**effects, plain.name: plain}, ["thrust-curve"]), plain.name)
+    assert (freed.tolerance, freed.lower, freed.upper) == (0.08, 0.4, 2.0)
 
 
 def log(path: Path, *, gyro: float | None = None, sag: float = 0.0) -> Flight:
-    """A log that stands still, with a gyro that shows a peak and a battery that falls by a share."""
+    """Return a log at rest, with a peak of the gyro and a drop of the battery voltage by a share."""
     t_us = np.arange(0, 6_000_000, 10_000)
     p, q = np.zeros((len(t_us), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(t_us), 1))
     rate = np.zeros((len(t_us), 3))
@@ -229,9 +229,7 @@ def log(path: Path, *, gyro: float | None = None, sag: float = 0.0) -> Flight:
     return read_flight(path)
 
 
-def test_effect_is_left_out_where_the_signals_that_it_needs_are_at_rest(
-    tmp_path: Path, effects: dict[str, Effect]
-) -> None:
+def test_effect_is_left_out_if_its_signals_are_at_rest(tmp_path: Path, effects: dict[str, Effect]) -> None:
     bare = log(tmp_path / "bare.mcap")
     still = log(tmp_path / "still.mcap", gyro=0.1, sag=0.05)
     turning = log(tmp_path / "turning.mcap", gyro=0.4)
@@ -242,14 +240,14 @@ def test_effect_is_left_out_where_the_signals_that_it_needs_are_at_rest(
         True,
     ]
     assert [has_signals(shipped, flights) for flights in ([bare, turning], [still])] == [False, True]
-    # With nothing recorded the thrust is unknown, which would replace the effect.
+    # Without recorded inputs the thrust is unknown, which would replace the effect.
     known = {name: effects[name] for name in ("linear-drag", "mass")}
     known["pose-age"] = replace(own, replaced_by=())
     assert "pose-age" not in run([bare], [], known).space.effects
     assert "pose-age" in run([turning], [], known).space.effects
 
 
-def test_every_signal_of_a_flight_in_the_air_departs_from_rest() -> None:
+def test_every_signal_of_a_real_flight_deviates_from_rest() -> None:
     flight = read_flight(DATA / "a1.mcap")
     assert flight.control is not None
     assert departure(flight, "gyro") == np.abs(flight.control.gyro_mean).max()
@@ -259,18 +257,21 @@ def test_every_signal_of_a_flight_in_the_air_departs_from_rest() -> None:
     }
 
 
-def fitted(found: ParameterSpace, over: str, under: str) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled parameters and covariance with the first at 0.9 +- 0.02 and the second at 1.2 +- 0.03."""
-    i, k = found.owners[over][0], found.owners[under][0]
-    z, covariance = np.zeros(len(found.columns)), np.eye(len(found.columns))
-    z[i], z[k] = -0.1 / found.scale[i], 0.2 / found.scale[k]
-    covariance[i, i], covariance[k, k] = (0.02 / found.scale[i]) ** 2, (0.03 / found.scale[k]) ** 2
-    covariance[i, k] = covariance[k, i] = 0.0004 / found.scale[i] / found.scale[k]
+def fitted(parameter_space: ParameterSpace, over: str, under: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return theta_scaled and covariance with the first at 0.9 +- 0.02 and the second at 1.2 +- 0.03."""
+    i, k = parameter_space.owners[over][0], parameter_space.owners[under][0]
+    z, covariance = np.zeros(len(parameter_space.columns)), np.eye(len(parameter_space.columns))
+    z[i], z[k] = -0.1 / parameter_space.scale[i], 0.2 / parameter_space.scale[k]
+    covariance[i, i], covariance[k, k] = (
+        (0.02 / parameter_space.scale[i]) ** 2,
+        (0.03 / parameter_space.scale[k]) ** 2,
+    )
+    covariance[i, k] = covariance[k, i] = 0.0004 / parameter_space.scale[i] / parameter_space.scale[k]
     return z, covariance
 
 
-def told(observed: dict[str, ObservedAlias]) -> dict[str, str]:
-    """The sentences on exact aliases, by the other effect's name."""
+def sentences_of(observed: dict[str, ObservedAlias]) -> dict[str, str]:
+    """Return the sentences on exact aliases, by the name of the other effect."""
     return {name: words.exact_alias(each) for name, each in observed.items()}
 
 
@@ -278,57 +279,57 @@ def told(observed: dict[str, ObservedAlias]) -> dict[str, str]:
     ("name", "other", "shows", "remedy"),
     [
         ("thrust-share", "ballast", "push over weight", "put the vehicle on a scale"),
-        ("thrust-gain", "mass", "thrust over mass", "weigh the vehicle to tell mass from thrust"),
+        ("thrust-gain", "mass", "thrust over mass", "weigh the vehicle to distinguish mass from thrust"),
     ],
 )
-def test_exact_alias_is_told_by_the_ratio_that_shows_and_its_remedy(
+def test_exact_alias_with_a_ratio_is_worded_by_ratio_and_remedy(
     effects: dict[str, Effect], name: str, other: str, shows: str, remedy: str
 ) -> None:
     unweighed = {**VEHICLE.tolerances, "mass.factor": 0.01}
-    found = space(VEHICLE.replace(tolerances=unweighed), effects)
-    z, covariance = fitted(found, name, other)
+    parameter_space = space(VEHICLE.replace(tolerances=unweighed), effects)
+    z, covariance = fitted(parameter_space, name, other)
     # Relative variances add, less twice the relative covariance: 0.75 (0.02^2/0.9^2 + ...)^0.5.
     sd = 0.75 * ((0.02 / 0.9) ** 2 + (0.03 / 1.2) ** 2 - 2.0 * 0.0004 / (0.9 * 1.2)) ** 0.5
-    said = f"only {shows} shows: 0.7500 +- {2 * sd:.4f} times the nominal ratio; {remedy}"
-    assert told(exact_aliases(found, z, covariance, name)) == {other: said}
-    assert told(exact_aliases(found, z, covariance, other)) == {name: said}
-    assert exact_aliases(found, z, covariance, "wind") == {}
+    message = f"flights show only {shows}: 0.7500 +- {2 * sd:.4f} times the nominal ratio; {remedy}"
+    assert sentences_of(exact_aliases(parameter_space, z, covariance, name)) == {other: message}
+    assert sentences_of(exact_aliases(parameter_space, z, covariance, other)) == {name: message}
+    assert exact_aliases(parameter_space, z, covariance, "wind") == {}
 
 
 @pytest.mark.parametrize(("key", "line"), [("ballast.factor", 0.004), ("mass.factor", 0.005)])
-def test_exact_alias_that_was_measured_is_none(effects: dict[str, Effect], key: str, line: float) -> None:
+def test_exact_alias_that_was_measured_is_left_out(effects: dict[str, Effect], key: str, line: float) -> None:
     name = {"ballast.factor": "thrust-share", "mass.factor": "thrust-gain"}[key]
     for tolerance, count in ((0.99 * line, 0), (line, 1)):
         vehicle = VEHICLE.replace(tolerances={**VEHICLE.tolerances, key: tolerance})
-        found = space(vehicle, effects)
-        z, eye = np.zeros(len(found.columns)), np.eye(len(found.columns))
-        assert len(exact_aliases(found, z, eye, name)) == count
+        parameter_space = space(vehicle, effects)
+        z, eye = np.zeros(len(parameter_space.columns)), np.eye(len(parameter_space.columns))
+        assert len(exact_aliases(parameter_space, z, eye, name)) == count
 
 
-def test_exact_alias_without_a_ratio_is_told_by_its_remedy(effects: dict[str, Effect]) -> None:
+def test_exact_alias_without_a_ratio_is_worded_by_its_remedy(effects: dict[str, Effect]) -> None:
     alias = ExactAlias(effect="ballast", remedy="put the vehicle on a scale")
     plain = replace(effects["thrust-share"], exact_aliases=(alias,))
-    found = space(VEHICLE, {**effects, plain.name: plain})
-    z, eye = np.zeros(len(found.columns)), np.eye(len(found.columns))
-    assert told(exact_aliases(found, z, eye, plain.name)) == {
-        "ballast": "no flight tells thrust-share from ballast; put the vehicle on a scale"
+    parameter_space = space(VEHICLE, {**effects, plain.name: plain})
+    z, eye = np.zeros(len(parameter_space.columns)), np.eye(len(parameter_space.columns))
+    assert sentences_of(exact_aliases(parameter_space, z, eye, plain.name)) == {
+        "ballast": "no flight can distinguish thrust-share from ballast; put the vehicle on a scale"
     }
 
 
-def test_trace_names_an_own_effect_with_its_exact_alias(effects: dict[str, Effect]) -> None:
+def test_trace_names_a_workspace_effect_with_its_exact_alias(effects: dict[str, Effect]) -> None:
     """The shipped flights hold a thrust gain."""
     known = {name: effects[name] for name in ("thrust-share", "ballast", "linear-drag")}
     result = run([read_flight(DATA / "a1.mcap")], [], known)
-    (found,) = result.effects
-    assert found.name == "thrust-share"
-    assert set(found.exact_aliases) == set(found.aliases) == {"ballast"}
+    (named,) = result.effects
+    assert named.name == "thrust-share"
+    assert set(named.exact_aliases) == set(named.aliases) == {"ballast"}
     (line,) = (line for line in words.result_lines(result) if "push over weight" in line)
     assert line.endswith("; put the vehicle on a scale")
     assert not any("or ballast" in line for line in words.result_lines(result))
     assert "ballast" in result.model.adjustments
 
 
-def test_measurement_that_separates_two_effects_is_the_one_that_either_states(
+def test_separating_measurement_may_be_stated_by_either_effect(
     effects: dict[str, Effect],
 ) -> None:
     data = read_flight(DATA / "a1.mcap")
@@ -339,25 +340,25 @@ def test_measurement_that_separates_two_effects_is_the_one_that_either_states(
     flat = np.zeros((14, len(t_s)))
     flat[2] = -1.5
     hover = Manoeuvre(route="hover", total_time_s=6.0, slowed=False, flat=flat)
-    said = {
+    proposals = {
         pair: propose(form, result.diagnosis.selected, *pair, [hover])
         for pair in (("motor-lag", "pose-age"), ("frame-tilt", "wind"), ("linear-drag", "wind"))
     }
-    assert {pair: flight and flight.known_measurement for pair, flight in said.items()} == {
+    assert {pair: flight and flight.known_measurement for pair, flight in proposals.items()} == {
         ("motor-lag", "pose-age"): "film a lamp and its switch",
-        ("frame-tilt", "wind"): "fly once more without wind, or level the camera system",
+        ("frame-tilt", "wind"): "fly again without wind, or level the camera system",
         ("linear-drag", "wind"): None,
     }
 
 
-def test_latency_of_poses_counts_whichever_effect_makes_it(effects: dict[str, Effect]) -> None:
+def test_pose_latency_counts_from_any_effect(effects: dict[str, Effect]) -> None:
     tables = {"pose-age": {"age_s": 0.011}, "thrust-share": {"share": 0.9}}
     model = Model(vehicle_id="v", vehicle_name="n", effects=tables)
     trace: Any = SimpleNamespace(model=model, space=SimpleNamespace(effects=effects))
     assert latency_of(trace) == 0.011
 
 
-def test_studies_count_own_exact_aliases_as_one(effects: dict[str, Effect]) -> None:
+def test_studies_count_exact_aliases_of_a_workspace_as_one(effects: dict[str, Effect]) -> None:
     assert collapsed(["thrust-share"], ["ballast"], effects) == {"push-over-weight"}
     relative = replace(effects["pose-age"], observed_relative_to="thrust-share")
     known = {**effects, relative.name: relative}
@@ -366,7 +367,7 @@ def test_studies_count_own_exact_aliases_as_one(effects: dict[str, Effect]) -> N
     assert set(FAMILIES) == set(get_args(Family))
 
 
-def test_effects_page_tells_the_facts_of_own_effects(effects: dict[str, Effect]) -> None:
+def test_effects_page_lists_the_facts_of_workspace_effects(effects: dict[str, Effect]) -> None:
     text = page(effects)
     for line in (
         '- Exactly like ballast unless the vehicle file gives `"ballast.factor"` below 0.004: only push over '
@@ -380,7 +381,7 @@ def test_effects_page_tells_the_facts_of_own_effects(effects: dict[str, Effect])
         assert line in text.splitlines()
 
 
-def test_number_with_the_old_arguments_is_the_same_parameter() -> None:
+def test_number_with_positional_arguments_is_the_same_parameter() -> None:
     assert number("k", "1", 0.0, 1.0, 0.1, -5.0, 5.0, "d") == Parameter(
         key="k", unit="1", neutral=0.0, typical=1.0, tolerance=0.1, lower=-5.0, upper=5.0, description="d"
     )
@@ -399,19 +400,19 @@ def test_number_with_the_old_arguments_is_the_same_parameter() -> None:
         {"free_lower": -np.inf},
     ],
 )
-def test_parameter_with_an_impossible_fact_is_refused_with_its_field(facts: NumberOptions) -> None:
+def test_parameter_with_an_invalid_field_raises_with_its_name(facts: NumberOptions) -> None:
     (field,) = facts
     with pytest.raises(ValueError, match=rf"parameter k: .*{field}"):
         number("k", "1", 0.0, 1.0, 0.1, -5.0, 5.0, "d", **facts)
 
 
 @pytest.mark.parametrize(
-    ("name", "facts", "said"),
+    ("name", "facts", "message"),
     [
         ("thrust-share", {"family": "magic"}, "family 'magic'"),
         ("thrust-share", {"replaced_by": ("weather",)}, "replaced_by .*weather"),
         ("thrust-share", {"freed_by": "torque"}, "freed_by must be a tuple"),
-        ("thrust-share", {"freed_by": ("thrust",)}, "'thrust'. in replaced_by and in freed_by"),
+        ("thrust-share", {"freed_by": ("thrust",)}, "'thrust'. in both replaced_by and freed_by"),
         ("thrust-share", {"aliases": ()}, "exact_aliases ballast"),
         ("pose-age", {"freed_by": ()}, "age_s.*freed_by"),
         ("pose-age", {"separated_by": {"wind": "wait"}}, "separated_by wind"),
@@ -425,17 +426,17 @@ def test_parameter_with_an_impossible_fact_is_refused_with_its_field(facts: Numb
         ),
     ],
 )
-def test_effect_with_an_impossible_fact_is_refused_with_its_field(
-    effects: dict[str, Effect], name: str, facts: dict[str, Any], said: str
+def test_effect_with_an_invalid_field_raises_with_its_name(
+    effects: dict[str, Effect], name: str, facts: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(ValueError, match=f"effect {name}: .*{said}"):
+    with pytest.raises(ValueError, match=f"effect {name}: .*{message}"):
         replace(effects[name], **facts)
 
 
 @pytest.mark.parametrize(
-    ("file", "old", "new", "said"),
+    ("file", "old", "new", "message"),
     [
-        ("thrust_share", '"ballast"', '"anchor"', "thrust-share: exact_aliases anchor, which nobody defines"),
+        ("thrust_share", '"ballast"', '"anchor"', "thrust-share: exact_aliases anchor, which is not defined"),
         (
             "thrust_share",
             '"ballast"',
@@ -446,14 +447,14 @@ def test_effect_with_an_impossible_fact_is_refused_with_its_field(
             "ballast",
             "adjustment=True",
             'observed_relative_to="anchor"',
-            "ballast: observed_relative_to anchor, which nobody defines",
+            "ballast: observed_relative_to anchor, which is not defined",
         ),
     ],
 )
-def test_effect_that_refers_to_what_is_not_there_is_refused(
-    tmp_path: Path, file: str, old: str, new: str, said: str
+def test_effect_that_refers_to_an_unknown_effect_raises(
+    tmp_path: Path, file: str, old: str, new: str, message: str
 ) -> None:
     (tmp_path / "effects").mkdir()
     (tmp_path / "effects" / f"{file}.py").write_text(OWN[file].replace(old, new), encoding="utf-8")
-    with pytest.raises(EffectError, match=said):
+    with pytest.raises(EffectError, match=message):
         load_effects(tmp_path)

@@ -1,4 +1,4 @@
-"""The registry finds effects by name and says what is wrong with a file it cannot use."""
+"""The registry finds effects by name and reports errors of effect files."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def write(workspace: Path, file: str, text: str) -> None:
     (workspace / "effects" / file).write_text(text, encoding="utf-8")
 
 
-def test_load_effects_shipped_has_them_all_with_their_keys():
+def test_load_effects_shipped_returns_all_effects_with_their_keys():
     effects = load_effects()
     assert {name: effect.keys for name, effect in effects.items()} == SHIPPED
     assert list(effects) == sorted(effects)
@@ -82,8 +82,8 @@ def test_load_effects_workspace_changed_file_changes_source_id(tmp_path):
     ("file", "text", "message"),
     [
         ("broken.py", "EFFECT = (", r"effects/broken\.py: SyntaxError"),
-        ("nothing.py", "x = 1\n", r"effects/nothing\.py: defines no EFFECT"),
-        ("other.py", WORKSPACE_EFFECT.format(name="roll-push"), r"must be roll_push\.py"),
+        ("nothing.py", "x = 1\n", r"effects/nothing\.py: does not define EFFECT"),
+        ("other.py", WORKSPACE_EFFECT.format(name="roll-push"), r"rename the file to roll_push\.py"),
         ("wind.py", WORKSPACE_EFFECT.format(name="wind"), r"wind is a shipped effect"),
         (
             "bad_name.py",

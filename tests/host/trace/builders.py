@@ -78,7 +78,7 @@ def build_effect(
     exact_aliases: Sequence[ExactAlias] = (),
     needs_signals: Mapping[Signal, float] | None = None,
 ) -> Effect:
-    """Return an effect that acts as a factor on the mass; with `memory` it has states of its own.
+    """Return an effect that is a factor on the mass; with `memory` it adds states.
 
     The effect named MASS is an adjustment.
     """
@@ -223,7 +223,7 @@ def build_search_result(
     log_evidence: Mapping[Names, float] | None = None,
     posterior_weights: Mapping[Names, float] | None = None,
 ) -> SearchResult[Any]:
-    """Return what a search ends with; without `posterior_weights` every fitted set may be selected."""
+    """Return the result of a search; by default every fitted set may be selected."""
     fitted = {selected.effects: selected.log_evidence} if log_evidence is None else log_evidence
     posterior_weights = dict.fromkeys(fitted, 1.0) if posterior_weights is None else posterior_weights
     return SearchResult(
@@ -232,7 +232,7 @@ def build_search_result(
 
 
 def build_diagnosis(
-    kept: Names = (),
+    effects: Names = (),
     *,
     posterior_weights: Mapping[Names, float] | None = None,
     inclusion_probability: Mapping[str, float] | None = None,
@@ -241,13 +241,13 @@ def build_diagnosis(
     method: Method = "segments",
     repeatability: tuple[FlightRepeat | None, FlightRepeat | None] = (None, None),
 ) -> Diagnosis:
-    """Return the diagnosis that keeps the effects `kept`, by default for sure."""
+    """Return a diagnosis that selects `effects`, by default with certainty."""
     return Diagnosis(
-        selected=selected or build_fit(kept),
+        selected=selected or build_fit(effects),
         null_fit=build_fit(),
         method=method,
         inclusion_probability=inclusion_probability or {},
-        posterior_weights={kept: 1.0} if posterior_weights is None else posterior_weights,
+        posterior_weights={effects: 1.0} if posterior_weights is None else posterior_weights,
         log_evidence={},
         detectability=detectability or {},
         repeatability=repeatability,
@@ -264,14 +264,14 @@ def weights_of_nothing(probability: float, other: Names = ("other",)) -> dict[Na
 def build_flight_repeat(
     *, share: float = 0.0, z_score: float = 0.0, position_m: float = 0.0, size: int = 1000
 ) -> FlightRepeat:
-    """Return what whole flights repeat; by default nothing."""
+    """Return the repeatability of whole flights; by default nothing repeats."""
     return FlightRepeat(share=share, z_score=z_score, position_m=position_m, size=size)
 
 
 def build_channel(
     *, repeat: float = 0.0, z_score: float = 0.0, line: SpectralLine = NO_LINE
 ) -> ChannelResidual:
-    """Return what a force (m/s^2) or torque (rad/s^2) holds; by default nothing."""
+    """Return a residual force (m/s^2) or torque (rad/s^2); by default there is none."""
     return ChannelResidual(repeat=repeat, z_score=z_score, line=line)
 
 
@@ -282,18 +282,18 @@ def build_residual(
     pairs: int = 1,
     flights: FlightRepeat | None = None,
 ) -> UnexplainedResidual:
-    """Return the residual of one pair of twins; by default nothing is unexplained."""
+    """Return the residual of one pair of repeat flights; by default nothing is unexplained."""
     return UnexplainedResidual(
         force=force or build_channel(), torque=torque or build_channel(), pairs=pairs, flights=flights
     )
 
 
 LIBRARY = build_space("drag", "gain", "wind", "lag", "sag")
-"""Five effects that have nothing to do with each other."""
+"""Five unrelated effects."""
 
 
 def build_evidence(selected: Names = (), **changes: Any) -> Evidence:
-    """Return evidence for exactly the effects `selected` from long twin flights, but for `changes`."""
+    """Return clear evidence for the effects `selected` from long repeat flights, except for `changes`."""
     clear: dict[str, Any] = {
         "space": LIBRARY,
         "null_probability": 0.0 if selected else 1.0,
@@ -325,7 +325,7 @@ def build_flight(
     voltage_ratio: Sequence[float] | None = None,
     poses: int | None = None,
 ) -> Flight:
-    """Return an imported flight of poses alone at 50 Hz, tracked from 1 s on.
+    """Return an imported flight of poses only, at 50 Hz, tracking from 1 s on.
 
     It moves north by `extent_m` while tracked and is `elsewhere_m` to the east before and after.
     `voltage_ratio`: battery voltage over full voltage, over the whole flight. `poses`: keep only so many.
@@ -369,14 +369,14 @@ def build_flight(
 
 
 def build_named(name: str) -> Named:
-    """Return an effect that a trace names for sure."""
+    """Return an effect that a trace names with certainty."""
     return Named(name=name, title=name, parameters={}, probability=1.0, aliases={}, exact_aliases={})
 
 
 def build_trace(
     space: ParameterSpace, diagnosis: Diagnosis, *, named: Sequence[str] = (), **changes: Any
 ) -> Trace:
-    """Return a trace that names these effects, without held-out flights, but for `changes`."""
+    """Return a trace that names these effects, without held-out flights, except for `changes`."""
     plain: dict[str, Any] = {
         "verdict": Verdict.TRACED if named else Verdict.NOTHING_MISSING,
         "findings": (),

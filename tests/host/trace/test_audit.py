@@ -1,4 +1,4 @@
-"""The audit of logs: silent on ordinary flights, and one log with each defect."""
+"""The audit of logs: no findings on ordinary flights, and one log with each defect."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight
 from trimtab.host.trace import words
 from trimtab.host.trace.answer import audit_json
-from trimtab.host.trace.data.audit import Stretch, audit, with_missing_twins
+from trimtab.host.trace.data.audit import Stretch, audit, with_missing_repeats
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.findings import Code, Finding
@@ -29,14 +29,14 @@ def flight() -> Flight:
 
 
 def between(flight: Flight, t_us: np.ndarray, begin_s: float = BEGIN_S, end_s: float = END_S) -> np.ndarray:
-    """Samples from begin_s to end_s since tracking began."""
+    """Return the mask of samples from begin_s to end_s since tracking began."""
     assert flight.tracking is not None
     t_s = (t_us - flight.tracking[0]) * 1e-6
     return (t_s >= begin_s) & (t_s < end_s)
 
 
 def poses(flight: Flight, keep: Any = None, **arrays: np.ndarray) -> Flight:
-    """The flight with other poses, of which only the rows `keep` are left."""
+    """Return the flight with other poses, restricted to the rows `keep`."""
     assert flight.mocap is not None
     new = replace(flight.mocap, **arrays)
     if keep is not None:
@@ -63,10 +63,10 @@ def codes(findings: Sequence[Finding]) -> set[Code]:
 
 
 def the_stretch(flight: Flight, code: Code) -> Stretch:
-    """The one stretch of the flight, which no segment may touch."""
-    found = audit(FlightData.of(flight))
-    assert [stretch.code for stretch in found.stretches] == [code]
-    (stretch,) = found.stretches
+    """Return the only stretch of the flight, after checking that no segment overlaps it."""
+    health = audit(FlightData.of(flight))
+    assert [stretch.code for stretch in health.stretches] == [code]
+    (stretch,) = health.stretches
     data, (cut,) = segments_of([FlightData.of(flight)], rate_driven=False)
     assert not ((data.start_s < stretch.end_s) & (data.start_s + 0.6 > stretch.start_s)).any()
     assert [f.subject for f in cut.findings if f.code is Code.SEGMENTS_LEFT_OUT] == [(str(code),)]
@@ -76,13 +76,13 @@ def the_stretch(flight: Flight, code: Code) -> Stretch:
 
 
 @pytest.mark.parametrize("name", ["a1", "a2", "b1", "b2", "c1"])
-def test_ordinary_flights_are_used_whole_and_without_a_remark(name: str) -> None:
-    found = audit(FlightData.of(read_flight(DATA / f"{name}.mcap")))
-    assert found.stretches == ()
-    assert found.findings == ()
+def test_ordinary_flights_are_used_whole_without_findings(name: str) -> None:
+    health = audit(FlightData.of(read_flight(DATA / f"{name}.mcap")))
+    assert health.stretches == ()
+    assert health.findings == ()
 
 
-def test_rates_are_those_of_the_topics_with_how_they_were_taken(flight: Flight) -> None:
+def test_rates_are_those_of_the_topics_with_their_sampling(flight: Flight) -> None:
     rates = {rate.topic: rate for rate in audit(FlightData.of(flight)).rates}
     assert rates["/mocap/pose"].median_hz == pytest.approx(100.0)
     assert rates["/mocap/pose"].sampling == "sampled"
@@ -90,7 +90,7 @@ def test_rates_are_those_of_the_topics_with_how_they_were_taken(flight: Flight) 
     assert 90.0 < rates["/fc/control"].worst_hz <= 100.0
 
 
-def test_poses_that_thin_out_for_a_second_are_told(flight: Flight) -> None:
+def test_audit_reports_poses_that_drop_for_a_second(flight: Flight) -> None:
     assert flight.mocap is not None
     count = np.arange(len(flight.mocap))
     thin = poses(flight, ~between(flight, flight.mocap.t_us, 2.0, 3.5) | (count % 4 == 0))
@@ -121,7 +121,7 @@ def test_a_gap_in_the_commands_is_left_out(flight: Flight) -> None:
     assert the_stretch(wide, Code.GAP_IN_COMMANDS).start_s == pytest.approx(BEGIN_S, abs=0.02)
 
 
-def test_a_camera_clock_that_jumps_is_left_out_where_it_does(flight: Flight) -> None:
+def test_a_jump_of_the_camera_clock_is_left_out(flight: Flight) -> None:
     assert flight.mocap is not None
     assert flight.tracking is not None
     t_us = flight.mocap.t_us.copy()
@@ -130,7 +130,7 @@ def test_a_camera_clock_that_jumps_is_left_out_where_it_does(flight: Flight) -> 
     assert stretch.start_s <= BEGIN_S <= stretch.end_s
 
 
-def test_a_vehicle_clock_that_runs_back_is_left_out_where_it_does(flight: Flight) -> None:
+def test_a_backward_jump_of_the_vehicle_clock_is_left_out(flight: Flight) -> None:
     assert flight.control is not None
     late = np.arange(len(flight.control)) >= np.flatnonzero(between(flight, flight.control.t1_us))[0]
     stepped = commands(
@@ -139,7 +139,7 @@ def test_a_vehicle_clock_that_runs_back_is_left_out_where_it_does(flight: Flight
     the_stretch(stepped, Code.CLOCK_JUMP)
 
 
-def test_clocks_that_drift_apart_are_told(flight: Flight) -> None:
+def test_audit_reports_clock_drift(flight: Flight) -> None:
     link = flight.link
     assert link is not None
     ramp = np.linspace(0.0, 8_000.0, len(link))
@@ -157,7 +157,7 @@ def test_repeated_time_stamps_are_counted(flight: Flight) -> None:
     assert (finding.code, finding.value, finding.subject) == (Code.REPEATED_STAMPS, 3, ("/mocap/pose",))
 
 
-def test_a_vehicle_as_low_as_it_stood_touches_the_ground(flight: Flight) -> None:
+def test_a_vehicle_at_its_resting_height_touches_the_ground(flight: Flight) -> None:
     assert flight.mocap is not None
     p = flight.mocap.p.copy()
     p[between(flight, flight.mocap.t_us), 2] = flight.mocap.p[0, 2] - 0.02
@@ -166,7 +166,7 @@ def test_a_vehicle_as_low_as_it_stood_touches_the_ground(flight: Flight) -> None
     assert stretch.end_s == pytest.approx(END_S, abs=0.35)
 
 
-def test_rotors_below_weight_without_a_fall_are_carried_by_the_ground(flight: Flight) -> None:
+def test_a_vehicle_with_thrust_below_weight_that_does_not_fall_touches_the_ground(flight: Flight) -> None:
     assert flight.mocap is not None
     assert flight.control is not None
     where = between(flight, flight.mocap.t_us)
@@ -175,7 +175,7 @@ def test_rotors_below_weight_without_a_fall_are_carried_by_the_ground(flight: Fl
     p[where, 2] = p[airborne, 2].max()
     motor = flight.control.motor_mean.copy()
     motor[between(flight, flight.control.t1_us)] *= 0.8
-    # A log that begins in the air and never shows the floor.
+    # A log that begins in the air and never reaches the floor.
     started = flight.control.t1_us > flight.mocap.t_us[airborne][0]
     low = commands(poses(flight, airborne, p=p), started, motor_mean=motor)
     the_stretch(replace(low, kind="imported"), Code.GROUND_CONTACT)
@@ -200,7 +200,7 @@ def test_a_motor_at_its_limit_is_left_out(flight: Flight, limit: float) -> None:
     )
 
 
-def test_rotors_clipped_for_a_share_of_the_ticks_are_told(flight: Flight) -> None:
+def test_audit_reports_saturated_rotors(flight: Flight) -> None:
     assert flight.status is not None
     clipped = replace(flight.status, saturated_ticks=flight.status.flight_ticks // 20)
     (finding,) = audit(FlightData.of(replace(flight, status=clipped))).findings
@@ -211,7 +211,7 @@ def test_rotors_clipped_for_a_share_of_the_ticks_are_told(flight: Flight) -> Non
 @pytest.mark.parametrize(
     ("angles_deg", "code"), [((0.0, 0.0, 78.0), Code.TILTED), ((0.0, 85.0, 0.0), Code.PITCH_SINGULAR)]
 )
-def test_attitudes_that_the_model_cannot_hold_are_left_out(
+def test_singular_and_steep_attitudes_are_left_out(
     flight: Flight, angles_deg: tuple[float, float, float], code: Code
 ) -> None:
     assert flight.mocap is not None
@@ -220,7 +220,7 @@ def test_attitudes_that_the_model_cannot_hold_are_left_out(
     assert the_stretch(poses(flight, q=turned), code).start_s == pytest.approx(BEGIN_S, abs=0.03)
 
 
-def test_sampled_commands_say_what_they_cost(flight: Flight) -> None:
+def test_audit_reports_sampled_and_slow_commands(flight: Flight) -> None:
     assert flight.control is not None
     c = flight.control
     inputs = RecordedInputs(t_us=c.t1_us, level="motor", motor=c.motor_mean)
@@ -234,25 +234,25 @@ def test_sampled_commands_say_what_they_cost(flight: Flight) -> None:
     assert Code.SLOW_COMMANDS in codes(audit(FlightData.of(replace(sampled, recorded_inputs=slow))).findings)
 
 
-def test_a_flight_without_inputs_says_so(flight: Flight) -> None:
+def test_audit_reports_missing_inputs(flight: Flight) -> None:
     findings = audit(FlightData.of(replace(flight, control=None))).findings
     assert {Code.NO_INPUTS, Code.NO_GYRO} <= codes(findings)
 
 
-def test_a_flight_without_a_twin_says_so(flight: Flight) -> None:
-    found = with_missing_twins([audit(FlightData.of(flight))] * 3, [(0, 2)])
-    assert [codes(one.findings) for one in found] == [set(), {Code.NO_TWIN}, set()]
+def test_with_missing_repeats_adds_a_finding_to_single_flights(flight: Flight) -> None:
+    health = with_missing_repeats([audit(FlightData.of(flight))] * 3, [(0, 2)])
+    assert [codes(one.findings) for one in health] == [set(), {Code.NO_REPEAT}, set()]
 
 
-def test_the_audit_of_a_flight_tells_machines_the_same(flight: Flight) -> None:
+def test_audit_json_holds_the_audit(flight: Flight) -> None:
     assert flight.mocap is not None
     _, (cut,) = segments_of(
         [FlightData.of(poses(flight, ~between(flight, flight.mocap.t_us)))],
         rate_driven=False,
     )
-    told = audit_json(cut)
-    assert told["stretches"][0]["code"] == Code.GAP_IN_POSES
-    assert told["stretches"][0]["reason"] == words.reason(cut.stretches[0])
-    assert told["segments"] == cut.segments
-    assert told["used_s"] == pytest.approx(0.6 * cut.segments)
-    assert set(told["rates"][0]) == {"topic", "median_hz", "worst_hz", "sampling"}
+    entry = audit_json(cut)
+    assert entry["stretches"][0]["code"] == Code.GAP_IN_POSES
+    assert entry["stretches"][0]["reason"] == words.reason(cut.stretches[0])
+    assert entry["segments"] == cut.segments
+    assert entry["used_s"] == pytest.approx(0.6 * cut.segments)
+    assert set(entry["rates"][0]) == {"topic", "median_hz", "worst_hz", "sampling"}

@@ -1,4 +1,4 @@
-"""Segments from logs: averages over steps, what poses alone still tell, what is too little."""
+"""Segments from logs: averages over steps, logs of only poses, and logs with too little data."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def log(
     battery: Battery | None = None,
     unknown: str = "",
 ) -> Path:
-    """A log of a vehicle that turns at 0.4 rad/s and swings north; with holes most poses are missing."""
+    """Write a log of a vehicle that yaws at 0.4 rad/s and swings north; `holes` removes most poses."""
     t_us = np.arange(0, round(seconds * 1e6), every_us)
     t_us = t_us[t_us % 500_000 < 150_000] if holes else t_us
     t = t_us * 1e-6
@@ -54,10 +54,12 @@ def test_averages_over_steps_hold_the_area_under_intervals() -> None:
 
 def test_signals_of_poses_alone_take_hover_thrust_and_the_poses_body_rate(tmp_path: Path) -> None:
     flight = read_flight(log(tmp_path / "poses.mcap"))
-    found = signals(flight)
-    assert found.in_newton
-    assert found.command.sum() == pytest.approx(VEHICLE.mass_kg * 9.81, rel=1e-3)
-    np.testing.assert_allclose(found.rate_frd, np.tile([0.0, 0.0, 0.4], (len(found.rate_frd), 1)), atol=1e-6)
+    flight_signals = signals(flight)
+    assert flight_signals.in_newton
+    assert flight_signals.command.sum() == pytest.approx(VEHICLE.mass_kg * 9.81, rel=1e-3)
+    np.testing.assert_allclose(
+        flight_signals.rate_frd, np.tile([0.0, 0.0, 0.4], (len(flight_signals.rate_frd), 1)), atol=1e-6
+    )
     assert {"thrust", "torque"} <= unknowns([flight])
 
 
@@ -71,14 +73,14 @@ def test_signals_of_a_reference_alone_are_those_of_poses_alone(tmp_path: Path) -
     assert Code.NO_INPUTS in {finding.code for finding in audit.findings}
 
 
-def test_segments_of_a_short_log_are_too_little(tmp_path: Path) -> None:
+def test_segments_of_a_short_log_are_refused(tmp_path: Path) -> None:
     flight = read_flight(log(tmp_path / "short.mcap", seconds=2.0))
     with pytest.raises(LogsRefused, match=r"^short\.mcap: only \d usable segments") as refusal:
         segments_of([FlightData.of(flight)], rate_driven=True)
     assert refusal.value.details == {"code": Code.TOO_FEW_SEGMENTS}
 
 
-def test_segments_leave_out_a_gap_and_say_so(tmp_path: Path) -> None:
+def test_segments_leave_out_a_gap_with_a_finding(tmp_path: Path) -> None:
     t_us = np.arange(0, 8_000_000, 10_000)
     t_us = t_us[(t_us < 3_000_000) | (t_us > 4_000_000)]
     p = np.zeros((len(t_us), 3))
@@ -91,14 +93,14 @@ def test_segments_leave_out_a_gap_and_say_so(tmp_path: Path) -> None:
     assert Code.SEGMENTS_LEFT_OUT in {finding.code for finding in audit.findings}
 
 
-def test_segments_of_slow_poses_count_what_their_rate_gives(tmp_path: Path) -> None:
+def test_segments_of_slow_poses_need_fewer_poses(tmp_path: Path) -> None:
     flight = read_flight(log(tmp_path / "slow.mcap", every_us=20_000))
     _, (audit,) = segments_of([FlightData.of(flight)], rate_driven=True)
     assert audit.segments >= 8
     assert audit.left_out == 0
 
 
-def test_too_little_data_says_what_was_left_out(tmp_path: Path) -> None:
+def test_refusal_of_too_few_segments_names_what_was_left_out(tmp_path: Path) -> None:
     flight = read_flight(log(tmp_path / "holes.mcap", holes=True))
     with pytest.raises(LogsRefused, match=r"holes\.mcap: \d+ segments with gaps"):
         segments_of([FlightData.of(flight)], rate_driven=True)
@@ -108,8 +110,8 @@ def test_a_dead_battery_reading_is_no_measurement(tmp_path: Path) -> None:
     t_us = np.arange(0, 6_000_000, 100_000)
     for volts, ratio in ((0.0, 1.0), (0.9 * VEHICLE.battery.full_v, 0.9)):
         battery = Battery(t_us=t_us, battery_v=np.full(len(t_us), volts))
-        found = signals(read_flight(log(tmp_path / f"{volts:.0f}.mcap", battery=battery)))
-        np.testing.assert_allclose(found.voltage_ratio, ratio)
+        flight_signals = signals(read_flight(log(tmp_path / f"{volts:.0f}.mcap", battery=battery)))
+        np.testing.assert_allclose(flight_signals.voltage_ratio, ratio)
 
 
 def test_segment_without_a_gyro_starts_with_the_rate_of_the_poses(tmp_path: Path) -> None:

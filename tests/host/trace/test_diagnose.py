@@ -20,7 +20,7 @@ LIBRARY = ("thrust-gain", "mass", "com-offset", "ground-effect")
 
 
 def test_a_fit_is_the_optimum_of_its_linearisation() -> None:
-    """A fit that stops a standard deviation short leaves a push that would look like more physics."""
+    """A fit that ends a standard deviation early would leave a force that looks like another effect."""
     flight = read_flight(DATA / "c1.mcap")
     effects = load_effects()
     library = space(flight.vehicle, {name: effects[name] for name in LIBRARY})

@@ -1,4 +1,4 @@
-"""Evidence, posterior and disturbances against dense linear algebra done the long way."""
+"""Evidence, posterior and disturbances against dense linear algebra."""
 
 from __future__ import annotations
 
@@ -96,12 +96,12 @@ def test_posterior_and_local_step_are_the_joint_ridge_solution(dense: Dense) -> 
 def test_disturbances_are_the_best_linear_prediction(dense: Dense) -> None:
     q = PROCESS.covariance(BINS)
     step, local = np.array([0.1, -0.3, 0.2]), np.array([[0.2, -0.1], [0.0, 0.4]])
-    found = evidence.disturbances(dense.lin, PROCESS, step, local)
+    estimate = evidence.disturbances(dense.lin, PROCESS, step, local)
     for i, f in enumerate(dense.flight):
         rest = dense.r[i] - dense.S[i] @ step - dense.L[i] @ local[f]
         total = np.eye(ROWS) + dense.Z[i] @ q @ dense.Z[i].T
         expected = q @ dense.Z[i].T @ np.linalg.solve(total, rest)
-        np.testing.assert_allclose(found[i].ravel(), expected, atol=1e-9)
+        np.testing.assert_allclose(estimate[i].ravel(), expected, atol=1e-9)
 
 
 def test_process_covariance_is_positive_definite_and_keeps_axes_apart() -> None:
@@ -119,7 +119,7 @@ def test_prior_precision_frees_only_the_selected_columns() -> None:
     np.testing.assert_allclose(precision, [100.0, 25.0, 1.0 / RULES.slab_sigma**2])
 
 
-def test_slope_of_the_evidence_is_that_of_differences(dense: Dense) -> None:
+def test_gradient_of_the_evidence_equals_finite_differences(dense: Dense) -> None:
     precision, h = PRIOR.precision(("a",)), 1e-5
     point = np.array([PROCESS.log_lateral, PROCESS.log_axial, PROCESS.log_torque])
 
@@ -133,7 +133,7 @@ def test_slope_of_the_evidence_is_that_of_differences(dense: Dense) -> None:
         assert slope[i] == pytest.approx((value(point + step) - value(point - step)) / (2 * h), rel=1e-5)
 
 
-def test_fit_process_finds_the_variances_the_data_were_made_with() -> None:
+def test_fit_process_recovers_the_true_variances() -> None:
     rng = np.random.default_rng(11)
     count, truth = 60, Process(log_lateral=np.log(0.4), log_axial=np.log(0.05), log_torque=np.log(3.0))
     root = np.linalg.cholesky(truth.covariance(BINS))
@@ -149,13 +149,13 @@ def test_fit_process_finds_the_variances_the_data_were_made_with() -> None:
         local=np.zeros((1, K)),
     )
     start = Process(log_lateral=0.0, log_axial=0.0, log_torque=0.0)
-    found = evidence.fit_process(lin, PRIOR, (), start)
-    assert found.log_lateral == pytest.approx(truth.log_lateral, abs=0.5)
-    assert found.log_axial == pytest.approx(truth.log_axial, abs=0.6)
-    assert found.log_torque == pytest.approx(truth.log_torque, abs=0.4)
+    process = evidence.fit_process(lin, PRIOR, (), start)
+    assert process.log_lateral == pytest.approx(truth.log_lateral, abs=0.5)
+    assert process.log_axial == pytest.approx(truth.log_axial, abs=0.6)
+    assert process.log_torque == pytest.approx(truth.log_torque, abs=0.4)
 
 
-def test_a_held_quadratic_is_least_where_a_search_inside_the_bounds_finds() -> None:
+def test_minimise_in_box_agrees_with_a_bounded_search() -> None:
     rng = np.random.default_rng(4)
     for _ in range(5):
         A = rng.standard_normal((9, 3))
@@ -166,14 +166,16 @@ def test_a_held_quadratic_is_least_where_a_search_inside_the_bounds_finds() -> N
             return float((at - step) @ normal @ (at - step))
 
         best = minimize(rise, np.zeros(3), bounds=list(zip(lower, upper, strict=True)), tol=1e-14)
-        held = evidence.held(normal, step, lower, upper)
+        held = evidence.minimise_in_box(normal, step, lower, upper)
         assert np.all((held >= lower) & (held <= upper))
         assert rise(held) == pytest.approx(best.fun, abs=1e-6)
-    assert np.array_equal(evidence.held(np.eye(2), np.ones(2), -np.ones(2), 2.0 * np.ones(2)), np.ones(2))
+    assert np.array_equal(
+        evidence.minimise_in_box(np.eye(2), np.ones(2), -np.ones(2), 2.0 * np.ones(2)), np.ones(2)
+    )
 
 
-def test_a_step_that_meets_a_bound_is_made_up_for_by_the_others() -> None:
-    """Two parameters push alike, one of them in one direction only: the other has to do all."""
+def test_bounded_step_lets_other_parameters_compensate_a_bound() -> None:
+    """Of two parameters with the same slope, one is at its bound, so the other must explain everything."""
     push = np.array([1.0, -1.0, -1.0])
     gram = 1e4 * np.outer(push, push)
     limits = np.array([0.0, -5.0]), np.array([5.0, 5.0])

@@ -1,4 +1,4 @@
-"""Whether flights are enough to be searched as whole flights: what is measured, and the rule."""
+"""Shortfalls of tracking that prevent the search of whole flights."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MIN_S, HOVER_M = RULES.flight_fit_min_s, RULES.hover_extent_m
 
 
 def shortfall_of(flights: list[Flight]) -> Finding | None:
-    """Return what these flights lack to be fitted whole."""
+    """Return why these flights cannot be fitted whole."""
     return tracking_shortfall(*tracking_extent([FlightData.of(each) for each in flights]))
 
 
@@ -58,7 +58,7 @@ def test_shortfall_counts_the_tracking_time_of_all_flights(tracked_s: tuple[floa
         pytest.param((HOVER_M + MM, 0.0), False, id="the-first-moves"),
     ],
 )
-def test_shortfall_is_a_hover_where_no_flight_moves(extents_m: tuple[float, ...], hovered: bool) -> None:
+def test_shortfall_is_a_hover_if_no_flight_moves(extents_m: tuple[float, ...], hovered: bool) -> None:
     flights = [build_flight(str(k), tracked_s=20.0, extent_m=each) for k, each in enumerate(extents_m)]
     assert tracking_extent([FlightData.of(each) for each in flights])[1] == pytest.approx(max(extents_m))
     assert code_of(shortfall_of(flights)) == (Code.HOVER_ONLY if hovered else None)
@@ -90,15 +90,15 @@ def test_tracking_shortfall_needs_time_then_extent(
 
 
 @pytest.mark.parametrize("extent_m", [0.0, 1.0], ids=["hover", "manoeuvre"])
-def test_shortfall_of_tracking_holds_how_much_there_is_and_is_told_before_a_hover(extent_m: float) -> None:
-    found = shortfall_of([build_flight(tracked_s=3.4, extent_m=extent_m)])
-    assert found is not None
-    assert (found.code, found.bound, found.unit) == (Code.TRACKING_TOO_SHORT, MIN_S, "s")
-    assert found.value == pytest.approx(3.4)
-    assert "3.4 s" in sentence(found)
+def test_shortfall_of_tracking_time_is_reported_before_a_hover(extent_m: float) -> None:
+    finding = shortfall_of([build_flight(tracked_s=3.4, extent_m=extent_m)])
+    assert finding is not None
+    assert (finding.code, finding.bound, finding.unit) == (Code.TRACKING_TOO_SHORT, MIN_S, "s")
+    assert finding.value == pytest.approx(3.4)
+    assert "3.4 s" in sentence(finding)
 
 
 def test_shortfall_of_a_long_hover_holds_its_extent_and_mentions_no_time() -> None:
-    found = not_none(shortfall_of([build_flight(tracked_s=23.4, extent_m=0.0)]))
-    assert found == Finding(code=Code.HOVER_ONLY, value=0.0, bound=HOVER_M, unit="m")
-    assert "23.4" not in sentence(found)
+    finding = not_none(shortfall_of([build_flight(tracked_s=23.4, extent_m=0.0)]))
+    assert finding == Finding(code=Code.HOVER_ONLY, value=0.0, bound=HOVER_M, unit="m")
+    assert "23.4" not in sentence(finding)

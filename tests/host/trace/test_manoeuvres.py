@@ -1,4 +1,4 @@
-"""The shipped manoeuvres: both vehicles can fly them, and what they cannot fly is not offered."""
+"""The shipped manoeuvres: both vehicles get only manoeuvres that they can fly."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LOWEST_M = 0.5
 
 
 def inside(flown: Manoeuvre, vehicle: Vehicle) -> bool:
-    """Whether every point of the path keeps the geofence."""
+    """Return whether every point of the path is inside the geofence."""
     low, high = np.array(vehicle.limits.geofence_m).T
     p_ned = flown.flat[0:3].T
     return bool(((p_ned >= low) & (p_ned <= high)).all())
@@ -32,7 +32,7 @@ def test_shipped_route_flies_in_its_own_time_and_above_half_a_metre(name: str) -
     assert route_description(name)
 
 
-def test_nano_is_offered_what_fits_its_room_with_more_time_where_it_needs_it() -> None:
+def test_nano_gets_the_routes_that_fit_with_more_time_if_needed() -> None:
     vehicle = load_vehicle("nano")
     known = manoeuvres({name: load_route(name) for name in ROUTES}, vehicle)
     assert {flown.route for flown in known} == set(ROUTES) - set(TOO_LARGE_FOR_NANO)

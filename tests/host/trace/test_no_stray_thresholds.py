@@ -1,4 +1,4 @@
-"""No module of tracing holds a threshold of its own: numbers that decide stand in the table of rules.
+"""No module of tracing defines a threshold: thresholds are in the table of rules.
 
 A number at module level must be a setting of a numerical method and be listed here with what it sets.
 """
@@ -43,7 +43,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     },
     "flight_fit/loop.py": {
         "STABLE": "stability limit of RK4 along the real axis",
-        "_Z_STEP": "step of the difference quotients",
+        "_THETA_STEP": "step of the difference quotients",
     },
     "flight_fit/recording.py": {
         "SAMPLE_S": "step of the roll-out",
@@ -51,7 +51,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "LEAD_S": "time in which the start's own errors die away",
     },
     "flight_fit/repeatability.py": {
-        "_EVERY": "grid step of the shifts that the variance is estimated from",
+        "_SHIFT_STEP": "grid step of the shifts that the variance is estimated from",
     },
     "flight_fit/whitening.py": {
         "CHANNELS": "size of a bin's residual",
@@ -70,10 +70,10 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "_ROLL_OUT_STEP_S": "step of the roll-out",
     },
     "residual/closed_forms.py": {
-        "_EACH": "every so many rows are fitted",
+        "_ROW_STEP": "step between the rows that are fitted",
     },
     "residual/description.py": {
-        "_FEWEST": "fewest samples in a cell of the drawn grid",
+        "_MIN_CELL_BINS": "fewest samples in a cell of the drawn grid",
         "_CELLS": "number of cells along the drawn grid's longest side",
     },
     "residual/features.py": {
@@ -106,7 +106,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "TURN_STEPS": "steps of the difference quotient for a body rate",
         "_LOCAL_STEP": "step of the difference quotients",
         "_BIN_STEP": "step of the difference quotients",
-        "_Z_STEP": "step of the difference quotients",
+        "_THETA_STEP": "step of the difference quotients",
     },
     "segment_fit/model.py": {
         "STATES": "size of the state",
@@ -123,11 +123,11 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
 PRIORS: Mapping[str, Mapping[str, str]] = {
     "parameters.py": {"_THRUST_CURVE": "prior scale and bound of an unknown thrust curve"},
 }
-"""Priors of nuisances that stand beside the nuisance. None may be added."""
+"""Priors that are defined with their nuisance. No further one may be added."""
 
 
 def holds_number(node: ast.AST) -> bool:
-    """Return whether an expression holds a literal number, but for those in functions and texts."""
+    """Return whether an expression contains a literal number outside functions and texts."""
     if isinstance(node, ast.Lambda | ast.JoinedStr):
         return False
     if isinstance(node, ast.Constant):
@@ -153,10 +153,10 @@ def constants(source: str) -> list[str]:
 @pytest.mark.parametrize("module", [module for module in MODULES if module != "decision/rules.py"])
 def test_module_holds_no_number_that_is_not_listed(module: str) -> None:
     listed = {**METHOD_SETTINGS.get(module, {}), **PRIORS.get(module, {})}
-    found = constants((PACKAGE / module).read_text(encoding="utf-8"))
-    stray = [name for name in found if name not in listed]
+    numbers = constants((PACKAGE / module).read_text(encoding="utf-8"))
+    stray = [name for name in numbers if name not in listed]
     assert stray == [], "a threshold belongs into `Rules`; a setting of a method is to be listed here"
-    assert sorted(set(listed) - set(found)) == [], "no such constant any more"
+    assert sorted(set(listed) - set(numbers)) == [], "no such constant any more"
 
 
 def test_listed_modules_exist_and_every_number_says_what_it_sets() -> None:

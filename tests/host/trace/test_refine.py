@@ -1,4 +1,4 @@
-"""Whole flights over the closed loop: what they find, and how what is left is whitened."""
+"""Fits to whole flights in closed loop, and the whitening of their residuals."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def scaled(library: ParameterSpace, **values: float) -> np.ndarray:
 
 
 def coloured(rng: np.random.Generator, bins: int) -> np.ndarray:
-    """Noise (bins, 12) in which position follows attitude, and each channel its own past."""
+    """Return noise (bins, 12) in which position depends on attitude, and each channel on its past."""
     noise = rng.standard_normal((bins + 50, CHANNELS)) * NOISE
     for k in range(1, len(noise)):
         noise[k] += 0.8 * noise[k - 1]
@@ -62,7 +62,7 @@ def coloured(rng: np.random.Generator, bins: int) -> np.ndarray:
 
 
 def simulated(loop: Loop, theta_scaled: np.ndarray, seed: int) -> Loop:
-    """A loop whose recordings are phi's own at z, with coloured noise on top."""
+    """Return a loop whose recordings are predictions of phi plus coloured noise."""
     rng = np.random.default_rng(seed)
     recordings = [
         replace(recording, measured=predicted[0] + coloured(rng, recording.bins))
@@ -71,7 +71,7 @@ def simulated(loop: Loop, theta_scaled: np.ndarray, seed: int) -> Loop:
     return Loop(recordings, loop.recordings[0].states.vehicle, loop.space)
 
 
-def test_shipped_flights_show_what_their_world_holds(library: ParameterSpace) -> None:
+def test_shipped_flights_show_the_effects_of_their_world(library: ParameterSpace) -> None:
     flights = [read_flight(DATA / f"{name}.mcap") for name in ("a1", "a2", "b1", "b2")]
     truth = json.loads((DATA / "truth.json").read_text())["effects"]
     start = scaled(library, mocap_latency__latency_s=0.018, motor_lag__extra_s=0.012, thrust_gain__gain=0.95)
@@ -85,7 +85,8 @@ def test_shipped_flights_show_what_their_world_holds(library: ParameterSpace) ->
             assert error < 0.3 * abs(truth[column.owner][column.key] - column.neutral), column
     without = refine.fit_loop(whole, PRESENT[::2], start, fit.whitening.order)
     (score,) = refine.FlightFitter(loop=whole, order=fit.whitening.order).scorers(without)
-    # A hint only, for the whitening without motor-lag has taken up a part of what it explains; but it ranks.
+    # The scores are only hints, since the whitening without motor-lag has absorbed a part of its effect.
+    # Their ranking is right.
     others = [name for name in library.candidates if name not in PRESENT]
     grown = {name: score(tuple(sorted((*PRESENT[::2], name)))) for name in ("motor-lag", *others)}
     assert max(grown, key=lambda name: grown[name]) == "motor-lag"
@@ -103,12 +104,12 @@ def test_parameters_of_simulated_flights_lie_within_their_intervals(
         deviation = (fit.theta_scaled - true) / np.sqrt(np.diag(fit.covariance))
         squares += [deviation[i] ** 2 for name in ("linear-drag", "motor-lag") for i in library.groups[name]]
         assert abs(fit.theta_scaled[library.groups["motor-lag"][0]] * 0.015 - 0.01) < 0.002
-    # 16 numbers of a chi-square with one degree of freedom each: beyond these once in a thousand.
+    # Chi-square with 16 degrees of freedom: values outside these limits have a probability of 0.001.
     assert 0.2 < np.mean(squares) < 2.6
 
 
-def test_a_payloads_line_gets_its_slope_where_a_payload_is(loop: Loop) -> None:
-    """Without a payload its line does nothing, and what was once seen to do nothing is looked at again."""
+def test_slope_of_a_payload_line_is_updated_once_there_is_a_payload(loop: Loop) -> None:
+    """The cached zero slope of the line without a payload is updated once there is a payload."""
     effects = load_effects()
     vehicle = loop.recordings[0].states.vehicle
     library = space(vehicle, {name: effects[name] for name in ("slung-payload", "thrust-gain")})
@@ -122,7 +123,7 @@ def test_a_payloads_line_gets_its_slope_where_a_payload_is(loop: Loop) -> None:
     np.testing.assert_allclose(whole.slopes(there, (), base[1])[0][line], wanted)
 
 
-def test_evidence_prefers_the_drag_that_flew(library: ParameterSpace, loop: Loop) -> None:
+def test_evidence_prefers_the_true_drag(library: ParameterSpace, loop: Loop) -> None:
     made = simulated(loop, scaled(library, quadratic_drag__c=0.06), 5)
     zero = np.zeros(len(library.columns))
     fits = [refine.fit_loop(made, names, zero, 2) for names in (("quadratic-drag",), ("linear-drag",), ())]
@@ -131,26 +132,26 @@ def test_evidence_prefers_the_drag_that_flew(library: ParameterSpace, loop: Loop
     assert drag - nothing > 5.0
 
 
-def test_recording_is_compared_with_what_telemetry_makes_of_the_same_motion(loop: Loop) -> None:
-    """Six frames lost: the next one's mean goes over their time too, the integral is known at its ends."""
+def test_recording_predicts_what_telemetry_records_of_a_motion(loop: Loop) -> None:
+    """After six lost frames, the next mean covers their time too; the integral is known at its ends."""
     flight = read_flight(DATA / "a1.mcap")
     control = flight.control
     assert control is not None
     assert flight.tracking is not None
     start_s = flight.tracking[0] * 1e-6
     lost = np.searchsorted(control.t0_us * 1e-6, start_s + 2.0) + np.arange(6)
-    kept = np.delete(np.arange(len(control)), lost)
+    received = np.delete(np.arange(len(control)), lost)
     t0_us = control.t0_us.copy()
     t0_us[lost[-1] + 1] = t0_us[lost[0]]
-    gappy = replace(control.rows(kept), t0_us=t0_us[kept])
+    gappy = replace(control.rows(received), t0_us=t0_us[received])
     begin, end = 9.0 * (gappy.sensed_us * 1e-6 - start_s).T
     means = (np.cos(begin) - np.cos(end)) / (end - begin)
-    seen = replace(
+    partial = replace(
         gappy,
         gyro_mean=np.repeat(means[:, None], 3, axis=1),
         rate_integral=np.repeat(np.sin(end)[:, None], 3, axis=1),
     )
-    recording = recordings.record(FlightData.of(replace(flight, control=seen)), loop.recordings[0].states)
+    recording = recordings.record(FlightData.of(replace(flight, control=partial)), loop.recordings[0].states)
     t = recordings.SAMPLE_S * np.arange(recording.bins * recordings.PER_BIN + 1)
     states = np.repeat(np.sin(9.0 * t)[:, None, None], INTEGRAL.stop, axis=1)
     predicted = closed._means(recording, states, np.zeros(1))[0]
@@ -170,16 +171,16 @@ def test_autoregression_is_recovered_and_leaves_white_innovations() -> None:
     spoilt[1000:1003] = 1e3
     white = whitening.autoregression([spoilt], [known], 1)
     wanted = 0.8 * np.eye(CHANNELS)
-    # A first-order form of it: position takes the attitude before its own step.
+    # A first-order form of the process: position uses the attitude of the step before.
     wanted[0:3, 3:6] = 0.05 * np.eye(3)
     np.testing.assert_allclose(white.coefficients.T[:3, :6], wanted[:3, :6], atol=0.04)
-    left = whitening.whitened(white, spoilt[None], known)[0].reshape(-1, CHANNELS)
-    assert len(left) == len(noise) - 1 - 4
-    np.testing.assert_allclose(left.T @ left / len(left), np.eye(CHANNELS), atol=1e-9)
-    assert np.abs((left[1:] * left[:-1]).mean(0)).max() < 0.06
+    innovations = whitening.whitened(white, spoilt[None], known)[0].reshape(-1, CHANNELS)
+    assert len(innovations) == len(noise) - 1 - 4
+    np.testing.assert_allclose(innovations.T @ innovations / len(innovations), np.eye(CHANNELS), atol=1e-9)
+    assert np.abs((innovations[1:] * innovations[:-1]).mean(0)).max() < 0.06
 
 
-def test_inflated_covariance_is_never_less_than_the_fits(library: ParameterSpace, loop: Loop) -> None:
+def test_inflated_covariance_is_never_less_than_that_of_the_fit(library: ParameterSpace, loop: Loop) -> None:
     fit = refine.fit_loop(loop, ("linear-drag",), np.zeros(len(library.columns)), 2)
     covariance = uncertainty.inflated_covariance(library, fit)
     assert (np.diag(covariance) >= np.diag(fit.covariance)).all()
@@ -187,7 +188,7 @@ def test_inflated_covariance_is_never_less_than_the_fits(library: ParameterSpace
 
 
 def drifting(rng: np.random.Generator, shifts: np.ndarray) -> np.ndarray:
-    """Grams (flights, 5, 5) of 400 measurements each; four parameters are off by `shifts` (flights, 4)."""
+    """Return Grams (flights, 5, 5) of 400 measurements; `shifts` (flights, 4) are parameter errors."""
     grams = []
     for shift in shifts:
         slopes = rng.standard_normal((400, 4))
@@ -208,7 +209,7 @@ def test_jackknife_widens_only_what_differs_between_flights() -> None:
     np.testing.assert_array_equal(alone, np.ones(4))
 
 
-def test_jackknife_within_strata_leaves_out_what_differs_between_them() -> None:
+def test_jackknife_ignores_differences_between_strata() -> None:
     rng = np.random.default_rng(4)
     shifts = np.zeros((8, 4))
     shifts[:, 1] = np.repeat(0.6 * rng.standard_normal(4), 2)
@@ -217,7 +218,7 @@ def test_jackknife_within_strata_leaves_out_what_differs_between_them() -> None:
     assert uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4), pairs).max() < 1.6
 
 
-def test_what_all_parameters_spread_by_widens_even_those_that_happen_not_to() -> None:
+def test_jackknife_pools_the_median_spread_into_every_parameter() -> None:
     rng = np.random.default_rng(5)
     grams = drifting(rng, 0.6 * rng.standard_normal((8, 4)))
     assert uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4)).min() > 3.0

@@ -1,4 +1,4 @@
-"""Which noise the sizes of effects are weighed by: twins' differences, or all that is left."""
+"""Whitening of the weighted fit: by differences of repeat flights, else by the whole residual."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from trimtab.host.trace.flight_fit.repeatability import in_turbulence, turbulenc
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
 
 LONG = 200
-TWINS = [(0, 1)]
+REPEAT_FLIGHTS = [(0, 1)]
 FIT = build_closed_fit(
     ("drag",),
     log_evidence=12.0,
@@ -27,21 +27,21 @@ FIT = build_closed_fit(
     grams=np.full((2, 3, 3), 6.0),
 )
 AGAIN = np.array([1.5, 2.5]), np.diag([0.25, 0.5]), np.full((2, 3, 3), 7.0)
-"""What the weighted fit returns: z, covariance and Grams."""
+"""Result of the replaced weighted fit: theta_scaled, covariance and Grams."""
 
 
 class ResidualsOnly:
-    """Stand in for a loop with known residuals: noise of each flight, and physics that all share."""
+    """Stand-in for a loop with known residuals: noise of each flight, and physics common to all."""
 
     def __init__(self, bins: Sequence[int] = (LONG, LONG), physics: float = 0.0) -> None:
         rng = np.random.default_rng(5)
         noise = [rng.standard_normal((LONG, CHANNELS)) for _ in bins]
         shared = physics * rng.standard_normal((LONG, CHANNELS))
-        self.left = [(each + shared)[:count] for each, count in zip(noise, bins, strict=True)]
+        self.flight_residuals = [(each + shared)[:count] for each, count in zip(noise, bins, strict=True)]
         self.known = [np.ones(count, dtype=bool) for count in bins]
 
     def residuals(self, theta_scaled: np.ndarray) -> list[np.ndarray]:
-        return [each[None] for each in self.left]
+        return [each[None] for each in self.flight_residuals]
 
 
 def loop_of(bins: Sequence[int] = (LONG, LONG), physics: float = 0.0) -> Loop:
@@ -50,7 +50,7 @@ def loop_of(bins: Sequence[int] = (LONG, LONG), physics: float = 0.0) -> Loop:
 
 @pytest.fixture
 def whitenings(monkeypatch: pytest.MonkeyPatch) -> list[Whitening]:
-    """Replace the weighted fit by AGAIN; return the whitenings that it is called with."""
+    """Replace the weighted fit by AGAIN; return the whitenings of its calls."""
     used: list[Whitening] = []
 
     def weighted(
@@ -66,7 +66,7 @@ def whitenings(monkeypatch: pytest.MonkeyPatch) -> list[Whitening]:
 
 
 def is_tempered(fit: FlightFit) -> bool:
-    """Return whether the fit is FIT with residuals that count for 1/RULES.temper."""
+    """Return whether the fit is FIT with residuals weighted by 1/RULES.temper."""
     np.testing.assert_array_equal(fit.theta_scaled, FIT.theta_scaled)
     assert (fit.effects, fit.log_evidence) == (FIT.effects, FIT.log_evidence)
     return bool(
@@ -76,55 +76,60 @@ def is_tempered(fit: FlightFit) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("bins", "twins", "compared"),
+    ("bins", "repeat_flights", "compared"),
     [
-        pytest.param((LONG, LONG), [], False, id="no-twins"),
-        pytest.param((LONG, LONG), TWINS, True, id="twins"),
+        pytest.param((LONG, LONG), [], False, id="no-repeats"),
+        pytest.param((LONG, LONG), REPEAT_FLIGHTS, True, id="repeat_flights"),
         pytest.param(
-            (round(RULES.twin_min_s / FLIGHT_BIN_S) - 1, LONG), TWINS, False, id="one-just-too-short"
+            (round(RULES.repeat_min_s / FLIGHT_BIN_S) - 1, LONG),
+            REPEAT_FLIGHTS,
+            False,
+            id="one-just-too-short",
         ),
-        pytest.param((round(RULES.twin_min_s / FLIGHT_BIN_S), LONG), TWINS, True, id="one-just-long-enough"),
+        pytest.param(
+            (round(RULES.repeat_min_s / FLIGHT_BIN_S), LONG), REPEAT_FLIGHTS, True, id="one-just-long-enough"
+        ),
         pytest.param((LONG, LONG, 10), [(0, 1), (0, 2)], True, id="one-pair-of-two-long-enough"),
     ],
 )
-def test_in_turbulence_fits_once_more_where_twins_are_long_enough(
-    bins: tuple[int, ...], twins: list[tuple[int, int]], compared: bool, whitenings: list[Whitening]
+def test_in_turbulence_refits_if_repeat_flights_are_long_enough(
+    bins: tuple[int, ...], repeat_flights: list[tuple[int, int]], compared: bool, whitenings: list[Whitening]
 ) -> None:
-    found = in_turbulence(loop_of(bins), FIT, 1, twins)
+    refitted = in_turbulence(loop_of(bins), FIT, 1, repeat_flights)
     assert len(whitenings) == compared
     if not compared:
-        assert is_tempered(found)
-        assert found.whitening is FIT.whitening
+        assert is_tempered(refitted)
+        assert refitted.whitening is FIT.whitening
         return
     theta_scaled, covariance, grams = AGAIN
-    np.testing.assert_array_equal(found.theta_scaled, theta_scaled)
-    np.testing.assert_array_equal(found.at, theta_scaled)
-    np.testing.assert_array_equal(found.covariance, covariance)
-    np.testing.assert_array_equal(found.grams, grams)
-    assert found.whitening is whitenings[0]
-    assert (found.effects, found.log_evidence) == (FIT.effects, FIT.log_evidence)
+    np.testing.assert_array_equal(refitted.theta_scaled, theta_scaled)
+    np.testing.assert_array_equal(refitted.at, theta_scaled)
+    np.testing.assert_array_equal(refitted.covariance, covariance)
+    np.testing.assert_array_equal(refitted.grams, grams)
+    assert refitted.whitening is whitenings[0]
+    assert (refitted.effects, refitted.log_evidence) == (FIT.effects, FIT.log_evidence)
 
 
-def test_in_turbulence_counts_only_bins_known_in_both_twins(whitenings: list[Whitening]) -> None:
+def test_in_turbulence_counts_only_bins_known_in_both_repeat_flights(whitenings: list[Whitening]) -> None:
     loop = ResidualsOnly()
     loop.known[0][: LONG // 2] = False
     loop.known[1][LONG // 2 :] = False
-    assert is_tempered(in_turbulence(cast(Loop, loop), FIT, 1, TWINS))
+    assert is_tempered(in_turbulence(cast(Loop, loop), FIT, 1, REPEAT_FLIGHTS))
     assert whitenings == []
 
 
-def test_in_turbulence_whitens_by_what_twins_differ_in(whitenings: list[Whitening]) -> None:
+def test_in_turbulence_whitens_by_differences_of_repeat_flights(whitenings: list[Whitening]) -> None:
     for physics in (0.0, 5.0):
-        in_turbulence(loop_of(physics=physics), FIT, 1, TWINS)
+        in_turbulence(loop_of(physics=physics), FIT, 1, REPEAT_FLIGHTS)
     calm, moved = whitenings
     np.testing.assert_allclose(moved.coefficients, calm.coefficients, atol=1e-9)
     np.testing.assert_allclose(moved.innovation, calm.innovation, atol=1e-9)
-    # Noise of unit variance each differs by sqrt(2), which is divided out.
+    # Differences of two noises of unit variance have a standard deviation of sqrt(2), which is divided out.
     assert np.diag(calm.innovation).mean() == pytest.approx(1.0, abs=0.2)
 
 
-def test_turbulence_takes_an_order_that_the_twins_can_pay_for() -> None:
-    white = turbulence(loop_of(), FIT.theta_scaled, 4, TWINS)
+def test_turbulence_limits_the_order_by_the_amount_of_data() -> None:
+    white = turbulence(loop_of(), FIT.theta_scaled, 4, REPEAT_FLIGHTS)
     assert white is not None
     assert white.order == 1
     assert turbulence(loop_of(), FIT.theta_scaled, 1, []) is None

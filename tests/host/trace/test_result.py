@@ -1,4 +1,4 @@
-"""What a trace says of candidates that it does not name, and which findings it lists."""
+"""The result of a trace: candidates that it does not name, and the findings that it lists."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_hidden_without_findings_is_empty_whatever_the_detectability() -> None:
 def test_all_findings_are_those_of_the_flights_then_exact_aliases_then_those_of_each_log() -> None:
     whole = Finding(code=Code.HOVER_ONLY, value=0.1)
     exact = Finding(code=Code.EXACT_ALIAS, value=0.9, subject=("drag", "mass"), details={"sd": 0.01})
-    logged = [Finding(code=code, log=log) for log, code in (("a", Code.NO_TWIN), ("b", Code.NO_GYRO))]
+    logged = [Finding(code=code, log=log) for log, code in (("a", Code.NO_REPEAT), ("b", Code.NO_GYRO))]
     audits = tuple(
         Audit(log=each.log or "", rates=(), largest_gap_s=0.0, stretches=(), findings=(each,))
         for each in logged
@@ -68,7 +68,7 @@ def test_inexact_aliases_leave_out_the_exact_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kept", "log_weights", "expected"),
+    ("effects", "log_weights", "expected"),
     [
         pytest.param((), {(): 0.0}, {}, id="one-set"),
         pytest.param((), {(): 0.0, ("lag",): -2.0}, {"lag": -2.0}, id="not-kept-loses"),
@@ -91,15 +91,15 @@ def test_inexact_aliases_leave_out_the_exact_one() -> None:
     ],
 )
 @pytest.mark.parametrize("scale", [1.0, 1e-3], ids=["normalised", "relative"])
-def test_evidence_is_what_a_candidate_changes_of_the_kept_set(
-    kept: Names, log_weights: dict[Names, float], expected: dict[str, float], scale: float
+def test_evidence_is_the_gain_of_each_candidate_over_the_selected_set(
+    effects: Names, log_weights: dict[Names, float], expected: dict[str, float], scale: float
 ) -> None:
     weights = {names: scale * float(np.exp(value)) for names, value in log_weights.items()}
-    found = build_trace(LIBRARY, build_diagnosis(kept, posterior_weights=weights)).evidence
-    assert found == pytest.approx(expected)
+    nats = build_trace(LIBRARY, build_diagnosis(effects, posterior_weights=weights)).evidence
+    assert nats == pytest.approx(expected)
 
 
 def test_evidence_of_a_set_without_weight_is_finite() -> None:
     weights = {("lag",): 1.0, (): 0.0, ("gain", "lag"): 0.0}
-    found = build_trace(LIBRARY, build_diagnosis(("lag",), posterior_weights=weights)).evidence
-    assert found == pytest.approx({"lag": -NEVER, "gain": NEVER})
+    nats = build_trace(LIBRARY, build_diagnosis(("lag",), posterior_weights=weights)).evidence
+    assert nats == pytest.approx({"lag": -NEVER, "gain": NEVER})

@@ -1,4 +1,4 @@
-"""Which logs belong together, and what only thrust over mass shows."""
+"""Traces of shipped flights: refused logs, sag, mutual aliases and disagreements."""
 
 from __future__ import annotations
 
@@ -78,9 +78,7 @@ def test_a_held_out_log_without_poses_in_its_tracking_phase_is_refused_first(tmp
 
 
 @pytest.mark.parametrize(("sag", "candidate"), [(0.0, False), (0.004, False), (0.05, True)])
-def test_a_sag_is_a_candidate_only_where_the_voltage_fell(
-    tmp_path: Path, sag: float, candidate: bool
-) -> None:
+def test_sag_is_a_candidate_only_if_the_voltage_fell(tmp_path: Path, sag: float, candidate: bool) -> None:
     t_us = np.arange(0, 6_000_000, 100_000)
     volts = VEHICLE.battery.full_v * (1.0 - sag * t_us / t_us[-1])
     flight = read_flight(log(tmp_path / "one.mcap", battery=Battery(t_us=t_us, battery_v=volts)))
@@ -89,29 +87,29 @@ def test_a_sag_is_a_candidate_only_where_the_voltage_fell(
     assert ("battery-sag" in run([flight], [], known).space.effects) == candidate
 
 
-def test_known_aliases_named_together_are_aliases_of_each_other() -> None:
+def test_known_aliases_selected_together_are_aliases_of_each_other() -> None:
     effects = load_effects()
     library = space(load_vehicle("research"), effects)
     named = {"linear-drag": {}, "quadratic-drag": {"wind": 0.2}, "wind": {}, "motor-lag": {}}
-    found = with_each_other(named, library, RULES)
-    assert found["linear-drag"] == {"quadratic-drag": 0.5}
-    assert found["quadratic-drag"] == {"wind": 0.2, "linear-drag": 0.5}
-    assert found["wind"] == {}  # acts through a drag, not in its place
-    assert found["motor-lag"] == {}
+    aliases = with_each_other(named, library, RULES)
+    assert aliases["linear-drag"] == {"quadratic-drag": 0.5}
+    assert aliases["quadratic-drag"] == {"wind": 0.2, "linear-drag": 0.5}
+    assert aliases["wind"] == {}  # acts through a drag, not in its place
+    assert aliases["motor-lag"] == {}
 
 
-def test_a_set_that_cannot_be_kept_and_explains_far_more_is_said() -> None:
+def test_a_much_better_but_inadmissible_set_is_reported() -> None:
     sets = {(): 0.0, ("linear-drag",): 5.0, ("linear-drag", "thrust-inflow"): 20.0}
-    (found,) = better_but_inadmissible(sets, {(): 0.01, ("linear-drag",): 1.0}, RULES)
-    assert found.code is Code.BETTER_BUT_INADMISSIBLE
-    assert found.subject == ("linear-drag", "thrust-inflow")
-    assert found.value == 15.0
+    (finding,) = better_but_inadmissible(sets, {(): 0.01, ("linear-drag",): 1.0}, RULES)
+    assert finding.code is Code.BETTER_BUT_INADMISSIBLE
+    assert finding.subject == ("linear-drag", "thrust-inflow")
+    assert finding.value == 15.0
     close = {**sets, ("linear-drag", "thrust-inflow"): 7.0}
     assert better_but_inadmissible(close, {("linear-drag",): 1.0}, RULES) == []
     assert better_but_inadmissible(sets, dict.fromkeys(sets, 1.0), RULES) == []
 
 
-def test_segments_speak_against_what_is_not_there() -> None:
+def test_segments_disagree_with_an_absent_effect() -> None:
     """The shipped flights hold a thrust gain and no tilted frame."""
     flight = read_flight(DATA / "a1.mcap")
     effects = load_effects()
@@ -121,9 +119,9 @@ def test_segments_speak_against_what_is_not_there() -> None:
     form = SegmentModel.of(flight.vehicle, library, data)
     nothing = refit(form, data, (), None, iterations=2)
     nats = segment_disagreement_nats(form, nothing, ("frame-tilt", "thrust-gain"))
-    (found,) = segment_disagreement(nats, RULES)
-    assert found.code is Code.SEGMENTS_DISAGREE
-    assert found.subject == ("frame-tilt",)
+    (finding,) = segment_disagreement(nats, RULES)
+    assert finding.code is Code.SEGMENTS_DISAGREE
+    assert finding.subject == ("frame-tilt",)
     alone = segment_disagreement_nats(form, nothing, ("thrust-gain",))
     assert segment_disagreement(alone, RULES) == []
     assert segment_disagreement({}, RULES) == []

@@ -1,4 +1,4 @@
-"""What a trace decides beside its verdict: which logs, which candidates, which set, and what is named."""
+"""Decisions of a trace other than its verdict: logs, candidates, selected set and named effects."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ OTHER = VEHICLE.replace(mass_kg=0.8)
 WEIGHED = 0.005
 """Tolerance of the mass below which the vehicle was weighed."""
 SAG_SEEN = 0.01
-"""Share of the full voltage that a battery must have left for a sag to show."""
+"""Change of the voltage, as a share of the full voltage, above which sag is observable."""
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ SAG_SEEN = 0.01
         pytest.param([{"reference_id": "r"}], [{}], id="none-held-out"),
     ],
 )
-def test_read_logs_that_belong_together_is_their_vehicle(
+def test_read_logs_of_one_vehicle_returns_that_vehicle(
     used: list[dict[str, Any]], held_out: list[dict[str, Any]]
 ) -> None:
     flights = [build_flight(f"used-{k}", **each) for k, each in enumerate(used)]
@@ -71,7 +71,7 @@ def test_read_logs_that_belong_together_is_their_vehicle(
     assert read_logs(flights, others, None).vehicle == VEHICLE
 
 
-def test_read_logs_against_a_given_vehicle_is_that_vehicle() -> None:
+def test_read_logs_with_a_given_vehicle_returns_that_vehicle() -> None:
     flight = build_flight("one", vehicle=OTHER)
     assert read_logs([flight], [], OTHER).vehicle is OTHER
     with pytest.raises(LogsRefused, match=r"one\.mcap.*mass_kg") as caught:
@@ -175,7 +175,7 @@ def test_read_logs_that_do_not_belong_together_are_refused_with_a_code(
         ),
     ],
 )
-def test_read_logs_without_poses_or_tracking_is_too_little_data(
+def test_read_logs_without_poses_or_tracking_is_refused(
     flights: list[Any], held_out: list[Any], log: str, code: Code
 ) -> None:
     with pytest.raises(LogsRefused) as caught:
@@ -204,14 +204,14 @@ SAG = {
         pytest.param([], False, id="no-flight"),
     ],
 )
-def test_observable_is_a_sag_only_where_a_battery_left_full_voltage(
+def test_sag_is_observable_only_if_a_battery_left_full_voltage(
     ratios: list[list[float] | None], observable: bool
 ) -> None:
     flights = [build_flight(str(k), voltage_ratio=each) for k, each in enumerate(ratios)]
     assert set(observable_effects(SAG, flights)) == ({"battery-sag", "drag"} if observable else {"drag"})
 
 
-def test_observable_of_a_library_without_sag_is_that_library() -> None:
+def test_observable_effects_of_a_library_without_sag_are_unchanged() -> None:
     drag = {"drag": SAG["drag"]}
     assert observable_effects(drag, [build_flight(voltage_ratio=[1.0, 0.9])]) == drag
     assert observable_effects({}, [build_flight()]) == {}
@@ -219,9 +219,9 @@ def test_observable_of_a_library_without_sag_is_that_library() -> None:
 
 @pytest.mark.parametrize("kind", ["search", "diagnosis"])
 @pytest.mark.parametrize(
-    ("kept", "none", "judged"),
+    ("effects", "none", "judged"),
     [
-        pytest.param(("drag",), 0.0, True, id="kept"),
+        pytest.param(("drag",), 0.0, True, id="selected"),
         pytest.param(("drag",), 0.9, True, id="kept-though-nothing-is-probable"),
         pytest.param((), 0.0, False, id="nothing-kept-impossible"),
         pytest.param((), RULES.alias_probability * BELOW, False, id="nothing-kept-just-below"),
@@ -229,20 +229,20 @@ def test_observable_of_a_library_without_sag_is_that_library() -> None:
         pytest.param((), RULES.alias_probability * ABOVE, True, id="nothing-kept-just-above"),
     ],
 )
-def test_abstention_is_judged_by_what_was_kept_unless_nothing_is_improbable(
-    kept: Names, none: float, judged: bool, kind: str
+def test_selected_set_is_judged_unless_it_is_empty_and_improbable(
+    effects: Names, none: float, judged: bool, kind: str
 ) -> None:
     weights = weights_of_nothing(none, ("drag",))
-    found = (
-        build_search_result(build_closed_fit(kept), posterior_weights=weights)
+    outcome = (
+        build_search_result(build_closed_fit(effects), posterior_weights=weights)
         if kind == "search"
-        else build_diagnosis(kept, posterior_weights=weights)
+        else build_diagnosis(effects, posterior_weights=weights)
     )
-    assert is_judged(found) == judged
+    assert is_judged(outcome) == judged
 
 
 class KnownLoopFitter:
-    """Stand in for the closed-loop fitter; record what it fits."""
+    """Stand-in for the flight fitter that records its calls."""
 
     loop = None
     order = 3
@@ -262,17 +262,19 @@ BOTH = build_closed_fit(("drag", "payload"), log_evidence=100.0)
 
 def without_faults(
     monkeypatch: pytest.MonkeyPatch,
-    found: SearchResult[FlightFit],
-    left: FlightRepeat | None,
+    outcome: SearchResult[FlightFit],
+    residual: FlightRepeat | None,
 ) -> tuple[SearchResult[FlightFit], KnownLoopFitter]:
-    """Return the search result where whole flights repeat by `left`, and the fitter that was used."""
-    monkeypatch.setattr(selection, "repeatability_of", lambda loop, theta_scaled, order, twins: left)
+    """Return the reduced search result if the residual of whole flights repeats, and the fitter."""
+    monkeypatch.setattr(
+        selection, "repeatability_of", lambda loop, theta_scaled, order, repeat_flights: residual
+    )
     fitter = KnownLoopFitter(SWINGING)
-    return without_form_faults(found, cast(FlightFitter, fitter), [(0, 1)]), fitter
+    return without_form_faults(outcome, cast(FlightFitter, fitter), [(0, 1)]), fitter
 
 
 def nats(value: float) -> FlightRepeat:
-    """Return what repeats of whole flights, worth so many nats."""
+    """Return a repeatable residual of whole flights that is worth this many nats."""
     made = build_flight_repeat(share=value / 500.0, z_score=100.0, size=1000)
     assert made.log_evidence(RULES) == pytest.approx(value)
     return made
@@ -282,10 +284,10 @@ NOT_SURE = build_flight_repeat(share=10.0, z_score=2.9, size=1000)
 
 
 @pytest.mark.parametrize(
-    ("gap", "left", "reduced"),
+    ("gap", "residual", "reduced"),
     [
-        pytest.param(TIE_NATS * BELOW, None, True, id="no-twins-just-within"),
-        pytest.param(TIE_NATS * ABOVE, None, False, id="no-twins-just-beyond"),
+        pytest.param(TIE_NATS * BELOW, None, True, id="no-repeats-just-within"),
+        pytest.param(TIE_NATS * ABOVE, None, False, id="no-repeats-just-beyond"),
         pytest.param(TIE_NATS * ABOVE, NOT_SURE, False, id="repeats-by-chance"),
         pytest.param(TIE_NATS * BELOW, nats(1.0), True, id="repeats-a-little-just-within"),
         pytest.param(TIE_NATS * ABOVE, nats(1.0), False, id="repeats-a-little-just-beyond"),
@@ -293,36 +295,43 @@ NOT_SURE = build_flight_repeat(share=10.0, z_score=2.9, size=1000)
         pytest.param(FAULT * 400.0 * ABOVE, nats(400.0), False, id="repeats-much-just-beyond"),
     ],
 )
-def test_without_faults_a_swinging_effect_leaves_others_out_that_explain_little_of_what_repeats(
-    monkeypatch: pytest.MonkeyPatch, gap: float, left: FlightRepeat | None, reduced: bool
+def test_without_form_faults_drops_effects_that_explain_little_beside_a_swing(
+    monkeypatch: pytest.MonkeyPatch, gap: float, residual: FlightRepeat | None, reduced: bool
 ) -> None:
-    found = build_search_result(BOTH, log_evidence={BOTH.effects: 100.0, ("payload",): 100.0 - gap, (): -1e6})
-    kept, fitter = without_faults(monkeypatch, found, left)
+    outcome = build_search_result(
+        BOTH, log_evidence={BOTH.effects: 100.0, ("payload",): 100.0 - gap, (): -1e6}
+    )
+    reduced_result, fitter = without_faults(monkeypatch, outcome, residual)
     if reduced:
-        assert kept.selected.effects == ("payload",)
+        assert reduced_result.selected.effects == ("payload",)
         assert fitter.calls == [(("payload",), BOTH)]
-        assert (kept.log_evidence, kept.posterior_weights) == (found.log_evidence, found.posterior_weights)
+        assert (reduced_result.log_evidence, reduced_result.posterior_weights) == (
+            outcome.log_evidence,
+            outcome.posterior_weights,
+        )
     else:
-        assert kept is found
+        assert reduced_result is outcome
         assert fitter.calls == []
 
 
-def test_without_faults_of_a_set_that_does_not_swing_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_form_faults_of_a_set_without_swing_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     best = build_closed_fit(("drag", "gain"), log_evidence=100.0)
-    found = build_search_result(best, log_evidence={best.effects: 100.0, ("drag",): 100.0})
-    kept, fitter = without_faults(monkeypatch, found, nats(1e6))
-    assert kept is found
+    outcome = build_search_result(best, log_evidence={best.effects: 100.0, ("drag",): 100.0})
+    reduced_result, fitter = without_faults(monkeypatch, outcome, nats(1e6))
+    assert reduced_result is outcome
     assert fitter.calls == []
 
 
-def test_without_faults_of_nothing_kept_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = build_search_result(build_closed_fit(), log_evidence={(): 0.0, ("payload",): 50.0})
-    assert without_faults(monkeypatch, found, nats(1e6))[0] is found
+def test_without_form_faults_of_the_empty_set_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+    outcome = build_search_result(build_closed_fit(), log_evidence={(): 0.0, ("payload",): 50.0})
+    assert without_faults(monkeypatch, outcome, nats(1e6))[0] is outcome
 
 
-def test_without_faults_another_set_of_the_same_size_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = build_search_result(BOTH, log_evidence={BOTH.effects: 100.0, ("gain", "payload"): 101.0})
-    assert without_faults(monkeypatch, found, nats(1e6))[0] is found
+def test_without_form_faults_does_not_take_another_set_of_the_same_size(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    outcome = build_search_result(BOTH, log_evidence={BOTH.effects: 100.0, ("gain", "payload"): 101.0})
+    assert without_faults(monkeypatch, outcome, nats(1e6))[0] is outcome
 
 
 RATIO = ExactAlias(effect=MASS, ratio="thrust over mass", remedy="weigh the vehicle")
@@ -337,7 +346,7 @@ ROTORS = build_effect("rotor", *(build_parameter(f"loss_{k}", typical=0.2) for k
 
 
 def nameable(mass_tolerance: float = 0.01) -> ParameterSpace:
-    """Return the space of effects to name, for a vehicle whose mass is known to this tolerance."""
+    """Return a parameter space for a vehicle whose mass has this tolerance."""
     factor = build_parameter(
         "factor", neutral=1.0, typical=0.1, tolerance=mass_tolerance, measured_below=WEIGHED
     )
@@ -353,17 +362,17 @@ INCLUSION = {"thrust-gain": 0.97, "tilt": 0.8, "rotor.loss_2": 0.6, "drag": 0.55
 
 
 def named(
-    kept: Names,
+    effects: Names,
     aliases: Mapping[str, Mapping[str, float]] | None = None,
     space: ParameterSpace = NAMEABLE,
 ) -> Sequence[Any]:
-    best = build_fit(kept, theta_scaled=Z, covariance=COVARIANCE)
-    diagnosis = build_diagnosis(kept, inclusion_probability=INCLUSION, selected=best)
-    return named_effects(space, diagnosis, aliases or {name: {} for name in kept})
+    best = build_fit(effects, theta_scaled=Z, covariance=COVARIANCE)
+    diagnosis = build_diagnosis(effects, inclusion_probability=INCLUSION, selected=best)
+    return named_effects(space, diagnosis, aliases or {name: {} for name in effects})
 
 
 @pytest.mark.parametrize(
-    ("kept", "name", "expected"),
+    ("candidate", "name", "expected"),
     [
         pytest.param("thrust-gain", "thrust-gain", {"gain": (0.95, 0.02)}, id="one-parameter"),
         pytest.param("tilt", "tilt", {"x": (1.0, 0.15), "y": (2.0, 0.4)}, id="two-parameters"),
@@ -371,25 +380,25 @@ def named(
     ],
 )
 def test_named_effect_has_physical_values_with_standard_deviations(
-    kept: str, name: str, expected: dict[str, tuple[float, float]]
+    candidate: str, name: str, expected: dict[str, tuple[float, float]]
 ) -> None:
-    (found,) = named((kept,))
-    assert found.name == name
-    assert found.title == NAMEABLE.effects[name].title
-    assert found.probability == INCLUSION[kept]
-    values = {key: (value.value, value.sd) for key, value in found.parameters.items()}
+    (named_effect,) = named((candidate,))
+    assert named_effect.name == name
+    assert named_effect.title == NAMEABLE.effects[name].title
+    assert named_effect.probability == INCLUSION[candidate]
+    values = {key: (value.value, value.sd) for key, value in named_effect.parameters.items()}
     assert set(values) == set(expected)
     for key, pair in expected.items():
         assert values[key] == pytest.approx(pair)
-        assert found.parameters[key].unit == "1"
+        assert named_effect.parameters[key].unit == "1"
 
 
-def test_named_effects_are_the_kept_ones_in_their_order() -> None:
-    assert [found.name for found in named(("drag", "rotor.loss_2", "tilt"))] == ["drag", "rotor", "tilt"]
+def test_named_effects_are_the_selected_ones_in_their_order() -> None:
+    assert [effect.name for effect in named(("drag", "rotor.loss_2", "tilt"))] == ["drag", "rotor", "tilt"]
     assert named(()) == ()
 
 
-def test_named_effect_adds_up_aliases_that_are_one_effect() -> None:
+def test_named_effect_sums_aliases_of_the_same_effect() -> None:
     aliases = {"tilt": {"rotor.loss_1": 0.1, "drag": 0.2, "rotor.loss_3": 0.15}, "drag": {}}
     tilt, drag = named(("tilt", "drag"), aliases)
     assert tilt.aliases == pytest.approx({"rotor": 0.25, "drag": 0.2})
@@ -426,14 +435,14 @@ def test_named_thrust_gain_holds_thrust_over_mass_with_its_standard_deviation() 
     assert observed.finding.subject == ("thrust-gain", MASS)
     assert observed.finding.value == pytest.approx(ratio)
     assert observed.finding.details == pytest.approx({"sd": ratio * relative})
-    told = words.exact_alias(observed)
-    assert "weigh the vehicle" in told
-    assert f"{ratio:.4f}" in told
-    assert f"{2.0 * ratio * relative:.4f}" in told
+    text = words.exact_alias(observed)
+    assert "weigh the vehicle" in text
+    assert f"{ratio:.4f}" in text
+    assert f"{2.0 * ratio * relative:.4f}" in text
 
 
 class KnownRefits:
-    """Stand in for `refit` with known evidence; record what was fitted from what."""
+    """Stand-in for `refit` with known evidence that records its calls."""
 
     def __init__(self, evidence: Mapping[Names, float]) -> None:
         self.evidence = evidence
@@ -449,7 +458,7 @@ class KnownRefits:
 def disagreement(
     monkeypatch: pytest.MonkeyPatch, evidence: Mapping[Names, float], selected: Names
 ) -> tuple[dict[str, float], KnownRefits]:
-    """Return by how many nats segments prefer to be without each effect, and the fits that were made."""
+    """Return the segment disagreement of each effect in nats, and the fits that were made."""
     refits = KnownRefits(evidence)
     monkeypatch.setattr(gathering, "refit", refits)
     return segment_disagreement_nats(cast(SegmentModel, None), build_fit(), selected), refits
@@ -464,7 +473,7 @@ def disagreement(
         pytest.param(10.0 + TIE_NATS * ABOVE, True, id="just-above"),
     ],
 )
-def test_segment_disagreement_is_about_an_effect_that_segments_do_far_better_without(
+def test_segment_disagreement_names_an_effect_that_segments_reject(
     monkeypatch: pytest.MonkeyPatch, without: float, speaks: bool
 ) -> None:
     evidence = {("drag", "gain"): 10.0, ("gain",): without, ("drag",): -50.0}
@@ -473,7 +482,7 @@ def test_segment_disagreement_is_about_an_effect_that_segments_do_far_better_wit
     assert [f.subject for f in segment_disagreement(nats, RULES)] == ([("drag",)] if speaks else [])
 
 
-def test_segment_disagreement_compares_each_set_without_one_with_the_whole(
+def test_segment_disagreement_compares_each_reduced_set_with_the_whole_set(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     nats, refits = disagreement(
@@ -487,7 +496,7 @@ def test_segment_disagreement_compares_each_set_without_one_with_the_whole(
     ]
 
 
-def test_segment_disagreement_of_nothing_selected_is_empty(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_segment_disagreement_of_the_empty_set_is_empty(monkeypatch: pytest.MonkeyPatch) -> None:
     assert disagreement(monkeypatch, {(): 0.0}, ())[0] == {}
 
 
@@ -502,9 +511,9 @@ ASKED = {"drag": 1.5}
 def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """Return a function that gathers the evidence of a diagnosis whose residuals are known without a fit."""
 
-    def residual(w: str, data: Any, twins: Sequence[Any], *, axial: bool) -> UnexplainedResidual:
+    def residual(w: str, data: Any, repeat_flights: Sequence[Any], *, axial: bool) -> UnexplainedResidual:
         lines = {"selected": 1.0, "nothing": 2.0}
-        return build_residual(force=build_channel(repeat=lines[w] + 10.0 * axial), pairs=len(twins))
+        return build_residual(force=build_channel(repeat=lines[w] + 10.0 * axial), pairs=len(repeat_flights))
 
     monkeypatch.setattr(gathering, "unexplained_residual", residual)
     monkeypatch.setattr(gathering, "_remainder", lambda segment_model, diagnosis: ("selected", None))
@@ -516,7 +525,7 @@ def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
         selected: Names = ("drag",),
         *,
         method: Method = "closed-loop",
-        twins: Sequence[tuple[int, int]] = (),
+        repeat_flights: Sequence[tuple[int, int]] = (),
         unknown: frozenset[str] = frozenset(),
         best: SegmentFit | None = None,
     ) -> Any:
@@ -530,60 +539,60 @@ def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             repeatability=(AFTER, BEFORE),
         )
         segment_model = cast(SegmentModel, SimpleNamespace(space=LIBRARY))
-        return gather_evidence(segment_model, diagnosis, twins, unknown, 12.0, 1.5)
+        return gather_evidence(segment_model, diagnosis, repeat_flights, unknown, 12.0, 1.5)
 
     return gather
 
 
 @pytest.mark.parametrize(
-    ("selected", "method", "twins", "asked"),
+    ("selected", "method", "repeat_flights", "asked"),
     [
-        pytest.param(("drag",), "closed-loop", [], True, id="closed-loop-without-twins"),
-        pytest.param(("drag",), "closed-loop", [(0, 1)], False, id="closed-loop-with-twins"),
-        pytest.param(("drag",), "segments", [], False, id="segments-without-twins"),
-        pytest.param(("drag",), "segments", [(0, 1)], False, id="segments-with-twins"),
+        pytest.param(("drag",), "closed-loop", [], True, id="closed-loop-without-repeats"),
+        pytest.param(("drag",), "closed-loop", [(0, 1)], False, id="closed-loop-with-repeats"),
+        pytest.param(("drag",), "segments", [], False, id="segments-without-repeats"),
+        pytest.param(("drag",), "segments", [(0, 1)], False, id="segments-with-repeats"),
         pytest.param((), "closed-loop", [], False, id="nothing-selected"),
     ],
 )
-def test_evidence_asks_segments_only_beside_the_closed_loop_without_twins(
-    evidence_of: Any, selected: Names, method: Method, twins: Any, asked: bool
+def test_evidence_compares_segments_only_for_flight_fits_without_repeats(
+    evidence_of: Any, selected: Names, method: Method, repeat_flights: Any, asked: bool
 ) -> None:
-    found = evidence_of(selected, method=method, twins=twins)
-    assert found.segment_disagreement_nats == (ASKED if asked else {})
-    assert found.by_segments == (method == "segments")
-    assert found.has_twins == bool(twins)
+    evidence = evidence_of(selected, method=method, repeat_flights=repeat_flights)
+    assert evidence.segment_disagreement_nats == (ASKED if asked else {})
+    assert evidence.by_segments == (method == "segments")
+    assert evidence.has_repeats == bool(repeat_flights)
 
 
-def test_evidence_holds_the_diagnosis_and_what_both_models_leave(evidence_of: Any) -> None:
+def test_evidence_holds_the_diagnosis_and_both_residuals(evidence_of: Any) -> None:
     best = build_fit(("drag",), lateral=0.2, axial=0.3, angular=0.4)
-    found = evidence_of(("drag",), twins=[(0, 1), (2, 3)], best=best)
-    assert found.selected == ("drag",)
-    assert found.null_probability == 0.0
-    assert found.posterior_weights == {("drag",): 3.0, ("gain",): 1.0}
-    assert found.inclusion_probability == {"drag": 0.7}
-    assert found.detectability == {"lag": 2.0}
-    assert (found.tracking_s, found.extent_m) == (12.0, 1.5)
-    assert found.disturbance_sigma == pytest.approx((0.2, 0.2, 0.3, 0.4, 0.4, 0.4))
-    assert (found.residual.flights, found.residual_without.flights) == (AFTER, BEFORE)
-    assert (found.residual.force.repeat, found.residual_without.force.repeat) == (11.0, 12.0)
-    assert (found.residual.pairs, found.residual_without.pairs) == (2, 2)
+    evidence = evidence_of(("drag",), repeat_flights=[(0, 1), (2, 3)], best=best)
+    assert evidence.selected == ("drag",)
+    assert evidence.null_probability == 0.0
+    assert evidence.posterior_weights == {("drag",): 3.0, ("gain",): 1.0}
+    assert evidence.inclusion_probability == {"drag": 0.7}
+    assert evidence.detectability == {"lag": 2.0}
+    assert (evidence.tracking_s, evidence.extent_m) == (12.0, 1.5)
+    assert evidence.disturbance_sigma == pytest.approx((0.2, 0.2, 0.3, 0.4, 0.4, 0.4))
+    assert (evidence.residual.flights, evidence.residual_without.flights) == (AFTER, BEFORE)
+    assert (evidence.residual.force.repeat, evidence.residual_without.force.repeat) == (11.0, 12.0)
+    assert (evidence.residual.pairs, evidence.residual_without.pairs) == (2, 2)
 
 
 @pytest.mark.parametrize(
     ("unknown", "known"), [(frozenset(), True), (frozenset({"thrust"}), False), (frozenset({"torque"}), True)]
 )
-def test_evidence_without_a_known_thrust_leaves_out_what_acts_along_it(
+def test_evidence_without_a_known_thrust_leaves_out_the_axial_force(
     evidence_of: Any, unknown: frozenset[str], known: bool
 ) -> None:
-    found = evidence_of(unknown=unknown)
-    assert found.thrust_known == known
-    assert (found.residual.force.repeat, found.residual_without.force.repeat) == (
+    evidence = evidence_of(unknown=unknown)
+    assert evidence.thrust_known == known
+    assert (evidence.residual.force.repeat, evidence.residual_without.force.repeat) == (
         (11.0, 12.0) if known else (1.0, 2.0)
     )
 
 
 @pytest.mark.parametrize("rate_driven", [False, True])
-def test_evidence_says_whether_the_measured_rate_drives_the_attitude(
+def test_evidence_states_whether_the_measured_rate_drives_the_attitude(
     evidence_of: Any, rate_driven: bool
 ) -> None:
     assert evidence_of(best=build_fit(("drag",), rate_driven=rate_driven)).rate_driven == rate_driven

@@ -1,4 +1,4 @@
-"""Held-out errors: what is measured later moves no prediction, and each pose counts at its own time."""
+"""Held-out errors: predictions do not use later measurements, and each pose counts at its stamp."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ VEHICLE = load_vehicle("research")
 def flight(
     path: Path, *, seconds: float = 16.0, turned_from_s: float = np.inf, every_us: int = 10_000
 ) -> Flight:
-    """Poses alone of slow swings; from some time on the cameras see the body tilted by 0.03 rad."""
+    """Return a slowly swinging flight of only poses; its attitude later has an error of 0.03 rad."""
     t_us = np.arange(0, round(seconds * 1e6), every_us)
     t = t_us * 1e-6
     p = np.column_stack([0.5 * np.sin(t), 0.3 * np.cos(1.3 * t), np.full(len(t), -1.5)])
@@ -46,7 +46,7 @@ def form_for(flight: Flight) -> SegmentModel:
     return SegmentModel(VEHICLE, chosen, dt_s=DT_S, in_newton=True, rate_driven=True)
 
 
-def test_predictions_know_nothing_of_what_is_measured_later(tmp_path: Path) -> None:
+def test_predictions_do_not_use_later_measurements(tmp_path: Path) -> None:
     one = errors_of(flight(tmp_path / "a.mcap"))
     other = errors_of(flight(tmp_path / "b.mcap", turned_from_s=10.0))
     earlier = one.t_s < 9.0
@@ -55,15 +55,15 @@ def test_predictions_know_nothing_of_what_is_measured_later(tmp_path: Path) -> N
     assert np.abs(one.p_predicted_ned[~earlier] - other.p_predicted_ned[~earlier]).max() > 1e-3
 
 
-def test_predictions_begin_behind_the_part_that_nuisances_are_fitted_to(tmp_path: Path) -> None:
+def test_predictions_begin_after_the_calibration_part(tmp_path: Path) -> None:
     assert errors_of(flight(tmp_path / "a.mcap")).t_s.min() >= RULES.calibration_share * 15.9
 
 
 def test_predicted_and_measured_positions_are_of_the_same_time(tmp_path: Path) -> None:
     # Poses 13 ms apart fall between the grid's 10 ms: at 0.5 m/s half a step would show as millimetres.
-    found = errors_of(flight(tmp_path / "odd.mcap", every_us=13_000))
-    north = 0.5 * np.sin(found.t_s)
-    np.testing.assert_allclose(found.p_measured_ned[:, 0], north, atol=2e-4)
+    errors = errors_of(flight(tmp_path / "odd.mcap", every_us=13_000))
+    north = 0.5 * np.sin(errors.t_s)
+    np.testing.assert_allclose(errors.p_measured_ned[:, 0], north, atol=2e-4)
 
 
 def test_a_held_out_flight_too_short_to_predict_is_refused_by_name(tmp_path: Path) -> None:
@@ -73,6 +73,6 @@ def test_a_held_out_flight_too_short_to_predict_is_refused_by_name(tmp_path: Pat
         predict_segments([FlightData.of(long), FlightData.of(short)], form, np.zeros(len(form.space.columns)))
 
 
-def test_noise_floor_without_twins_is_unknown(tmp_path: Path) -> None:
+def test_noise_floor_without_repeat_flights_is_none(tmp_path: Path) -> None:
     floor = noise_floor(read_logs([flight(tmp_path / "a.mcap")], [], None), None, {})
     assert floor == {"position_rmse_m": None, "velocity_rmse_m_s": None}

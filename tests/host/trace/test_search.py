@@ -1,4 +1,4 @@
-"""The search over sets, with fits whose evidence is known beforehand."""
+"""The search over sets, with fits of known evidence."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BOTH = (*DRAG, *GAIN)
 
 @dataclass(frozen=True)
 class Known:
-    """A fit that any set has, its effects of typical size."""
+    """Stand-in for a fit whose effects have typical size."""
 
     effects: Names
     log_evidence: float
@@ -31,7 +31,7 @@ class Known:
 
 @dataclass(frozen=True)
 class KnownFitter:
-    """Fits of known evidence, and what a linearisation takes it to be."""
+    """Stand-in for a fitter with known evidence, in the fit and in the linearisation."""
 
     space: ParameterSpace
     evidence: dict[Names, float]
@@ -67,31 +67,31 @@ def nothing(library: ParameterSpace) -> Known:
     return Known((), 0.0, np.zeros(len(library.columns)))
 
 
-def test_what_is_far_more_probable_than_the_kept_set_is_fitted_too(library: ParameterSpace) -> None:
-    """A linearisation that promises too much of two effects must not hide the one that is there."""
+def test_search_fits_a_set_that_scores_far_better_than_the_selected_one(library: ParameterSpace) -> None:
+    """A linearisation that overrates two effects must not hide the effect that is present."""
     fitter = KnownFitter(
         library,
         evidence={(): 0.0, DRAG: 2.0, GAIN: 9.0, BOTH: -5.0},
         believed={(): 0.0, DRAG: 3.0, GAIN: 10.0, BOTH: 40.0},
     )
-    found = search(fitter, nothing(library))
-    assert found.selected.effects == GAIN
-    assert BOTH in found.log_evidence
+    result = search(fitter, nothing(library))
+    assert result.selected.effects == GAIN
+    assert BOTH in result.log_evidence
 
 
-def test_what_the_linearisation_promises_in_vain_is_not_kept(library: ParameterSpace) -> None:
+def test_search_drops_a_set_that_the_linearisation_overrates(library: ParameterSpace) -> None:
     fitter = KnownFitter(
         library,
         evidence={(): 0.0, DRAG: -1.0, GAIN: -4.0, BOTH: -9.0},
         believed={(): 0.0, DRAG: 3.5, GAIN: 10.0, BOTH: 40.0},
     )
-    found = search(fitter, nothing(library))
-    assert found.selected.effects == ()
-    assert found.inclusion_probability["thrust-gain"] < 0.1
+    result = search(fitter, nothing(library))
+    assert result.selected.effects == ()
+    assert result.inclusion_probability["thrust-gain"] < 0.1
 
 
-def test_sets_that_only_their_bounds_hold_leave_none_however_much_they_promise(monkeypatch) -> None:
-    """Thousands of nats for what cannot be kept: what is left of the weights is not nothing over nothing."""
+def test_search_selects_no_effect_if_all_sets_are_at_their_bounds(monkeypatch) -> None:
+    """Thousands of nats for inadmissible sets must not make the posterior weights 0/0."""
     monkeypatch.setattr(module, "RULES", replace(RULES, max_effects=1))
     effects = load_effects()
     third, every = ("motor-lag",), ("motor-lag", *DRAG, *GAIN)
@@ -104,13 +104,13 @@ def test_sets_that_only_their_bounds_hold_leave_none_however_much_they_promise(m
         hidden=(every,),
         size=1e6,
     )
-    found = search(fitter, nothing(library))
-    assert found.selected.effects == ()
-    assert found.null_probability == 1.0
-    assert set(found.inclusion_probability.values()) == {0.0}
+    result = search(fitter, nothing(library))
+    assert result.selected.effects == ()
+    assert result.null_probability == 1.0
+    assert set(result.inclusion_probability.values()) == {0.0}
 
 
-def test_a_kept_set_that_no_beam_visits_has_a_weight(library: ParameterSpace, monkeypatch) -> None:
+def test_selected_set_outside_the_beam_has_a_weight(library: ParameterSpace, monkeypatch) -> None:
     monkeypatch.setattr(module, "BEAM", 0)
     fitter = KnownFitter(
         library,
@@ -118,6 +118,6 @@ def test_a_kept_set_that_no_beam_visits_has_a_weight(library: ParameterSpace, mo
         believed={(): 0.0, DRAG: 2.0, GAIN: 3.0, BOTH: 20.0},
         hidden=(BOTH,),
     )
-    found = search(fitter, nothing(library))
-    assert found.selected.effects == BOTH
-    assert found.inclusion_probability["thrust-gain"] > 0.99
+    result = search(fitter, nothing(library))
+    assert result.selected.effects == BOTH
+    assert result.inclusion_probability["thrust-gain"] > 0.99

@@ -1,4 +1,4 @@
-"""Which of several sets is kept, and how large its effects are."""
+"""Selection among several sets, and the sizes of their effects."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ BEST = build_closed_fit()
 
 @dataclass(frozen=True)
 class PriorOnly:
-    """Stand in for a fitter that is asked only for its space and the spike sigmas (P,)."""
+    """Stand-in for a fitter that has only a space and spike standard deviations (P,)."""
 
     space: ParameterSpace
     spike: Sequence[float]
@@ -64,9 +64,11 @@ def prior_only(space: ParameterSpace, spike: Sequence[float] | None = None) -> F
         pytest.param(0.1, 0.0, ("a", "b"), id="none-but-the-best"),
     ],
 )
-def test_smallest_of_the_sets_close_to_the_best_is_kept(gap: float, within: float, expected: Names) -> None:
-    found = build_search_result(BEST, log_evidence={("a", "b"): 32.0, ("a",): 32.0 - gap, (): -100.0})
-    assert most_parsimonious(found, within) == expected
+def test_most_parsimonious_is_the_smallest_set_close_to_the_best(
+    gap: float, within: float, expected: Names
+) -> None:
+    result = build_search_result(BEST, log_evidence={("a", "b"): 32.0, ("a",): 32.0 - gap, (): -100.0})
+    assert most_parsimonious(result, within) == expected
 
 
 @pytest.mark.parametrize(
@@ -80,11 +82,13 @@ def test_smallest_of_the_sets_close_to_the_best_is_kept(gap: float, within: floa
         pytest.param({("a",): 1.0, ("b", "c"): 3.0, (): 0.5}, (), id="nothing-close"),
     ],
 )
-def test_smallest_of_several_is_the_most_probable(sets: dict[Names, float], expected: Names) -> None:
+def test_most_parsimonious_of_equal_size_is_the_most_probable(
+    sets: dict[Names, float], expected: Names
+) -> None:
     assert most_parsimonious(build_search_result(BEST, log_evidence=sets), TIE_NATS) == expected
 
 
-def test_smallest_asks_only_for_sets_that_may_be_kept() -> None:
+def test_most_parsimonious_considers_only_admissible_sets() -> None:
     sets = {(): 0.0, ("a",): 8.0, ("a", "b"): 10.0, ("a", "c"): 50.0}
     weights = {("a", "b"): 1e-9, ("a",): 1e-9, ("b", "c"): 1.0}
     assert most_parsimonious(
@@ -181,7 +185,7 @@ def test_most_probable_is_the_set_of_greatest_weight(weights: dict[Names, float]
         pytest.param(weights_of_nothing(0.3), 0.3, id="normalised"),
     ],
 )
-def test_none_of_weights_is_the_share_of_the_empty_set(
+def test_null_probability_of_weights_is_the_share_of_the_empty_set(
     weights: dict[Names, float], probability: float
 ) -> None:
     assert null_probability_of(weights) == pytest.approx(probability)
@@ -238,7 +242,7 @@ BORNE = build_space("drag", build_effect("wind", requires_any=("drag", "lift")),
         pytest.param(("wind",), (1.0, 1.0, 1.0), False, id="acts-through-what-is-not-there"),
     ],
 )
-def test_a_set_is_borne_where_every_effect_is_there(
+def test_a_set_is_supported_if_every_effect_is_present(
     effects: Names, theta_scaled: Sequence[float], expected: bool
 ) -> None:
     assert _is_supported(prior_only(BORNE), build_fit(effects, theta_scaled=theta_scaled)) == expected

@@ -78,7 +78,7 @@ def test_roll_out_with_linear_drag_decays_exponentially() -> None:
     np.testing.assert_allclose(position[:, 0, 0, 0], 2.0 / d * (1.0 - np.exp(-d * t)), atol=5e-6)
 
 
-def test_roll_out_answers_a_thrust_step_with_the_rotors_lag() -> None:
+def test_roll_out_responds_to_a_thrust_step_with_the_motor_lag() -> None:
     command = np.full((1, PRE + STEPS, 4), HOVER)
     command[:, PRE:] = np.sqrt(1.2) * HOVER
     data = make(command, np.zeros((1, 12)))
@@ -95,7 +95,7 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
     data = make(command, x0)
     theta_scaled = 0.1 * rng.normal(size=len(SPACE.columns))
     local = np.zeros((1, model.LOCALS))
-    kept = linearise.basis(FORM, data, theta_scaled, local)
+    basis = linearise.basis(FORM, data, theta_scaled, local)
 
     def residual(x0: np.ndarray, w: np.ndarray) -> np.ndarray:
         at = replace(data, x0=x0, disturbance_frd=w)
@@ -108,11 +108,11 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
         up[:, column] += h
         down[:, column] -= h
         slope = (residual(down, data.disturbance_frd) - residual(up, data.disturbance_frd)) / (2 * h)
-        np.testing.assert_allclose(kept.x[:, column], slope, atol=2e-4 * max(1.0, np.abs(slope).max()))
+        np.testing.assert_allclose(basis.x[:, column], slope, atol=2e-4 * max(1.0, np.abs(slope).max()))
     w = np.zeros((2, 6, 6))
     w[:, 2, 4] = h
     slope = (residual(x0, -w) - residual(x0, w)) / (2 * h)
-    np.testing.assert_allclose(kept.bins[:, 6 * 2 + 4], slope, atol=2e-4 * max(1.0, np.abs(slope).max()))
+    np.testing.assert_allclose(basis.bins[:, 6 * 2 + 4], slope, atol=2e-4 * max(1.0, np.abs(slope).max()))
 
 
 def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
@@ -123,24 +123,24 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
     attitude, seen = data.R_ned_frd, np.zeros((0, 0, 12))
     for _ in range(4):  # the predicted attitude is told as what the measured one must turn by
         rolled = rollout.roll_out(FORM, replace(data, R_ned_frd=attitude), *lanes(data, theta_scaled))
-        seen = np.transpose(rolled[:, :, 0], (2, 0, 1))
-        turn = Rotation.from_rotvec(seen[..., 3:6].reshape(-1, 3)).as_matrix()
+        predicted_poses = np.transpose(rolled[:, :, 0], (2, 0, 1))
+        turn = Rotation.from_rotvec(predicted_poses[..., 3:6].reshape(-1, 3)).as_matrix()
         attitude = (attitude.reshape(-1, 3, 3) @ turn).reshape(attitude.shape)
     measured = replace(
         data,
         x0=truth + 0.02 * rng.normal(size=truth.shape),
-        p_ned=seen[..., :3],
+        p_ned=predicted_poses[..., :3],
         R_ned_frd=attitude,
-        rate_frd=seen[..., 6:9],
-        force_frd=seen[..., 9:],
+        rate_frd=predicted_poses[..., 6:9],
+        force_frd=predicted_poses[..., 9:],
     )
-    kept = linearise.basis(FORM, measured, theta_scaled, local)
-    found = linearise.fitted_x0(FORM, measured, theta_scaled, local, kept, iterations=5)
-    np.testing.assert_allclose(found, truth, atol=1e-6)
+    basis = linearise.basis(FORM, measured, theta_scaled, local)
+    x0 = linearise.fitted_x0(FORM, measured, theta_scaled, local, basis, iterations=5)
+    np.testing.assert_allclose(x0, truth, atol=1e-6)
 
 
 def lane_of(data: Segments, **values: float) -> np.ndarray:
-    """Predicted measurements (H, 12) of the first segment with these parameters "effect__key"."""
+    """Return the predicted measurements (H, 12) of the first segment with these parameters "effect__key"."""
     theta_scaled = np.zeros(len(SPACE.columns))
     for i, column in enumerate(SPACE.columns):
         name = f"{column.owner}__{column.key}".replace("-", "_")
@@ -148,7 +148,7 @@ def lane_of(data: Segments, **values: float) -> np.ndarray:
     return rollout.roll_out(FORM, data, *lanes(data, theta_scaled))[:, :, 0, 0]
 
 
-def test_delayed_commands_shift_the_answer_to_a_step() -> None:
+def test_delayed_commands_shift_the_response_to_a_step() -> None:
     command = np.full((1, PRE + STEPS, 4), HOVER)
     command[:, PRE + 10 :] = np.sqrt(1.2) * HOVER
     data = make(command, np.zeros((1, 12)))
@@ -158,7 +158,7 @@ def test_delayed_commands_shift_the_answer_to_a_step() -> None:
     assert prompt[10] < half[10] < late[10]
 
 
-def test_one_rotors_loss_turns_about_all_axes() -> None:
+def test_loss_of_one_rotor_rotates_about_all_axes() -> None:
     data = make(np.full((1, PRE + STEPS, 4), HOVER), np.zeros((1, 12)))
     rate = lane_of(data, rotor_loss__loss_2=0.1)[4, 6:9]
     rotor = VEHICLE.rotors[1]
@@ -167,8 +167,8 @@ def test_one_rotors_loss_turns_about_all_axes() -> None:
     np.testing.assert_allclose(rate, torque / np.array(VEHICLE.inertia_kg_m2) * 4.5 * DT, rtol=0.02)
 
 
-def test_slung_payload_swings_with_its_own_period_from_where_it_hung() -> None:
-    """The vehicle was measured to stand a metre off the payload's rest for a tenth of its period."""
+def test_slung_payload_swings_with_its_period_from_rest() -> None:
+    """On the measured path, the vehicle is displaced by 1 m for a tenth of the payload's period."""
     above = np.zeros((1, 12))
     above[0, 2] = -2.0
     data = make(np.full((1, PRE + STEPS, 4), HOVER), above)
@@ -183,7 +183,7 @@ def test_slung_payload_swings_with_its_own_period_from_where_it_hung() -> None:
     np.testing.assert_allclose(force, 1e-4 * GRAVITY / length * swing, atol=2e-5)
 
 
-def test_measured_turn_reads_a_constant_torque_off_the_gyro() -> None:
+def test_measured_turn_recovers_a_constant_torque_from_the_gyro() -> None:
     data = make(np.full((1, PRE + STEPS, 4), HOVER), np.zeros((1, 12)))
     ramp = 3.0 * DT * (np.arange(STEPS) + 0.5)
     rate = np.zeros((1, STEPS, 3))
@@ -193,21 +193,21 @@ def test_measured_turn_reads_a_constant_torque_off_the_gyro() -> None:
     np.testing.assert_allclose(w[0, :, [0, 1, 2]], 0.0)
 
 
-def test_measured_turn_without_a_gyro_reads_the_torque_off_the_poses() -> None:
+def test_measured_turn_without_a_gyro_recovers_the_torque_from_the_poses() -> None:
     data = make(np.full((1, PRE + STEPS, 4), HOVER), np.zeros((1, 12)))
     t = DT * np.arange(STEPS)
     turned = Rotation.from_euler("y", 0.5 * 3.0 * t[:, None] ** 2).as_matrix().reshape(1, STEPS, 9)
-    seen = np.ones((1, STEPS))
-    seen[0, 23:26] = 0.0
+    pose_weight = np.ones((1, STEPS))
+    pose_weight[0, 23:26] = 0.0
     turned[0, 23:26] = 0.0
-    deaf = replace(data, R_ned_frd=turned, pose_weight=seen, rate_weight=np.zeros((1, STEPS)))
+    deaf = replace(data, R_ned_frd=turned, pose_weight=pose_weight, rate_weight=np.zeros((1, STEPS)))
     w = linearise.measured_turn(FORM, deaf)
     np.testing.assert_allclose(w[0, 1:5, 4], 3.0, atol=1e-6)
     np.testing.assert_allclose(w[0, [0, 5], 4], 3.0, atol=1.2)  # no pose lies beyond a segment's ends
     np.testing.assert_allclose(w[0, :, [0, 1, 2, 3, 5]], 0.0, atol=1e-9)
 
 
-def test_segments_refuse_steps_that_do_not_fill_bins() -> None:
+def test_segments_with_steps_that_do_not_fill_bins_raise() -> None:
     data = make(np.full((1, PRE + STEPS, 4), HOVER), np.zeros((1, 12)))
     with pytest.raises(ValueError, match="bins"):
         replace(data, dt_s=0.03)

@@ -1,4 +1,4 @@
-"""How far two effects are apart, by what was flown and what might be."""
+"""Separation of two effects by the flights so far and by manoeuvres."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ def known(vehicle: Vehicle) -> dict[str, Manoeuvre]:
 
 @pytest.fixture(scope="module")
 def fit(segment_model: SegmentModel) -> SegmentFit:
-    """A shipped flight with a centre of mass that is taken to be off."""
+    """Return a fit to a shipped flight with an assumed offset of the centre of mass."""
     flight = read_flight(DATA / "c1.mcap")
     data, _ = segments_of([FlightData.of(flight)], rate_driven=False)
-    found = refit(segment_model, data, ("com-offset",), None, iterations=2)
-    theta_scaled = found.theta_scaled.copy()
+    fitted = refit(segment_model, data, ("com-offset",), None, iterations=2)
+    theta_scaled = fitted.theta_scaled.copy()
     theta_scaled[list(segment_model.space.groups["com-offset"])] = 0.5
-    return replace(found, theta_scaled=theta_scaled)
+    return replace(fitted, theta_scaled=theta_scaled)
 
 
 def columns_of(library: ParameterSpace, *effects: str) -> list[int]:
@@ -82,7 +82,7 @@ def test_separation_of_an_effect_alone_is_its_length(library: ParameterSpace) ->
     ) == pytest.approx(10.0)
 
 
-def test_separation_from_an_alias_of_the_same_shape_is_what_the_aliass_range_leaves(
+def test_separation_from_a_parallel_alias_is_limited_by_its_prior(
     library: ParameterSpace,
 ) -> None:
     gain, tilt = columns_of(library, "thrust-gain", "frame-tilt")
@@ -111,23 +111,23 @@ def test_separation_leaves_the_other_effects_of_the_set_free(library: ParameterS
     assert beside < 1.0
 
 
-def test_instruments_of_a_logged_flight_are_the_simulators(fit: SegmentFit) -> None:
-    found = Instruments.of(fit)
-    np.testing.assert_allclose(found.sigma[1:], INSTRUMENTS.sigma[1:], rtol=0.1)
-    # Poses whose latency varies look noisier at speed.
-    assert 1.0 <= found.sigma[0] / INSTRUMENTS.sigma[0] < 2.0
-    np.testing.assert_allclose(found.shares, 1.0, atol=0.15)
-    assert found.voltage[0] == pytest.approx(1.0, abs=1e-3)
+def test_instruments_of_a_simulated_flight_are_those_of_the_simulator(fit: SegmentFit) -> None:
+    instruments = Instruments.of(fit)
+    np.testing.assert_allclose(instruments.sigma[1:], INSTRUMENTS.sigma[1:], rtol=0.1)
+    # A varying pose latency looks like noise at speed.
+    assert 1.0 <= instruments.sigma[0] / INSTRUMENTS.sigma[0] < 2.0
+    np.testing.assert_allclose(instruments.shares, 1.0, atol=0.15)
+    assert instruments.voltage[0] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_instruments_of_wrong_shape_are_refused() -> None:
+def test_instruments_of_wrong_shape_raise() -> None:
     with pytest.raises(ValueError, match="sigma"):
         replace(INSTRUMENTS, sigma=np.array([1.0, 1.0, 0.0, 1.0]))
     with pytest.raises(ValueError, match="shares"):
         replace(INSTRUMENTS, shares=np.ones(2))
 
 
-def test_nominal_commands_do_not_leave_the_path_of_a_vehicle_that_is_off(
+def test_information_does_not_depend_on_the_linearisation_point(
     segment_model: SegmentModel, known: dict[str, Manoeuvre]
 ) -> None:
     """What a flight tells does not hang on the point it is linearised at: a torque that turns the vehicle
@@ -151,14 +151,14 @@ def test_nominal_commands_do_not_leave_the_path_of_a_vehicle_that_is_off(
     assert at[1] == pytest.approx(at[0], rel=0.1)
 
 
-def test_flight_shorter_than_a_segment_tells_nothing(
+def test_flight_shorter_than_a_segment_has_no_information(
     segment_model: SegmentModel, known: dict[str, Manoeuvre]
 ) -> None:
     theta_scaled = np.zeros(len(segment_model.space.columns))
     assert information(segment_model, known["hover"].flat[:, :50], theta_scaled, INSTRUMENTS) is None
 
 
-def test_wind_and_tilt_without_accelerometer_part_by_motion_alone(
+def test_wind_and_tilt_without_accelerometer_are_separated_only_by_motion(
     segment_model: SegmentModel, known: dict[str, Manoeuvre]
 ) -> None:
     blind = replace(INSTRUMENTS, shares=np.array([1.0, 1.0, 0.0]))
@@ -169,15 +169,15 @@ def test_wind_and_tilt_without_accelerometer_part_by_motion_alone(
     size = np.zeros(len(theta_scaled))
     size[list(segment_model.space.groups["wind"])] = 1.0
     for name, flown in known.items():
-        told = information(segment_model, flown.flat, theta_scaled, blind)
-        assert told is not None
-        sigma[name] = separation(segment_model.space, told, ("linear-drag",), size, "wind", "frame-tilt")
-    # What hover shows is that so strong a wind would take a tilt of twice the typical size.
+        added = information(segment_model, flown.flat, theta_scaled, blind)
+        assert added is not None
+        sigma[name] = separation(segment_model.space, added, ("linear-drag",), size, "wind", "frame-tilt")
+    # Hover shows that so strong a wind would require a tilt of twice the typical size.
     assert sigma["hover"] < RULES.detectable_sigma < sigma["hover-turns"]
     assert sigma["doublets"] > 4.0 * sigma["hover"]
 
 
-def test_proposal_is_the_manoeuvre_of_most_sigma_and_counts_what_was_flown(
+def test_proposal_is_the_manoeuvre_of_greatest_separation_with_the_flights_so_far(
     segment_model: SegmentModel, fit: SegmentFit, known: dict[str, Manoeuvre]
 ) -> None:
     alone = propose(segment_model, fit, "com-offset", "torque-bias", [known["hover"]])
@@ -193,7 +193,7 @@ def test_proposal_is_the_manoeuvre_of_most_sigma_and_counts_what_was_flown(
     assert propose(segment_model, fit, "com-offset", "torque-bias", []) is None
 
 
-def test_alias_that_acts_through_an_effect_not_found_gets_it(
+def test_alias_that_acts_through_an_absent_effect_assumes_that_effect(
     segment_model: SegmentModel, fit: SegmentFit, known: dict[str, Manoeuvre]
 ) -> None:
     """Without drag a wind does nothing, and a tilted frame would look as if nothing could be mistaken for
@@ -208,11 +208,11 @@ def test_alias_that_acts_through_an_effect_not_found_gets_it(
     assert still is not None
     assert windy is not None
     assert windy.expected_sigma < 0.7 * still.expected_sigma
-    assert windy.known_measurement == "fly once more without wind, or level the camera system"
+    assert windy.known_measurement == "fly again without wind, or level the camera system"
     assert still.known_measurement is None
 
 
-def test_next_flight_says_so_where_no_manoeuvre_decides() -> None:
+def test_next_flight_states_that_no_manoeuvre_decides() -> None:
     best = NextFlight(
         route="low",
         total_time_s=14.0,
@@ -223,26 +223,28 @@ def test_next_flight_says_so_where_no_manoeuvre_decides() -> None:
     )
     assert not best.decides
     assert words.next_flight(best) == (
-        "no known route tells frame-tilt from wind: with the best, low (plan it with --time-s 14.0), they "
-        "are 2.1 sigma apart, 4.2 are needed; fly once more without wind, or level the camera system"
+        "no known route separates frame-tilt from wind well enough: the best one, low (plan it with --time-s "
+        "14.0), separates them by 2.1 sigma, but 4.2 sigma are needed; fly once more without wind, or level "
+        "the camera system"
     )
     enough = replace(best, expected_sigma=RULES.detectable_sigma, total_time_s=None)
     assert enough.decides
     assert enough.measurement is None
     assert words.next_flight(enough) == (
-        "fly low next and trace with it added: frame-tilt and wind are then 4.2 sigma apart, 0.5 so far"
+        "fly low next and trace all flights together: this separates frame-tilt and wind by 4.2 sigma, now "
+        "0.5 sigma"
     )
     assert enough.to_json()["decides"] is True
 
 
-def test_log_without_inputs_tells_of_forces_and_nothing_of_torques(
+def test_log_without_inputs_informs_on_forces_but_not_on_torques(
     vehicle: Vehicle, library: ParameterSpace, known: dict[str, Manoeuvre]
 ) -> None:
     """Thrust in N and the measured body rate drive such a log."""
     poses = replace(INSTRUMENTS, shares=np.array([0.5, 0.0, 0.0]), in_newton=True, rate_driven=True)
     segment_model = SegmentModel(vehicle, library, dt_s=0.01, in_newton=True, rate_driven=True)
-    told = information(segment_model, known["doublets"].flat, np.zeros(len(library.columns)), poses)
-    assert told is not None
+    added = information(segment_model, known["doublets"].flat, np.zeros(len(library.columns)), poses)
+    assert added is not None
     (drag, turn) = columns_of(library, "linear-drag", "torque-bias")
-    assert told[drag, drag] > 100.0
-    assert told[turn, turn] < 1e-6
+    assert added[drag, drag] > 100.0
+    assert added[turn, turn] < 1e-6

@@ -44,7 +44,7 @@ def without_law(flight: Flight) -> Flight:
 
 
 def sampled(flight: Flight, *, every: int = 1, gyro: bool = True) -> Flight:
-    """As somebody else's logger would have it: commands and sensors at instants, no reference, no law."""
+    """Return the flight as an imported log: sampled commands and sensors, no reference, no control law."""
     c = flight.control
     assert c is not None
     inputs = RecordedInputs(t_us=c.t1_us[::every], level="motor", motor=c.motor_mean[::every])
@@ -56,18 +56,18 @@ def poses_alone(flight: Flight) -> Flight:
     return replace(without_law(flight), control=None)
 
 
-def is_honest(found: Trace, present: set[str]) -> bool:
-    """Whether nothing absent is named for sure, and something present not denied for sure."""
-    if found.verdict == "traced":
-        return {effect.name for effect in found.effects} <= present
-    return found.verdict in ("undecided", "nothing-missing")
+def is_honest(result: Trace, present: set[str]) -> bool:
+    """Return whether no absent effect is certain, and no present effect is excluded."""
+    if result.verdict == "traced":
+        return {effect.name for effect in result.effects} <= present
+    return result.verdict in ("undecided", "nothing-missing")
 
 
 @pytest.mark.parametrize(
     ("change", "code"),
     [
-        (lambda f: f, Code.NO_TWIN),
-        (without_law, Code.NO_TWIN),
+        (lambda f: f, Code.NO_REPEAT),
+        (without_law, Code.NO_REPEAT),
         (lambda f: short(f, 3.12), Code.TRACKING_TOO_SHORT),
         (sampled, Code.SAMPLED_COMMANDS),
         (lambda f: sampled(f, every=5), Code.SLOW_COMMANDS),
@@ -79,19 +79,19 @@ def is_honest(found: Trace, present: set[str]) -> bool:
 @pytest.mark.parametrize(
     "name", ["c1", pytest.param("a1", marks=pytest.mark.full), pytest.param("b1", marks=pytest.mark.full)]
 )
-def test_one_thin_flight_says_what_it_lacks_and_names_nothing_absent(
+def test_one_short_flight_reports_its_shortcomings_and_names_no_absent_effect(
     name: str, change: Change, code: Code
 ) -> None:
-    found = run([change(read_flight(DATA / f"{name}.mcap"))], [], load_effects())
-    answer = to_json(found)
+    result = run([change(read_flight(DATA / f"{name}.mcap"))], [], load_effects())
+    answer = to_json(result)
     codes = {finding["code"] for finding in answer["findings"]}
     assert code in codes, codes
-    (finding, *_) = [each for each in found.all_findings if each.code is code]
-    assert any(sentence(finding) in line for line in words.result_lines(found))
-    assert is_honest(found, PRESENT), words.result_lines(found)
+    (finding, *_) = [each for each in result.all_findings if each.code is code]
+    assert any(sentence(finding) in line for line in words.result_lines(result))
+    assert is_honest(result, PRESENT), words.result_lines(result)
 
 
-def test_less_than_three_seconds_are_refused_with_what_to_do() -> None:
+def test_less_than_three_seconds_are_refused_with_a_remedy() -> None:
     with pytest.raises(LogsRefused, match=r"usable segments of 0\.6 s; fly longer or log more") as refusal:
         run([short(read_flight(DATA / "a1.mcap"), 2.4)], [], load_effects())
     assert refusal.value.details == {"code": Code.TOO_FEW_SEGMENTS}
@@ -100,7 +100,7 @@ def test_less_than_three_seconds_are_refused_with_what_to_do() -> None:
 def test_flights_of_two_vehicles_are_refused() -> None:
     one, other = (read_flight(DATA / f"{name}.mcap") for name in ("a1", "b1"))
     heavier = replace(other, vehicle=other.vehicle.model_copy(update={"mass_kg": 0.8}))
-    with pytest.raises(LogsRefused, match="trace each vehicle's logs apart") as refusal:
+    with pytest.raises(LogsRefused, match="trace each vehicle's logs separately") as refusal:
         run([one, heavier], [], load_effects())
     assert refusal.value.details == {"code": Code.MIXED_VEHICLES}
 
@@ -135,18 +135,18 @@ def hovered(folder: Path, world: str, seed: int) -> Flight:
         ),
     ],
 )
-def test_a_hover_traces_nothing_and_says_what_it_hides(
+def test_a_hover_selects_no_effect_and_lists_hidden_effects(
     tmp_path: Path, world: str, seeds: tuple[int, ...]
 ) -> None:
     for seed in seeds:
-        found = run([hovered(tmp_path, world, seed)], [], load_effects())
-        assert found.verdict in ("undecided", "nothing-missing"), (seed, words.result_lines(found))
+        result = run([hovered(tmp_path, world, seed)], [], load_effects())
+        assert result.verdict in ("undecided", "nothing-missing"), (seed, words.result_lines(result))
         if "thrust-gain" in world or "tilt" in world or "wind" in world:
-            assert found.verdict == "undecided", (seed, words.result_lines(found))
-        unsure = {*found.hidden, *(effect.name for effect in found.effects)}
-        # In a wind that was found a lift of typical size does show.
-        lift = set() if "wind" in unsure - {*found.hidden} else {"translational-lift"}
+            assert result.verdict == "undecided", (seed, words.result_lines(result))
+        unsure = {*result.hidden, *(effect.name for effect in result.effects)}
+        # In a wind that was selected, a lift of typical size is detectable.
+        lift = set() if "wind" in unsure - {*result.hidden} else {"translational-lift"}
         assert {"ground-effect", "quadratic-drag", *lift} <= unsure
-        codes = {finding.code for finding in found.findings}
+        codes = {finding.code for finding in result.findings}
         assert Code.HIDDEN in codes
         assert codes & {Code.TRACKING_TOO_SHORT, Code.HOVER_ONLY}

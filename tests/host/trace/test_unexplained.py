@@ -1,4 +1,4 @@
-"""The network on what is left: judged on held-out flights, over the model that is kept."""
+"""The network on the unexplained residual: it is judged on held-out flights, added to the traced model."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ from trimtab.host.trace.residual.network import unexplained
 DATA = Path(__file__).parents[2] / "data"
 
 
-def test_a_network_takes_what_is_left_and_names_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_network_on_the_residual_predicts_and_names_no_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "SETTINGS", {"hidden": (4,), "epochs": 12, "patience": 12})
     flights = [read_flight(DATA / f"{name}.mcap") for name in ("a1", "a2")]
     held_out = [read_flight(DATA / "b1.mcap")]
     vehicle = flights[0].vehicle
     data, _ = segments_of([FlightData.of(each) for each in flights], rate_driven=False)
-    told = describe(np.zeros((len(data.flight), data.bins, 6)), data, ("a", "a"), vehicle)
+    description = describe(np.zeros((len(data.flight), data.bins, 6)), data, ("a", "a"), vehicle)
     model = Model(vehicle_id=vehicle.id, vehicle_name=vehicle.name)
-    said: list[str] = []
-    found = unexplained(flights, held_out, model, load_effects(), told, said.append)
-    assert found is not None
-    assert found.model is not None
-    assert found.model.network is not None
-    assert not found.model.effects
-    assert 0.0 < found.before.position_rmse_m < 1.0
-    assert found.after != found.before
-    assert "names no cause" in words.network(found)
-    assert found.to_json("x.model.toml")["model"] == "x.model.toml"
-    assert said[-1] == "network on what is left, 12 of at most 12 epochs"
+    messages: list[str] = []
+    outcome = unexplained(flights, held_out, model, load_effects(), description, messages.append)
+    assert outcome is not None
+    assert outcome.model is not None
+    assert outcome.model.network is not None
+    assert not outcome.model.effects
+    assert 0.0 < outcome.before.position_rmse_m < 1.0
+    assert outcome.after != outcome.before
+    assert "names no cause" in words.network(outcome)
+    assert outcome.to_json("x.model.toml")["model"] == "x.model.toml"
+    assert messages[-1] == "network: epoch 12 of at most 12"
     monkeypatch.setattr(module, "SETTINGS", {"hidden": (1,), "epochs": 1, "rate": 1e-12})
-    found = unexplained(flights, held_out, model, load_effects(), told)
-    assert found is not None
-    assert found.model is None
-    assert "it is not kept" in words.network(found)
-    assert unexplained(flights, [], model, load_effects(), told) is None
+    outcome = unexplained(flights, held_out, model, load_effects(), description)
+    assert outcome is not None
+    assert outcome.model is None
+    assert "it is not kept" in words.network(outcome)
+    assert unexplained(flights, [], model, load_effects(), description) is None
     short = [replace(flight, estimate=None) for flight in flights]
-    assert unexplained(short, held_out, model, load_effects(), told) is None
+    assert unexplained(short, held_out, model, load_effects(), description) is None

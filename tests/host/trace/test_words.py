@@ -1,4 +1,4 @@
-"""Every code has words, and the words hold the numbers of their finding as rounded."""
+"""Every code has a sentence, which contains the rounded numbers of its finding."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ EXAMPLES: dict[Code, tuple[Finding, list[str]]] = {
         (Finding(code=Code.POSSIBLE, value=0.321, bound=0.05, subject=("sag",)), ["sag", "0.32"]),
         (Finding(code=Code.SOMETHING_MISSING, value=0.987, bound=0.5), ["0.99"]),
         (Finding(code=Code.HIDDEN, value=1.2, bound=4.2, unit="sigma", subject=("lag",)), ["lag"]),
-        (Finding(code=Code.NO_TWIN, log="a"), ["twin", "reference"]),
+        (Finding(code=Code.NO_REPEAT, log="a"), ["no repeat flight", "reference"]),
         (Finding(code=Code.NO_INPUTS, log="a"), ["no inputs"]),
         (Finding(code=Code.NO_REFERENCE, log="a"), ["no reference"]),
         (Finding(code=Code.NO_GYRO, log="a"), ["no gyro"]),
@@ -164,7 +164,7 @@ REFUSALS = {
 }
 
 
-def test_every_code_is_a_finding_a_stretch_or_a_refusal() -> None:
+def test_every_code_belongs_to_a_finding_a_stretch_or_an_error() -> None:
     assert sorted(Code) == sorted([*EXAMPLES, *STRETCHES, *REFUSALS])
     assert set(STRETCH_ORDER) == set(STRETCHES)
 
@@ -172,20 +172,20 @@ def test_every_code_is_a_finding_a_stretch_or_a_refusal() -> None:
 @pytest.mark.parametrize("code", EXAMPLES)
 def test_sentence_of_a_finding_mentions_its_subject_and_numbers(code: Code) -> None:
     finding, mentioned = EXAMPLES[code]
-    told = sentence(finding)
-    assert [each for each in mentioned if each not in told] == []
-    assert not told.endswith(".")
-    assert told == told.strip()
-    assert "None" not in told
+    text = sentence(finding)
+    assert [each for each in mentioned if each not in text] == []
+    assert not text.endswith(".")
+    assert text == text.strip()
+    assert "None" not in text
 
 
 def test_sentences_of_all_findings_are_different() -> None:
-    told = [sentence(finding) for finding, _ in EXAMPLES.values()]
-    assert len(set(told)) == len(told)
+    text = [sentence(finding) for finding, _ in EXAMPLES.values()]
+    assert len(set(text)) == len(text)
 
 
 @pytest.mark.parametrize("code", STRETCHES)
-def test_reason_of_a_stretch_says_what_is_wrong_with_it(code: Code) -> None:
+def test_reason_of_a_stretch_names_its_cause(code: Code) -> None:
     one = Stretch(start_s=1.234, end_s=5.678, code=code)
     assert STRETCHES[code] in words.reason(one)
     assert words.stretch(one) == f"1.23 to 5.68 s: {words.reason(one)}"
@@ -214,50 +214,50 @@ def audit_of(log: str, *codes: Code, stretches: int = 0, left_out: int = 0) -> A
     )
 
 
-def test_audit_lines_tell_stretches_by_log_and_each_remark_once() -> None:
+def test_audit_lines_list_stretches_by_log_and_each_remark_once() -> None:
     audits = [
-        audit_of("a", Code.NO_TWIN, stretches=1),
-        audit_of("b", Code.NO_TWIN, Code.NO_GYRO, stretches=7),
-        audit_of("c", Code.NO_TWIN),
+        audit_of("a", Code.NO_REPEAT, stretches=1),
+        audit_of("b", Code.NO_REPEAT, Code.NO_GYRO, stretches=7),
+        audit_of("c", Code.NO_REPEAT),
     ]
-    first, second, twin, gyro = words.audit_lines(audits)
+    first, second, no_repeat, gyro = words.audit_lines(audits)
     assert first.startswith("a: not used from 0.00 to 0.50 s: an impact")
     assert "more" not in first
     assert second.startswith("b: ")
     assert second.count("an impact") == 5
     assert second.endswith("and 2 more")
-    assert twin == f"a and 2 more: {sentence(EXAMPLES[Code.NO_TWIN][0])}"
+    assert no_repeat == f"a and 2 more: {sentence(EXAMPLES[Code.NO_REPEAT][0])}"
     assert gyro == f"b: {sentence(EXAMPLES[Code.NO_GYRO][0])}"
     assert words.audit_lines([audit_of("c")]) == []
 
 
-def test_refusals_name_the_log_and_what_it_lacks() -> None:
+def test_refusals_name_the_log_and_the_reason() -> None:
     path = Path("one.mcap")
-    for told, mentioned in [
+    for text, mentioned in [
         (too_few_poses(path), "100 poses"),
         (too_few_tracking_poses(path), "10 poses"),
         (no_tracking(path), "no tracking phase"),
     ]:
-        assert told.startswith("one.mcap: ")
-        assert mentioned in told
+        assert text.startswith("one.mcap: ")
+        assert mentioned in text
     gaps = Finding(code=Code.SEGMENTS_WITH_GAPS, value=4, unit="segments", log="a")
-    told = too_few_segments({"a": [gaps], "b": []}, 2, 0.6)
-    assert told.startswith("a, b: only 2 usable segments of 0.6 s")
-    assert "(a: 4 segments with gaps" in told
+    text = too_few_segments({"a": [gaps], "b": []}, 2, 0.6)
+    assert text.startswith("a, b: only 2 usable segments of 0.6 s")
+    assert "(a: 4 segments with gaps" in text
 
 
 @pytest.mark.parametrize(
     ("decides", "total_time_s", "mentioned"),
     [
-        pytest.param(True, None, ["helix", "drag and lag", "6.1 sigma", "2.4 so far"], id="decides"),
+        pytest.param(True, None, ["helix", "drag and lag", "6.1 sigma", "now 2.4"], id="decides"),
         pytest.param(True, 12.34, ["(plan it with --time-s 12.3)"], id="with-a-time"),
         pytest.param(
-            False, None, ["no known route", "drag from lag", "6.1 sigma", "4.2 are needed"], id="not"
+            False, None, ["no known route", "drag from lag", "6.1 sigma", "4.2 sigma are needed"], id="not"
         ),
         pytest.param(False, None, ["; weigh it"], id="another-measurement"),
     ],
 )
-def test_next_flight_says_what_it_separates_and_by_how_much(
+def test_next_flight_names_the_pair_and_its_separation(
     decides: bool, total_time_s: float | None, mentioned: list[str]
 ) -> None:
     proposal = SimpleNamespace(
@@ -269,15 +269,15 @@ def test_next_flight_says_what_it_separates_and_by_how_much(
         so_far_sigma=2.44,
         measurement="weigh it",
     )
-    told = words.next_flight(cast(Any, proposal))
-    assert [each for each in mentioned if each not in told] == []
+    text = words.next_flight(cast(Any, proposal))
+    assert [each for each in mentioned if each not in text] == []
 
 
 SPACE = build_space("drag", "gain", "lag")
 
 
-def trace(kept: tuple[str, ...] = (), **changes: Any) -> Trace:
-    return build_trace(SPACE, build_diagnosis(kept), **changes)
+def trace(selected: tuple[str, ...] = (), **changes: Any) -> Trace:
+    return build_trace(SPACE, build_diagnosis(selected), **changes)
 
 
 @pytest.mark.parametrize(
@@ -308,13 +308,13 @@ def trace(kept: tuple[str, ...] = (), **changes: Any) -> Trace:
 def test_verdict_in_words_names_effects_or_reasons(
     result: Trace, mentioned: list[str], unmentioned: str
 ) -> None:
-    told = words.verdict(result)
-    assert [each for each in mentioned if each not in told] == []
-    assert unmentioned not in told
+    text = words.verdict(result)
+    assert [each for each in mentioned if each not in text] == []
+    assert unmentioned not in text
 
 
 def build_errors(position_m: float) -> Errors:
-    """Return the errors of a flight whose position is off by as much all the time."""
+    """Return the errors of a flight with a constant position error."""
     off = np.tile([position_m, 0.0, 0.0], (3, 1))
     return Errors(
         flight="a",
@@ -329,34 +329,34 @@ def build_errors(position_m: float) -> Errors:
 
 def test_verdict_with_held_out_flights_ends_with_errors_in_whole_millimetres() -> None:
     before, after = [build_errors(0.0518)] * 2, [build_errors(0.0121)] * 2
-    told = words.verdict(trace(("drag",), named=("drag",), before=before, after=after))
-    assert told.endswith("On 2 held-out flights the prediction error went from 52 to 12 mm.")
+    text = words.verdict(trace(("drag",), named=("drag",), before=before, after=after))
+    assert text.endswith("On 2 held-out flights the prediction error went from 52 to 12 mm.")
     assert "mm" not in words.verdict(trace(before=before, after=after))
 
 
 def test_result_lines_hold_the_findings_in_groups() -> None:
-    told = [Code.FORCE_RINGS, Code.SOMETHING_MISSING, Code.HOVER_ONLY, Code.HIDDEN, Code.POSSIBLE]
+    text = [Code.FORCE_RINGS, Code.SOMETHING_MISSING, Code.HOVER_ONLY, Code.HIDDEN, Code.POSSIBLE]
     result = trace(
         verdict=Verdict.UNDECIDED,
-        findings=tuple(EXAMPLES[code][0] for code in told),
+        findings=tuple(EXAMPLES[code][0] for code in text),
         possible={"gain": 0.321},
-        audits=(audit_of("a", Code.NO_TWIN),),
+        audits=(audit_of("a", Code.NO_REPEAT),),
     )
     lines = words.result_lines(result)
     assert lines[0] == "verdict: undecided"
     assert lines[1] == "  not excluded: gain (0.32)"
     assert lines[2] == f"  {sentence(EXAMPLES[Code.SOMETHING_MISSING][0])}"
     assert lines[3] == f"  {sentence(EXAMPLES[Code.HOVER_ONLY][0])}"
-    assert lines[4] == "  of typical size, these flights would not show: lag"
+    assert lines[4] == "  these flights would not show, at typical size: lag"
     assert lines[5] == f"  {sentence(EXAMPLES[Code.FORCE_RINGS][0])}"
     assert "no flight held out" in lines[6]
-    assert lines[7:] == [f"data: a: {sentence(EXAMPLES[Code.NO_TWIN][0])}"]
+    assert lines[7:] == [f"data: a: {sentence(EXAMPLES[Code.NO_REPEAT][0])}"]
 
 
-def test_verdict_of_an_undecided_trace_that_names_nothing_says_so() -> None:
-    told = words.verdict(trace(verdict=Verdict.UNDECIDED))
-    assert "something" in told
-    assert " ;" not in told
+def test_verdict_of_an_undecided_trace_without_effects_is_a_sentence() -> None:
+    text = words.verdict(trace(verdict=Verdict.UNDECIDED))
+    assert "something" in text
+    assert " ;" not in text
 
 
 def test_result_lines_of_an_effect_hold_its_alternatives_and_the_exact_alias_by_itself() -> None:
@@ -369,4 +369,4 @@ def test_result_lines_of_an_effect_hold_its_alternatives_and_the_exact_alias_by_
     assert "or drag (0.26)" in lines[1]
     assert "or mass" not in lines[1]
     assert lines[2] == f"    {words.exact_alias(observed)}"
-    assert "only thrust over mass shows: 0.9314 +- 0.0050" in lines[2]
+    assert "flights show only thrust over mass: 0.9314 +- 0.0050" in lines[2]

@@ -34,7 +34,7 @@ def codes_of(findings: Sequence[Finding]) -> list[Code]:
 
 
 def codes(selected: Names = (), **changes: Any) -> list[Code]:
-    """Return the codes of everything that `decide` finds."""
+    """Return the codes of all findings of `decide`."""
     return codes_of(decide(build_evidence(selected, **changes)).findings)
 
 
@@ -45,7 +45,7 @@ def verdict(selected: Names = (), **changes: Any) -> Verdict:
 REPEATING = build_residual(force=build_channel(repeat=1.0, z_score=10.0))
 RINGING = build_residual(torque=build_channel(line=SpectralLine(ratio=20.0, hz=1.0, chance=0.0, rms=5.0)))
 ALONE = build_residual(pairs=0)
-"""The residual of flights without twins: nothing is unexplained."""
+"""The residual of flights without repeat flights: nothing is unexplained."""
 SHAKEN = (2.0,) * 3 + (0.01,) * 3
 """Standard deviations of a disturbance whose force is far beyond turbulence."""
 SHORT = {"tracking_s": RULES.flight_fit_min_s * BELOW}
@@ -63,7 +63,7 @@ ALIASES = pytest.mark.parametrize("share", [0.0, 0.3], ids=["no-aliases", "alias
 
 
 def doubted(doubt: str, residual: UnexplainedResidual | None = None) -> dict[str, Any]:
-    """Return the changes that raise a doubt, with `residual` in place of a quiet one."""
+    """Return changes of the evidence that cause a doubt, with `residual` instead of a quiet one."""
     changes = {"log_evidence": {(): 0.0}, **DOUBTED[doubt]}
     if residual is not None:
         changes["residual"] = replace(residual, pairs=0 if doubt == "excess" else residual.pairs)
@@ -71,7 +71,7 @@ def doubted(doubt: str, residual: UnexplainedResidual | None = None) -> dict[str
 
 
 def weights(selected: Names, share: float) -> dict[Names, float]:
-    """Return posterior weights of which `share` is of "wind" in place of what was selected."""
+    """Return posterior weights with the share `share` for "wind" instead of the selected effect."""
     return {selected: 1.0 - share, ("wind",): share}
 
 

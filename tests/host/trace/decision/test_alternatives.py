@@ -1,4 +1,4 @@
-"""What the data leaves open: both sides of each threshold, the order, and what must not matter."""
+"""Alternatives that the data does not exclude: both sides of each threshold, order, and independence."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OPEN, DETECTABLE = RULES.alias_probability, RULES.detectable_sigma
 
 
 def shared(share: float, scale: float = 1.0) -> dict[Names, float]:
-    """Return weights of which this share is of "wind" in place of "drag"."""
+    """Return posterior weights with this share for "wind" instead of "drag"."""
     return {("drag",): scale * (1.0 - share), ("wind",): scale * share}
 
 
@@ -39,13 +39,13 @@ def shared(share: float, scale: float = 1.0) -> dict[Names, float]:
         pytest.param({("drag",): 1.0}, [], id="one-set"),
     ],
 )
-def test_aliases_count_from_the_alias_probability_on(
+def test_aliases_of_counts_above_the_alias_probability(
     weights: dict[Names, float], expected: list[str]
 ) -> None:
     assert list(aliases_of(("drag",), weights, LIBRARY, RULES)["drag"]) == expected
 
 
-def test_aliases_sum_the_sets_that_have_the_other_and_lack_the_effect() -> None:
+def test_aliases_of_sums_sets_with_the_alias_and_without_the_effect() -> None:
     weights = {
         ("drag",): 4.0,
         ("drag", "wind"): 2.0,  # beside it, not in its place
@@ -53,25 +53,25 @@ def test_aliases_sum_the_sets_that_have_the_other_and_lack_the_effect() -> None:
         ("lag", "wind"): 2.0,
         (): 1.0,
     }
-    found = aliases_of(("drag",), weights, LIBRARY, RULES)
-    assert found["drag"] == pytest.approx({"wind": 0.3, "lag": 0.2})
+    alternatives = aliases_of(("drag",), weights, LIBRARY, RULES)
+    assert alternatives["drag"] == pytest.approx({"wind": 0.3, "lag": 0.2})
 
 
-def test_aliases_are_ordered_from_the_most_probable_on() -> None:
+def test_aliases_of_returns_the_most_probable_first() -> None:
     weights = {("drag",): 0.4, ("gain",): 0.1, ("wind",): 0.2, ("lag",): 0.3}
-    found = aliases_of(("drag",), weights, LIBRARY, RULES)
-    assert list(found["drag"]) == ["lag", "wind", "gain"]
+    alternatives = aliases_of(("drag",), weights, LIBRARY, RULES)
+    assert list(alternatives["drag"]) == ["lag", "wind", "gain"]
 
 
-def test_aliases_leave_out_what_was_selected_itself() -> None:
+def test_aliases_of_leaves_out_selected_effects() -> None:
     weights = {("drag", "gain"): 0.5, ("gain", "wind"): 0.5}
-    found = aliases_of(("drag", "gain"), weights, LIBRARY, RULES)
-    assert list(found) == ["drag", "gain"]
-    assert found["drag"] == pytest.approx({"wind": 0.5})
-    assert found["gain"] == {}
+    alternatives = aliases_of(("drag", "gain"), weights, LIBRARY, RULES)
+    assert list(alternatives) == ["drag", "gain"]
+    assert alternatives["drag"] == pytest.approx({"wind": 0.5})
+    assert alternatives["gain"] == {}
 
 
-def test_aliases_of_nothing_selected_are_none() -> None:
+def test_aliases_of_the_empty_set_are_empty() -> None:
     assert aliases_of((), {(): 0.5, ("wind",): 0.5}, LIBRARY, RULES) == {}
 
 
@@ -93,9 +93,7 @@ HIDING = build_space(
         pytest.param(DETECTABLE * ABOVE, {}, id="just-above"),
     ],
 )
-def test_with_undetectable_adds_a_known_alias_that_the_flights_would_not_show(
-    sigma: float, expected: dict[str, float]
-) -> None:
+def test_with_undetectable_adds_a_known_undetectable_alias(sigma: float, expected: dict[str, float]) -> None:
     assert with_undetectable({"drag": {}}, HIDING, {"lift": sigma}, RULES) == {"drag": expected}
 
 
@@ -109,21 +107,23 @@ def test_with_undetectable_adds_a_known_alias_that_the_flights_would_not_show(
         pytest.param("drag", {}, id="the-effect-itself"),
     ],
 )
-def test_with_undetectable_takes_known_aliases_only(hidden: str, expected: dict[str, float]) -> None:
+def test_with_undetectable_adds_only_known_aliases(hidden: str, expected: dict[str, float]) -> None:
     assert with_undetectable({"drag": {}}, HIDING, {hidden: 0.0}, RULES) == {"drag": expected}
 
 
-def test_with_undetectable_keeps_the_probability_that_the_data_gives() -> None:
-    found = with_undetectable({"drag": {"lift": 0.2, "lag": 0.1}}, HIDING, {"lift": 0.0, "tilt": 0.0}, RULES)
-    assert found == {"drag": {"tilt": 0.5, "lift": 0.2, "lag": 0.1}}
+def test_with_undetectable_does_not_overwrite_probabilities() -> None:
+    alternatives = with_undetectable(
+        {"drag": {"lift": 0.2, "lag": 0.1}}, HIDING, {"lift": 0.0, "tilt": 0.0}, RULES
+    )
+    assert alternatives == {"drag": {"tilt": 0.5, "lift": 0.2, "lag": 0.1}}
 
 
-def test_with_undetectable_leaves_out_what_was_named_too() -> None:
+def test_with_undetectable_leaves_out_selected_effects() -> None:
     aliases: dict[str, dict[str, float]] = {"drag": {}, "lift": {}}
     assert with_undetectable(aliases, HIDING, {"lift": 0.0, "drag": 0.0}, RULES) == aliases
 
 
-def test_with_undetectable_of_nothing_is_nothing() -> None:
+def test_with_undetectable_of_no_aliases_is_empty() -> None:
     assert with_undetectable({}, HIDING, {"lift": 0.0}, RULES) == {}
     assert with_undetectable({"drag": {}}, HIDING, {}, RULES) == {"drag": {}}
 
@@ -158,16 +158,16 @@ RELATED = build_space(
         ),
     ],
 )
-def test_with_each_other_makes_known_aliases_among_the_named_as_probable(
+def test_with_each_other_adds_known_aliases_among_selected_effects(
     named: Names, expected: dict[str, dict[str, float]]
 ) -> None:
     assert with_each_other({name: {} for name in named}, RELATED, RULES) == expected
 
 
-def test_with_each_other_keeps_other_aliases_and_its_input() -> None:
+def test_with_each_other_keeps_other_aliases_and_does_not_change_its_input() -> None:
     aliases = {"drag": {"inflow": 0.1, "lift": 0.2}, "lift": {}, "inflow": {}}
-    found = with_each_other(aliases, RELATED, RULES)
-    assert found == {"drag": {"inflow": 0.1, "lift": 0.5}, "lift": {"drag": 0.5}, "inflow": {}}
+    alternatives = with_each_other(aliases, RELATED, RULES)
+    assert alternatives == {"drag": {"inflow": 0.1, "lift": 0.5}, "lift": {"drag": 0.5}, "inflow": {}}
     assert aliases == {"drag": {"inflow": 0.1, "lift": 0.2}, "lift": {}, "inflow": {}}
 
 
@@ -199,13 +199,13 @@ def test_pair_to_separate_of_aliases_is_the_most_probable_pair(
         pytest.param({"drag": 0.9, "lag": OPEN * ABOVE}, ("drag", "lag"), id="second-just-above"),
     ],
 )
-def test_pair_to_separate_of_nothing_named_is_the_two_most_probable_candidates(
+def test_pair_to_separate_of_the_empty_set_is_the_two_most_probable_candidates(
     inclusion: dict[str, float], expected: tuple[str, str] | None
 ) -> None:
     assert pair_to_separate({}, inclusion, RULES) == expected
 
 
-def test_pair_to_separate_of_named_effects_without_aliases_is_none() -> None:
+def test_pair_to_separate_of_selected_effects_without_aliases_is_none() -> None:
     assert pair_to_separate({"drag": {}, "gain": {}}, {"lag": 0.9, "tilt": 0.8}, RULES) is None
 
 
@@ -217,28 +217,28 @@ def test_pair_to_separate_of_named_effects_without_aliases_is_none() -> None:
         pytest.param(OPEN * ABOVE, True, id="just-above"),
     ],
 )
-def test_possible_beside_counts_from_the_alias_probability_on(probability: float, possible: bool) -> None:
-    found = possible_beside((), {}, {"lag": probability}, RULES)
-    assert found == ({"lag": probability} if possible else {})
+def test_possible_beside_counts_above_the_alias_probability(probability: float, possible: bool) -> None:
+    alternatives = possible_beside((), {}, {"lag": probability}, RULES)
+    assert alternatives == ({"lag": probability} if possible else {})
 
 
-def test_possible_beside_leaves_out_kept_effects_and_their_aliases() -> None:
+def test_possible_beside_leaves_out_selected_effects_and_their_aliases() -> None:
     inclusion = {"drag": 0.9, "wind": 0.3, "lag": 0.2, "gain": 0.8, "sag": 0.1}
     aliases = {"drag": {"wind": 0.3}, "gain": {"sag": 0.1}}
-    found = possible_beside(("drag", "gain"), aliases, inclusion, RULES)
-    assert found == {"lag": 0.2}
+    alternatives = possible_beside(("drag", "gain"), aliases, inclusion, RULES)
+    assert alternatives == {"lag": 0.2}
 
 
-def test_possible_beside_is_ordered_from_the_most_probable_on() -> None:
-    found = possible_beside((), {}, {"lag": 0.2, "wind": 0.5, "sag": 0.3}, RULES)
-    assert list(found) == ["wind", "sag", "lag"]
+def test_possible_beside_returns_the_most_probable_first() -> None:
+    alternatives = possible_beside((), {}, {"lag": 0.2, "wind": 0.5, "sag": 0.3}, RULES)
+    assert list(alternatives) == ["wind", "sag", "lag"]
 
 
-def test_possible_beside_of_nothing_considered_is_empty() -> None:
+def test_possible_beside_of_no_candidates_is_empty() -> None:
     assert possible_beside((), {}, {}, RULES) == {}
 
 
-def test_alternatives_follow_the_rules_that_are_given() -> None:
+def test_alternatives_use_the_given_rules() -> None:
     surer = replace(RULES, odds=4.0, detectable_sigma=1.0)
     weights: dict[Names, float] = {("drag",): 0.8, ("wind",): 0.2}
     assert aliases_of(("drag",), weights, LIBRARY, RULES) == {"drag": pytest.approx({"wind": 0.2})}

@@ -1,4 +1,4 @@
-"""The decision: the order of its rules, and which rule is applied when."""
+"""The decision: the order of its rules, and the conditions of each rule."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from trimtab.host.trace.residual.unexplained import UnexplainedResidual
 @SELECTED
 @NULL
 @ALIASES
-def test_verdict_on_an_unexplained_residual_is_outside_library_whatever_else(
+def test_verdict_on_an_unexplained_residual_is_always_outside_library(
     residual: UnexplainedResidual, selected: Names, null: float, share: float, doubt: str | None
 ) -> None:
     changes = {"residual": residual} if doubt is None else doubted(doubt, residual)
@@ -62,7 +62,7 @@ def test_verdict_on_an_unexplained_residual_is_outside_library_whatever_else(
 @SELECTED
 @NULL
 @ALIASES
-def test_verdict_in_doubt_is_undecided_whatever_was_selected(
+def test_verdict_with_a_disagreement_is_undecided_for_any_selection(
     selected: Names, null: float, share: float, doubt: str
 ) -> None:
     changes = doubted(doubt)
@@ -83,7 +83,7 @@ def test_verdict_in_doubt_is_undecided_whatever_was_selected(
     ],
 )
 @pytest.mark.parametrize("scale", [1.0, 2.0**-10], ids=["normalised", "relative"])
-def test_verdict_of_nothing_selected_depends_on_the_null_probability(
+def test_verdict_of_the_empty_set_depends_on_the_null_probability(
     null: float, expected: Verdict, scale: float
 ) -> None:
     posterior = {(): scale * null, ("drag",): scale * (1.0 - null)}
@@ -105,7 +105,7 @@ def test_verdict_of_nothing_selected_depends_on_the_null_probability(
         ),
     ],
 )
-def test_verdict_of_selected_effects_depends_on_their_aliases_alone(
+def test_verdict_of_selected_effects_depends_only_on_their_aliases(
     null: float, posterior: dict[Names, float], expected: Verdict
 ) -> None:
     assert verdict(("drag", "gain"), null_probability=null, posterior_weights=posterior) is expected
@@ -186,7 +186,7 @@ def test_effects_are_added_unless_the_cause_is_outside_the_library(
         ),
     ],
 )
-def test_findings_are_outside_then_shortfall_then_disagreement_then_open_then_hidden(
+def test_findings_are_ordered_outside_shortfall_disagreement_open_hidden(
     selected: Names, changes: dict[str, Any], expected: list[Code]
 ) -> None:
     both = {"inclusion_probability": {"sag": 0.3}, "detectability": {"lag": 1.0}, **SHORT}
@@ -197,7 +197,7 @@ def test_reasons_and_doubts_are_different_codes() -> None:
     assert not UNEXPLAINED & DOUBTS
 
 
-# The rules that are given.
+# Other rules than the default.
 
 
 @pytest.mark.parametrize(
@@ -275,7 +275,7 @@ def test_reasons_and_doubts_are_different_codes() -> None:
         ),
     ],
 )
-def test_decision_follows_the_rules_that_are_given(
+def test_decision_uses_the_given_rules(
     changes: dict[str, Any], rules: dict[str, float], expected: Verdict, other: Verdict
 ) -> None:
     evidence = build_evidence(("drag",), **changes)
@@ -283,19 +283,19 @@ def test_decision_follows_the_rules_that_are_given(
     assert decide(evidence, replace(RULES, **rules)).verdict is other
 
 
-def test_null_probability_follows_the_rules_that_are_given() -> None:
+def test_is_null_probable_uses_the_given_rules() -> None:
     evidence = build_evidence(null_probability=0.04)
     assert decide(evidence).verdict is Verdict.UNDECIDED
     assert decide(evidence, replace(RULES, odds=50.0)).verdict is Verdict.NOTHING_MISSING
 
 
-def test_hidden_effects_follow_the_rules_that_are_given() -> None:
+def test_hidden_uses_the_given_rules() -> None:
     evidence = build_evidence(detectability={"lag": 2.0})
     assert codes_of(decide(evidence).findings) == [Code.HIDDEN]
     assert decide(evidence, replace(RULES, detectable_sigma=1.0)).findings == ()
 
 
-def test_decision_changes_nothing_of_its_evidence() -> None:
+def test_decide_does_not_change_its_evidence() -> None:
     changes: dict[str, Any] = {
         "space": RELATED,
         "detectability": {"lift": 2.0},

@@ -1,4 +1,4 @@
-"""What makes a decision doubtful: excess disturbance, inadmissible sets, segments that disagree."""
+"""Doubts about a decision: excess disturbance, inadmissible sets, disagreement of segments."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ from trimtab.host.trace.sentences import sentence
         pytest.param({0: 1.0, 3: 10.0}, {}, Code.EXCESS_FORCE, id="force-before-torque"),
     ],
 )
-def test_excess_disturbance_is_what_is_above_turbulence(
+def test_excess_disturbance_counts_above_turbulence(
     sigma: Mapping[int, float], changes: dict[str, Any], expected: Code | None
 ) -> None:
-    left = tuple(sigma.get(k, 0.01) for k in range(6))
-    evidence = build_evidence(disturbance_sigma=left, residual=ALONE, **changes)
-    found = excess_disturbance(evidence, RULES)
-    assert codes_of(found) == ([] if expected is None else [expected])
-    assert list(decide(evidence).findings) == found
+    disturbance = tuple(sigma.get(k, 0.01) for k in range(6))
+    evidence = build_evidence(disturbance_sigma=disturbance, residual=ALONE, **changes)
+    findings = excess_disturbance(evidence, RULES)
+    assert codes_of(findings) == ([] if expected is None else [expected])
+    assert list(decide(evidence).findings) == findings
 
 
 @pytest.mark.parametrize(
@@ -90,17 +90,17 @@ def test_excess_disturbance_is_what_is_above_turbulence(
         ),
     ],
 )
-def test_excess_disturbance_holds_how_much_is_left(
+def test_excess_disturbance_finding_holds_value_bound_and_unit(
     sigma: tuple[float, ...], expected: tuple[float, float, str], mentioned: str
 ) -> None:
-    (found,) = excess_disturbance(build_evidence(disturbance_sigma=sigma), RULES)
-    assert (found.value, found.bound, found.unit) == expected
-    assert mentioned in sentence(found)
+    (finding,) = excess_disturbance(build_evidence(disturbance_sigma=sigma), RULES)
+    assert (finding.value, finding.bound, finding.unit) == expected
+    assert mentioned in sentence(finding)
 
 
 @pytest.mark.parametrize("by_segments", [False, True])
 @pytest.mark.parametrize(("pairs", "applied"), [(0, True), (1, False), (3, False)])
-def test_excess_disturbance_counts_only_without_twins(pairs: int, applied: bool, by_segments: bool) -> None:
+def test_excess_disturbance_counts_only_without_repeats(pairs: int, applied: bool, by_segments: bool) -> None:
     changes: dict[str, Any] = {"disturbance_sigma": SHAKEN, "by_segments": by_segments}
     decision = decide(build_evidence(("drag",), residual=build_residual(pairs=pairs), **changes))
     assert codes_of(decision.findings) == ([Code.EXCESS_FORCE] if applied else [])
@@ -123,9 +123,9 @@ ADMISSIBLE: dict[Names, float] = {(): 0.0, ("drag",): 5.0}
 )
 def test_better_but_inadmissible_counts_from_the_best_admissible_set(nats: float, speaks: bool) -> None:
     log_evidence = {**ADMISSIBLE, ("inflow", "lag"): nats}
-    found = better_but_inadmissible(log_evidence, dict.fromkeys(ADMISSIBLE, 1.0), RULES)
-    assert codes_of(found) == [Code.BETTER_BUT_INADMISSIBLE] * speaks
-    for finding in found:
+    findings = better_but_inadmissible(log_evidence, dict.fromkeys(ADMISSIBLE, 1.0), RULES)
+    assert codes_of(findings) == [Code.BETTER_BUT_INADMISSIBLE] * speaks
+    for finding in findings:
         assert finding.subject == ("inflow", "lag")
         assert (finding.value, finding.bound, finding.unit) == (pytest.approx(nats - 5.0), TIE_NATS, "nats")
         assert "inflow, lag" in sentence(finding)
@@ -142,23 +142,23 @@ def test_better_but_inadmissible_counts_from_the_best_admissible_set(nats: float
         pytest.param({("lag",): -9.0, ("inflow",): 40.0}, ("inflow",), id="the-other-far-behind"),
     ],
 )
-def test_better_but_inadmissible_is_about_the_best_such_set_alone(
+def test_better_but_inadmissible_names_only_the_best_such_set(
     others: dict[Names, float], expected: Names
 ) -> None:
-    (found,) = better_but_inadmissible({**ADMISSIBLE, **others}, dict.fromkeys(ADMISSIBLE, 1.0), RULES)
-    assert found.subject == expected
-    assert found.value == 35.0
+    (finding,) = better_but_inadmissible({**ADMISSIBLE, **others}, dict.fromkeys(ADMISSIBLE, 1.0), RULES)
+    assert finding.subject == expected
+    assert finding.value == 35.0
 
 
 @pytest.mark.parametrize("weight", [1e-12, 1.0])
-def test_better_but_inadmissible_without_an_inadmissible_set_is_nothing(weight: float) -> None:
+def test_better_but_inadmissible_without_an_inadmissible_set_is_empty(weight: float) -> None:
     log_evidence = {**ADMISSIBLE, ("lag",): 100.0}
     assert better_but_inadmissible(log_evidence, dict.fromkeys(log_evidence, weight), RULES) == []
 
 
 @pytest.mark.parametrize("pairs", [0, 1])
 @pytest.mark.parametrize("by_segments", [False, True])
-def test_better_but_inadmissible_counts_only_by_segments(by_segments: bool, pairs: int) -> None:
+def test_better_but_inadmissible_counts_only_for_segments(by_segments: bool, pairs: int) -> None:
     decision = decide(
         build_evidence(
             ("drag",),
@@ -187,21 +187,21 @@ def test_better_but_inadmissible_counts_only_by_segments(by_segments: bool, pair
         pytest.param({"lag": -1.0, "gain": 7.0, "drag": 9.0}, ("gain", "drag"), id="in-their-order"),
     ],
 )
-def test_segment_disagreement_is_about_effects_that_segments_find_absent(
+def test_segment_disagreement_names_effects_that_segments_reject(
     nats: dict[str, float], expected: Names
 ) -> None:
-    found = segment_disagreement(nats, RULES)
-    assert [finding.subject for finding in found] == ([expected] if expected else [])
-    for finding in found:
+    findings = segment_disagreement(nats, RULES)
+    assert [finding.subject for finding in findings] == ([expected] if expected else [])
+    for finding in findings:
         assert finding.code is Code.SEGMENTS_DISAGREE
         assert (finding.value, finding.bound, finding.unit) == (max(nats.values()), TIE_NATS, "nats")
-        told = sentence(finding)
-        assert [name in told for name in nats] == [name in expected for name in nats]
+        text = sentence(finding)
+        assert [name in text for name in nats] == [name in expected for name in nats]
 
 
 @pytest.mark.parametrize("pairs", [0, 1])
 @pytest.mark.parametrize("by_segments", [False, True])
-def test_segment_disagreement_counts_only_over_the_closed_loop(by_segments: bool, pairs: int) -> None:
+def test_segment_disagreement_counts_only_for_whole_flights(by_segments: bool, pairs: int) -> None:
     decision = decide(
         build_evidence(
             ("drag",),

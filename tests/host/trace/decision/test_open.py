@@ -1,4 +1,4 @@
-"""What the data leaves open, and what these flights would not show."""
+"""Effects that the data does not exclude, and effects that the flights would not show."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from trimtab.host.trace.decision.decide import (
 from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.sentences import sentence
 
-# What the data leaves open.
+# Effects that the data does not exclude.
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ from trimtab.host.trace.sentences import sentence
         pytest.param(("drag",), DOUBTED["segments"], None, id="in-doubt-without-alternatives"),
     ],
 )
-def test_pair_to_separate_is_given_only_where_the_verdict_is_undecided(
+def test_pair_to_separate_is_given_only_if_the_verdict_is_undecided(
     selected: Names, changes: dict[str, Any], expected: tuple[str, str] | None
 ) -> None:
     assert decide(build_evidence(selected, **changes)).to_separate == expected
@@ -78,7 +78,7 @@ def test_alternatives_are_listed_with_their_probability_and_its_bound() -> None:
     assert sentence(decision.findings[2]) == "sag is not excluded (0.30)"
 
 
-def test_an_undetectable_alias_is_not_listed_as_possible_too() -> None:
+def test_undetectable_alias_is_not_also_listed_as_possible() -> None:
     decision = decide(
         build_evidence(
             ("drag",),
@@ -106,21 +106,21 @@ def test_an_undetectable_alias_is_not_listed_as_possible_too() -> None:
         pytest.param((), {"null_probability": 0.01, "residual": REPEATING}, None, id="outside-library"),
     ],
 )
-def test_something_is_missing_where_nothing_is_selected_though_nothing_is_improbable(
+def test_something_is_missing_if_the_empty_set_is_selected_but_improbable(
     selected: Names, changes: dict[str, Any], expected: float | None
 ) -> None:
-    found = [
+    findings = [
         finding
         for finding in decide(build_evidence(selected, **changes)).findings
         if finding.code is Code.SOMETHING_MISSING
     ]
-    assert [finding.value for finding in found] == ([] if expected is None else [pytest.approx(expected)])
-    assert [finding.bound for finding in found] == [0.5] * len(found)
-    for finding in found:
+    assert [finding.value for finding in findings] == ([] if expected is None else [pytest.approx(expected)])
+    assert [finding.bound for finding in findings] == [0.5] * len(findings)
+    for finding in findings:
         assert f"{expected:.2f}" in sentence(finding)
 
 
-# What these flights would not show.
+# Effects that the flights would not show.
 
 WEAK = {"wind": 0.0, "lag": 4.0, "drag": 1.0, "gain": 100.0, "rotor": 2.0}
 ROTORS = build_space(
@@ -141,30 +141,28 @@ ROTORS = build_space(
         pytest.param(DETECTABLE * ABOVE, (), id="just-above"),
     ],
 )
-def test_hidden_are_effects_that_would_not_stand_out(sigma: float, expected: Names) -> None:
-    found = hidden({"lag": sigma}, (), LIBRARY)
-    assert tuple(finding.subject[0] for finding in found) == expected
-    for finding in found:
+def test_hidden_returns_undetectable_effects(sigma: float, expected: Names) -> None:
+    findings = hidden({"lag": sigma}, (), LIBRARY)
+    assert tuple(finding.subject[0] for finding in findings) == expected
+    for finding in findings:
         assert finding == Finding(
             code=Code.HIDDEN, value=sigma, bound=DETECTABLE, unit="sigma", subject=("lag",)
         )
         assert "lag" in sentence(finding)
-    assert list(decide(build_evidence(detectability={"lag": sigma})).findings) == found
+    assert list(decide(build_evidence(detectability={"lag": sigma})).findings) == findings
 
 
 @pytest.mark.parametrize(
     ("selected", "expected"),
     [
         pytest.param((), ["drag", "lag", "rotor", "wind"], id="nothing-selected"),
-        # The candidate is one parameter of several; what is hidden is the effect.
+        # The candidate is one parameter of the effect; the finding names the effect.
         pytest.param(("drag", "rotor.one"), ["lag", "wind"], id="selected"),
     ],
 )
-def test_hidden_are_in_alphabetical_order_without_what_was_selected(
-    selected: Names, expected: list[str]
-) -> None:
+def test_hidden_is_alphabetical_without_selected_effects(selected: Names, expected: list[str]) -> None:
     assert [finding.subject[0] for finding in hidden(WEAK, selected, ROTORS)] == expected
 
 
-def test_hidden_of_nothing_judged_is_empty() -> None:
+def test_hidden_without_detectabilities_is_empty() -> None:
     assert hidden({}, (), LIBRARY) == []

@@ -61,7 +61,7 @@ def test_shortfall_alone_does_not_make_the_verdict_undecided(
     ("changes", "extended"),
     [
         pytest.param({}, False, id="enough"),
-        pytest.param({"residual": ALONE}, False, id="enough-without-twins"),
+        pytest.param({"residual": ALONE}, False, id="enough-without-repeats"),
         pytest.param({"by_segments": True}, False, id="enough-by-segments"),
         pytest.param({"tracking_s": RULES.flight_fit_min_s}, False, id="long-enough"),
         pytest.param({"extent_m": RULES.hover_extent_m}, False, id="wide-enough"),
@@ -70,7 +70,7 @@ def test_shortfall_alone_does_not_make_the_verdict_undecided(
         pytest.param({**SHORT, "by_segments": True, "residual": ALONE}, True, id="short-by-segments"),
     ],
 )
-def test_undetectable_aliases_count_only_where_tracking_falls_short(
+def test_undetectable_aliases_count_only_if_tracking_is_short(
     changes: dict[str, Any], extended: bool
 ) -> None:
     decision = decide(build_evidence(("drag",), space=RELATED, detectability={"lift": 1.0}, **changes))
@@ -80,7 +80,7 @@ def test_undetectable_aliases_count_only_where_tracking_falls_short(
     assert (Code.ALIAS in codes_of(decision.findings)) == extended
 
 
-def test_aliases_that_would_show_and_effects_that_are_no_aliases_are_left_out_of_short_tracking() -> None:
+def test_short_tracking_leaves_out_detectable_aliases_and_other_effects() -> None:
     shown = build_evidence(("drag",), space=RELATED, detectability={"lift": 9.0, "lag": 1.0}, **SHORT)
     assert decide(shown).aliases == {"drag": {}}
 
@@ -88,14 +88,14 @@ def test_aliases_that_would_show_and_effects_that_are_no_aliases_are_left_out_of
 @pytest.mark.parametrize(
     ("changes", "extended"),
     [
-        pytest.param({}, False, id="closed-loop-with-twins"),
-        pytest.param({"residual": ALONE}, True, id="closed-loop-without-twins"),
-        pytest.param({"by_segments": True}, True, id="segments-with-twins"),
-        pytest.param({"by_segments": True, "residual": ALONE}, True, id="segments-without-twins"),
-        pytest.param(SHORT, False, id="short-with-twins"),
+        pytest.param({}, False, id="closed-loop-with-repeats"),
+        pytest.param({"residual": ALONE}, True, id="closed-loop-without-repeats"),
+        pytest.param({"by_segments": True}, True, id="segments-with-repeats"),
+        pytest.param({"by_segments": True, "residual": ALONE}, True, id="segments-without-repeats"),
+        pytest.param(SHORT, False, id="short-with-repeats"),
     ],
 )
-def test_selected_effects_are_aliases_of_each_other_only_by_segments_or_without_twins(
+def test_selected_effects_are_mutual_aliases_only_for_segments_or_without_repeats(
     changes: dict[str, Any], extended: bool
 ) -> None:
     decision = decide(build_evidence(("drag", "lift"), space=RELATED, **changes))
@@ -118,7 +118,7 @@ def test_selected_effects_are_aliases_of_each_other_only_by_segments_or_without_
         pytest.param(repeating(3.0), repeating(0.06 * ABOVE), 0.06 * ABOVE, id="just-enough"),
     ],
 )
-def test_outside_the_library_the_finding_is_about_no_effect_where_that_shows_something(
+def test_outside_library_findings_refer_to_the_model_without_effects_if_it_has_any(
     residual: UnexplainedResidual, without: UnexplainedResidual, value: float
 ) -> None:
     decision = decide(build_evidence(("drag",), residual=residual, residual_without=without))
@@ -128,8 +128,8 @@ def test_outside_the_library_the_finding_is_about_no_effect_where_that_shows_som
     assert decision.residual is (without if value == without.force.repeat else residual)
 
 
-def test_outside_the_library_what_is_about_no_effect_is_held_against_its_own_bounds() -> None:
-    """Beside 3 m/s^2 that repeat without any effect, 0.3 may remain; the 3 themselves may be 0.06."""
+def test_outside_library_model_without_effects_has_its_own_bounds() -> None:
+    """If 3 m/s^2 repeat without effects, 0.3 may remain with them; the bound on the 3 themselves is 0.06."""
     decision = decide(build_evidence(("drag",), residual=repeating(0.31), residual_without=repeating(3.0)))
     assert [(finding.value, finding.bound) for finding in decision.findings] == [(3.0, 0.06)]
 
@@ -141,18 +141,18 @@ def test_outside_the_library_what_is_about_no_effect_is_held_against_its_own_bou
         pytest.param(0.3 * ABOVE, Verdict.OUTSIDE_LIBRARY, id="just-above"),
     ],
 )
-def test_selected_effects_may_leave_a_share_of_what_they_explain(size: float, expected: Verdict) -> None:
+def test_selected_effects_may_leave_a_share_of_the_residual(size: float, expected: Verdict) -> None:
     decision = decide(build_evidence(("drag",), residual=repeating(size), residual_without=repeating(3.0)))
     assert decision.verdict is expected
 
 
-def test_a_residual_without_any_effect_is_no_reason_where_the_effects_explain_it() -> None:
+def test_residual_without_effects_is_no_reason_if_the_effects_explain_it() -> None:
     decision = decide(build_evidence(("drag",), residual_without=repeating(3.0)))
     assert (decision.verdict, decision.findings) == (Verdict.TRACED, ())
     assert decision.residual == build_residual()
 
 
-def test_effects_that_make_whole_flights_worse_are_outside_the_library() -> None:
+def test_effects_that_increase_the_flight_error_are_outside_the_library() -> None:
     one, without = (
         build_residual(flights=build_flight_repeat(share=0.05, z_score=5.0, position_m=position_m))
         for position_m in (0.12, 0.01)
@@ -182,7 +182,7 @@ SWINGING = build_space(build_effect("payload", memory=2), "drag")
         pytest.param((), RULES.line_ratio * ABOVE, Verdict.OUTSIDE_LIBRARY, id="nothing-selected"),
     ],
 )
-def test_a_selected_effect_with_states_of_its_own_may_leave_some_of_its_swing(
+def test_selected_effect_with_states_may_leave_some_of_its_swing(
     selected: Names, ratio: float, expected: Verdict
 ) -> None:
     line = SpectralLine(ratio=ratio, hz=0.7, chance=0.0, rms=9.0)
@@ -212,7 +212,7 @@ def test_outside_the_library_no_alternatives_are_listed(selected: Names) -> None
         pytest.param(REPEATING, ["drag", "lag"], id="outside-library"),
     ],
 )
-def test_a_selected_effect_is_hidden_only_where_it_is_not_added(
+def test_selected_effect_is_hidden_only_if_it_is_not_added(
     residual: UnexplainedResidual, expected: list[str]
 ) -> None:
     decision = decide(build_evidence(("drag",), residual=residual, detectability={"lag": 1.0, "drag": 2.0}))

@@ -1,4 +1,4 @@
-"""When a residual puts the cause outside the library: bounds, what raises them, and the order of findings."""
+"""Residuals with a cause outside the library: bounds, their dependencies, and the order of findings."""
 
 from __future__ import annotations
 
@@ -41,23 +41,23 @@ def channel(
     rms: float = 10.0,
     hz: float = 0.77,
 ) -> dict[str, Any]:
-    """Return one channel by name; `size` of what repeats and `rms` of the line are in floors."""
-    found = SpectralLine(ratio=line, hz=hz, chance=chance, rms=rms * FLOOR[name])
-    return {name: build_channel(repeat=size * FLOOR[name], z_score=z_score, line=found)}
+    """Return one channel by name; repeatable `size` and `rms` of the line are multiples of the floor."""
+    spectral_line = SpectralLine(ratio=line, hz=hz, chance=chance, rms=rms * FLOOR[name])
+    return {name: build_channel(repeat=size * FLOOR[name], z_score=z_score, line=spectral_line)}
 
 
 def repeating(name: str, size: float = 10.0, z_score: float = 10.0) -> dict[str, Any]:
-    """Return a channel that repeats by `size` floors with the score z."""
+    """Return a channel in which `size` floors repeat with the z score z."""
     return channel(name, size=size, z_score=z_score)
 
 
 def ringing(name: str, line: float = 20.0, **changes: float) -> dict[str, Any]:
-    """Return a channel with a line and nothing that repeats."""
+    """Return a channel with a line and without a repeatable part."""
     return channel(name, line=line, **changes)
 
 
 def found_in(residual: UnexplainedResidual, bounds: ResidualBounds | None = None) -> list[Finding]:
-    """Return the findings by `bounds`, by default those of a model without any effect."""
+    """Return the findings by `bounds`, by default those of the model without effects."""
     return residual_findings(residual, bounds or no_model_bounds(RULES), RULES)
 
 
@@ -69,7 +69,7 @@ LOUD = build_flight_repeat(share=1.0, z_score=10.0, position_m=0.0471)
 CALM = build_flight_repeat(share=0.0, z_score=0.0, position_m=0.0)
 
 
-def test_no_model_bounds_are_the_rules_and_no_position() -> None:
+def test_no_model_bounds_are_the_rules_without_a_position_bound() -> None:
     assert no_model_bounds(RULES) == ResidualBounds(
         force=RULES.force_floor_m_s2,
         torque=RULES.torque_floor_rad_s2,
@@ -79,7 +79,7 @@ def test_no_model_bounds_are_the_rules_and_no_position() -> None:
     )
 
 
-def test_findings_of_nothing_unexplained_are_none() -> None:
+def test_findings_of_a_quiet_residual_are_empty() -> None:
     assert found_in(build_residual()) == []
     assert found_in(build_residual(flights=CALM)) == []
     assert found_in(build_residual(pairs=0)) == []
@@ -101,7 +101,7 @@ def test_findings_of_nothing_unexplained_are_none() -> None:
         pytest.param(10.0, -10.0, 0, id="score-reversed"),
     ],
 )
-def test_what_repeats_in_segments_needs_score_and_size(
+def test_repeatable_residual_of_segments_needs_z_score_and_size(
     name: str, size: float, z_score: float, count: int
 ) -> None:
     assert codes_in(build_residual(**repeating(name, size, z_score))) == [REPEATS[name]] * count
@@ -123,7 +123,7 @@ def test_what_repeats_in_segments_needs_score_and_size(
         pytest.param(20.0, 0.0, ABOVE, 1, id="rms-just-above"),
     ],
 )
-def test_a_line_needs_ratio_chance_and_size(
+def test_line_needs_ratio_chance_and_size(
     name: str, line: float, chance: float, rms: float, count: int
 ) -> None:
     residual = build_residual(**ringing(name, line, chance=chance, rms=rms))
@@ -158,7 +158,7 @@ def test_a_line_needs_ratio_chance_and_size(
             id="torque-line",
         ),
         pytest.param(
-            # At z = 10 a fifth is taken off the share.
+            # At z = 10, two standard errors are a fifth of the share.
             {"flights": build_flight_repeat(share=1.44, z_score=10.0, position_m=0.0471)},
             Finding(
                 code=Code.FLIGHTS_REPEAT,
@@ -171,17 +171,17 @@ def test_a_line_needs_ratio_chance_and_size(
         ),
     ],
 )
-def test_a_finding_holds_what_it_rests_on(
+def test_finding_holds_value_bound_and_details(
     residual: dict[str, Any], expected: Finding, mentioned: list[str]
 ) -> None:
-    (found,) = found_in(build_residual(**residual))
-    assert found.to_json() == {
+    (finding,) = found_in(build_residual(**residual))
+    assert finding.to_json() == {
         **expected.to_json(),
         "value": pytest.approx(expected.value),
         "details": pytest.approx(dict(expected.details)),
     }
-    told = sentence(found)
-    assert [number for number in mentioned if number not in told] == []
+    text = sentence(finding)
+    assert [number for number in mentioned if number not in text] == []
 
 
 @pytest.mark.parametrize(
@@ -196,29 +196,29 @@ def test_a_finding_holds_what_it_rests_on(
         ),
     ],
 )
-def test_segments_follow_whole_flights_in_what_repeats_not_in_lines(
+def test_whole_flights_overrule_segments_in_repeatability_not_in_lines(
     flights: FlightRepeat | None, expected: list[Code]
 ) -> None:
     residual = build_residual(**repeating("force"), **ringing("torque"), flights=flights)
     assert codes_in(residual) == expected
 
 
-def test_both_channels_are_told_force_first_and_what_repeats_before_lines() -> None:
+def test_findings_list_force_first_and_repeatability_before_lines() -> None:
     residual = build_residual(
         **channel("torque", size=10.0, line=20.0, hz=0.55), **channel("force", size=10.0, line=20.0)
     )
-    found = found_in(residual)
-    assert [finding.code for finding in found] == [
+    findings = found_in(residual)
+    assert [finding.code for finding in findings] == [
         Code.FORCE_REPEATS,
         Code.TORQUE_REPEATS,
         Code.FORCE_RINGS,
         Code.TORQUE_RINGS,
     ]
-    assert [found[0].value, found[1].value] == pytest.approx([0.6, 8.0])
-    assert [found[2].details["hz"], found[3].details["hz"]] == [0.77, 0.55]
+    assert [findings[0].value, findings[1].value] == pytest.approx([0.6, 8.0])
+    assert [findings[2].details["hz"], findings[3].details["hz"]] == [0.77, 0.55]
 
 
-# At z = 40 a twentieth is taken off the share.
+# At z = 40, two standard errors are a twentieth of the share.
 @pytest.mark.parametrize(
     ("share", "z_score", "count"),
     [
@@ -229,7 +229,7 @@ def test_both_channels_are_told_force_first_and_what_repeats_before_lines() -> N
         pytest.param(1.1 * REPEAT_SHARE, 10.0, 0, id="not-two-standard-errors-above"),
     ],
 )
-def test_whole_flights_need_a_share_that_is_known_well(share: float, z_score: float, count: int) -> None:
+def test_whole_flights_need_a_significant_share(share: float, z_score: float, count: int) -> None:
     residual = build_residual(flights=build_flight_repeat(share=share, z_score=z_score))
     assert codes_in(residual) == [Code.FLIGHTS_REPEAT] * count
 
@@ -239,14 +239,14 @@ def test_whole_flights_need_a_share_that_is_known_well(share: float, z_score: fl
     [(0.02 * BELOW, 0), (0.02, 0), (0.02 * ABOVE, 1)],
     ids=["just-below", "at", "just-above"],
 )
-def test_a_position_that_repeats_more_than_it_may_is_worse(position_m: float, count: int) -> None:
+def test_repeatable_position_above_its_bound_counts_as_worsened(position_m: float, count: int) -> None:
     residual = build_residual(flights=build_flight_repeat(position_m=position_m))
     bounds = replace(no_model_bounds(RULES), position_m=0.02)
     assert codes_in(residual, bounds) == [Code.FLIGHTS_WORSENED] * count
     assert codes_in(residual) == []
 
 
-def test_a_worse_position_lets_segments_speak_too() -> None:
+def test_worsened_position_also_reports_segments() -> None:
     residual = build_residual(**repeating("force"), flights=build_flight_repeat(position_m=0.03))
     worse, repeats = found_in(residual, replace(no_model_bounds(RULES), position_m=0.02))
     assert worse == Finding(code=Code.FLIGHTS_WORSENED, value=0.03, bound=0.02, unit="m")
@@ -257,7 +257,7 @@ def test_a_worse_position_lets_segments_speak_too() -> None:
     assert "0.60" in sentence(repeats)
 
 
-def test_whole_flights_that_repeat_are_told_before_that_they_are_worse() -> None:
+def test_flights_repeat_is_listed_before_flights_worsened() -> None:
     bounds = replace(no_model_bounds(RULES), position_m=0.02)
     assert codes_in(build_residual(flights=LOUD), bounds) == [Code.FLIGHTS_REPEAT, Code.FLIGHTS_WORSENED]
 
@@ -295,14 +295,14 @@ def test_whole_flights_that_repeat_are_told_before_that_they_are_worse() -> None
         pytest.param(ringing("force") | ringing("torque"), {}, id="lines-raise-nothing"),
     ],
 )
-def test_bounds_rise_with_what_a_model_without_any_effect_leaves(
+def test_bounds_increase_with_the_residual_without_effects(
     missing: dict[str, Any], expected: dict[str, float]
 ) -> None:
     bounds = residual_bounds(build_residual(**missing), has_memory=False, rules=RULES)
     assert asdict(bounds) == pytest.approx(asdict(no_model_bounds(RULES)) | expected)
 
 
-def test_bounds_are_never_below_the_rules_that_are_given() -> None:
+def test_bounds_are_never_below_the_given_rules() -> None:
     strict = replace(
         RULES,
         force_floor_m_s2=7.0,
@@ -331,7 +331,7 @@ def test_bounds_are_never_below_the_rules_that_are_given() -> None:
         pytest.param(RULES.line_ratio_with_memory * ABOVE, True, 1, id="above-beside-memory"),
     ],
 )
-def test_beside_an_effect_with_states_of_its_own_a_line_must_be_stronger(
+def test_line_must_be_stronger_with_an_effect_with_states(
     name: str, line: float, has_memory: bool, count: int
 ) -> None:
     bounds = residual_bounds(build_residual(), has_memory=has_memory, rules=RULES)
@@ -339,7 +339,7 @@ def test_beside_an_effect_with_states_of_its_own_a_line_must_be_stronger(
 
 
 @pytest.mark.parametrize("name", CHANNELS)
-def test_a_line_must_be_as_large_as_what_may_repeat_in_its_channel(name: str) -> None:
+def test_line_must_exceed_the_repeatability_bound_of_its_channel(name: str) -> None:
     bounds = replace(no_model_bounds(RULES), **{name: 20.0 * FLOOR[name]})
     assert codes_in(build_residual(**ringing(name, rms=20.0 * BELOW)), bounds) == []
     assert codes_in(build_residual(**ringing(name, rms=20.0 * ABOVE)), bounds) == [RINGS[name]]
@@ -355,7 +355,7 @@ def test_a_line_must_be_as_large_as_what_may_repeat_in_its_channel(name: str) ->
         pytest.param({"flights": LOUD}, "flight_repeat_share", 0.9, id="share"),
     ],
 )
-def test_findings_follow_the_rules_that_are_given(residual: dict[str, Any], rule: str, value: float) -> None:
+def test_residual_findings_use_the_given_rules(residual: dict[str, Any], rule: str, value: float) -> None:
     stricter = replace(RULES, **{rule: value})
     assert len(found_in(build_residual(**residual))) == 1
     assert residual_findings(build_residual(**residual), no_model_bounds(stricter), stricter) == []

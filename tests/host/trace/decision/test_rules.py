@@ -1,4 +1,4 @@
-"""The table of rules: the literal value of every threshold, and what follows from them."""
+"""The table of rules: the value of every threshold, and the values derived from them."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ EXPECTED: Mapping[str, float] = {
     "flight_form_amplitude": 0.2,
     "worsened_ratio": 1.5,
     "worsened_m": 0.01,
-    "twin_shift_s": 1.0,
-    "twin_min_s": 3.0,
+    "repeat_shift_s": 1.0,
+    "repeat_min_s": 3.0,
     "excess_force_m_s2": 0.5,
     "excess_torque_rad_s2": 3.0,
     # Uncertainty.
@@ -80,7 +80,7 @@ EXPECTED: Mapping[str, float] = {
     "missing_share": 0.4,
     "min_coverage": 0.5,
     "calibration_share": 0.25,
-    # Health of the data.
+    # Quality of the data.
     "gap_s": 0.2,
     "saturation_s": 0.1,
     "saturation_low": 0.01,
@@ -101,7 +101,7 @@ EXPECTED: Mapping[str, float] = {
     "resting_thrust_g": 0.3,
     "sparse_rate_hz": 20.0,
     "rate_drop_share": 0.5,
-    # Description of what is outside the library.
+    # Description of a disturbance outside the library.
     "min_skill": 0.1,
     "clear_form_skill": 0.5,
     "form_skill_margin": 0.05,
@@ -134,7 +134,7 @@ def test_rule_has_the_value_that_it_was_calibrated_to(name: str, value: float) -
 
 
 @pytest.mark.parametrize("name", EXPECTED)
-def test_rule_says_its_unit_its_meaning_and_where_it_comes_from(name: str) -> None:
+def test_rule_states_unit_meaning_and_source(name: str) -> None:
     row = TABLE[name]
     assert row.unit.strip()
     assert row.meaning.strip()
@@ -167,23 +167,23 @@ def test_table_of_other_rules_has_their_values() -> None:
     assert rules.table(replace(RULES, odds=100.0))[0].value == 100.0
 
 
-def test_what_follows_from_the_odds_has_the_expected_values() -> None:
+def test_values_derived_from_the_odds_are_as_expected() -> None:
     assert RULES.tie_nats == pytest.approx(2.995732273553991, rel=1e-12)
     assert RULES.alias_probability == pytest.approx(0.05, rel=1e-12)
     assert RULES.undecided_sigma == pytest.approx(2.4477468306808166, rel=1e-12)
     assert RULES.prior_log_odds == pytest.approx(-3.6888794541139363, rel=1e-12)
 
 
-def test_what_follows_from_the_odds_changes_with_them() -> None:
+def test_values_derived_from_the_odds_change_with_them() -> None:
     other = replace(RULES, odds=100.0, prior_odds=10.0)
     assert math.exp(other.tie_nats) == pytest.approx(100.0)
     assert other.alias_probability == pytest.approx(0.01)
-    # Two effects that far apart in sigma have a likelihood ratio of the odds.
+    # Two effects separated by this many sigma have a likelihood ratio equal to the odds.
     assert math.exp(0.5 * other.undecided_sigma**2) == pytest.approx(100.0)
     assert math.exp(other.prior_log_odds) == pytest.approx(0.1)
 
 
-def test_amounts_of_data_pay_for_the_whitening_that_they_are_meant_for() -> None:
+def test_data_limits_are_consistent_with_the_whitening() -> None:
     assert pytest.approx(20 * whitening.CHANNELS * recording.FLIGHT_BIN_S) == RULES.flight_fit_min_s
     assert RULES.bins_per_order == 14 * whitening.CHANNELS
 

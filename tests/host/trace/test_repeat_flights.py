@@ -1,4 +1,4 @@
-"""Abstention: repeatable leftovers and ringing ones stand out, noise and driven frequencies do not."""
+"""Unexplained residual: repeatable and ringing parts stand out; noise and flown frequencies do not."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PAIRS = [(0, 1), (2, 3)]
 
 
 def data(motion_hz: float = 0.0, each: int = SEGMENTS, turn_hz: float = 0.0) -> Segments:
-    """`each` segments of four flights that swing slowly, and at `motion_hz`, and turn at `turn_hz`."""
+    """Return `each` segments of four flights that swing slowly and at motion_hz, and rotate at turn_hz."""
     count = each * FLIGHTS
     flight = np.repeat(np.arange(FLIGHTS), each)
     start = np.tile(np.arange(each) * STEPS * 0.01, FLIGHTS)
@@ -54,12 +54,12 @@ def data(motion_hz: float = 0.0, each: int = SEGMENTS, turn_hz: float = 0.0) -> 
 
 
 def codes(residual: UnexplainedResidual) -> list[Code]:
-    """Codes of what stands out of a residual, by the bounds of a model without any effect."""
+    """Return the codes of the findings on a residual, by the bounds of the model without effects."""
     return [finding.code for finding in residual_findings(residual, no_model_bounds(RULES), RULES)]
 
 
 def codes_beside(residual: UnexplainedResidual, without: UnexplainedResidual) -> list[Code]:
-    """The same where a model without any effect leaves `without`."""
+    """Return the same for a selected set, if `without` is the residual without effects."""
     bounds = residual_bounds(without, has_memory=False, rules=RULES)
     return [finding.code for finding in residual_findings(residual, bounds, RULES)]
 
@@ -71,7 +71,7 @@ def noise(seed: int, each: int = SEGMENTS) -> np.ndarray:
 
 
 def series(hz: float, phase: np.ndarray) -> np.ndarray:
-    """(segments, bins) of a sine over each flight, with a phase for each flight."""
+    """Return a sine (segments, bins) over each flight, with a phase for each flight."""
     t = BIN_S * np.arange(SEGMENTS * BINS)
     rows = [np.sin(2 * np.pi * hz * t + p).reshape(SEGMENTS, BINS) for p in phase]
     return np.concatenate(rows)
@@ -79,7 +79,7 @@ def series(hz: float, phase: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("each", [8, SEGMENTS, 70])
 @pytest.mark.parametrize("seed", range(5))
-def test_residual_of_noise_gives_no_reason(seed: int, each: int) -> None:
+def test_residual_of_noise_has_no_findings(seed: int, each: int) -> None:
     assert codes(unexplained_residual(noise(seed, each), data(each=each), PAIRS)) == []
 
 
@@ -90,24 +90,24 @@ def test_repeat_score_of_gusts_that_grow_with_speed_is_a_standard_normal() -> No
     assert 0.7 < np.std(scores) < 1.3
 
 
-def test_residual_of_a_repeatable_force_in_flights_of_five_seconds_names_it() -> None:
+def test_residual_of_a_repeatable_force_in_flights_of_five_seconds_repeats() -> None:
     w = noise(1, 8)
     field = np.random.default_rng(9).normal(size=(8, BINS)) * 2.0
     w[:, :, 0] += np.tile(field, (FLIGHTS, 1))
-    found = unexplained_residual(w, data(each=8), PAIRS[:1])
-    assert Code.FORCE_REPEATS in codes(found)
+    unexplained = unexplained_residual(w, data(each=8), PAIRS[:1])
+    assert Code.FORCE_REPEATS in codes(unexplained)
 
 
-def test_residual_of_a_repeatable_force_names_it() -> None:
+def test_residual_of_a_repeatable_force_repeats() -> None:
     w = noise(1)
     field = np.random.default_rng(9).normal(size=(SEGMENTS, BINS)) * 0.2
     w[:, :, 0] += np.tile(field, (FLIGHTS, 1))
-    found = unexplained_residual(w, data(), PAIRS)
-    assert found.force.repeat == pytest.approx(0.2, rel=0.25)
-    assert codes(found) == [Code.FORCE_REPEATS]
+    unexplained = unexplained_residual(w, data(), PAIRS)
+    assert unexplained.force.repeat == pytest.approx(0.2, rel=0.25)
+    assert codes(unexplained) == [Code.FORCE_REPEATS]
 
 
-def test_residual_of_a_force_that_does_not_repeat_stays_silent() -> None:
+def test_residual_of_a_force_that_does_not_repeat_has_no_findings() -> None:
     w = noise(2)
     w[:, :, 0] += np.random.default_rng(4).normal(size=(SEGMENTS * FLIGHTS, BINS)) * 0.2
     assert codes(unexplained_residual(w, data(), PAIRS)) == []
@@ -116,12 +116,12 @@ def test_residual_of_a_force_that_does_not_repeat_stays_silent() -> None:
 def test_residual_of_a_line_of_random_phase_rings() -> None:
     w = noise(3)
     w[:, :, 1] += 0.15 * series(0.8, np.array([0.0, 2.0, 4.0, 1.0]))
-    found = unexplained_residual(w, data(), PAIRS)
-    assert found.force.line.hz == pytest.approx(0.8, abs=0.08)
-    assert Code.FORCE_RINGS in codes(found)
+    unexplained = unexplained_residual(w, data(), PAIRS)
+    assert unexplained.force.line.hz == pytest.approx(0.8, abs=0.08)
+    assert Code.FORCE_RINGS in codes(unexplained)
 
 
-def test_residual_of_a_clear_line_weaker_than_turbulence_is_no_ringing() -> None:
+def test_residual_with_a_line_weaker_than_turbulence_does_not_ring() -> None:
     line = 0.15 * series(0.8, np.array([0.0, 2.0, 4.0, 1.0]))
     w = noise(3)
     w[:, :, 1] += line
@@ -134,48 +134,46 @@ def test_residual_of_a_clear_line_weaker_than_turbulence_is_no_ringing() -> None
 
 
 @pytest.mark.parametrize("begin", [0, 50])
-def test_residual_of_a_line_late_in_long_flights_rings_across_segments_left_out(begin: int) -> None:
+def test_residual_with_a_line_rings_across_left_out_segments(begin: int) -> None:
     each = 100
     w, t = noise(3, each), BIN_S * np.arange(each * BINS).reshape(each, BINS)
     w[:, :, 1] += np.tile(
         0.4 * np.sin(2 * np.pi * 0.8 * t) * (np.arange(each) >= begin)[:, None], (FLIGHTS, 1)
     )
-    kept = np.tile(np.arange(each) != 20, FLIGHTS)
-    found = unexplained_residual(w[kept], data(each=each).take(kept), [])
-    assert found.force.line.hz == pytest.approx(0.8, abs=0.08)
-    assert Code.FORCE_RINGS in codes(found)
+    used = np.tile(np.arange(each) != 20, FLIGHTS)
+    unexplained = unexplained_residual(w[used], data(each=each).take(used), [])
+    assert unexplained.force.line.hz == pytest.approx(0.8, abs=0.08)
+    assert Code.FORCE_RINGS in codes(unexplained)
 
 
-def test_residual_of_a_line_at_the_motions_own_frequency_is_no_ringing() -> None:
+def test_residual_with_a_line_at_a_flown_frequency_does_not_ring() -> None:
     w = noise(3)
     w[:, :, 1] += 0.15 * series(0.8, np.array([0.0, 2.0, 4.0, 1.0]))
-    found = unexplained_residual(w, data(motion_hz=0.8), PAIRS)
-    assert Code.FORCE_RINGS not in codes(found)
+    unexplained = unexplained_residual(w, data(motion_hz=0.8), PAIRS)
+    assert Code.FORCE_RINGS not in codes(unexplained)
 
 
 @pytest.mark.parametrize(("turn_hz", "rings"), [(2.4, False), (0.7, True)])
-def test_residual_of_a_torque_rings_where_the_vehicle_was_not_made_to_turn(
-    turn_hz: float, rings: bool
-) -> None:
+def test_residual_torque_rings_at_frequencies_without_flown_rotation(turn_hz: float, rings: bool) -> None:
     w = noise(3)
     w[:, :, 4] += 1.5 * series(2.4, np.array([0.0, 2.0, 4.0, 1.0]))
-    found = unexplained_residual(w, data(turn_hz=turn_hz), PAIRS)
-    assert (Code.TORQUE_RINGS in codes(found)) == rings
+    unexplained = unexplained_residual(w, data(turn_hz=turn_hz), PAIRS)
+    assert (Code.TORQUE_RINGS in codes(unexplained)) == rings
 
 
-def test_what_repeats_beside_a_much_greater_force_that_was_explained_is_no_reason() -> None:
+def test_small_repeatable_rest_of_a_large_explained_force_has_no_findings() -> None:
     w, greater = noise(1), noise(2)
-    twin = np.tile(np.random.default_rng(3).normal(size=(SEGMENTS, BINS, 3)), (FLIGHTS, 1, 1))
-    w[:, :, :3] += 0.06 * twin
-    greater[:, :, :3] += 1.5 * twin
-    found = unexplained_residual(w, data(), PAIRS)
-    assert codes(found)
-    assert codes_beside(found, unexplained_residual(greater, data(), PAIRS)) == []
-    assert codes_beside(found, unexplained_residual(noise(2), data(), PAIRS)) == codes(found)
+    repeated = np.tile(np.random.default_rng(3).normal(size=(SEGMENTS, BINS, 3)), (FLIGHTS, 1, 1))
+    w[:, :, :3] += 0.06 * repeated
+    greater[:, :, :3] += 1.5 * repeated
+    unexplained = unexplained_residual(w, data(), PAIRS)
+    assert codes(unexplained)
+    assert codes_beside(unexplained, unexplained_residual(greater, data(), PAIRS)) == []
+    assert codes_beside(unexplained, unexplained_residual(noise(2), data(), PAIRS)) == codes(unexplained)
 
 
 @pytest.mark.parametrize(("with_m", "without_m", "speaks"), [(0.12, 0.01, True), (0.011, 0.01, False)])
-def test_effects_with_which_more_of_the_position_repeats_explain_nothing(
+def test_effects_that_increase_the_repeatable_position_are_rejected(
     with_m: float, without_m: float, speaks: bool
 ) -> None:
     quiet = unexplained_residual(noise(1), data(), PAIRS)
@@ -186,7 +184,7 @@ def test_effects_with_which_more_of_the_position_repeats_explain_nothing(
     assert codes_beside(one, nothing) == ([Code.FLIGHTS_WORSENED] if speaks else [])
 
 
-def test_residual_without_twins_says_so() -> None:
-    found = unexplained_residual(noise(0), data(), [])
-    assert found.pairs == 0
-    assert found.force.z_score == 0.0
+def test_residual_without_repeat_flights_has_no_pairs() -> None:
+    unexplained = unexplained_residual(noise(0), data(), [])
+    assert unexplained.pairs == 0
+    assert unexplained.force.z_score == 0.0

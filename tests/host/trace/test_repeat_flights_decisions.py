@@ -1,4 +1,4 @@
-"""What a residual tells: what of whole flights repeats, and which channels say nothing of force or torque."""
+"""Unexplained residual: repeatability of whole flights, and the channels that do not count."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ REPEAT_Z = RULES.repeat_z
         pytest.param(build_flight_repeat(share=-0.5, z_score=-40.0), 0.0, 0.0, id="reversed"),
     ],
 )
-def test_flight_repeat_counts_two_standard_errors_down_where_its_score_is_high(
+def test_lower_share_is_two_standard_errors_below_if_significant(
     repeat: FlightRepeat, lower_share: float, nats: float
 ) -> None:
     assert repeat.lower_share(RULES) == pytest.approx(lower_share, rel=1e-5)
     assert repeat.log_evidence(RULES) == pytest.approx(nats, rel=1e-5)
 
 
-def test_flight_repeat_follows_the_rules_that_are_given() -> None:
+def test_flight_repeat_uses_the_given_rules() -> None:
     repeat, stricter = (
         build_flight_repeat(share=0.5, z_score=4.0),
         replace(RULES, repeat_z=4.0),
@@ -52,10 +52,10 @@ def test_flight_repeat_amplitude_is_the_root_of_its_share(share: float, amplitud
 
 
 COUNT, BINS, STEPS = 30, 6, 60
-TWINS = [(0, 1)]
+REPEAT_FLIGHTS = [(0, 1)]
 
 
-def build_twins(*, rate_driven: bool = False) -> Segments:
+def build_repeat_flights(*, rate_driven: bool = False) -> Segments:
     """Return segments of two flights that stand still; one flight holds COUNT segments of BINS bins."""
     n = 2 * COUNT
     return replace(
@@ -95,60 +95,69 @@ def disturbance_in(axis: int) -> np.ndarray:
 def test_residual_shows_in_its_own_channel_and_not_along_an_unknown_thrust(
     axis: int, axial: bool, channel: str | None
 ) -> None:
-    found = unexplained_residual(disturbance_in(axis), build_twins(), TWINS, axial=axial)
+    unexplained = unexplained_residual(
+        disturbance_in(axis), build_repeat_flights(), REPEAT_FLIGHTS, axial=axial
+    )
     for name in ("force", "torque"):
-        one = getattr(found, name)
+        one = getattr(unexplained, name)
         assert (one.z_score > RULES.repeat_z) == (name == channel)
         assert (one.line.ratio > RULES.line_ratio) == (name == channel)
-    assert found.pairs == 1
-    assert found.flights is None
+    assert unexplained.pairs == 1
+    assert unexplained.flights is None
 
 
 def test_residual_of_a_driven_rate_has_no_line_in_torque() -> None:
     w = disturbance_in(4)
-    assert unexplained_residual(w, build_twins(), TWINS).torque.line.ratio > RULES.line_ratio
-    driven = unexplained_residual(w, build_twins(rate_driven=True), TWINS)
+    assert (
+        unexplained_residual(w, build_repeat_flights(), REPEAT_FLIGHTS).torque.line.ratio > RULES.line_ratio
+    )
+    driven = unexplained_residual(w, build_repeat_flights(rate_driven=True), REPEAT_FLIGHTS)
     assert driven.torque.line == NO_LINE
     force = disturbance_in(0)
-    assert unexplained_residual(force, build_twins(rate_driven=True), TWINS).force.line.ratio > 3.5
+    assert (
+        unexplained_residual(force, build_repeat_flights(rate_driven=True), REPEAT_FLIGHTS).force.line.ratio
+        > 3.5
+    )
 
 
-@pytest.mark.parametrize("twins", [[], [(0, 1)], [(0, 1), (1, 0)]], ids=len)
-def test_residual_counts_its_pairs_of_twins(twins: list[tuple[int, int]]) -> None:
-    found = unexplained_residual(disturbance_in(0), build_twins(), twins)
-    assert found.pairs == len(twins)
-    assert (found.force.z_score != 0.0) == bool(twins)
+@pytest.mark.parametrize("repeat_flights", [[], [(0, 1)], [(0, 1), (1, 0)]], ids=len)
+def test_residual_counts_its_pairs_of_repeat_flights(repeat_flights: list[tuple[int, int]]) -> None:
+    unexplained = unexplained_residual(disturbance_in(0), build_repeat_flights(), repeat_flights)
+    assert unexplained.pairs == len(repeat_flights)
+    assert (unexplained.force.z_score != 0.0) == bool(repeat_flights)
 
 
-def test_residual_score_is_scaled_by_what_chance_makes_of_other_times() -> None:
-    """Noise alone has a score of order 1, whatever its size; what repeats raises it, not the noise."""
+def test_residual_z_score_is_scaled_by_products_at_other_times() -> None:
+    """Noise has a z score of order 1, whatever its size; only a repeatable part increases it."""
     rng = np.random.default_rng(11)
     scores = [
-        unexplained_residual(size * rng.normal(size=(2 * COUNT, BINS, 6)), build_twins(), TWINS).force.z_score
+        unexplained_residual(
+            size * rng.normal(size=(2 * COUNT, BINS, 6)), build_repeat_flights(), REPEAT_FLIGHTS
+        ).force.z_score
         for size in np.geomspace(1e-3, 1e3, 60)
     ]
     assert abs(np.mean(scores)) < 0.4  # three standard errors
     assert 0.7 < np.std(scores) < 1.3
 
 
-def test_residual_score_of_noise_that_repeats_whole_grows_with_all_that_was_compared() -> None:
-    """By chance two segments of n values have a squared cosine of 1/n, so that the score is sqrt(n COUNT)."""
+def test_residual_z_score_of_identical_noise_grows_with_the_amount_compared() -> None:
+    """The squared cosine of two random segments of n values is 1/n, so the z score is sqrt(n COUNT)."""
     w = np.zeros((2 * COUNT, BINS, 6))
     w[:, :, :3] = np.tile(np.random.default_rng(7).normal(size=(COUNT, BINS, 3)), (2, 1, 1))
-    found = unexplained_residual(w, build_twins(), TWINS).force
-    assert found.z_score == pytest.approx(np.sqrt(3 * BINS * COUNT), rel=0.15)
+    unexplained = unexplained_residual(w, build_repeat_flights(), REPEAT_FLIGHTS).force
+    assert unexplained.z_score == pytest.approx(np.sqrt(3 * BINS * COUNT), rel=0.15)
     # Per bin: three channels of unit variance.
-    assert found.repeat == pytest.approx(np.sqrt(3.0), rel=0.1)
+    assert unexplained.repeat == pytest.approx(np.sqrt(3.0), rel=0.1)
 
 
-def test_residual_that_reverses_between_twins_has_a_negative_size_and_score() -> None:
+def test_residual_that_reverses_between_repeat_flights_is_negative() -> None:
     w = disturbance_in(1)
     w[COUNT:] *= -1.0
-    found = unexplained_residual(w, build_twins(), TWINS)
-    assert found.force.repeat < 0.0
-    assert found.force.z_score < 0.0
+    unexplained = unexplained_residual(w, build_repeat_flights(), REPEAT_FLIGHTS)
+    assert unexplained.force.repeat < 0.0
+    assert unexplained.force.z_score < 0.0
 
 
-def test_residual_of_twins_of_which_one_has_no_segments_repeats_nothing() -> None:
-    found = unexplained_residual(disturbance_in(0), build_twins(), [(0, 2)])
-    assert (found.force.repeat, found.force.z_score) == (0.0, 0.0)
+def test_residual_does_not_repeat_if_one_repeat_flight_has_no_segments() -> None:
+    unexplained = unexplained_residual(disturbance_in(0), build_repeat_flights(), [(0, 2)])
+    assert (unexplained.force.repeat, unexplained.force.z_score) == (0.0, 0.0)
