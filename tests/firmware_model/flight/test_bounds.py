@@ -102,7 +102,7 @@ def test_turn_to_a_yaw_follows_offb_turn():
     for turn_rate in (0.5, 1.5):
         bounds = Bounds(room=room, speed=5.0, accel=4.0, yaw_rate=3.0, turn_rate=turn_rate)
         way, _ = towards(
-            PositionTarget(p=(0.0, 0.0, -2.0), v=(None,) * 3, yaw=2.0), AT_2_M, (0.0, 0.0), bounds
+            PositionTarget(p=(0.0, 0.0, -2.0), v=(None, None, None), yaw=2.0), AT_2_M, (0.0, 0.0), bounds
         )
         rates.append(max(abs(way.state_at(10_000 * k)[13]) for k in range(800)))
     # A cubic from rest to rest peaks at 1.5 times its mean; the time allows for a quintic's 1.875.

@@ -372,8 +372,8 @@ def test_effects_page_lists_the_facts_of_workspace_effects(effects: dict[str, Ef
     for line in (
         '- Exactly like ballast unless the vehicle file gives `"ballast.factor"` below 0.004: only push over '
         "weight shows; put the vehicle on a scale.",
-        "- Where no flight tells it from motor-lag: film a lamp and its switch.",
-        "- Left out where `gyro` departs from rest by 0.2 or less in every flight.",
+        "- If no flight separates it from motor-lag: film a lamp and its switch.",
+        "- Left out if `gyro` departs from rest by 0.2 or less in every flight.",
         "- Replaced by an unknown `thrust`.",
         "- Free with an unknown `pose-latency`: `age_s` with sigma 0.03, -0.05 to 0.06.",
         "- An adjustment: never named by itself.",
