@@ -1,11 +1,10 @@
-"""The parameter table: everything that can be set on board, with type, default, unit and bounds.
+"""The parameter table: every parameter on board with type, default, unit and bounds.
 
-Every parameter is float32 on board; those that are whole numbers travel as int32. Names have at most 16
-characters. Defaults describe the 0.752 kg research quadrotor. In a name X, Y, Z are axes of body FRD, N, E, D
-those of world NED.
+Every parameter is a float32 on board. Whole numbers travel as int32. Names have at most 16 characters. The
+defaults describe the 0.752 kg research quadrotor. In a name, X, Y, Z are axes of the body frame FRD; N, E, D
+are axes of the world frame NED.
 
-Values are compared after rounding to float32 (`equal`): a host that holds 0.1 and a vehicle that answers
-0.10000000149 agree.
+Values are compared after rounding to float32 (`equal`): 0.1 on the host equals 0.10000000149 on board.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _FLOAT = struct.Struct("<f")
 
 
 def float32(value: float) -> float:
-    """`value` rounded to the nearest float32. Raises ValueError where it is not finite in float32."""
+    """Return `value` rounded to the nearest float32. Raises ValueError if the result is not finite."""
     try:
         rounded = _FLOAT.unpack(_FLOAT.pack(value))[0]
     except OverflowError:
@@ -32,15 +31,15 @@ def float32(value: float) -> float:
 
 
 def equal(a: float, b: float) -> bool:
-    """Whether the two values are the same on board: equal after rounding to float32."""
+    """Return whether two values are equal on board, that is after rounding to float32."""
     return float32(a) == float32(b)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One row: `min` and `max` are allowed themselves; `unit` is empty for a pure number.
+    """One row of the table. The bounds are inclusive; `unit` is empty for a pure number.
 
-    `integer`: a whole number, below 2^24 in size, which travels as an int32.
+    `integer`: whether it is a whole number of magnitude below 2^24, which travels as an int32.
     """
 
     name: str
@@ -58,7 +57,7 @@ class Parameter:
             raise ValueError(f"{self.name}: default {self.default} outside {self.min}..{self.max}")
 
     def check(self, value: float) -> float:
-        """`value` as float32. Raises ValueError naming parameter, value and bounds where not allowed."""
+        """Return `value` as float32. Raises ValueError if it is out of bounds or not a whole number."""
         try:
             rounded = float32(value)
         except ValueError as error:
@@ -67,7 +66,7 @@ class Parameter:
             bounds = f"{self.min:g}..{self.max:g} {self.unit}".rstrip()
             raise ValueError(f"{self.name}: {value:g} is outside {bounds}")
         if self.integer and not rounded.is_integer():
-            raise ValueError(f"{self.name}: {value:g} is no whole number")
+            raise ValueError(f"{self.name}: {value:g} is not a whole number")
         return rounded
 
 
@@ -128,7 +127,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     # The disturbance observer.
     _row("OBS_GAIN", 0.0, "1/s", 0.0, 20.0, "bandwidth of the disturbance observer, 0 for off"),
     _row("MOTOR_LAG", 0.033, "s", 1e-4, 1.0, "lag of the rotors' thrust behind its command"),
-    # What the on-board check accepts.
+    # Limits of the on-board check.
     _row("LIM_SPEED", 10.0, "m/s", 0.1, 100.0, "greatest speed of a reference"),
     _row("LIM_TILT_DEG", 60.0, "deg", 1.0, 180.0, "greatest tilt of a reference"),
     *_axes("LIM_RATE", "XYZ", (6.0, 6.0, 3.0), "rad/s", 0.1, 100.0, "greatest body rate of a reference"),
@@ -178,25 +177,24 @@ PARAMETERS: tuple[Parameter, ...] = (
 def _index(table: tuple[Parameter, ...]) -> Mapping[str, Parameter]:
     names = {row.name: row for row in table}
     if len(names) != len(table):
-        raise ValueError("a parameter name occurs twice")
+        raise ValueError("duplicate parameter name")
     return MappingProxyType(names)
 
 
 BY_NAME: Mapping[str, Parameter] = _index(PARAMETERS)
-"""The rows by name."""
+"""Rows of the table by name."""
 
 INDEX: Mapping[str, int] = MappingProxyType({row.name: index for index, row in enumerate(PARAMETERS)})
-"""Place of each name in the table: PARAM_VALUE's param_index."""
+"""Index of each name in the table: param_index of PARAM_VALUE."""
 
 DEFAULTS: Mapping[str, float] = MappingProxyType({row.name: row.default for row in PARAMETERS})
-"""Default of each parameter, in the table's order."""
+"""Default of each parameter, in the order of the table."""
 
 
 def complete(values: Mapping[str, float]) -> dict[str, float]:
-    """Return a value for every parameter in the table's order, rounded to float32: `values`, defaults
-    elsewhere.
+    """Return `values` completed with defaults, rounded to float32, in the order of the table.
 
-    Raises ValueError where a name is not in the table or a value is not allowed.
+    Raises ValueError if a name is not in the table or a value is not allowed.
     """
     unknown = sorted(set(values) - set(BY_NAME))
     if unknown:
@@ -209,11 +207,11 @@ def differences(
 ) -> dict[str, tuple[float, float]]:
     """Return (expected, on board) of each parameter of `expected` that differs after rounding to float32.
 
-    A parameter that is not on board counts as NaN there.
+    The value on board is NaN if `on_board` lacks the parameter.
     """
-    found = {}
+    pairs = {}
     for name, value in expected.items():
-        other = on_board.get(name, math.nan)
-        if math.isnan(other) or not equal(value, other):
-            found[name] = (value, other)
-    return found
+        board_value = on_board.get(name, math.nan)
+        if math.isnan(board_value) or not equal(value, board_value):
+            pairs[name] = (value, board_value)
+    return pairs

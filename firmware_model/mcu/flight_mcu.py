@@ -187,7 +187,9 @@ class FlightMcu:
         flight.look(now_us, self._battery_v)
         if self._swap_us < NEVER_US and flight.state is not State.TRACKING:
             self._call_off(now_us)
-        if not (self._on_floor() and self._upload.under_way(now_us)):  # else the upload has the air to itself
+        if not (
+            self._on_floor() and self._upload.in_progress(now_us)
+        ):  # else the upload has the air to itself
             self._report_at_rate(now_us)
         if now_us >= self._status_us or flight.changed:
             self._status_us = now_us - now_us % telemetry.STATUS_US + telemetry.STATUS_US

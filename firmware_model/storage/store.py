@@ -159,7 +159,7 @@ class ReferenceStore:
         bank, record = self._open[kind]
         bank.put(record, index, chunk)
 
-    def gathered(self, kind: int) -> bytes:
+    def received(self, kind: int) -> bytes:
         """Return the bytes of the blob that was begun, as they stand in memory, whole or not."""
         bank, record = self._open[kind]
         return bank.data(record)

@@ -207,7 +207,7 @@ def test_param_whole_numbers_travel_as_bits_both_ways(make_session):
     ("name", "raw", "kind", "text"),
     [
         (b"BAT_CELLS", 3.0, 1, "BAT_CELLS kept: set it as INT32"),
-        (b"BAT_CELLS", 3.5, REAL32, "BAT_CELLS: 3.5 is no whole number"),
+        (b"BAT_CELLS", 3.5, REAL32, "BAT_CELLS: 3.5 is not a whole number"),
         (b"MASS", encode(1.0, INT32), INT32, "MASS kept: set it as REAL32"),
         (b"MASS", 1.0, 1, "MASS kept: set it as REAL32"),
         (b"BAT_CELLS", encode(99.0, INT32), INT32, "BAT_CELLS: 99 is outside 1..24"),
