@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from trimtab.firmware_model.flight.failsafe import CONDITIONS, Action, Condition, Failsafe
-from trimtab.firmware_model.flight.flight import LOOK_TICKS
+from trimtab.firmware_model.flight.flight import UPDATE_TICKS
 from trimtab.firmware_model.flight.offboard import LOWEST
 from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, TAKEOFF_LEAST
 from trimtab.firmware_model.flight.readiness import (
@@ -26,7 +26,7 @@ from trimtab.firmware_model.flight.readiness import (
 from trimtab.firmware_model.flight.setpoints import SHORTEST_S
 from trimtab.firmware_model.flight.supervisor import COMMANDS, FAILURES, Event, State, update
 from trimtab.firmware_model.flight.verdict import BATTERY_LOW_CELL_V
-from trimtab.firmware_model.law.estimator import LONGEST_INTERVAL_S
+from trimtab.firmware_model.law.estimator import INTERVAL_MAX_S
 from trimtab.protocol.parameters import BY_NAME
 from trimtab.protocol.telemetry import TICK_US
 
@@ -127,7 +127,7 @@ def page() -> str:
     ranks = " < ".join(_words(action.name) for action in Action)
     return "".join(
         (
-            _HEAD.format(look_ms=LOOK_TICKS * TICK_US // 1000),
+            _HEAD.format(look_ms=UPDATE_TICKS * TICK_US // 1000),
             *map(_row, CONDITIONS),
             _BEHIND.format(ranks=ranks),
             *(f"| {check.what} | {_text(check.text)} |\n" for check in CHECKS),
@@ -141,7 +141,7 @@ def page() -> str:
                 floor=FLOOR_MAX,
                 low=CURVE[0],
                 high=CURVE[1],
-                interval=LONGEST_INTERVAL_S,
+                interval=INTERVAL_MAX_S,
                 cell=BATTERY_LOW_CELL_V,
             ),
             _table(COMMANDS),

@@ -28,7 +28,7 @@ from trimtab.firmware_model.law.rotations import mat_vec, quat_to_matrix
 
 BOOT_US = 200_000
 """Time from power to standby."""
-LOOK_TICKS = 10
+UPDATE_TICKS = 10
 """Number of ticks between two checks of conditions, readiness and touchdown."""
 _CRITICAL, _WARNING, _INFO = 2, 4, 6  # MAV_SEVERITY
 
@@ -213,8 +213,8 @@ class Flight:
             if self._saturated[0]:
                 self.saturated_ticks += 1
 
-    def look(self, now_us: int, battery_v: float) -> None:
-        """Check readiness, failsafes and touchdown; called every LOOK_TICKS, after the tick."""
+    def update(self, now_us: int, battery_v: float) -> None:
+        """Check readiness, failsafes and touchdown; called every UPDATE_TICKS, after the tick."""
         state = self.state
         if self._flying:
             self.feedforward.update(self.outputs["reference"])
