@@ -151,8 +151,27 @@ PARAMETERS: tuple[Parameter, ...] = (
     _row("HOLD_S", 1.0, "s", 0.0, 600.0, "hold after the last node"),
     _row("LAND_SPEED", 0.5, "m/s", 0.05, 5.0, "speed of the descent"),
     _row("LAND_DECEL", 4.0, "m/s^2", 0.1, 50.0, "greatest deceleration to a stop before an early landing"),
+    _row("LAND_HEIGHT", 0.25, "m", 0.05, 10.0, "height below which a descent that stopped has landed"),
+    _row("LAND_STOP_SPEED", 0.15, "m/s", 0.01, 5.0, "speed below which a descent has stopped"),
     _row("IDLE_S", 30.0, "s", 1.0, 3600.0, "time armed on the floor after which the vehicle disarms"),
     _row("OFFB_ACCEL", 4.0, "m/s^2", 0.1, 50.0, "greatest acceleration towards a setpoint"),
+    _row("OFFB_TURN", 1.5, "rad/s", 0.05, 20.0, "greatest yaw rate towards a setpoint's yaw"),
+    _row("OFFB_HEIGHT", 0.2, "m", 0.0, 100.0, "least height above the floor that a setpoint leads to"),
+    # Arming.
+    _row("ARM_TILT_DEG", 20.0, "deg", 1.0, 90.0, "greatest tilt at arming"),
+    _row(
+        "ARM_ASKEW_DEG",
+        10.0,
+        "deg",
+        0.5,
+        90.0,
+        "greatest angle at arming from the accelerometer's down to the poses'",
+    ),
+    _row("ARM_GYRO_STILL", 0.15, "rad/s", 0.001, 5.0, "greatest change of a gyro sample during calibration"),
+    # Poses that the estimate refuses in the air.
+    _row("EST_JUMP_M", 0.5, "m", 0.01, 100.0, "distance from the estimate beyond which a pose is refused"),
+    _row("EST_JUMP_SPEED", 3.0, "m/s", 0.0, 100.0, "growth of EST_JUMP_M with the age of the last pose"),
+    _row("EST_JUMP_DEG", 45.0, "deg", 1.0, 180.0, "angle from the estimate beyond which a pose is refused"),
     # Failsafes.
     _row("FS_TILT_DEG", 85.0, "deg", 10.0, 180.0, "tilt that counts as loss of control"),
     _row("FS_TILT_S", 0.3, "s", 0.001, 60.0, "time beyond FS_TILT_DEG before the motors stop"),
@@ -171,6 +190,8 @@ PARAMETERS: tuple[Parameter, ...] = (
     _row("FS_FENCE_M", 0.5, "m", 0.0, 1000.0, "distance beyond the flight volume that is too far"),
     _row("FS_FENCE_S", 0.5, "s", 0.0, 60.0, "time beyond it before the vehicle lands"),
     _row("FS_SINK_SPEED", 0.7, "m/s", 0.05, 5.0, "speed of the level descent without position"),
+    _row("FS_BLIND_S", 5.0, "s", 0.5, 60.0, "time that the level descent follows dead-reckoned velocity"),
+    _row("FS_BLIND_END_S", 3.0, "s", 2.0, 60.0, "time after FS_BLIND_S at which the level descent ends"),
 )
 
 

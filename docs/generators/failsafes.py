@@ -10,11 +10,8 @@ from pathlib import Path
 
 from trimtab.firmware_model.flight.failsafe import CONDITIONS, Action, Condition, Failsafe
 from trimtab.firmware_model.flight.flight import UPDATE_TICKS
-from trimtab.firmware_model.flight.offboard import LOWEST
 from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, TAKEOFF_LEAST
 from trimtab.firmware_model.flight.readiness import (
-    ARM_TILT_DEG,
-    ASKEW_DEG,
     CHECKS,
     CURVE,
     FLOOR_MAX,
@@ -66,8 +63,8 @@ the first.
 """
 
 _REFERENCE = """
-Tilt must be within {tilt:g} deg. At rest is what for {rest:g} s has been slower than {speed:g} m/s and felt g
-within {force:g} m/s^2. Poses are askew where their down is over {askew:g} deg from the accelerometer's: the
+Tilt must be within {tilt}. At rest is what for {rest:g} s has been slower than {speed:g} m/s and felt g
+within {force:g} m/s^2. Poses are askew where their down is over {askew} from the accelerometer's: the
 camera frame is not level, or the rigid body was defined on a slope. Arming needs no reference (it warns
 where there is none); a start needs one that is at rest at its ends. With a live reference on board both are
 refused below BAT_EMPTY_V + {cell:g} V a cell, where no reference is accepted either; a measured 0 V says
@@ -113,12 +110,12 @@ standing.
 Fields masked out or not finite are left out; what then makes no setpoint is refused, each reason told once.
 The reference never steps: every setpoint begins a polynomial in its present position, velocity, acceleration
 and jerk, at least {shortest:g} s long, within LIM_SPEED and OFFB_ACCEL. A stream of positions alone is
-followed about 0.3 s late. Positions end at the fence and {lowest:g} m above the floor, velocities stop there.
+followed about 0.3 s late. Positions end at the fence and OFFB_HEIGHT above the floor, velocities stop there.
 Where no such way is gentle and stays inside, it first takes out the acceleration, or stops and goes on.
 Rates stay within LIM_RATE_* and thrust above THRUST_FLOOR; no position is held then.
 
 A stop (hold, land, landing in place) brakes by LAND_DECEL, sideways and in height each in its own time; where
-it would lead through the fence or below {lowest:g} m, it brakes up to twice as hard.
+it would lead through the fence or below OFFB_HEIGHT, it brakes up to twice as hard.
 """
 
 
@@ -132,11 +129,11 @@ def page() -> str:
             _BEHIND.format(ranks=ranks),
             *(f"| {check.what} | {_text(check.text)} |\n" for check in CHECKS),
             _REFERENCE.format(
-                tilt=ARM_TILT_DEG,
+                tilt=_default("ARM_TILT_DEG"),
                 rest=1e-6 * REST_US,
                 speed=REST_SPEED,
                 force=REST_FORCE,
-                askew=ASKEW_DEG,
+                askew=_default("ARM_ASKEW_DEG"),
                 idle=IDLE_SHARE,
                 floor=FLOOR_MAX,
                 low=CURVE[0],
@@ -149,7 +146,7 @@ def page() -> str:
             _table(tuple(event for event in Event if event not in COMMANDS and event not in FAILURES)),
             "\n",
             _table(FAILURES),
-            _OFFBOARD.format(shortest=SHORTEST_S, lowest=LOWEST, clear=CLEAR_HEIGHT),
+            _OFFBOARD.format(shortest=SHORTEST_S, clear=CLEAR_HEIGHT),
         )
     )
 

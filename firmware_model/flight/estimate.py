@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.poses import PoseInput
 from trimtab.firmware_model.flight.readiness import GyroCalibration
 from trimtab.firmware_model.law import step as law
@@ -12,13 +13,6 @@ from trimtab.firmware_model.law.feedforward import PREDICTION_TIME
 
 STILL = 1e-3
 """m/s and rad/s: a vehicle that is slower in both may have the same pose twice."""
-STRAY_M = 0.5
-"""m from the estimate beyond which a pose in flight is not believed, right after the last one."""
-STRAY_SPEED = 3.0
-"""m/s by which that bound grows while no pose is believed."""
-STRAY_ANGLE = math.radians(45.0)
-"""Turn from the estimate beyond which a pose in flight is not believed."""
-_STRAY_COS = math.cos(0.5 * STRAY_ANGLE)
 _KNOWN = slice(law.EST_P.start, law.EST_Q.stop)
 
 
@@ -28,7 +22,8 @@ class Estimate:
     `poses` are those that wait for a tick; `calibration` is the gyro's.
     """
 
-    def __init__(self, inputs: Mapping[str, memoryview[float]]) -> None:
+    def __init__(self, inputs: Mapping[str, memoryview[float]], parameters: ParameterValues) -> None:
+        self._parameters = parameters
         self.poses = PoseInput(inputs)
         self.calibration = GyroCalibration()
         self._memory = inputs["memory"]
@@ -73,10 +68,17 @@ class Estimate:
         self.poses.show(pose, before_us, now_us)
         return True
 
-    def calibrate(self, now_us: int, most: float) -> bool:
-        """Whether this look completed the gyro's calibration; a bias above `most` (rad/s) is not believed."""
-        memory, calibration = self._memory, self.calibration
-        if not calibration.look(now_us, self._gyro, self._force, memory[law.GYRO_SUM], most):
+    def calibrate(self, now_us: int) -> bool:
+        """Whether this look completed the gyro's calibration; a bias above EST_BIAS_MAX is not believed."""
+        memory, calibration, values = self._memory, self.calibration, self._parameters
+        if not calibration.look(
+            now_us,
+            self._gyro,
+            self._force,
+            memory[law.GYRO_SUM],
+            bias_max=values["EST_BIAS_MAX"],
+            still_rate=values["ARM_GYRO_STILL"],
+        ):
             return False
         assert calibration.bias is not None
         for k, value in enumerate(calibration.bias):
@@ -94,14 +96,14 @@ class Estimate:
         """Whether the pose is far from what the estimate says about its moment, or of no numbers."""
         px, py, pz, vx, vy, vz, qw, qx, qy, qz = self._memory[_KNOWN]
         age_s = 1e-6 * (now_us - time_us) + self._feedforward[PREDICTION_TIME]
-        far_m = STRAY_M + STRAY_SPEED * 1e-6 * (time_us - self.poses.newest_us)
+        values = self._parameters
+        far_m = values["EST_JUMP_M"] + values["EST_JUMP_SPEED"] * 1e-6 * (time_us - self.poses.newest_us)
         x, y, z = p
         near = math.hypot(x - px + vx * age_s, y - py + vy * age_s, z - pz + vz * age_s) <= far_m
         w, x, y, z = q
         along, length = abs(w * qw + x * qx + y * qy + z * qz), math.hypot(w, x, y, z)
-        if near and along >= _STRAY_COS * length:
-            return False
-        turn = min(STRAY_ANGLE + self._rate() * abs(age_s), math.pi)
+        jump = math.radians(values["EST_JUMP_DEG"])
+        turn = min(jump + self._rate() * abs(age_s), math.pi)
         return not (near and along >= length * math.cos(0.5 * turn))
 
     def _set(self, p: Sequence[float], q: Sequence[float]) -> None:

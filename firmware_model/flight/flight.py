@@ -21,7 +21,7 @@ from trimtab.firmware_model.flight.readiness import Rest
 from trimtab.firmware_model.flight.setpoints import Target
 from trimtab.firmware_model.flight.supervisor import FLYING, Event, State, update
 from trimtab.firmware_model.flight.track import Track
-from trimtab.firmware_model.flight.watch import LEVEL, TOUCH_HEIGHT, Seen, Watch
+from trimtab.firmware_model.flight.watch import LEVEL, Seen, Watch
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import mat_vec, quat_to_matrix
@@ -95,7 +95,7 @@ class Flight:
         )
         self._player, self._offboard = self._phases.player, self._phases.offboard
 
-        self._estimate = Estimate(inputs)
+        self._estimate = Estimate(inputs, parameters)
         self.poses, self.calibration = self._estimate.poses, self._estimate.calibration
         self._rest = Rest()
         self._poses_waiting = self.poses.waiting
@@ -231,7 +231,7 @@ class Flight:
         if state is State.STANDBY:
             R = quat_to_matrix(FLOAT, self._memory[law.EST_Q])
             self._rest.look(now_us, math.hypot(*self._memory[law.EST_V]), mat_vec(R, self._force))
-            if self._estimate.calibrate(now_us, self.parameters["EST_BIAS_MAX"]):
+            if self._estimate.calibrate(now_us):
                 self._tell(_INFO, "gyro calibrated")
             return
         for condition in holding:
@@ -246,7 +246,7 @@ class Flight:
         elif self.state in (State.LANDING, State.FAILSAFE):
             if self._touched(now_us):
                 self.command(Event.TOUCHDOWN, now_us)
-        elif self.height_m > 2.0 * TOUCH_HEIGHT:
+        elif self.height_m > 2.0 * self.parameters["LAND_HEIGHT"]:
             if self._cos_tilt[0] > LEVEL:
                 self.watch.aloft(force=-self._force[2], thrust=self._phases.lagged_thrust)
             self._observing[0] = 1.0

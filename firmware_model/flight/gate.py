@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from trimtab.firmware_model.flight.estimate import Estimate
@@ -68,7 +69,9 @@ class Gate:
             posed=self.has_pose(now_us),
             still=self._rest.still,
             askew_deg=self._rest.askew_deg,
+            askew_max_deg=values["ARM_ASKEW_DEG"],
             cos_tilt=self._cos_tilt[0],
+            cos_tilt_min=math.cos(math.radians(values["ARM_TILT_DEG"])),
             p=(memory[0], memory[1], memory[2]),
             fence=fence(values),
             holding=frozenset(row.event for row in self._watch.holding()),

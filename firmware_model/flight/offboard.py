@@ -11,9 +11,6 @@ from trimtab.firmware_model.flight.setpoints import AttitudeTarget, Bounds, Posi
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.step import NO_OFFBOARD
 
-LOWEST = 0.2
-"""m above the floor below which no setpoint leads: landing is a command of its own."""
-
 
 class Offboard:
     """Keeps the engine's block `offboard`.
@@ -65,12 +62,13 @@ class Offboard:
         """Return what positions and velocities are kept within, above a floor at this height (m, down)."""
         values = self._parameters
         low = (values["FENCE_N_MIN"], values["FENCE_E_MIN"], values["FENCE_D_MIN"])
-        bottom = max(low[2], min(values["FENCE_D_MAX"], floor - LOWEST))
+        bottom = max(low[2], min(values["FENCE_D_MAX"], floor - values["OFFB_HEIGHT"]))
         return Bounds(
             room=Room(low, (values["FENCE_N_MAX"], values["FENCE_E_MAX"], bottom)),
             speed=values["LIM_SPEED"],
             accel=values["OFFB_ACCEL"],
             yaw_rate=values["LIM_RATE_Z"],
+            turn_rate=min(values["OFFB_TURN"], values["LIM_RATE_Z"]),
         )
 
     def _fill(self, values: Sequence[float]) -> None:

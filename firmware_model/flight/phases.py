@@ -24,10 +24,6 @@ from trimtab.firmware_model.law.rotations import quat_to_matrix
 from trimtab.protocol.parameters import BY_NAME
 from trimtab.protocol.telemetry import TICK_US
 
-BLIND_US = 5_000_000
-"""How long dead-reckoned velocity is worth following."""
-BLIND_END_US = 8_000_000
-"""When a level descent is over at the latest."""
 FALL_US = 2_000_000
 """Time that rotors rest before a failsafe that stopped them ends."""
 HARDEST = 8.0
@@ -245,17 +241,18 @@ class Phases:
 
         thrust_ratio: real over nominal thrust, as it was while position was known.
         """
-        memory = self._memory
+        memory, values = self._memory, self._parameters
+        blind_us = values.us("FS_BLIND_S")
         descent = track.level_descent(
             self._place(),
             (memory[3], memory[4], memory[5]),
             yaw,
-            speed=self._parameters["FS_SINK_SPEED"],
-            damped_us=BLIND_US,
-            end_us=BLIND_END_US,
+            speed=values["FS_SINK_SPEED"],
+            damped_us=blind_us,
+            end_us=blind_us + values.us("FS_BLIND_END_S"),
         )
         self._weights[0] = 0.0
-        self._blind_until_us = now_us + BLIND_US
+        self._blind_until_us = now_us + blind_us
         # What was observed rests on a velocity that is no longer measured.
         for k in range(law.OBSERVER.start, law.OBSERVER.stop):
             memory[k] = 0.0

@@ -15,20 +15,14 @@ from trimtab.firmware_model.law.step import GYRO_COUNTS, TICK_S
 
 WINDOW_US = 500_000
 """Stillness that a calibration takes."""
-STILL_RATE = 0.15
-"""rad/s by which a gyro sample may differ from the window's first."""
 STILL_FORCE = 1.0
 """m/s^2 by which the length of the specific force may differ from g."""
-ARM_TILT_DEG = 20.0
-"""Greatest tilt at arming."""
 REST_US = 100_000
 """Stillness that arming takes: three times a rotor's lag, so that one just killed counts as falling."""
 REST_SPEED = 0.5
-"""m/s of the estimate at which a vehicle moves. Poses that are askew by ASKEW_DEG look like 0.3 m/s."""
+"""m/s of the estimate at which a vehicle moves. Poses whose down is 10 deg off look like 0.3 m/s."""
 REST_FORCE = 2.0
 """m/s^2 by which the length of the specific force differs from g then; less steady, no gyro is calibrated."""
-ASKEW_DEG = 10.0
-"""Angle between the accelerometer's down and that of poses. A world's camera frame leans by up to 8.1 deg."""
 IDLE_SHARE = 0.5
 """Share of the weight that rotors at their least thrust stay below: it comes down, and can be turned."""
 FLOOR_MAX = 0.7
@@ -51,7 +45,14 @@ class GyroCalibration:
         self._sums: Sequence[float] = ()
 
     def look(
-        self, now_us: int, gyro: Sequence[float], force: Sequence[float], sums: Sequence[float], most: float
+        self,
+        now_us: int,
+        gyro: Sequence[float],
+        force: Sequence[float],
+        sums: Sequence[float],
+        *,
+        bias_max: float,
+        still_rate: float,
     ) -> bool:
         """Whether this look completed the calibration.
 
@@ -59,14 +60,16 @@ class GyroCalibration:
         ----------
         gyro, force
             samples of this tick, FRD. sums: the law's gyro sums, in counts, up to this tick.
-        most
+        bias_max
             greatest bias (rad/s) that is believed.
+        still_rate
+            rad/s by which a sample may differ from the window's first.
         """
         if self.bias is not None:
             return False
         still = abs(math.hypot(*force) - GRAVITY) < STILL_FORCE
         if self._start_us >= 0:
-            still = still and all(abs(a - b) < STILL_RATE for a, b in zip(gyro, self._first, strict=True))
+            still = still and all(abs(a - b) < still_rate for a, b in zip(gyro, self._first, strict=True))
         if not still:
             self._start_us = -1
             return False
@@ -78,7 +81,7 @@ class GyroCalibration:
             return False
         per_count = TICK_S / (GYRO_COUNTS * elapsed_us * 1e-6)
         x, y, z = ((b - a) * per_count for a, b in zip(self._sums, sums, strict=True))
-        if max(abs(x), abs(y), abs(z)) > most:
+        if max(abs(x), abs(y), abs(z)) > bias_max:
             self._start_us = -1  # turning steadily
             return False
         self.bias = (x, y, z)
@@ -121,17 +124,35 @@ class Rest:
 class Facts(NamedTuple):
     """What the arming checks judge.
 
-    calibrated: the gyro is; posed: poses are being used; still: the vehicle stands, and askew_deg,
-    as Rest has them; cos_tilt: of the estimate; p: estimated position (NED); fence: the flight volume;
-    holding: conditions of the failsafe table that hold; battery: why the live reference is not flown with
-    this battery, None where it may be; contradiction: of the parameters, None where there is none.
+    Parameters
+    ----------
+    calibrated
+        Whether the gyro is calibrated.
+    posed
+        Whether poses are in use.
+    still, askew_deg
+        Results of `Rest`; askew_max_deg is the bound of askew_deg.
+    cos_tilt
+        Cosine of the estimated tilt; cos_tilt_min is its bound.
+    p
+        Estimated position, NED.
+    fence
+        Flight volume.
+    holding
+        Conditions of the failsafe table that hold.
+    battery
+        Why the live reference must not be flown with this battery; None if it may.
+    contradiction
+        What is contradictory among the parameters; None if nothing is.
     """
 
     calibrated: bool
     posed: bool
     still: bool
     askew_deg: float
+    askew_max_deg: float
     cos_tilt: float
+    cos_tilt_min: float
     p: tuple[float, float, float]
     fence: Box
     holding: frozenset[Event]
@@ -156,11 +177,11 @@ CHECKS: tuple[Check, ...] = (
     Check("IMU", _holds(Event.IMU_STUCK), "IMU stuck: it repeats one sample"),
     Check("mocap", lambda facts: not facts.posed, "no mocap"),
     Check("age of poses", _holds(Event.MOCAP_LATE), "mocap late"),
-    Check("tilt", lambda facts: not facts.cos_tilt >= math.cos(math.radians(ARM_TILT_DEG)), "tilted"),
+    Check("tilt", lambda facts: not facts.cos_tilt >= facts.cos_tilt_min, "tilted"),
     # Before rest: poses askew make a vehicle that stands seem to move.
     Check(
         "poses' vertical",
-        lambda facts: facts.posed and not facts.askew_deg <= ASKEW_DEG,
+        lambda facts: facts.posed and not facts.askew_deg <= facts.askew_max_deg,
         "poses askew: mend frame or rigid body",
     ),
     Check("rest", lambda facts: facts.posed and not facts.still, "moving: let it stand still"),

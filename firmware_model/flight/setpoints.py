@@ -28,8 +28,6 @@ from trimtab.firmware_model.flight.track import ENDLESS_US, SEPTIC_PEAK, Track, 
 
 SHORTEST_S = 0.5
 """Least length of a piece; a setpoint lasts as long as that even where it asks for little."""
-TURN_RATE = 1.5
-"""rad/s at which a new yaw is turned to at most."""
 SEPTIC_ACCEL = 7.52
 """Greatest acceleration of a septic from rest to rest, times its length squared over its way."""
 RENEWAL_S = 1.0
@@ -87,12 +85,16 @@ Target = PositionTarget | AttitudeTarget
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """What setpoints are kept within: a room, speed (m/s), acceleration (m/s^2), yaw rate (rad/s)."""
+    """What setpoints are kept within: a room, speed (m/s), acceleration (m/s^2), yaw rates (rad/s).
+
+    turn_rate: greatest yaw rate of the turn to a new yaw.
+    """
 
     room: Room
     speed: float
     accel: float
     yaw_rate: float
+    turn_rate: float
 
 
 def turned(target: PositionTarget, yaw: float) -> PositionTarget:
@@ -141,7 +143,7 @@ def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) 
     bounded = aims != target.p or any(
         abs(v - (w or 0.0)) > 1e-6 for v, w in zip(asked, target.v, strict=True)
     )
-    return track(nodes, _turn(target, yaw, t_us + ENDLESS_US, bounds.yaw_rate)), bounded
+    return track(nodes, _turn(target, yaw, t_us + ENDLESS_US, bounds)), bounded
 
 
 def _nodes(aims: Axes, asked: Vector, accel: Vector, state: Node, bounds: Bounds) -> list[tuple[int, Node]]:
@@ -271,17 +273,17 @@ def _moving(p: Vector, velocity: Vector) -> Node:
 
 
 def _turn(
-    target: PositionTarget, yaw: YawState, end_us: int, fastest: float
+    target: PositionTarget, yaw: YawState, end_us: int, bounds: Bounds
 ) -> list[tuple[int, float, float]]:
     """Yaw nodes from this yaw and rate to the target's."""
     now, rate = yaw
-    final = min(max(target.yaw_rate or 0.0, -fastest), fastest)
+    final = min(max(target.yaw_rate or 0.0, -bounds.yaw_rate), bounds.yaw_rate)
     if target.yaw is None:
         t_s = SHORTEST_S
         reached = now + 0.5 * (rate + final) * t_s
     else:
         turn = math.remainder(target.yaw - now, 2.0 * math.pi)
-        t_s = max(SHORTEST_S, QUINTIC_PEAK * abs(turn) / min(TURN_RATE, fastest))
+        t_s = max(SHORTEST_S, QUINTIC_PEAK * abs(turn) / bounds.turn_rate)
         reached = now + turn + final * t_s
     t_us = seconds_us(t_s)
     nodes = [(0, now, rate), (t_us, reached, final)]

@@ -12,14 +12,10 @@ from trimtab.firmware_model.flight.failsafe import CONDITIONS, Condition
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.supervisor import Event
 
-TOUCH_HEIGHT = 0.25
-"""m above the floor below which a descent may have ended."""
 FLOOR_HEIGHT = 0.03
 """m above the floor it took off from below which a descent is over at once. Against wind a vehicle comes down
 leaning: what levels and holds it in the air tips it over on the floor, in a quarter of a second.
 """
-TOUCH_SPEED = 0.15
-"""m/s below which a descending vehicle has been stopped by something."""
 TOUCH_FORCE = 1.0
 """m/s^2 by which specific force must exceed what the rotors give, at least, where something else carries the
 vehicle.
@@ -106,6 +102,7 @@ class Watch:
         self._cos_tilt = math.cos(math.radians(parameters["FS_TILT_DEG"]))
         self.pose_lost_us = parameters.us("FS_MOCAP_S")
         self._age_us = parameters.us("FS_AGE_S")
+        self._land_height, self._stop_speed = parameters["LAND_HEIGHT"], parameters["LAND_STOP_SPEED"]
         share, empty, full = (parameters[name] for name in ("FS_BAT_SHARE", "BAT_EMPTY_V", "BAT_FULL_V"))
         self._low_v = empty + share * (full - empty) if share > 0.0 else -math.inf
         self._smooth_us = parameters.us("FS_BAT_S")
@@ -166,7 +163,9 @@ class Watch:
 
     def landed(self, now_us: int, *, height: float, speed: float, descending: bool) -> bool:
         """Whether a vehicle that knows its height (m) and speed (m/s) has come down."""
-        stopped = self._lasting(now_us, descending and height < TOUCH_HEIGHT and speed < TOUCH_SPEED)
+        stopped = self._lasting(
+            now_us, descending and height < self._land_height and speed < self._stop_speed
+        )
         return stopped or height < FLOOR_HEIGHT
 
     def aloft(self, *, force: float, thrust: float, share: float = _ALOFT_SHARE) -> None:

@@ -26,8 +26,8 @@ from trimtab.protocol.messages import Message, mavlink
 from trimtab.protocol.upload import ReceiverEvent, UploadReceiver
 
 TEXT_BYTES = 50
-SOFTWARE_VERSION = 0x00_01_00_FF
-"""0.1.0, official."""
+SOFTWARE_VERSION = 0x00_02_00_FF
+"""0.2.0, official: the version of the package in the bytes of AUTOPILOT_VERSION."""
 
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT

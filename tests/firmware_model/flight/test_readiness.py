@@ -24,7 +24,9 @@ READY = Facts(
     posed=True,
     still=True,
     askew_deg=0.0,
+    askew_max_deg=10.0,
     cos_tilt=1.0,
+    cos_tilt_min=math.cos(math.radians(20.0)),
     p=(0.0, 0.0, 0.0),
     fence=((-3.0, 3.0), (-3.0, 3.0), (-2.0, 0.3)),
     holding=frozenset(),
@@ -38,7 +40,7 @@ def look_along(calibration, gyro_at, *, force=LEVEL, count=60, start=0):
     sums = [0.0, 0.0, 0.0]
     for k in range(start, start + count):
         gyro = gyro_at(k)
-        done = calibration.look(10_000 * k, gyro, force, tuple(sums), 0.2)
+        done = calibration.look(10_000 * k, gyro, force, tuple(sums), bias_max=0.2, still_rate=0.15)
         if done:
             return k
         sums = [total + 10 * 4096.0 * rate for total, rate in zip(sums, gyro_at(k + 1), strict=True)]

@@ -10,7 +10,9 @@ import pytest
 from trimtab.firmware_model.flight.braking import Room
 from trimtab.firmware_model.flight.setpoints import Bounds, PositionTarget, towards
 
-BOUNDS = Bounds(room=Room((-10.0, -10.0, -5.0), (10.0, 10.0, -0.2)), speed=5.0, accel=4.0, yaw_rate=3.0)
+BOUNDS = Bounds(
+    room=Room((-10.0, -10.0, -5.0), (10.0, 10.0, -0.2)), speed=5.0, accel=4.0, yaw_rate=3.0, turn_rate=1.5
+)
 EVERY_US = 50_000
 NONE = (None, None, None)
 

@@ -3,6 +3,7 @@
 import math
 import random
 import struct
+from importlib.metadata import version as package_version
 
 import pytest
 
@@ -161,6 +162,7 @@ def test_version_carries_uid_vehicle_and_dialect(make_session):
     assert int.from_bytes(bytes(version.uid2), "little") == uid
     assert bytes(version.flight_custom_version)[:6].hex() == VEHICLE_ID
     assert (version.vendor_id, version.product_id) == (m.VENDOR_ID, m.DIALECT_VERSION)
+    assert ".".join(map(str, version.flight_sw_version.to_bytes(4, "big")[:3])) == package_version("trimtab")
 
 
 def test_timesync_and_ping_are_answered(make_session):
