@@ -10,7 +10,7 @@ from pathlib import Path
 
 from trimtab.firmware_model.flight.failsafe import CONDITIONS, Action, Condition, Failsafe
 from trimtab.firmware_model.flight.flight import UPDATE_TICKS
-from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, TAKEOFF_LEAST
+from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, TAKEOFF_HEIGHT_MIN
 from trimtab.firmware_model.flight.readiness import (
     CHECKS,
     CURVE,
@@ -64,7 +64,7 @@ the first.
 
 _REFERENCE = """
 Tilt must be within {tilt}. At rest is what for {rest:g} s has been slower than {speed:g} m/s and felt g
-within {force:g} m/s^2. Poses are askew where their down is over {askew} from the accelerometer's: the
+within {force:g} m/s^2. Poses are tilted if their vertical is over {askew} from the accelerometer's: the
 camera frame is not level, or the rigid body was defined on a slope. Arming needs no reference (it warns
 where there is none); a start needs one that is at rest at its ends. With a live reference on board both are
 refused below BAT_EMPTY_V + {cell:g} V a cell, where no reference is accepted either; a measured 0 V says
@@ -127,7 +127,7 @@ def page() -> str:
             _HEAD.format(look_ms=UPDATE_TICKS * TICK_US // 1000),
             *map(_row, CONDITIONS),
             _BEHIND.format(ranks=ranks),
-            *(f"| {check.what} | {_text(check.text)} |\n" for check in CHECKS),
+            *(f"| {check.name} | {_text(check.text)} |\n" for check in CHECKS),
             _REFERENCE.format(
                 tilt=_default("ARM_TILT_DEG"),
                 rest=1e-6 * REST_US,
@@ -142,7 +142,9 @@ def page() -> str:
                 cell=BATTERY_LOW_CELL_V,
             ),
             _table(COMMANDS),
-            _EVENTS.format(least=TAKEOFF_LEAST, hold_s=_default("HOLD_S"), lost_s=_default("FS_OFFB_HOLD_S")),
+            _EVENTS.format(
+                least=TAKEOFF_HEIGHT_MIN, hold_s=_default("HOLD_S"), lost_s=_default("FS_OFFB_HOLD_S")
+            ),
             _table(tuple(event for event in Event if event not in COMMANDS and event not in FAILURES)),
             "\n",
             _table(FAILURES),
@@ -155,7 +157,8 @@ def _row(row: Condition) -> str:
     name = "" if row.failsafe is Failsafe.NONE else f" ({row.failsafe.name})"
     bound = "" if row.bound is None else _default(row.bound)
     time = "" if row.timeout is None else ("" if row.lasting else "over ") + _default(row.timeout)
-    return f"| {row.what}{name} | {bound} | {time} | {_words(row.action.name)} | {row.why} | {row.clears} |\n"
+    cells = (f"{row.description}{name}", bound, time, _words(row.action.name), row.rationale, row.clears)
+    return f"| {' | '.join(cells)} |\n"
 
 
 def _default(name: str) -> str:

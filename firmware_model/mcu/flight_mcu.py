@@ -235,7 +235,7 @@ class FlightMcu:
     def _catch_up(self, now_us: int, gyro: Sequence[float], specific_force: Sequence[float]) -> None:
         """Run the missed ticks with the present samples: a step of the control law is always one tick."""
         self.late_ticks += 1
-        self.flight.watch.late(now_us)
+        self.flight.monitor.record_late_tick(now_us)
         first_us = max(self._last_us + TICK_US, now_us - CATCH_UP_TICKS * TICK_US)
         for missed_us in range(first_us, now_us, TICK_US):
             self.flight.tick(missed_us, gyro, specific_force)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from trimtab.firmware_model.flight.flight import Flight
-from trimtab.firmware_model.flight.phases import TAKEOFF_LEAST
+from trimtab.firmware_model.flight.phases import TAKEOFF_HEIGHT_MIN
 from trimtab.firmware_model.flight.supervisor import Event, State
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import Message, mavlink
@@ -128,7 +128,7 @@ class Commands:
         height = message.param7
         if math.isnan(height) or height == 0.0:
             return self._event(Event.TAKEOFF, now_us)
-        if not TAKEOFF_LEAST <= height < math.inf:
+        if not TAKEOFF_HEIGHT_MIN <= height < math.inf:
             return mavlink.MAV_RESULT_DENIED
         return self._event(Event.TAKEOFF, now_us, height)
 

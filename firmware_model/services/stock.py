@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 
+from trimtab.firmware_model.flight.condition_monitor import FLOOR_HEIGHT
 from trimtab.firmware_model.flight.failsafe import Failsafe
 from trimtab.firmware_model.flight.flight import Flight
 from trimtab.firmware_model.flight.supervisor import State
-from trimtab.firmware_model.flight.watch import FLOOR_HEIGHT
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import mat_t_vec, matrix_to_euler, quat_to_matrix
