@@ -43,7 +43,7 @@ class Estimate:
         now_us: int,
         *,
         flying: bool,
-        aloft: bool,
+        off_floor: bool,
     ) -> bool:
         """Queue a pose for the next tick; return False if it is rejected.
 
@@ -51,7 +51,7 @@ class Estimate:
         previous pose is rejected: a camera system that has lost the vehicle may repeat its last pose.
         """
         repeats = self.poses.repeats(p, q)
-        if flying and (self._is_outlier(time_us, p, q, now_us) or (repeats and aloft and self._moving())):
+        if flying and (self._is_outlier(time_us, p, q, now_us) or (repeats and off_floor and self._moving())):
             return False
         return self.poses.offer(time_us, p, q, now_us)
 

@@ -180,8 +180,8 @@ class Flight:
         if self.state is State.BOOT:
             return False
         flying = self._flying
-        aloft = flying and self.height_m > CLEAR_HEIGHT
-        return self._estimate.offer(time_us, p, q, now_us, flying=flying, aloft=aloft)
+        off_floor = flying and self.height_m > CLEAR_HEIGHT
+        return self._estimate.offer(time_us, p, q, now_us, flying=flying, off_floor=off_floor)
 
     def host_heard(self, now_us: int) -> None:
         """Record that a host message arrived."""
