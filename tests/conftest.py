@@ -91,18 +91,27 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep tests of one xdist_group on one worker.
+    """Keep tests of one xdist_group on one worker, and tests that share a fixture of their module.
 
-    xdist does so by the end of a test's id. What xdist 3.8 writes there is lost from pytest 9.2 on, and
-    groups with it: two flights in real time would share the cores.
+    Two workers would set such a fixture up twice, and two flights in real time would share the cores. xdist
+    groups by the end of a test's id; what xdist 3.8 writes there is lost from pytest 9.2 on.
     """
     if not getattr(config.option, "loadgroup", False):  # set in workers where groups are asked for
         return
     for item in items:
-        mark = item.get_closest_marker("xdist_group")
-        if mark is not None and not item.nodeid.endswith(f"@{mark.args[0]}"):
+        group = _group(item)
+        if group is not None and not item.nodeid.endswith(f"@{group}"):
             private: Any = item
-            private._id = private.id.parse(f"{item.nodeid}@{mark.args[0]}")
+            private._id = private.id.parse(f"{item.nodeid}@{group}")
+
+
+def _group(item: Any) -> str | None:
+    """The group that the test's mark names; its module where it uses a fixture of the module; or None."""
+    mark = item.get_closest_marker("xdist_group")
+    if mark is not None:
+        return mark.args[0]
+    fixtures = (definitions[-1] for definitions in item._fixtureinfo.name2fixturedefs.values())
+    return item.module.__name__ if any(fixture.scope == "module" for fixture in fixtures) else None
 
 
 @pytest.fixture(scope="session")

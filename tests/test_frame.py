@@ -58,28 +58,29 @@ def test_missing_part_that_is_required_fails(tmp_path: Path) -> None:
     assert "TRIMTAB_REQUIRE names this part: browser" in said
 
 
-def test_grouped_tests_share_a_worker(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "head",
+    [
+        pytest.param("@pytest.mark.xdist_group('one')\n", id="by a mark"),
+        pytest.param(
+            "@pytest.fixture(scope='module', autouse=True)\ndef shared():\n    pass\n\n", id="by a fixture"
+        ),
+    ],
+)
+def test_tests_of_a_group_share_a_worker(tmp_path: Path, head: str) -> None:
     shutil.copy(ROOT / "tests" / "conftest.py", tmp_path / "conftest.py")
     (tmp_path / "test_probe.py").write_text(
-        "import pytest\n\n"
-        "@pytest.mark.xdist_group('one')\n"
+        f"import pytest\n\n{head}"
         "@pytest.mark.parametrize('k', range(8))\n"
         "def test_it(k, worker_id):\n    print('ran on', worker_id)\n"
     )
     command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-n",
-        "2",
-        "--dist",
-        "loadgroup",
-        "-rP",
-        "-p",
-        "no:cacheprovider",
+        *["-m", "pytest", "-n", "2", "--dist", "loadgroup", "-rP", "-p", "no:cacheprovider", "--rootdir"],
+        str(tmp_path),
+        ".",
     ]
     done = subprocess.run(
-        [*command, "--rootdir", str(tmp_path), "."], cwd=tmp_path, capture_output=True, text=True, check=True
+        [sys.executable, *command], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     found = re.findall(r"^ran on (\w+)$", done.stdout, flags=re.MULTILINE)
     assert len(found) == 8

@@ -1,6 +1,6 @@
-"""The page on the candidate effects, docs/reference/effects.md, made from the effects themselves.
+"""Generate docs/reference/effects.md, on the candidate effects, from the effects themselves.
 
-`python docs/generators/effects.py FILE` writes it; a test holds the page against the code.
+`python docs/generators/effects.py FILE` writes it. A test compares the page with the code.
 """
 
 from __future__ import annotations
@@ -15,29 +15,30 @@ _HEAD = """# Candidate effects
 
 <!-- Made by `make docs` from host/effects; change it there. -->
 
-What `trimtab trace` may name. Each candidate is one file in `host/effects`; a workspace adds its own in
-`effects/`. World is NED, body is FRD, SI units.
+These are the effects that `trimtab trace` can name. Each candidate is one file in `host/effects`. A workspace
+adds its own in `effects/`. World is NED, body is FRD, units are SI.
 
-- **Neutral** values change nothing. **Typical** is the usual distance from neutral where the effect is there.
-- **Tolerance** is one sigma of what is not worth naming: an effect that is not named still moves within it. A
-  vehicle file gives its own under `"effect.parameter"`; simulated worlds draw their small errors from those.
-- **Discrepancy** is one sigma, in typical sizes, of what flights without the effect seem to show of it, as no
-  model is exact: first in segments of flights, then in whole flights.
-- An effect is **mistaken for** others where both explain a flight nearly alike; where the data cannot decide,
-  `trace` lists them with their probabilities. Where no flight can, a measurement may.
-- Of two effects that fit every flight **exactly alike**, `trace` names what flights do show of them, and what
-  tells them apart. An **adjustment** is in every model within its tolerance and never named by itself.
-- What a log declares [unknown](../guide/imports.md#what-is-declared-unknown) **replaces** an effect, which
-  leaves the model, or leaves it **free**: it is then fitted to every flight and not named.
-- What **closing the loop** means ends each section: what the model gains, what a new plan does about it, and
-  what the law on board does where it can.
+- **Neutral** values change nothing. **Typical** is the usual distance from neutral if the effect is present.
+- **Tolerance** is one standard deviation of the size that is not worth naming. An effect that is not named
+  still moves within it. A vehicle file can set its own under `"effect.parameter"`. Simulated worlds draw
+  their small deviations from these values.
+- **Discrepancy** is one standard deviation, in typical sizes, of what flights without the effect seem to show
+  of it, because no model is exact. The first value is for segments of flights, the second for whole flights.
+- An effect is **mistaken for** others if both explain a flight almost equally well. If the data cannot
+  decide, `trace` lists them with their probabilities. If no flight can decide, a measurement may.
+- If two effects fit every flight **exactly alike**, `trace` names the quantity that flights do show, and how
+  to tell the effects apart. An **adjustment** is in every model within its tolerance and never named alone.
+- A quantity that a log declares [unknown](../guide/imports.md#what-is-declared-unknown) can **replace** an
+  effect, which then leaves the model. It can also leave the effect **free**: the effect is then fitted to
+  every flight and not named.
+- Each section ends with the consequences for the model, the planner and the law on board.
 """
 
 _TABLE_HEAD = """
 ## Parameters
 
-The keys are those of the answer of `trace` and of `[effects]` and `[adjustments]` in model files; world files
-use the same for the effects they have.
+The answer of `trace` uses these keys, and so do `[effects]` and `[adjustments]` in model files. World files
+use the same keys for the effects that they have.
 
 | effect | key | unit | neutral | typical | tolerance | discrepancy | range | meaning |
 |---|---|---|---|---|---|---|---|---|
@@ -47,7 +48,7 @@ _LAW_NONE = "not compensable on board"
 
 
 def page(effects: Mapping[str, Effect]) -> str:
-    """Return the page as Markdown: what the words mean, a table of parameters, a section for each effect."""
+    """Return the page as Markdown: terms, a table of parameters, and a section for each effect."""
     rows = [
         f"| `{effect.name}` | `{p.key}` | {p.unit} | {p.neutral:g} | {p.typical:g} | {p.tolerance:g} "
         f"| {p.discrepancy:g}, {p.loop_discrepancy:g} | {p.lower:g} to {p.upper:g} | {p.description} |"
@@ -83,7 +84,7 @@ def _section(effect: Effect, effects: Mapping[str, Effect]) -> str:
 
 
 def _facts(effect: Effect, effects: Mapping[str, Effect]) -> list[str]:
-    """Lines on what else is stated about the effect, none for what is as usual."""
+    """Return lines for the optional fields of the effect that differ from their defaults."""
     lines = []
     for alias in effect.exact_aliases:
         measured = effects[alias.effect].parameters[0]
@@ -97,7 +98,7 @@ def _facts(effect: Effect, effects: Mapping[str, Effect]) -> list[str]:
     for other in effect.aliases:
         stated = effects[other].separated_by if other in effects else {}
         if how := effect.separated_by.get(other) or stated.get(effect.name):
-            lines.append(f"- Where no flight tells it from {other}: {how}.")
+            lines.append(f"- If no flight separates it from {other}: {how}.")
     if effect.observed_relative_to:
         lines.append(f"- Shows only relative to {effect.observed_relative_to}.")
     if effect.requires_any:
@@ -105,7 +106,7 @@ def _facts(effect: Effect, effects: Mapping[str, Effect]) -> list[str]:
     if effect.observable:
         lines.append(f"- Observable: {effect.observable}.")
     lines += [
-        f"- Left out where `{signal}` departs from rest by {least:g} or less in every flight."
+        f"- Left out if `{signal}` departs from rest by {least:g} or less in every flight."
         for signal, least in effect.needs_signals.items()
     ]
     if effect.replaced_by:

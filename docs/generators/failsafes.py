@@ -1,6 +1,6 @@
-"""Make docs/reference/failsafes.md, on modes, failsafes and arming checks, from the tables themselves.
+"""Generate docs/reference/failsafes.md, on modes, failsafes and arming checks, from the tables themselves.
 
-`python docs/generators/failsafes.py FILE` writes it; a test holds the page against the code.
+`python docs/generators/failsafes.py FILE` writes it. A test compares the page with the code.
 """
 
 from __future__ import annotations
@@ -31,91 +31,105 @@ _HEAD = """# Modes, failsafes, arming checks
 
 <!-- Made by `make docs` from firmware_model; change it there. -->
 
-All times are the vehicle's own; conditions are looked at every {look_ms} ms.
+All times are on the vehicle's clock. The vehicle checks the conditions every {look_ms} ms.
 
 ## Failsafes
 
-| condition | bound | time | action | why | who or what clears it |
+| condition | bound | time | action | why | what clears it |
 |---|---|---|---|---|---|
 """
 
 _BEHIND = """
-- Times and bounds are parameters with the defaults given. A condition must last for its time without a break;
-  where it says "over", that is what it is smoothed or counted over.
+- Times and bounds are parameters with the defaults given. A condition must last for its time without a
+  break. "Over" gives the time over which a value is smoothed or counted.
 - Actions rank as {ranks}.
-  While one is under way only a higher one replaces it, and the first failure is what FC_STATUS names until
-  the next arming. `FC_STATUS.conditions` has bit k set while a row of TRIMTAB_FAILSAFE k holds, on the floor
-  too.
-- A landing goes on where a landing in place would be the action. Armed on the floor, every failure disarms.
-  In standby the same conditions refuse arming.
-- In place is where the reference stops. A vehicle that something holds off it comes back there when that
-  ends: by what accelerates it (m/s^2) over POS_P, with the default 0.17 m for each m/s^2.
-- Level descent: attitude and sink rate are kept, position is not; the rotors stop when something carries it,
-  that is when force exceeds, by a step, what their thrust has been worth in the descent so far.
+  While an action is under way, only a higher one replaces it. FC_STATUS names the first failure until the
+  next arming.
+- `FC_STATUS.conditions` has bit k set while a row of TRIMTAB_FAILSAFE k is active, on the floor too.
+- If the action is to land in place during a landing, the landing continues. Armed on the floor, every
+  failure disarms. In standby, the same conditions refuse arming.
+- "In place" is where the reference stops. A vehicle that is pushed away from there returns when the push
+  ends. The distance is the acceleration of the push over POS_P, with the default 0.17 m for each m/s^2.
+- "Level descent" keeps attitude and sink rate, not position. The rotors stop when something carries the
+  vehicle, that is, when the force exceeds, by a step, what their thrust has produced so far in the descent.
 
 ## Arming checks
 
-`MAV_CMD_RUN_PREARM_CHECKS` tells every reason at once, each behind "not ready:"; a refusal of arming names
-the first.
+`MAV_CMD_RUN_PREARM_CHECKS` reports every reason at once, each after "not ready:". A refusal of arming gives
+the first reason.
 
 | check | text |
 |---|---|
 """
 
 _REFERENCE = """
-Tilt must be within {tilt}. At rest is what for {rest:g} s has been slower than {speed:g} m/s and felt g
-within {force:g} m/s^2. Poses are tilted if their vertical is over {askew} from the accelerometer's: the
-camera frame is not level, or the rigid body was defined on a slope. Arming needs no reference (it warns
-where there is none); a start needs one that is at rest at its ends. With a live reference on board both are
-refused below BAT_EMPTY_V + {cell:g} V a cell, where no reference is accepted either; a measured 0 V says
-nothing.
+- **Tilt** must be within {tilt}.
+- **Rest** means that the vehicle has been slower than {speed:g} m/s for {rest:g} s and has measured g within
+  {force:g} m/s^2.
+- **Poses' vertical**: arming is refused if the vertical of the poses differs from the accelerometer's by
+  over {askew}. Then the camera frame is not level, or the rigid body was defined on a slope.
+- **Reference**: arming needs no reference, but warns if there is none. A start needs a reference that is at
+  rest at its ends.
+- **Battery**: with a live reference on board, arming and start are refused below BAT_EMPTY_V + {cell:g} V a
+  cell. No reference is accepted below it either. A measured 0 V counts as no measurement.
 
-Parameters go together where BAT_EMPTY_V is below BAT_FULL_V, 4 THRUST_MAX LIM_THR_HI above the weight,
-4 THRUST_MIN below {idle:g} of it, THRUST_FLOOR at most {floor:g}, THRUST_C1 + THRUST_C2 within {low:g}
-and {high:g}, EST_POS, EST_VEL and EST_ATT above 0, and the estimator's errors die out with poses at least
-every h = {interval:g} s: 2 h EST_POS + h^2 EST_VEL < 4, 2 h EST_ATT + h^2 EST_BIAS < 4.
+Parameters are consistent if all of these hold:
+
+- BAT_EMPTY_V is below BAT_FULL_V.
+- 4 THRUST_MAX LIM_THR_HI is above the weight, and 4 THRUST_MIN is below {idle:g} of it.
+- THRUST_FLOOR is at most {floor:g}, and THRUST_C1 + THRUST_C2 is between {low:g} and {high:g}.
+- EST_POS, EST_VEL and EST_ATT are above 0.
+- The estimator's errors die out with poses at least every h = {interval:g} s:
+  2 h EST_POS + h^2 EST_VEL < 4, 2 h EST_ATT + h^2 EST_BIAS < 4.
 
 ## Modes
 
-States by command; `-` is refused with a reason.
+The table gives the state after each command. `-` means that the command is refused with a reason.
 
 """
 
 _EVENTS = """
-Takeoff (MAV_CMD_NAV_TAKEOFF) climbs to its height above the floor, TAKEOFF_HEIGHT where it names none, at
-least {least:g} m, at most to the fence, and hovers; less is denied, or refused where the fence leaves less.
-Start (MAV_CMD_MISSION_START) goes to the first node and tracks the live reference, once an arming.
-MAV_CMD_DO_SET_MODE takes PX4's numbers: main mode 6 is offboard, 4 with sub mode 3 hold, 4 with 6 land. A
-hold lasts until told otherwise, but {hold_s} after a reference and {lost_s} after lost setpoints; then it
-lands.
+- **Takeoff** (MAV_CMD_NAV_TAKEOFF) climbs to its height above the floor and hovers. Without a height in the
+  command, TAKEOFF_HEIGHT applies. The height is at least {least:g} m and at most that of the fence. A lower
+  height is denied; if the fence leaves less, the command is refused.
+- **Start** (MAV_CMD_MISSION_START) flies to the first node and tracks the live reference, once for each
+  arming.
+- **Mode** (MAV_CMD_DO_SET_MODE) takes PX4's numbers: main mode 6 is offboard, 4 with sub mode 3 is hold, 4
+  with 6 is land.
+- **Hold** lasts until the next command, except for {hold_s} after a reference and {lost_s} after lost
+  setpoints. Then the vehicle lands.
 
-What ends by itself, and what fails:
+Events that end a state, and failures:
 
 """
 
 _OFFBOARD = """
 ## Setpoints
 
-OFFBOARD is entered while setpoints arrive, that is the last is at most FS_OFFB_S old: in the air, in a
-takeoff, or armed on the floor. There the rotors turn and the reference begins at rest where the vehicle
-stands; below {clear:g} m it only rises, then it follows. A setpoint that asks for no height leaves it
-standing.
+The vehicle enters OFFBOARD while setpoints arrive, that is, while the last one is at most FS_OFFB_S old. It
+can do so in the air, in a takeoff, or armed on the floor. On the floor, the rotors turn and the reference
+begins at rest where the vehicle stands. Below {clear:g} m it only rises; then it follows the setpoints. A
+setpoint that does not command a height leaves the vehicle on the floor.
 
-| message | what is followed |
+| message | what the vehicle follows |
 |---|---|
 | SET_POSITION_TARGET_LOCAL_NED, frame 1 | position, velocity or both on each axis; acceleration; yaw, rate |
 | frame 7, 8 | velocity in NED or along the heading; no position |
 | SET_ATTITUDE_TARGET | thrust, as a share of 4 THRUST_MAX, with body rate or attitude (rates on top) |
 
-Fields masked out or not finite are left out; what then makes no setpoint is refused, each reason told once.
-The reference never steps: every setpoint begins a polynomial in its present position, velocity, acceleration
-and jerk, at least {shortest:g} s long, within LIM_SPEED and OFFB_ACCEL. A stream of positions alone is
-followed about 0.3 s late. Positions end at the fence and OFFB_HEIGHT above the floor, velocities stop there.
-Where no such way is gentle and stays inside, it first takes out the acceleration, or stops and goes on.
-Rates stay within LIM_RATE_* and thrust above THRUST_FLOOR; no position is held then.
+Fields that are masked out or not finite are ignored. If the remaining fields form no setpoint, it is refused.
+Each reason is reported once.
 
-A stop (hold, land, landing in place) brakes by LAND_DECEL, sideways and in height each in its own time; where
-it would lead through the fence or below OFFB_HEIGHT, it brakes up to twice as hard.
+The reference never steps. Every setpoint begins a polynomial in the present position, velocity, acceleration
+and jerk of the reference, at least {shortest:g} s long, within LIM_SPEED and OFFB_ACCEL. A stream of
+positions alone is followed about 0.3 s late.
+
+Positions end at the fence and `OFFB_HEIGHT` above the floor; velocities stop there. If no such path is gentle
+and stays inside, the vehicle first reduces the acceleration to zero, or stops and then continues. Rates stay
+within LIM_RATE_* and thrust above THRUST_FLOOR; in that case, no position is held.
+
+A stop (hold, land, landing in place) brakes by LAND_DECEL, sideways and in height each in its own time. If it
+would lead through the fence or below `OFFB_HEIGHT`, the vehicle brakes up to twice as hard.
 """
 
 
@@ -167,7 +181,7 @@ def _default(name: str) -> str:
 
 
 def _table(events: tuple[Event, ...]) -> str:
-    """One row a state, one column an event: the state it leads to."""
+    """Return a table with a row for each state and a column for each event: the state it leads to."""
     head = "| | " + " | ".join(_words(event.name) for event in events) + " |"
     lines = [head, "|---" * (len(events) + 1) + "|"]
     for state in State:
@@ -180,7 +194,7 @@ def _table(events: tuple[Event, ...]) -> str:
 
 
 def _text(text: str) -> str:
-    text = text.replace("{contradiction}", "what does not go together")
+    text = text.replace("{contradiction}", "the parameters that are inconsistent")
     return text.replace("{battery}", "battery at its voltage, below the bound")
 
 

@@ -1,6 +1,6 @@
-"""The page on manoeuvres, docs/reference/manoeuvres.md, made from the shipped routes and what they separate.
+"""Generate docs/reference/manoeuvres.md from the shipped routes and the effects that they separate.
 
-`python docs/generators/manoeuvres.py FILE` writes it; a test holds the page against the code.
+`python docs/generators/manoeuvres.py FILE` writes it. A test compares the page with the code.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ FLIGHT_S = 12.0
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """Two effects to be told apart; of the first, `keys` alone leave neutral where they are given."""
+    """Two effects to separate. If `keys` are given, only these parameters of the first leave neutral."""
 
     effect: str
     alias: str
@@ -49,7 +49,7 @@ class Pair:
 
     @property
     def title(self) -> str:
-        """The pair in the head of a table."""
+        """Return the pair as the head of a table column."""
         return f"{'.'.join((self.effect, *self.keys))} / {self.alias}"
 
 
@@ -69,54 +69,57 @@ _HEAD = """# Manoeuvres
 
 <!-- Made by `make docs` from host/routes; change it there. -->
 
-Routes that tell effects apart. `trimtab plan NAME` plans them; where logs cannot decide between two effects,
-[`trimtab trace`](../guide/tracing.md) chooses among them, and among the workspace's own routes, those that
-the vehicle can fly within its limits and geofence.
+These routes separate effects that are easily confused. `trimtab plan NAME` plans one. If logs cannot decide
+between two effects, [`trimtab trace`](../guide/tracing.md) chooses among these routes and those of the
+workspace. It considers only routes that the vehicle can fly within its limits and geofence.
 
-| route | time | what for |
+| route | time | purpose |
 |---|---|---|
 """
 
 _TABLE_HEAD = f"""
-## What each separates
+## What each route separates
 
-Sigma by which the first effect, of typical size, stands out of the second one, whatever size that takes, in
-{FLIGHT_S:g} s along the route: nominal `research` vehicle, camera, gyro, accelerometer and turbulence as
-simulated by default, wind with a drag of typical size, voltage falling by 0.1 % a second. Everything else
-moves within its tolerance. About {DETECTABLE} are needed; sigma grows with the square root of time and in
-proportion to the effect. The figures are of a linearisation and know nothing of a plant that is not of the
-library's form: take them as upper bounds.
+The table gives the separation of two effects in sigma: how far the first effect, of typical size, stands out
+when the second may take any size. It applies to {FLIGHT_S:g} s along the route. The vehicle is the nominal
+`research` vehicle. Camera, gyro, accelerometer and turbulence are simulated by default settings, wind comes
+with a drag of typical size, and the voltage falls by 0.1 % a second. All other parameters move within their
+tolerance.
+
+A separation of about {DETECTABLE} is needed. It grows with the square root of time and in proportion to the
+effect. The figures come from a linearisation and assume a plant of the library's form: take them as upper
+bounds.
 
 """
 
 
 def sigmas(vehicle: Vehicle, known: Mapping[str, Manoeuvre]) -> dict[str, tuple[float, ...]]:
-    """By route the separation of each of PAIRS, for FLIGHT_S along it."""
+    """Return the separation of each of PAIRS, by route, for FLIGHT_S along it."""
     chosen = space(vehicle, load_effects())
     form = SegmentModel(vehicle, chosen, dt_s=DT_S, in_newton=False, rate_driven=False)
     with_drag = np.zeros(len(chosen.columns))
     with_drag[list(chosen.groups["linear-drag"])] = 1.0
-    found = {}
+    separations = {}
     for name, candidate in known.items():
-        told = information(form, candidate.flat, with_drag, INSTRUMENTS)
-        if told is None:
+        per_route = information(form, candidate.flat, with_drag, INSTRUMENTS)
+        if per_route is None:
             continue
         row = []
         for pair in PAIRS:
-            mine = [
+            indices = [
                 i for i in chosen.groups[pair.effect] if not pair.keys or chosen.columns[i].key in pair.keys
             ]
             z = np.zeros(len(chosen.columns))
-            z[mine] = 1.0 / np.sqrt(len(mine))
+            z[indices] = 1.0 / np.sqrt(len(indices))
             present = ("linear-drag",) if pair.effect == "wind" else ()
             share = FLIGHT_S / candidate.total_time_s
-            row.append(separation(chosen, share * told, present, z, pair.effect, pair.alias))
-        found[name] = tuple(row)
-    return found
+            row.append(separation(chosen, share * per_route, present, z, pair.effect, pair.alias))
+        separations[name] = tuple(row)
+    return separations
 
 
 def page() -> str:
-    """Return the page as Markdown: the shipped routes with their purpose, and what each separates."""
+    """Return the page as Markdown: the shipped routes with their purpose, and what each route separates."""
     vehicle = load_vehicle("research")
     routes = {name: load_route(name) for name in list_routes()}
     known = {each.route: each for each in manoeuvres(routes, vehicle)}

@@ -1,6 +1,6 @@
-"""The page on the thresholds of tracing, docs/reference/tracing-rules.md, made from the rules themselves.
+"""Generate docs/reference/tracing-rules.md, on the thresholds of tracing, from the rules themselves.
 
-`python docs/generators/rules.py FILE` writes it; a test holds the page against the code.
+`python docs/generators/rules.py FILE` writes it. A test compares the page with the code.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ _HEAD = """# The rules of tracing
 
 <!-- Made by `make docs` from host/trace/decision/rules.py; change it there. -->
 
-`trimtab trace` decides by the thresholds in this table. A comparison that decided something is a finding in
-the answer (`findings` with `--json`): its code, the value, and the bound it was held against. What belongs to
-one effect, such as its tolerance, stands on the [effect](effects.md).
+`trimtab trace` decides by the thresholds in this table. Every comparison that decided something is a finding
+in the answer (`findings` with `--json`): its code, the value and the bound. Thresholds that belong to one
+effect, such as its tolerance, are on the page on [effects](effects.md).
 
-Source says where a value comes from. *Chosen*: a definition or a judgement, without a measurement behind it.
-*Measured*: measured in simulated worlds that hold no effect; `trimtab study calibrate` repeats the
-measurement. [Studies](../studies/studies.md#calibrate) has the last one.
+The last column gives the source of a value. *Chosen*: a definition or a judgement, without a measurement
+behind it. *Measured*: measured in simulated worlds without effects; `trimtab study calibrate` repeats the
+measurement. [Studies](../studies/studies.md#calibrate) has the latest one.
 
 | rule | value | unit | meaning | source |
 |---|---|---|---|---|

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -14,20 +15,20 @@ from trimtab.host.models.states import States
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segments:
-    """S segments of N steps of `step_s`.
+    """Segments of equal length, in steps of `step_s`.
 
-    x0 (S, size): phi's measured state at the start. measured (S, N + 1, 12) with sigma (S, 12). drive
-    (S, 2N + 1, rows) at the start, middle and end of each step. constants (S, 16). flight (S,): index of each
-    segment's flight. vectors: index at which each NED vector starts in x0.
+    x0: phi's measured state at the start. measured: state at the nodes, with its standard deviation `sigma`.
+    drive: at the start, middle and end of each step. flight: index of each segment's flight. vectors: index
+    at which each NED vector starts in x0.
     """
 
     step_s: float
-    x0: np.ndarray
-    measured: np.ndarray
-    sigma: np.ndarray
-    drive: np.ndarray
-    constants: np.ndarray
-    flight: np.ndarray
+    x0: Annotated[np.ndarray, "segments size"]
+    measured: Annotated[np.ndarray, "segments nodes 12"]
+    sigma: Annotated[np.ndarray, "segments 12"]
+    drive: Annotated[np.ndarray, "segments stages rows"]
+    constants: Annotated[np.ndarray, "segments 16"]
+    flight: Annotated[np.ndarray, "segments"]
     vectors: tuple[int, ...] = (0, 3)
 
     @property
@@ -54,8 +55,8 @@ class Segments:
             vectors=self.vectors,
         )
 
-    def turned(self, angles: np.ndarray) -> Segments:
-        """Return the segments turned about the vertical by angles (S,), rad.
+    def turned(self, angles: Annotated[np.ndarray, "segments"]) -> Segments:
+        """Return the segments turned about the vertical by angles in rad.
 
         They are as valid as those flown, unless something is fixed to the world, such as wind.
         """

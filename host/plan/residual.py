@@ -35,7 +35,7 @@ class ResidualModel:
     adjusted: the effects that only moved within their tolerance. They are part of every prediction, but no
     plan avoids them: their changes of thrust, mass and torque count as known. Beside a network or a drag, so
     do all effects without specific force, because avoiding those brought no flight closer to its plan
-    (docs/guide/planning.md).
+    (docs/concepts/planning.md).
     """
 
     parts: tuple[Part, ...] = ()

@@ -1,5 +1,8 @@
 """MAVSDK: the session that docs/guide/clients.md shows, and what its telemetry, actions and offboard need."""
 
+# pyright: reportMissingImports=false
+# MAVSDK is of the extra `clients`.
+
 from __future__ import annotations
 
 import re

@@ -113,7 +113,7 @@ class Rig:
         self.frozen = False  # the IMU
         self.battery_v = 16.8
         self.gyro_bias = (0.01, -0.02, 0.005)
-        self._air = deque()
+        self._air: deque[tuple[int, tuple[float, ...], tuple[float, ...]]] = deque()
         self.texts = []
         self.seen = [State.BOOT]
 
@@ -239,7 +239,8 @@ class Session:
         self.mocap = self.talk = self.radio_ticks = True
         self.every_us, self.battery_v = TICK_US, 16.8
         self.lost = lambda now_us: False
-        self.upload = self.sender = None
+        self.upload: UploadSender | None = None
+        self.sender: UploadSender | None = None
         self.inbox = []
         self.commands = []
         self._air = deque()
@@ -298,9 +299,9 @@ class Session:
         self.run(seconds, until=lambda: self.flight.state is state)
 
     def put(self, blob, seconds=20.0):
-        self.upload = UploadSender(blob.to_bytes(), blob.KIND)
-        self.run(seconds, until=lambda: self.upload.state.name in ("DONE", "FAILED"))
-        upload, self.upload = self.upload, None
+        self.upload = upload = UploadSender(blob.to_bytes(), blob.KIND)
+        self.run(seconds, until=lambda: upload.state.name in ("DONE", "FAILED"))
+        self.upload = None
         return upload
 
     def received(self, kind):

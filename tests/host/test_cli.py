@@ -43,7 +43,7 @@ def verb(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., object]], N
 
     def install(command: Callable[..., object]) -> None:
         module = types.ModuleType("trimtab.host.verbs.probe")
-        module.command = command  # pyright: ignore[reportAttributeAccessIssue]
+        vars(module)["command"] = command
         monkeypatch.setitem(sys.modules, "trimtab.host.verbs.probe", module)
         probe = cli.Verb(name="probe", module="probe", help="A verb of this test.")
         monkeypatch.setattr(cli, "VERBS", (probe,))

@@ -212,7 +212,7 @@ def test_encode_is_deterministic_and_numbers_wrap() -> None:
     "message",
     [
         m.Ping(-1, 0, 0, 0),
-        m.Ping(1.5, 0, 0, 0),  # type: ignore[arg-type]
+        m.Ping(1.5, 0, 0, 0),  # pyright: ignore[reportArgumentType]  # not a whole number
         m.FcEstimate(0, (1e39, 0, 0), (0, 0, 0), (0, 0, 0, 0), (0, 0, 0), 0, (0, 0, 0)),
         m.FcEstimate(0, (1, 0), (0, 0, 0), (0, 0, 0, 0), (0, 0, 0), 0, (0, 0, 0)),
     ],

@@ -17,7 +17,9 @@ from trimtab.protocol.parameters import BY_NAME
 def test_whole_number_survives_the_wire(value):
     message = m.ParamValue(b"N", encode(float(value), INT32), INT32, 1, 0)
     (got,) = Codec(1, 1).decode(Codec(2, 1).encode(message))
+    assert isinstance(got, m.ParamValue)
     assert decode(got.param_value, got.param_type) == value
+    assert got._payload is not None
     assert struct.unpack("<i", got._payload[:4])[0] == value
 
 

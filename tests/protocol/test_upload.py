@@ -18,6 +18,7 @@ from trimtab.protocol.messages import Message, UploadResult, UploadState
 from trimtab.protocol.upload import (
     CHUNK_BYTES,
     Incoming,
+    ReceiverEvent,
     SenderState,
     UploadEvent,
     UploadReceiver,
@@ -355,13 +356,13 @@ def test_upload_corrupted_behind_the_checksum_is_refused_by_digest_and_sent_agai
     deceive = [True]
     receive = link.receiver.receive
 
-    def receive_garbled(message: Message, now_us: int):
+    def receive_garbled(message: Message, now_us: int) -> list[ReceiverEvent]:
         if isinstance(message, m.UploadChunk) and message.index == 7 and deceive:
             deceive.pop()
             message.data = bytes(CHUNK_BYTES)
         return receive(message, now_us)
 
-    link.receiver.receive = receive_garbled  # type: ignore[method-assign]
+    link.receiver.receive = receive_garbled
     link.run()
     assert link.events.count(UploadEvent.CORRUPT) == 1
     assert link.sender.restarts >= 1
@@ -420,6 +421,9 @@ def test_answer_to_a_former_host_is_not_taken_for_the_own_one() -> None:
     assert sender.state is SenderState.OPENING
     sender.advance(30_000)
     (again,) = sender.send(30_000)
+    assert isinstance(stale, m.UploadStatus)
+    assert isinstance(question, m.UploadBegin)
+    assert isinstance(again, m.UploadBegin)
     assert again.query == question.query != stale.query
     receiver.receive(question, 30_000)
     (answer,) = receiver.send(30_000)
@@ -436,6 +440,7 @@ def test_late_copy_of_a_chunk_of_what_is_live_is_not_answered() -> None:
     assert link.receiver.send(link.now_us + 1_000_000) == []
     link.receiver.receive(m.UploadChunk(tag ^ 1, 0, 1, blob[:99]), link.now_us)
     (status,) = link.receiver.send(link.now_us + 2_000_000)
+    assert isinstance(status, m.UploadStatus)
     assert status.result == UploadResult.UNKNOWN
 
 

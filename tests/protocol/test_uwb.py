@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.narrowing import not_none
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.stream import HEADER_BYTES, MAGIC, MESSAGE_BYTES_MAX, StreamSplitter, message_id, split
@@ -212,10 +213,10 @@ def test_packer_sends_the_urgent_between_the_pieces_of_a_long_message() -> None:
     long = ftp(1)
     packer.offer(long)
     packer.offer(chunk())
-    first = packer.take()
+    first = not_none(packer.take())
     packer.offer(pose())
     packer.offer(control())
-    frames = [first, *(packer.take() for _ in range(5))]
+    frames = [first, *(not_none(packer.take()) for _ in range(5))]
     assert [frame[0] for frame in frames] == [PIECE, MAGIC, MAGIC, PIECE, PIECE, MAGIC]
     assert [message_id(frames[k]) for k in (1, 2, 5)] == [138, 52100, 52111]
     assembler = Assembler()
@@ -229,7 +230,7 @@ def test_packer_that_drops_a_message_half_sent_goes_on_with_a_whole_one() -> Non
     telemetry = [control(k) for k in range(10)]
     packer.offer(telemetry[0])
     assembler = Assembler()
-    assert assembler.receive(packer.take(), 0) is None
+    assert assembler.receive(not_none(packer.take()), 0) is None
     for message in telemetry[1:]:
         packer.offer(message)
     out = []
@@ -245,7 +246,7 @@ def test_packer_takes_a_pose_longer_than_a_frame_as_any_urgent_message() -> None
     assert packer.offer(covariance)
     packer.offer(short)
     assert packer.take() == short
-    assert [assembler.receive(packer.take(), 0) for _ in range(2)] == [None, covariance]
+    assert [assembler.receive(not_none(packer.take()), 0) for _ in range(2)] == [None, covariance]
     assert packer.take() is None
 
 

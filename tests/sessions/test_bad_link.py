@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from tests.narrowing import not_none
 from trimtab.host.link.summary import FlightResult
 
 CLEAN = {"loss": 0.0}
@@ -28,4 +29,4 @@ def test_bad_link_and_late_poses_track_within_half_as_much_again(
         assert result.tracking_rmse_m is not None
     assert bad.link["up_lost_share"] > 0.15
     assert bad.link["mocap_age_ms_p99"] > 1.5 * clean.link["mocap_age_ms_p99"]
-    assert bad.tracking_rmse_m < 1.5 * clean.tracking_rmse_m
+    assert not_none(bad.tracking_rmse_m) < 1.5 * not_none(clean.tracking_rmse_m)

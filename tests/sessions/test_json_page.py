@@ -322,6 +322,7 @@ def test_study_paper_planning_prints_what_the_page_says() -> None:
     check("study paper-planning", {**outcome["answer"], "report": "f/report.html"})
 
 
+@pytest.mark.full  # a whole bench
 def test_bench_prints_what_the_page_says(monkeypatch: pytest.MonkeyPatch) -> None:
     row = {"name": "JAX", "gradient_ms": 1.0, "build_s": 1.0, "differs": 0.0}
     monkeypatch.setattr(bench.peers, "measure", lambda *of, repeats: [row])

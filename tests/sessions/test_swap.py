@@ -79,6 +79,7 @@ def test_flight_with_a_swap_is_logged_as_the_one_composed_reference(
     assert 0.1 < swap["upload_s"] < 2.0
     flight = read_flight(result.log)
     assert flight.reference is not None
+    assert flight.tracking is not None
     assert flight.tracking == (flight.tracking[0], flight.tracking[0] + AT_US + then.duration_us)
     assert flight.tracking_whole
     # Its path is the first one's, then the second one's.

@@ -62,7 +62,7 @@ def fly(vehicle: SimulatedVehicle, *, until_s: float = 60.0) -> Session:
         asked = asked or state > 2
         if state == TRACKING:
             session.tracked_us.append(now_us)
-            session.tracked_ned.append(tuple(vehicle.true_position()))
+            session.tracked_ned.append(vehicle.true_position())
         if asked and state in (STANDBY, FAILSAFE):
             break
         client.advance(now_us)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -53,12 +53,12 @@ def drawn(vehicle: Vehicle, kinds: tuple[str, ...]) -> World:
     )
 
 
-def airborne(plant: Plant, **parts: object) -> None:
+def airborne(plant: Plant, **parts: Sequence[float]) -> None:
     """Puts parts of the state where they are wanted, ten metres up."""
     plant.reset((0.0, 0.0, -10.0), LEVEL)
     slices = {"v": STATE_V, "q": STATE_Q, "rate": STATE_RATE, "speed": STATE_SPEED}
     for name, values in parts.items():
-        for index, value in zip(range(24)[slices[name]], values, strict=True):  # type: ignore[call-overload]
+        for index, value in zip(range(24)[slices[name]], values, strict=True):
             plant.state[index] = value
 
 
@@ -86,7 +86,7 @@ def test_body_tumbling_without_rotors_keeps_momentum_and_energy(vehicle: Vehicle
     for _ in range(1000):
         plant.step((0.0, 0.0, 0.0, 0.0))
     after = momentum_and_energy()
-    assert after[0] == pytest.approx(before[0], rel=1e-4, abs=1e-6 * np.linalg.norm(before[0]))
+    assert after[0] == pytest.approx(before[0], rel=1e-4, abs=1e-6 * float(np.linalg.norm(before[0])))
     assert after[1] == pytest.approx(before[1], rel=1e-4)
     assert after[2] == pytest.approx(before[2], rel=1e-9)
 

@@ -144,14 +144,14 @@ def test_wind_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
 def test_thrust_gain_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
     change = responses(vehicle, {"thrust-gain": {"gain": 0.92}})[0] - responses(vehicle, {})[0]
     _, speeds = flight_states(vehicle)
-    thrust = sum(vehicle.thrust_max_n * n * n for n in speeds)
+    thrust = sum((vehicle.thrust_max_n * n * n for n in speeds), np.zeros(LANES))
     judge("thrust-gain", left_over(change[2], [thrust]))
 
 
 def test_com_offset_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
     change = responses(vehicle, {"com-offset": {"x": 0.004, "y": -0.003}})[1] - responses(vehicle, {})[1]
     _, speeds = flight_states(vehicle)
-    thrust = sum(vehicle.thrust_max_n * n * n for n in speeds)
+    thrust = sum((vehicle.thrust_max_n * n * n for n in speeds), np.zeros(LANES))
     jx, jy, _ = vehicle.inertia_kg_m2
     nought = np.zeros(LANES)
     columns = [np.array([nought, -thrust / jy, nought]), np.array([thrust / jx, nought, nought])]
@@ -230,7 +230,7 @@ def test_mocap_latency_differs_from_the_hosts_form() -> None:
 
 def specific_thrust(vehicle: Vehicle) -> np.ndarray:
     _, speeds = flight_states(vehicle)
-    return sum(vehicle.thrust_max_n * n * n for n in speeds) / vehicle.mass_kg
+    return sum((vehicle.thrust_max_n * n * n for n in speeds), np.zeros(LANES)) / vehicle.mass_kg
 
 
 def hover_speed(vehicle: Vehicle) -> float:
@@ -313,7 +313,7 @@ def test_frame_tilt_differs_from_the_hosts_form() -> None:
         for now_us in range(0, 20_000, 1000):
             camera.tick(now_us, (*p, 0.0, 0.0, 0.0, *q), (0.0, 0.0, 0.0))
         seen = camera.read()[0]
-        between = np.reshape(rotation(seen.q_ned_frd), (3, 3)) @ np.reshape(rotation(q), (3, 3)).T
+        between = np.reshape(rotation(seen.q_ned_frd), (3, 3)) @ np.reshape(rotation(tuple(q)), (3, 3)).T
         moved.append(np.array(seen.p_ned) - p)
         turned.append(0.5 * np.array([between[2, 1] - between[1, 2], between[0, 2] - between[2, 0]]))
         columns.append([[0.0, -p[2], p[1], 1.0, 0.0], [p[2], 0.0, -p[0], 0.0, 1.0]])
@@ -392,7 +392,7 @@ def test_slung_payload_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
     speed = np.gradient(path, h, axis=1)
     place, v, force = np.array([*path[:2, 0], path[2, 0] + length + 0.006]), np.zeros(3), []
     for k in range(len(t)):
-        a, line = payload(NUMPY, P, path[:, k], speed[:, k], place, v, (0.0, 0.0))
+        a, line = payload(NUMPY, P, tuple(path[:, k]), tuple(speed[:, k]), tuple(place), tuple(v), (0.0, 0.0))
         v = v + h * np.array(a)
         place = place + h * v
         force.append(np.array(line) / vehicle.mass_kg)

@@ -58,7 +58,9 @@ class Echo:
 
 
 @contextlib.contextmanager
-def served(vehicle: server.Served, port: str, **options: object) -> Iterator[tuple[str, Callable[[], None]]]:
+def served(
+    vehicle: server.Served, port: str, *, mocap: str | None = None, realtime: bool = True
+) -> Iterator[tuple[str, Callable[[], None]]]:
     """Address of a server in a thread, and what stops it; its exceptions come out here."""
     stop, up = threading.Event(), threading.Event()
     found: list[str] = []
@@ -70,7 +72,7 @@ def served(vehicle: server.Served, port: str, **options: object) -> Iterator[tup
 
     def run() -> None:
         try:
-            server.serve(vehicle, port=port, stop=stop.is_set, ready=ready, **options)  # type: ignore[arg-type]
+            server.serve(vehicle, port=port, stop=stop.is_set, mocap=mocap, realtime=realtime, ready=ready)
         except BaseException as error:
             failed.append(error)
             up.set()

@@ -233,4 +233,4 @@ def test_session_uid_names_seed_and_flight_and_fits_64_bits() -> None:
 def test_world_file_read_from_text_is_frozen() -> None:
     file = WorldFile(description="x", tolerances=False)
     with pytest.raises(ValueError, match="frozen"):
-        file.description = "y"  # type: ignore[misc]
+        file.description = "y"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from trimtab.firmware_model.flight.engine import FloatEngine
+from trimtab.firmware_model.flight.engine import FloatEngine, doubles
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.ops import FLOAT
 
@@ -10,10 +10,11 @@ from trimtab.firmware_model.law.ops import FLOAT
 def test_float_engine_keeps_its_views():
     engine = FloatEngine(law.step, FLOAT, law.INPUTS, law.OUTPUTS)
     before = engine.outputs["motor_command"]
-    engine.inputs["memory"][6] = 1.0
-    engine.inputs["feedforward"][0] = 1.0
+    inputs = doubles(engine.inputs)
+    inputs["memory"][6] = 1.0
+    inputs["feedforward"][0] = 1.0
     for k in range(len(law.PARAMETERS)):
-        engine.inputs["parameters"][k] = 1.0
+        inputs["parameters"][k] = 1.0
     engine()
     assert engine.outputs["motor_command"] is before
     assert engine.outputs["memory"][6] == pytest.approx(1.0)

@@ -180,6 +180,7 @@ def test_watch_late_ticks_hold_where_there_are_many_within_the_time():
         looks.monitor.record_late_tick(looks.now_us)
         for _ in range(30):
             assert looks.look() == []
+    found: list[Event] = []
     for _ in range(5):
         looks.monitor.record_late_tick(looks.now_us)
         found = looks.look()

@@ -7,8 +7,6 @@ import pytest
 from trimtab.firmware_model.flight.feedforward import FeedForwardInput
 from trimtab.protocol.blobs import FeedForward
 
-IDS = {"vehicle_id": "0123456789ab", "model_id": "00112233aabb"}
-
 
 @pytest.fixture
 def views():
@@ -30,7 +28,7 @@ def test_network_acts_along_the_reference_and_can_be_held(views):
     # One hidden unit h = tanh(0.5 v_x), out = (2 h, 0, 0.1): each neuron's weights, then its bias.
     given = FeedForwardInput(*views)
     weights = (0.5, *(0.0,) * 6, 2.0, 0.0, 0.0, 0.0, 0.0, 0.1)
-    given.load(FeedForward(**IDS, layers=(1,), weights=weights))
+    given.load(FeedForward(vehicle_id="0123456789ab", model_id="00112233aabb", layers=(1,), weights=weights))
     given.update(reference((1.0, 5.0, -5.0)))
     assert list(views[1]) == pytest.approx([2.0 * 0.46211715726, 0.0, 0.1])
     given.hold((0.0, 0.0, -1.0))

@@ -61,6 +61,7 @@ def test_jump_beyond_its_bound_is_refused_with_value_and_bound(flown_blob, quant
     assert agree(flown_blob, following(flown_blob, **{f"{letter}1": 0.9 * bound})).result is UploadResult.OK
     found = agree(flown_blob, following(flown_blob, **{f"{letter}1": -1.2 * bound}))
     assert found.result is UploadResult.NOT_CONTINUOUS
+    assert found.verdict is not None
     assert (found.verdict.node, found.verdict.reason) == (0, 104)
     assert (found.verdict.value, found.verdict.bound) == (pytest.approx(1.2 * bound, rel=0.01), bound)
     assert found.verdict.message.startswith(f"{name} jumps by ")
@@ -79,6 +80,7 @@ def test_tick_that_is_too_near_or_past_the_end_is_too_late(flown_blob):
     after = following(flown_blob)
     assert agree(flown_blob, after, ahead_us=100_000).result is UploadResult.OK
     found = agree(flown_blob, after, ahead_us=99_000)
+    assert found.verdict is not None
     assert (found.result, found.verdict.reason) == (UploadResult.TOO_LATE, 105)
     assert (found.verdict.value, found.verdict.bound) == (pytest.approx(0.099), pytest.approx(0.1))
     assert agree(flown_blob, after, at_us=4_000_000).result is UploadResult.TOO_LATE
@@ -86,10 +88,12 @@ def test_tick_that_is_too_near_or_past_the_end_is_too_late(flown_blob):
 
 def test_reference_that_ends_moving_or_low_is_refused(flown_blob):
     low = agree(flown_blob, following(flown_blob, end=(0.6, 0.8, -0.4)))
+    assert low.verdict is not None
     assert (low.result, low.verdict.reason) == (UploadResult.NOT_CONTINUOUS, 5)
     after = following(flown_blob)
-    cut = replace(after, nodes=after.nodes[:12])
-    assert agree(flown_blob, cut).verdict.reason == 4
+    cut = agree(flown_blob, replace(after, nodes=after.nodes[:12]))
+    assert cut.verdict is not None
+    assert cut.verdict.reason == 4
 
 
 # In flight, over the radio.

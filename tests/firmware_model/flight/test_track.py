@@ -1,6 +1,7 @@
 """Tracks: continuity, limits and timing, by polynomials evaluated here and not by the law."""
 
 import math
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -10,15 +11,15 @@ from trimtab.firmware_model.flight.braking import Room, seconds_us
 from trimtab.firmware_model.flight.track import Track, climb, hold, land, level_descent, stop, track
 
 REST = (0.0,) * 9
-WIDE = Room((-99.0,) * 3, (99.0,) * 3)
+WIDE = Room((-99.0, -99.0, -99.0), (99.0, 99.0, 99.0))
 LAB = Room((-5.0, -5.0, -5.0), (5.0, 5.0, -0.2))
 
 
-def septic(block, s):
+def septic(block: memoryview, s: float) -> list[np.ndarray]:
     """p, v, a, j at `s` seconds into the block: its polynomials, term by term."""
     coefficients = np.array(block[1:]).reshape(8, 3)
     return [
-        sum(math.perm(k, order) * s ** (k - order) * coefficients[k] for k in range(order, 8))
+        sum((math.perm(k, order) * s ** (k - order) * coefficients[k] for k in range(order, 8)), np.zeros(3))
         for order in range(4)
     ]
 
@@ -27,7 +28,7 @@ def durations(t: Track):
     return [1e-6 * (end - start) for start, end in pairwise((*t.starts_us, t.end_us))]
 
 
-def sampled(t: Track, count=40):
+def sampled(t: Track, count: int = 40) -> Iterator[list[np.ndarray]]:
     for block, duration in zip(t.blocks, durations(t), strict=True):
         for s in np.linspace(0.0, duration, count):
             yield septic(block, s)

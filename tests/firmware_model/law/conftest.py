@@ -110,7 +110,9 @@ def _random_steps(seed, lanes):
         "armed": (rng.uniform(size=(1, lanes)) > 0.1).astype(float),
         "observing": (rng.uniform(size=(1, lanes)) > 0.3).astype(float),
         "feedback_weights": rng.uniform(0, 1, (2, lanes)),
-        "piece": np.vstack([dt * rng.uniform(0, 1, (1, lanes)), *septic_coefficients(dt[0], *nodes)]),
+        "piece": np.vstack(
+            [dt * rng.uniform(0, 1, (1, lanes)), *septic_coefficients(dt[0], *map(tuple, nodes))]
+        ),
         "yaw_piece": np.vstack(
             [dt * rng.uniform(0, 1, (1, lanes)), *cubic_coefficients(dt[0], *normal(4, 2.0))]
         ),

@@ -73,7 +73,7 @@ PIECES = {
         ((3, 8.0), (3, 50.0), (2, 5.0)),
     ),
     "flat_full": (
-        lambda ops, a, j, s, y: flatness.flat_full(ops, a, j, s, *y[:2], law.body(PARAMETERS), y[2]),
+        lambda ops, a, j, s, y: flatness.flat_full(ops, a, j, s, y[0], y[1], law.body(PARAMETERS), y[2]),
         ((3, 8.0), (3, 50.0), (3, 300.0), (3, 5.0)),
     ),
     "predict": (_predict, ((3, 5.0), (3, 9.0), "q", (3, 0.1), (3, 9.0), (3, 30.0))),

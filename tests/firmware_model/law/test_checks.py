@@ -180,8 +180,8 @@ def test_check_keeps_the_flight_above_the_floor_whatever_the_geofence():
     """Ends at 0.6 m; between them 0.25 m below the floor, still inside a geofence that ends at 0.3 m."""
     high, low = (0.0, 0.0, -0.6, *REST), (0.0, 0.0, 0.25, *REST)
     nodes = [(0, high), (3_000_000, low), (6_000_000, high)]
-    for options in ({}, {"ends_at_rest": False}):
-        verdict = _check(nodes, **options)
+    for ends_at_rest in (True, False):
+        verdict = _check(nodes, ends_at_rest=ends_at_rest)
         assert (verdict.node, verdict.reason_code, verdict.quantity) == (0, ReferenceReason.TOO_LOW, "height")
         assert verdict.value < verdict.bound == 0.0
         assert verdict.margins["floor_m"] == pytest.approx(-0.25)

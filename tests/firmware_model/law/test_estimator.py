@@ -89,10 +89,11 @@ def test_predict_of_a_fall_is_a_parabola():
 def test_predict_of_a_constant_rate_turns_exactly():
     est = Estimate((0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.1, 0.2, 0.3))
     rate = np.array([2.0, -1.0, 0.5])
+    seen = None
     for _ in range(1000):
-        est, seen, *_ = predict(FLOAT, est, rate + est.bias, (0.0,) * 3, TICK_S)
+        est, seen, *_ = predict(FLOAT, est, tuple(rate + est.bias), (0.0,) * 3, TICK_S)
     assert seen == pytest.approx(rate)
-    assert est.q == pytest.approx(quat_exp(FLOAT, rate), abs=1e-12)
+    assert est.q == pytest.approx(quat_exp(FLOAT, tuple(rate)), abs=1e-12)
 
 
 def _truth(t):
@@ -108,16 +109,19 @@ def _fly(latency_s, stated_age_s, seconds=8.0):
     gains = GAINS._replace(bias=4.0)  # a bias found within the test's time
     bias = np.array([0.05, -0.03, 0.02])
     p, v, *_ = _truth(0.0)
-    est = Estimate(np.add(p, 0.3), np.add(v, -0.5), quat_exp(FLOAT, (0.1, -0.1, 0.2)), (0.0,) * 3)
-    for tick in range(1, round(seconds / TICK_S) + 1):
+    est = Estimate(
+        tuple(np.add(p, 0.3)), tuple(np.add(v, -0.5)), quat_exp(FLOAT, (0.1, -0.1, 0.2)), (0.0,) * 3
+    )
+    ticks = round(seconds / TICK_S)
+    for tick in range(1, ticks + 1):
         t = tick * TICK_S
         _, _, a, q, rate = _truth(t)
         force = mat_t_vec(quat_to_matrix(FLOAT, q), (a[0], a[1], a[2] - GRAVITY))
-        est, rate_seen, accel, _ = predict(FLOAT, est, np.add(rate, bias), force, TICK_S)
+        est, rate_seen, accel, _ = predict(FLOAT, est, tuple(np.add(rate, bias)), force, TICK_S)
         if tick % 10 == 0:
             p_late, *_, q_late, _ = _truth(t - latency_s)
             est = correct(FLOAT, est, rate_seen, accel, p_late, q_late, stated_age_s, 0.01, gains)
-    p, v, _, q, _ = _truth(t)
+    p, v, _, q, _ = _truth(ticks * TICK_S)
     turn = quat_multiply([est.q[0], *(-x for x in est.q[1:])], q)
     return (
         math.dist(p, est.p),

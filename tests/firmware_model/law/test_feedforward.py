@@ -49,16 +49,17 @@ def test_specific_force_of_a_bias_is_the_bias_whatever_the_attitude():
 def test_specific_force_rate_matches_finite_differences():
     rng = np.random.default_rng(4)
     for _ in range(50):
-        block = rng.uniform(-0.5, 0.5, ff.FF_SIZE)
+        block = tuple(rng.uniform(-0.5, 0.5, ff.FF_SIZE))
         v, a, rate = rng.normal(size=3) * 5, rng.normal(size=3) * 8, rng.normal(size=3) * 4
-        q = quat_exp(FLOAT, rng.normal(size=3))
+        q = quat_exp(FLOAT, tuple(rng.normal(size=3)))
 
         def force(dt, v=v, a=a, rate=rate, q=q, block=block):
-            R = quat_to_matrix(FLOAT, quat_multiply(q, quat_exp(FLOAT, dt * rate)))
-            return np.array(ff.specific_force_ned(FLOAT, block, v + dt * a, R))
+            R = quat_to_matrix(FLOAT, quat_multiply(q, quat_exp(FLOAT, tuple(dt * rate))))
+            return np.array(ff.specific_force_ned(FLOAT, block, tuple(v + dt * a), R))
 
         h = 1e-5
-        found = ff.specific_force_rate_ned(FLOAT, block, v, a, rate, quat_to_matrix(FLOAT, q))
+        R0 = quat_to_matrix(FLOAT, q)
+        found = ff.specific_force_rate_ned(FLOAT, block, tuple(v), tuple(a), tuple(rate), R0)
         assert np.allclose((force(h) - force(-h)) / (2 * h), found, atol=1e-6, rtol=1e-7)
 
 
@@ -73,7 +74,8 @@ def test_network_agrees_with_matrix_products(layers):
         at += table.size
         values = table[:, :-1] @ values + table[:, -1]
         values = np.tanh(values) if k < len(sizes) - 1 else values
-    assert np.allclose(ff.network(FLOAT, weights.tolist(), layers, x[:3], x[3:]), values, atol=1e-12)
+    found = ff.network(FLOAT, weights.tolist(), layers, tuple(x[:3]), tuple(x[3:]))
+    assert np.allclose(found, values, atol=1e-12)
 
 
 def test_weight_count_of_the_largest_network_is_the_blobs_bound():

@@ -28,8 +28,8 @@ def _flat(coefficients, t):
 
 
 def _full(coefficients, t):
-    *flat, yaw_accel = _flat(coefficients, t)
-    R, rate, rate_dot, thrust, torque = flat_full(FLOAT, *flat, BODY, yaw_accel)
+    a, j, snap, yaw, yaw_rate, yaw_accel = _flat(coefficients, t)
+    R, rate, rate_dot, thrust, torque = flat_full(FLOAT, a, j, snap, yaw, yaw_rate, BODY, yaw_accel)
     return np.array(R).reshape(3, 3), np.array(rate), np.array(rate_dot), thrust, np.array(torque)
 
 
@@ -44,7 +44,7 @@ def test_flat_full_to_state_and_back_returns_the_flat_outputs(coefficients):
     thrust_dot = -BODY.mass_kg * np.dot(j, R @ e3)
     back = -(R @ e3) * thrust_dot / BODY.mass_kg - R @ np.cross(rate, e3) * thrust / BODY.mass_kg
     assert np.allclose(back, j, atol=1e-11)
-    roll, pitch, heading = matrix_to_euler(FLOAT, R.ravel())
+    roll, pitch, heading = matrix_to_euler(FLOAT, tuple(R.ravel()))
     assert np.angle(np.exp(1j * (heading - yaw))) == pytest.approx(0.0, abs=1e-11)
     heading_rate = (np.sin(roll) * rate[1] + np.cos(roll) * rate[2]) / np.cos(pitch)
     assert heading_rate == pytest.approx(yaw_rate, abs=1e-10)

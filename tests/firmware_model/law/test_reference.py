@@ -35,7 +35,7 @@ def test_septic_through_a_polynomial_of_degree_seven_is_that_polynomial(coeffici
 
 def test_septic_at_its_ends_meets_both_nodes():
     rng = np.random.default_rng(2)
-    node0, node1 = rng.normal(size=12), rng.normal(size=12)
+    node0, node1 = tuple(rng.normal(size=12)), tuple(rng.normal(size=12))
     for s, node in ((0.0, node0), (0.3, node1)):
         p, v, a, j, _ = septic(0.3, s, node0, node1)
         assert np.allclose([*p, *v, *a, *j], node, atol=1e-10)

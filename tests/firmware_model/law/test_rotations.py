@@ -68,10 +68,10 @@ def test_euler_angles_pass_through_matrix_and_quaternion(roll, tilt, yaw):
 def test_euler_rates_integrate_to_the_body_rate(roll, tilt, yaw, rate):
     """A small step along W(Theta) omega turns the matrix by exp(omega dt): second order in dt."""
     dt = 1e-6
-    theta = np.array([roll, tilt, yaw])
-    after = theta + dt * np.array(rot.euler_rates(FLOAT, theta, rate))
-    before = theta - dt * np.array(rot.euler_rates(FLOAT, theta, rate))
-    change = _matrix(rot.euler_to_matrix(FLOAT, before)).T @ _matrix(rot.euler_to_matrix(FLOAT, after))
+    theta = (roll, tilt, yaw)
+    step = dt * np.array(rot.euler_rates(FLOAT, theta, rate))
+    before, after = (rot.euler_to_matrix(FLOAT, tuple(theta + sign * step)) for sign in (-1.0, 1.0))
+    change = _matrix(before).T @ _matrix(after)
     assert np.allclose(Rotation.from_matrix(change).as_rotvec() / (2 * dt), rate, atol=1e-6)
 
 

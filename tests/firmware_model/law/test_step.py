@@ -173,7 +173,7 @@ def test_step_in_a_turned_world_gives_the_same_commands(random_steps):
     memory = turned["memory"]
     memory[0:6] = turn_all(memory[0:6])
     memory[law.OBSERVER] = turn(memory[law.OBSERVER])
-    memory[law.EST_Q] = quat_multiply(half, memory[law.EST_Q])
+    memory[law.EST_Q] = quat_multiply(half, tuple(memory[law.EST_Q]))
     turned["mocap_p"], turned["ff_accel_ned"] = turn(inputs["mocap_p"]), turn(inputs["ff_accel_ned"])
     turned["mocap_q"] = np.array(quat_multiply(half, inputs["mocap_q"]))
     turned["piece"][1:] = turn_all(inputs["piece"][1:])
@@ -210,7 +210,7 @@ class _Flight:
         self.p, self.v = np.add(node[0:3], (0.2, -0.2, 0.1)), np.array(node[3:6])
         self.q, self.rate = (1.0, 0.0, 0.0, 0.0), np.zeros(3)
         self.thrust = np.full(4, TABLE["MASS"] * GRAVITY / 4)
-        self.memory = law.initial_memory(self.p, self.q)
+        self.memory = law.initial_memory(tuple(self.p), self.q)
         self.poses = []
 
     def node(self, t):
@@ -223,7 +223,7 @@ class _Flight:
         """Position error after tick k of 1 ms."""
         t, body = k * 1e-3, law.body(PARAMETERS)
         R = quat_to_matrix(FLOAT, self.q)
-        drag = -self.drag * np.array(mat_t_vec(R, self.v))
+        drag = -self.drag * np.array(mat_t_vec(R, tuple(self.v)))
         force = np.array([0.0, 0.0, -self.thrust.sum() / body.mass_kg]) + drag
         self.poses.append((tuple(self.p), self.q))
         start = k // 100 * 0.1
@@ -242,7 +242,7 @@ class _Flight:
         torque = (MATRIX @ self.thrust)[1:]
         J = np.array(body.inertia)
         self.rate = self.rate + 1e-3 * (torque - np.cross(self.rate, J * self.rate)) / J
-        self.q = quat_normalize(FLOAT, quat_multiply(self.q, quat_exp(FLOAT, 1e-3 * self.rate)))
+        self.q = quat_normalize(FLOAT, quat_multiply(self.q, quat_exp(FLOAT, tuple(1e-3 * self.rate))))
         self.v = self.v + 1e-3 * np.add(mat_vec(R, force), (0.0, 0.0, GRAVITY))
         self.p = self.p + 1e-3 * self.v
         return math.dist(self.p, self.node(t + 1e-3)[0:3])

@@ -84,7 +84,7 @@ class Upload:
         self.down: list[tuple[int, int, Message]] = []
         self.up_queue: list[Message] = []
         self.down_queue: list[Message] = []
-        self.link_cut_us = (0, 0)
+        self.link_cut_us: tuple[int, int] = (0, 0)
         self.asleep_until_us = 0
         self.in_memory: set[int] = set()
         self.answers_from = -1  # number of the first message that left the vehicle after the fault
@@ -203,7 +203,7 @@ def sort_of(write: tuple[int, int, int, bool]) -> str:
 
 @pytest.mark.parametrize("batch", BATCH_PARAMS)
 def test_power_cut_at_any_byte_leaves_the_old_or_the_new_and_the_upload_goes_on(batch: int) -> None:
-    torn = dict.fromkeys(("erase", "parameters", "record", "chunk", "mark"), 0)
+    torn: dict[str, int] = dict.fromkeys(("erase", "parameters", "record", "chunk", "mark"), 0)
     saved = 0
     for run in range(5):
         seed = 61_000 + 5 * batch + run

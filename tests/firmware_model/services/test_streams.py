@@ -130,6 +130,8 @@ def test_odometry_has_velocity_in_the_body_frame(make_rig):
     rig.run(1.0)
     odometry = STREAMS[m.Odometry.id].make(rig.flight, rig.now_us, 16.8)
     local = STREAMS[m.LocalPositionNed.id].make(rig.flight, rig.now_us, 16.8)
+    assert isinstance(odometry, m.Odometry)
+    assert isinstance(local, m.LocalPositionNed)
     speed = math.hypot(local.vx, local.vy, local.vz)
     assert math.hypot(odometry.vx, odometry.vy, odometry.vz) == pytest.approx(speed, rel=1e-6)
     assert speed > 0.5

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -13,11 +13,30 @@ from trimtab.host.models import dynamics, slots
 
 EFFECTS = load_effects()
 S = 0.088
-VEHICLE = SimpleNamespace(
+
+
+@dataclass(frozen=True, kw_only=True)
+class MadeUpRotor:
+    position_m: tuple[float, float, float]
+    spin: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class MadeUpAirframe:
+    mass_kg: float
+    inertia_kg_m2: tuple[float, float, float]
+    rotors: tuple[MadeUpRotor, ...]
+    thrust_max_n: float
+    thrust_curve: tuple[float, float]
+    torque_per_thrust_m: float
+    motor_lag_s: float
+
+
+VEHICLE = MadeUpAirframe(
     mass_kg=0.752,
     inertia_kg_m2=(2.5e-3, 2.1e-3, 4.3e-3),
     rotors=tuple(
-        SimpleNamespace(position_m=(x, y, 0.0), spin=spin)
+        MadeUpRotor(position_m=(x, y, 0.0), spin=spin)
         for x, y, spin in ((S, S, "ccw"), (-S, -S, "ccw"), (S, -S, "cw"), (-S, S, "cw"))
     ),
     thrust_max_n=8.5,
@@ -102,11 +121,11 @@ def test_motor_lag_slows_the_rotor_thrusts():
 
 def test_com_offset_moves_the_lever_of_every_rotor():
     x, y = 0.004, -0.003
-    moved = SimpleNamespace(**vars(VEHICLE))
-    moved.rotors = tuple(
-        SimpleNamespace(position_m=(r.position_m[0] - x, r.position_m[1] - y, 0.0), spin=r.spin)
+    rotors = (
+        MadeUpRotor(position_m=(r.position_m[0] - x, r.position_m[1] - y, 0.0), spin=r.spin)
         for r in VEHICLE.rotors
     )
+    moved = replace(VEHICLE, rotors=tuple(rotors))
     s = state(6)
     expected = dynamics.derivative(FLOAT, moved, [], s, COMMAND)
     np.testing.assert_allclose(rates([(EFFECTS["com-offset"], (x, y))], s), expected, atol=1e-12)

@@ -19,6 +19,7 @@ from generators.effects import page
 from trimtab.host.apps.demo.compare import latency_of
 from trimtab.host.effects import Effect, EffectError, ExactAlias, Parameter, load_effects, number
 from trimtab.host.effects.effect import Family, Signal
+from trimtab.host.effects.parameter import NumberOptions
 from trimtab.host.effects.unknowns import POSE_LATENCY, THRUST, UNKNOWN
 from trimtab.host.log import Battery, Mocap, RecordedImu, read_flight, write_imported
 from trimtab.host.log.tracks import Flight
@@ -398,7 +399,7 @@ def test_number_with_the_old_arguments_is_the_same_parameter() -> None:
         {"free_lower": -np.inf},
     ],
 )
-def test_parameter_with_an_impossible_fact_is_refused_with_its_field(facts: dict[str, float]) -> None:
+def test_parameter_with_an_impossible_fact_is_refused_with_its_field(facts: NumberOptions) -> None:
     (field,) = facts
     with pytest.raises(ValueError, match=rf"parameter k: .*{field}"):
         number("k", "1", 0.0, 1.0, 0.1, -5.0, 5.0, "d", **facts)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
 from trimtab.host.imports.columns import read, read_map
 from trimtab.host.vehicle import ConfigurationError
@@ -67,8 +68,8 @@ def test_csv_of_any_axes_is_told_in_ned_and_frd(
     np.testing.assert_allclose(found.p_ned, made_up.p, atol=1e-9)
     apart = (Rotation.from_quat(found.q_ned_frd, scalar_first=True).inv() * made_up.turn).magnitude()
     assert apart.max() < 1e-9
-    np.testing.assert_allclose(found.gyro, made_up.gyro, atol=1e-9)
-    np.testing.assert_allclose(found.specific_force, made_up.force, atol=1e-9)
+    np.testing.assert_allclose(not_none(found.gyro), made_up.gyro, atol=1e-9)
+    np.testing.assert_allclose(not_none(found.specific_force), made_up.force, atol=1e-9)
     assert found.input_us is None
     assert found.battery_v is None
 
@@ -93,13 +94,13 @@ def test_csv_units_are_converted(
     )
     found = read(foreign.write_csv(tmp_path / "f.csv", columns), map_file(tmp_path, text))
     np.testing.assert_array_equal(found.pose_us, np.round(1e6 * made_up.t))
-    np.testing.assert_allclose(found.gyro, made_up.gyro, atol=1e-9)
-    np.testing.assert_allclose(found.specific_force, made_up.force, atol=1e-8)
-    np.testing.assert_allclose(found.motor_command, made_up.motor, atol=1e-9)
+    np.testing.assert_allclose(not_none(found.gyro), made_up.gyro, atol=1e-9)
+    np.testing.assert_allclose(not_none(found.specific_force), made_up.force, atol=1e-8)
+    np.testing.assert_allclose(not_none(found.motor_command), made_up.motor, atol=1e-9)
     assert found.motor_corners is None
-    np.testing.assert_allclose(found.battery_v, made_up.volt, atol=1e-9)
-    np.testing.assert_allclose(found.p_ref_ned, made_up.p, atol=1e-9)
-    assert found.v_ref_ned.shape == found.a_ref_ned.shape == (len(made_up.t), 3)
+    np.testing.assert_allclose(not_none(found.battery_v), made_up.volt, atol=1e-9)
+    np.testing.assert_allclose(not_none(found.p_ref_ned), made_up.p, atol=1e-9)
+    assert not_none(found.v_ref_ned).shape == not_none(found.a_ref_ned).shape == (len(made_up.t), 3)
     assert found.unknown == ("motor-lag", "thrust-curve")
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
 from trimtab.host.imports.crazyflie_usd import UNKNOWN, VARIABLES, decode, read
 
@@ -25,16 +26,16 @@ def test_usd_flight_is_told_in_ned_and_frd(
     path.write_bytes(foreign.usd_flight(made_up, version=version))
     found = read(path)
     np.testing.assert_array_equal(found.input_us, np.round(1e6 * made_up.t))
-    new = np.searchsorted(found.input_us, found.pose_us)
+    new = np.searchsorted(not_none(found.input_us), found.pose_us)
     np.testing.assert_allclose(found.p_ned, made_up.p[new], atol=0.6e-3)  # whole millimetres
     apart = Rotation.from_quat(found.q_ned_frd, scalar_first=True).inv() * made_up.turn[new]
     assert apart.magnitude().max() < 1e-6
-    np.testing.assert_allclose(found.gyro, made_up.gyro, atol=1e-6)
-    np.testing.assert_allclose(found.thrust_n, made_up.thrust, atol=1e-6)
+    np.testing.assert_allclose(not_none(found.gyro), made_up.gyro, atol=1e-6)
+    np.testing.assert_allclose(not_none(found.thrust_n), made_up.thrust, atol=1e-6)
     k = np.arange(len(made_up.t))
     np.testing.assert_array_equal(found.torque_n_m, np.column_stack([k, -2 * k, -3 * k]))
-    np.testing.assert_allclose(found.p_ref_ned, made_up.p, atol=0.6e-3)
-    np.testing.assert_allclose(found.v_ref_ned, np.tile([1e-3, -2e-3, -3e-3], (len(k), 1)))
+    np.testing.assert_allclose(not_none(found.p_ref_ned), made_up.p, atol=0.6e-3)
+    np.testing.assert_allclose(not_none(found.v_ref_ned), np.tile([1e-3, -2e-3, -3e-3], (len(k), 1)))
     assert found.specific_force is None
     assert found.motor_command is None
     assert found.unknown == UNKNOWN
@@ -54,7 +55,7 @@ def test_usd_pose_that_the_filter_held_is_dropped_and_inputs_stay(
     path = tmp_path / "log07"
     path.write_bytes(foreign.usd_bytes([(7, "fixed", foreign.USD_VARIABLES)], records, version=2))
     found = read(path)
-    assert len(found.input_us) == len(rows)
+    assert len(not_none(found.input_us)) == len(rows)
     assert set(np.diff(found.pose_us)) <= {30_000 * n for n in range(1, 60)}
     assert len(found.pose_us) > len(rows) / 5
 
@@ -65,7 +66,7 @@ def test_usd_older_name_of_the_thrust_is_found(
     older = [("ctrlLee.thrustSi" if n == "ctrlLee.thrustSI" else n, f) for n, f in foreign.USD_VARIABLES]
     path = tmp_path / "log07"
     path.write_bytes(foreign.usd_flight(made_up, version=1, variables=older))
-    np.testing.assert_allclose(read(path).thrust_n, made_up.thrust, atol=1e-6)
+    np.testing.assert_allclose(not_none(read(path).thrust_n), made_up.thrust, atol=1e-6)
 
 
 def test_usd_without_variables_names_all_of_them(

@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from trimtab.host.imports.frames import (
     TO_FRD,
     TO_NED,
+    Body,
+    World,
     q_ned_frd,
     to_frd,
     to_ned,
@@ -22,19 +24,19 @@ PAIRS = [(world, body) for world in TO_NED for body in TO_FRD]
 
 
 @pytest.mark.parametrize("world", TO_NED)
-def test_vectors_of_world_axes_become_ned(world: str, foreign: SimpleNamespace) -> None:
+def test_vectors_of_world_axes_become_ned(world: World, foreign: SimpleNamespace) -> None:
     v = np.random.default_rng(1).normal(size=(50, 3))
     np.testing.assert_allclose(to_ned(v, world), foreign.WORLDS[world].inv().apply(v), atol=1e-14)
 
 
 @pytest.mark.parametrize("body", TO_FRD)
-def test_vectors_of_body_axes_become_frd(body: str, foreign: SimpleNamespace) -> None:
+def test_vectors_of_body_axes_become_frd(body: Body, foreign: SimpleNamespace) -> None:
     v = np.random.default_rng(2).normal(size=(50, 3))
     np.testing.assert_allclose(to_frd(v, body), foreign.BODIES[body].inv().apply(v), atol=1e-14)
 
 
 @pytest.mark.parametrize(("world", "body"), PAIRS)
-def test_attitudes_become_q_ned_frd(world: str, body: str, foreign: SimpleNamespace) -> None:
+def test_attitudes_become_q_ned_frd(world: World, body: Body, foreign: SimpleNamespace) -> None:
     turn = Rotation.random(200, rng=np.random.default_rng(3))
     q = q_ned_frd(turn, world, body)
     expected = foreign.WORLDS[world].inv() * turn * foreign.BODIES[body]
@@ -58,7 +60,7 @@ def test_east_and_up_are_what_they_are_called() -> None:
 
 
 @pytest.mark.parametrize(("world", "body"), PAIRS)
-def test_specific_force_at_rest_upright_points_up(world: str, body: str, foreign: SimpleNamespace) -> None:
+def test_specific_force_at_rest_upright_points_up(world: World, body: Body, foreign: SimpleNamespace) -> None:
     # An accelerometer that stands level shows +g along its own upward axis, whatever that is called.
     up_in_body = foreign.BODIES[body].apply([[0.0, 0.0, -foreign.G]])
     up_in_world = foreign.WORLDS[world].apply([0.0, 0.0, -1.0])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
 from trimtab.host.imports.nanobench import COLUMNS, CORNERS, UNKNOWN, read
 
@@ -21,10 +22,10 @@ def test_nanobench_flight_is_told_in_ned_and_frd(nanobench_file: Callable[..., P
     np.testing.assert_allclose(found.p_ned, made_up.p, atol=1e-9)
     apart = (Rotation.from_quat(found.q_ned_frd, scalar_first=True).inv() * made_up.turn).magnitude()
     assert apart.max() < 1e-9
-    np.testing.assert_allclose(found.gyro, made_up.gyro, atol=1e-9)
-    np.testing.assert_allclose(found.specific_force, made_up.force, atol=1e-8)
-    np.testing.assert_allclose(found.motor_command, made_up.motor, atol=1e-9)
-    np.testing.assert_allclose(found.battery_v, made_up.volt, atol=1e-9)
+    np.testing.assert_allclose(not_none(found.gyro), made_up.gyro, atol=1e-9)
+    np.testing.assert_allclose(not_none(found.specific_force), made_up.force, atol=1e-8)
+    np.testing.assert_allclose(not_none(found.motor_command), made_up.motor, atol=1e-9)
+    np.testing.assert_allclose(not_none(found.battery_v), made_up.volt, atol=1e-9)
     assert found.motor_corners == CORNERS
     assert found.unknown == UNKNOWN
     assert found.thrust_n is None
@@ -36,7 +37,7 @@ def test_nanobench_vehicle_at_rest_is_upright_and_feels_weight(
 ) -> None:
     found = read(nanobench_file())
     rest = found.pose_us < 900_000
-    assert np.abs(found.specific_force[rest] - [0.0, 0.0, -foreign.G]).max() < 0.2
+    assert np.abs(not_none(found.specific_force)[rest] - [0.0, 0.0, -foreign.G]).max() < 0.2
     R = Rotation.from_quat(found.q_ned_frd[rest], scalar_first=True).as_matrix()
     assert R[:, 2, 2].min() > 0.999
     assert (found.p_ned[:, 2].min(), found.p_ned[:, 2].max()) == pytest.approx((-1.2, 0.0), abs=1e-3)
@@ -70,7 +71,7 @@ def test_nanobench_rows_of_equal_time_count_once(
     twice[[11, 31]] = t[[10, 30]]
     found = read(nanobench_file(t=twice))
     assert len(found.pose_us) == len(t) - 2
-    assert len(found.motor_command) == len(t) - 2
+    assert len(not_none(found.motor_command)) == len(t) - 2
     np.testing.assert_allclose(found.p_ned[11], made_up.p[12], atol=1e-9)
 
 
@@ -92,7 +93,7 @@ def test_nanobench_held_pose_is_no_measurement_but_its_inputs_are(
         values[201:204] = values[200]
     found = read(nanobench_file(**held))
     assert len(found.pose_us) == len(made_up.t) - 3
-    assert len(found.input_us) == len(made_up.t)
+    assert len(not_none(found.input_us)) == len(made_up.t)
     assert found.pose_us[201] - found.pose_us[200] == pytest.approx(40_000, abs=1)
 
 

@@ -10,24 +10,25 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError, Recording
 from trimtab.host.imports.airborne import airborne
-from trimtab.host.imports.frames import q_ned_frd, to_frd, to_ned
+from trimtab.host.imports.frames import Body, World, q_ned_frd, to_frd, to_ned
 from trimtab.host.imports.plausible import check
 
 
-def read_as(flight: Any, world: str, body: str) -> Recording:
+def read_as(flight: Any, world: World, body: Body) -> Recording:
     """The numbers of `flight` read as if they were in these axes."""
     t_us = np.round(1e6 * flight.t).astype(np.int64)
     return Recording(
         source="log",
         pose_us=t_us,
-        p_ned=to_ned(flight.p, world),  # type: ignore[arg-type]
-        q_ned_frd=q_ned_frd(flight.turn, world, body),  # type: ignore[arg-type]
+        p_ned=to_ned(flight.p, world),
+        q_ned_frd=q_ned_frd(flight.turn, world, body),
         unknown=(),
         imu_us=t_us,
-        gyro=to_frd(flight.gyro, body),  # type: ignore[arg-type]
-        specific_force=to_frd(flight.force, body),  # type: ignore[arg-type]
+        gyro=to_frd(flight.gyro, body),
+        specific_force=to_frd(flight.force, body),
         input_us=t_us,
         motor_command=flight.motor,
     )
@@ -39,7 +40,7 @@ AXES = [(world, body) for world in ("ned", "nwu", "enu") for body in ("frd", "fl
 
 @pytest.mark.parametrize(("world", "body"), AXES)
 def test_flight_in_its_own_axes_agrees_with_itself(
-    made_up: Any, foreign: SimpleNamespace, world: str, body: str
+    made_up: Any, foreign: SimpleNamespace, world: World, body: Body
 ) -> None:
     found = read_as(foreign.in_axes(made_up, world, body), world, body)
     check(found, airborne(found))
@@ -48,7 +49,7 @@ def test_flight_in_its_own_axes_agrees_with_itself(
 @pytest.mark.parametrize(("world", "body"), AXES)
 @pytest.mark.parametrize(("as_world", "as_body"), AXES)
 def test_flight_read_in_other_axes_is_refused_where_it_shows(
-    made_up: Any, foreign: SimpleNamespace, world: str, body: str, as_world: str, as_body: str
+    made_up: Any, foreign: SimpleNamespace, world: World, body: Body, as_world: World, as_body: Body
 ) -> None:
     found = read_as(foreign.in_axes(made_up, world, body), as_world, as_body)
     up = "ned" in (world, as_world) and world != as_world
@@ -115,8 +116,8 @@ def test_noise_tilted_markers_and_late_poses_pass(made_up: Any) -> None:
             pose_us=found.pose_us + 20_000,
             p_ned=found.p_ned + rng.normal(0.0, 1e-3, size),
             q_ned_frd=bumped.as_quat(scalar_first=True),
-            gyro=found.gyro + rng.normal(0.05, 0.05, size),
-            specific_force=found.specific_force + rng.normal(0.3, 1.0, size),
+            gyro=not_none(found.gyro) + rng.normal(0.05, 0.05, size),
+            specific_force=not_none(found.specific_force) + rng.normal(0.3, 1.0, size),
         ),
         SPAN_US,
     )

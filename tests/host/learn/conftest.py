@@ -31,7 +31,7 @@ def curve(seed: int, vehicle_id: str, duration_s: float = 4.0) -> Reference:
     def axis(size: float) -> np.ndarray:
         low, high = (0.8, 1.6, 2.4), (1.4, 2.3, 3.2)
         terms = zip((0.6, 0.5, 0.25), rng.uniform(low, high), rng.uniform(0.0, 6.3, 3), strict=True)
-        return size * sum(a * np.sin(f * fine + phase) for a, f, phase in terms)
+        return size * sum((a * np.sin(f * fine + phase) for a, f, phase in terms), np.zeros(fine.shape))
 
     levels = [np.stack([window * axis(1.5), window * axis(1.3), -1.5 - window * axis(0.4)], axis=1)]
     for _ in range(3):
@@ -57,7 +57,7 @@ def make_states() -> Callable[..., States]:
         constants = flight_constants(mocap_age_s=0.012, mocap_interval_s=0.01)
         x = roll_out(
             phi,
-            x0=phi.hover(start[:3], 0.0)[:, None],
+            x0=phi.hover(start[:3].tolist(), 0.0)[:, None],
             drive=reference_drive(reference, half_steps(0.0, steps, 0.02)),
             flight=constants,
             theta=phi.theta([DRAG] if drag else []),

@@ -95,10 +95,10 @@ class FakeVehicle:
 
     def _command(self, message: m.CommandLong) -> None:
         if message.command == mavlink.MAV_CMD_REQUEST_MESSAGE and message.param1 == m.AutopilotVersion.id:
-            version = [bytes.fromhex("0123456789ab") + bytes(2), bytes(8), bytes(8)]
+            version, unused = [*bytes.fromhex("0123456789ab"), 0, 0], [0] * 8
             uid = [*(7).to_bytes(8, "little"), *bytes(10)]
-            versions = [list(part) for part in version]
-            self.send(m.AutopilotVersion(0, 0, 0, 0, 0, *versions, m.VENDOR_ID, self.product_id, 7, uid))
+            product = (m.VENDOR_ID, self.product_id)
+            self.send(m.AutopilotVersion(0, 0, 0, 0, 0, version, unused, unused, *product, 7, uid))
         result = self.refuse(message.command)
         if result != mavlink.MAV_RESULT_ACCEPTED and self.text:
             self.send(m.StatusText(4, self.text.encode()))

@@ -15,6 +15,7 @@ from trimtab.host.log.writer import Stamps
 from trimtab.host.vehicle import Vehicle, load_vehicle
 from trimtab.protocol.blobs import Node, Reference
 from trimtab.protocol.generated import flight_pb2
+from trimtab.protocol.generated.flight_pb2 import Status
 
 ARM_HOST_US = 5_000_000
 OFFSET_US = 1234
@@ -74,14 +75,15 @@ def fly(provenance: Provenance) -> Callable[[Path | IO[bytes]], None]:
     return write
 
 
-def _status(ms: int, vehicle_us: int) -> flight_pb2.Status:
-    """The status at `ms` after arm; the states' numbers are those of FC_STATUS."""
+def _status(ms: int, vehicle_us: int) -> Status:
+    """The status at `ms` after arm."""
     end_ms = START_MS + DURATION_US // 1000
-    state = 3 if ms < START_MS else 4 if ms < end_ms else 5 if ms < end_ms + 1000 else 6
+    phases = ((START_MS, Status.TAKEOFF), (end_ms, Status.TRACKING), (end_ms + 1000, Status.HOLD))
+    state = next((state for until_ms, state in phases if ms < until_ms), Status.LANDING)
     start_us = ARM_HOST_US + START_MS * 1000 + OFFSET_US if ms >= 2000 else 0
-    return flight_pb2.Status(
+    return Status(
         source_us=vehicle_us,
-        state=state,  # type: ignore[arg-type]
+        state=state,
         battery_v=16.8,
         tracking_start_us=start_us,
     )

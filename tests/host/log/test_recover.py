@@ -81,8 +81,9 @@ def test_recover_cut_log_keeps_provenance_and_every_whole_chunk(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(log_bytes[: len(log_bytes) * 3 // 4])
     found = recover(cut)
-    assert found.output == tmp_path / "cut.recovered.mcap"
-    whole, part = read_flight(log_path), read_flight(found.output)
+    recovered = tmp_path / "cut.recovered.mcap"
+    assert found.output == recovered
+    whole, part = read_flight(log_path), read_flight(recovered)
     assert part.vehicle == whole.vehicle
     assert part.reference == whole.reference
     assert part.firmware_parameters == whole.firmware_parameters

@@ -112,13 +112,13 @@ def test_accelerometer_bias_is_not_what_late_poses_do_in_quick_turns(latency_s, 
     rate_dot = np.gradient(rate, t, axis=0)
 
     def slopes(k, x):
-        e = estimator.errors_of(x, a[k], rate[k])
-        attitude = R[k].ravel()
+        acceleration, omega = tuple(a[k]), tuple(rate[k])
+        e = estimator.errors_of(x, acceleration, omega)
+        attitude = tuple(R[k].ravel())
         estimated = estimator.turn(FLOAT, attitude, e[6:9])
-        late = (LATE["age_s"], 0.0, latency_s, LATE["interval_s"], bias)
-        return np.array(
-            estimator.error_rates(GAINS, e, attitude, estimated, v[k], a[k], rate[k], rate_dot[k], *late)
-        )
+        late = (LATE["age_s"], 0.0, latency_s, LATE["interval_s"], tuple(bias))
+        motion = (tuple(v[k]), acceleration, omega, tuple(rate_dot[k]))
+        return np.array(estimator.error_rates(GAINS, e, attitude, estimated, *motion, *late))
 
     per_bias, velocity = standing_errors(GAINS, LATE["age_s"], LATE["interval_s"])
     x = np.concatenate([per_bias * (R[0] @ bias), velocity * (R[0] @ bias), np.zeros(6)])

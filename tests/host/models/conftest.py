@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from trimtab.firmware_model.flight.engine import doubles
 from trimtab.firmware_model.law import feedforward as law_feedforward
 from trimtab.firmware_model.law import step as law_step
 from trimtab.firmware_model.law.allocation import command_to_thrust
@@ -110,6 +111,7 @@ def fly_sampled(vehicle) -> Callable[..., np.ndarray]:
                 law_step.step, law_step.INPUTS, law_step.OUTPUTS, "law_tick", engine="vm"
             )
         plant, law = engines[key], engines["law"]
+        given = doubles(law.inputs)
         steps = reference.duration_us // 1000
         flat = flat_outputs(reference, np.zeros(1))[:, 0]
         x = np.zeros(16)
@@ -120,19 +122,19 @@ def fly_sampled(vehicle) -> Callable[..., np.ndarray]:
             law_step.initial_memory(x[0:3].tolist(), (np.cos(x[8] / 2), 0.0, 0.0, np.sin(x[8] / 2)))
         )
         memory[law_step.OBSERVER_THRUST.start] = vehicle.mass_kg * 9.81
-        law.inputs["memory"][:] = memoryview(np.array(memory))
+        law.inputs["memory"][:] = np.array(memory).data
         parameters = law_step.parameter_vector(to_parameters(vehicle) | {"OBS_GAIN": observer})
-        law.inputs["parameters"][:] = memoryview(np.array(parameters))
-        law.inputs["observing"][0] = 1.0
-        law.inputs["feedforward"][:] = memoryview(np.array(feedforward))
-        law.inputs["armed"][0] = 1.0
-        law.inputs["feedback_weights"][:] = memoryview(np.ones(2))
+        law.inputs["parameters"][:] = np.array(parameters).data
+        given["observing"][0] = 1.0
+        law.inputs["feedforward"][:] = np.array(feedforward).data
+        given["armed"][0] = 1.0
+        law.inputs["feedback_weights"][:] = np.ones(2).data
         late = round(latency_s * 1000)
         past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=age_ticks + late + 1)
-        plant.inputs["x"][:] = memoryview(x)
+        plant.inputs["x"][:] = x.data
         hover = np.sqrt(x[12] / vehicle.thrust_max_n)
         sent = deque([np.full(4, hover)] * (delay_ticks + 1), maxlen=delay_ticks + 1)
-        plant.inputs["command"][:] = memoryview(sent[0])
+        plant.inputs["command"][:] = sent[0].data
         samples = [x[:12].copy()]
         at = yaw_at = 0
         for k in range(1, steps + 1):
@@ -147,22 +149,22 @@ def fly_sampled(vehicle) -> Callable[..., np.ndarray]:
                 yaw_at += 1
             a, b = nodes[at], nodes[at + 1]
             septic = septic_coefficients((b.t_us - a.t_us) * 1e-6, a.state, b.state)
-            law.inputs["piece"][:] = memoryview(np.array([(t_us - a.t_us) * 1e-6, *septic]))
-            c, d = (yaws[yaw_at], yaws[yaw_at + 1]) if len(yaws) > 1 else (yaws[0], yaws[0])
+            law.inputs["piece"][:] = np.array([(t_us - a.t_us) * 1e-6, *septic]).data
+            c, d = yaws[yaw_at], yaws[min(yaw_at + 1, len(yaws) - 1)]
             cubic = cubic_coefficients(max(d.t_us - c.t_us, 1) * 1e-6, *c[1:], *d[1:])
             inside_s = (t_us - c.t_us) * 1e-6 * (len(yaws) > 1)
-            law.inputs["yaw_piece"][:] = memoryview(np.array([inside_s, *cubic]))
-            law.inputs["gyro"][:] = memoryview(x[9:12].copy())
+            law.inputs["yaw_piece"][:] = np.array([inside_s, *cubic]).data
+            law.inputs["gyro"][:] = x[9:12].copy().data
             law.inputs["specific_force"][:] = plant.outputs["force"]
-            law.inputs["mocap_new"][0] = float(k % 10 == 0)
-            law.inputs["mocap_p"][:] = memoryview(past[0][0])
-            law.inputs["mocap_q"][:] = memoryview(past[0][1])
-            law.inputs["mocap_age_s"][0] = min(len(past) - 1, age_ticks) * 1e-3
-            law.inputs["mocap_interval_s"][0] = 0.01
+            given["mocap_new"][0] = float(k % 10 == 0)
+            law.inputs["mocap_p"][:] = past[0][0].data
+            law.inputs["mocap_q"][:] = past[0][1].data
+            given["mocap_age_s"][0] = min(len(past) - 1, age_ticks) * 1e-3
+            given["mocap_interval_s"][0] = 0.01
             law()
             law.inputs["memory"][:] = law.outputs["memory"]
             sent.append(np.array(law.outputs["motor_command"]))
-            plant.inputs["command"][:] = memoryview(sent[0])
+            plant.inputs["command"][:] = sent[0].data
             plant.inputs["x"][:] = plant.outputs["x"]
             if k % 10 == 0:
                 samples.append(x[:12].copy())

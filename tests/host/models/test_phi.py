@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -81,10 +83,10 @@ def test_phi_with_observer_equals_the_sampled_loop(vehicle, make_reference, fly_
     reference = make_reference(turning=True)
     effects = tuple(effect for effect, _ in parts)
     flown = fly_sampled(reference, parts, observer=4.0)
-    late = {"mocap_age_s": 0.012, "mocap_interval_s": 0.01}
-    predicted = predict(observing(vehicle, 4.0, effects=effects), reference, parts, **late)
+    late = partial(predict, mocap_age_s=0.012, mocap_interval_s=0.01)
+    predicted = late(observing(vehicle, 4.0, effects=effects), reference, parts)
     assert rmse(predicted, flown) < 0.1e-3
-    off = predict(Phi(vehicle=vehicle, effects=effects), reference, parts, **late)
+    off = late(Phi(vehicle=vehicle, effects=effects), reference, parts)
     if parts:
         assert rmse(off, flown) > 5e-3
 
@@ -204,14 +206,13 @@ def test_phi_estimate_drive_retraces_the_observer_of_a_reference_driven_flight(v
     h, begin, end = 0.005, 200, 360
     whole = observing(vehicle, 4.0, effects=(DRAG[0],), estimator=False)
     start = flat_outputs(reference, np.zeros(1))[:, 0]
-    common = {"flight": flight_constants(), "theta": np.array(DRAG[1])}
-    fine = roll_out(
+    roll = partial(roll_out, flight=flight_constants(), theta=np.array(DRAG[1]))
+    fine = roll(
         whole,
-        x0=whole.hover(start[:3], 0.0)[:, None],
+        x0=whole.hover(start[:3].tolist(), 0.0)[:, None],
         drive=reference_drive(reference, half_steps(0.0, 2 * end, 0.5 * h)),
         step_s=0.5 * h,
         rows=whole.size,
-        **common,
     )[2 * begin :, :, 0]
     estimate = observing(vehicle, 4.0, effects=(DRAG[0],), drive="estimate")
     assert estimate.observes
@@ -220,7 +221,7 @@ def test_phi_estimate_drive_retraces_the_observer_of_a_reference_driven_flight(v
     fed = np.concatenate([drive, fine[:, :12]], axis=1)
 
     def observed(fed):
-        states = roll_out(estimate, x0=fine[0][:, None], drive=fed, step_s=h, rows=estimate.size, **common)
+        states = roll(estimate, x0=fine[0][:, None], drive=fed, step_s=h, rows=estimate.size)
         return states[:, estimate.observer, 0]
 
     again = observed(fed)
@@ -241,16 +242,16 @@ def test_phi_inputs_and_estimate_drives_retrace_a_reference_driven_flight(vehicl
     whole = Phi(vehicle=vehicle, effects=(DRAG[0],), estimator=False)
     times = half_steps(0.0, steps, h)
     start = flat_outputs(reference, np.zeros(1))[:, 0]
-    common = {"flight": flight_constants(), "theta": np.array(DRAG[1])}
+    roll = partial(roll_out, flight=flight_constants(), theta=np.array(DRAG[1]))
     drive = reference_drive(reference, half_steps(0.0, 2 * steps, 0.5 * h))
-    fine = roll_out(
-        whole, x0=whole.hover(start[:3], 0.0)[:, None], drive=drive, step_s=0.5 * h, rows=whole.size, **common
+    fine = roll(
+        whole, x0=whole.hover(start[:3].tolist(), 0.0)[:, None], drive=drive, step_s=0.5 * h, rows=whole.size
     )[:, :, 0]
     assert fine.shape[0] == times.size
 
     estimate = Phi(vehicle=vehicle, effects=(DRAG[0],), drive="estimate")
     fed = np.concatenate([reference_drive(reference, times), fine[:, :12]], axis=1)
-    again = roll_out(estimate, x0=fine[0][:19, None], drive=fed, step_s=h, **common)[:, :, 0]
+    again = roll(estimate, x0=fine[0][:19, None], drive=fed, step_s=h)[:, :, 0]
     np.testing.assert_allclose(again[:, :3], fine[::2, :3], atol=1e-5)
 
     inputs = Phi(vehicle=vehicle, effects=(DRAG[0],), drive="inputs")
@@ -258,7 +259,7 @@ def test_phi_inputs_and_estimate_drives_retrace_a_reference_driven_flight(vehicl
     thrust = fine[:, 12:16]
     commanded = thrust + lag * np.gradient(thrust, 0.5 * h, axis=0, edge_order=2)
     recorded = np.concatenate([commanded, np.ones((times.size, 1)), times[:, None]], axis=1)
-    again = roll_out(inputs, x0=fine[0][:16, None], drive=recorded, step_s=h, **common)[:, :, 0]
+    again = roll(inputs, x0=fine[0][:16, None], drive=recorded, step_s=h)[:, :, 0]
     np.testing.assert_allclose(again[:200, :3], fine[:400:2, :3], atol=1e-3)
 
 
@@ -280,7 +281,7 @@ def test_roll_out_lanes_are_independent_even_beside_one_that_diverges(vehicle, m
     phi = Phi(vehicle=vehicle, effects=(DRAG[0],), estimator=False)
     drive = reference_drive(reference, half_steps(0.0, 100, 0.02))
     start = flat_outputs(reference, np.zeros(1))[:, 0]
-    x0 = np.repeat(phi.hover(start[:3], 0.0)[:, None], 3, axis=1)
+    x0 = np.repeat(phi.hover(start[:3].tolist(), 0.0)[:, None], 3, axis=1)
     theta = np.array([[0.4, -1e6, 0.1]] * 3)
     together = roll_out(phi, x0=x0, drive=drive, flight=flight_constants(), theta=theta, step_s=0.02)
     alone = roll_out(
@@ -320,7 +321,7 @@ def test_roll_out_several_flights_gather_their_own_drive(vehicle, make_reference
 def test_phi_wrong_arguments_are_refused(vehicle):
     phi = Phi(vehicle=vehicle, estimator=False)
     with pytest.raises(ValueError, match="drive must be one of"):
-        Phi(vehicle=vehicle, drive="thrust")  # type: ignore[arg-type]
+        Phi(vehicle=vehicle, drive="thrust")  # pyright: ignore[reportArgumentType]  # there is no such drive
     with pytest.raises(ValueError, match="hold_s"):
         Phi(vehicle=vehicle, hold_s=-1.0)
     with pytest.raises(ValueError, match="has no linear-drag"):

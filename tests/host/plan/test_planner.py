@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.narrowing import not_none
 from trimtab.firmware_model.law.checks import check_reference
 from trimtab.firmware_model.law.limits import from_parameters
 from trimtab.host.base.errors import UsageError
@@ -19,6 +20,7 @@ from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.models.region import Region
 from trimtab.host.plan import Plan, PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
 from trimtab.host.plan.judge import Passing, judge, measure
+from trimtab.host.plan.planner import JobOptions
 from trimtab.host.plan.table import evaluate, from_reference
 from trimtab.host.route import TIME_MAX_S, Gate, LimitsOverride, Route, YawProfile, load_route, random_route
 from trimtab.host.route.shapes import Cylinder
@@ -175,7 +177,7 @@ def _tracking_rmse(made: Plan) -> float:
     times = np.arange(0.0, made.duration_s, step_s / 2)
     flat = flat_outputs(made.reference, times)
     drive = np.vstack([flat, np.zeros((6, len(times))), np.ones(len(times)), times])
-    x = phi.hover(flat[:3, 0], float(flat[12, 0]))
+    x = phi.hover(flat[:3, 0].tolist(), float(flat[12, 0]))
     errors = []
     for k in range(0, len(times) - 2, 2):
         errors.append(x[:3] - flat[:3, k])
@@ -483,23 +485,23 @@ def test_free_total_time_is_shorter_where_a_second_costs_more() -> None:
     slow, quick = (each.duration_s for each in made)
     assert 0.7 * route.duration_s - 1e-3 <= quick < slow - 0.3
     assert slow <= 1.4 * route.duration_s + 1e-3
-    assert made[1].residual_rms_m_s2 > made[0].residual_rms_m_s2
+    assert not_none(made[1].residual_rms_m_s2) > not_none(made[0].residual_rms_m_s2)
     assert all(min(each.margins.values()) >= 0.0 for each in made)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"),
+    ("kind", "options", "named"),
     [
-        ({"time_box": (1.1, 1.3)}, "--time-box 1.1 1.3"),
-        ({"time_box": (0.01, 1.3)}, "--time-box 0.01 1.3"),
-        ({"time_weight": 1.0}, "--time-weight goes with --time-box"),
-        ({"time_box": (0.8, 1.3), "time_weight": -1.0}, "--time-weight -1"),
-        ({"time_box": (0.8, 1.3), "kind": "min-snap"}, "--time-box goes with min-control"),
+        ("min-control", {"time_box": (1.1, 1.3)}, "--time-box 1.1 1.3"),
+        ("min-control", {"time_box": (0.01, 1.3)}, "--time-box 0.01 1.3"),
+        ("min-control", {"time_weight": 1.0}, "--time-weight goes with --time-box"),
+        ("min-control", {"time_box": (0.8, 1.3), "time_weight": -1.0}, "--time-weight -1"),
+        ("min-snap", {"time_box": (0.8, 1.3)}, "--time-box goes with min-control"),
     ],
 )
-def test_freedom_of_time_that_makes_no_sense_is_refused(arguments: dict, named: str) -> None:
+def test_freedom_of_time_that_makes_no_sense_is_refused(kind: str, options: JobOptions, named: str) -> None:
     with pytest.raises(UsageError, match=re.escape(named)):
-        plan(load_route("pretzel"), VEHICLE, **{"kind": "min-control", **arguments})
+        plan(load_route("pretzel"), VEHICLE, kind=kind, **options)
 
 
 def test_free_total_time_of_a_route_with_times_is_refused() -> None:

@@ -51,7 +51,7 @@ def predicted(model: ResidualModel, x: Array) -> Array:
 
 def turned(x: Array, turn: Array) -> Array:
     """The state with its attitude turned by a small rotation vector, FRD: R (I + [turn] + [turn]^2 / 2)."""
-    R = np.array(euler_to_matrix(NUMPY, x[THETA])).reshape(3, 3)
+    R = np.array(euler_to_matrix(NUMPY, list(x[THETA]))).reshape(3, 3)
     cross = np.array([[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]])
     out = x.copy()
     out[THETA] = matrix_to_euler(NUMPY, list((R @ (np.eye(3) + cross + 0.5 * cross @ cross)).ravel()))

@@ -64,7 +64,8 @@ def _dense(waypoints: Array, durations: Array, velocities: Array) -> tuple[Array
         constrain({legs - 1: _derivative_row(durations[-1], order)}, end)
     equal = np.array(rows)
     system = np.block([[hessian, equal.T], [equal, np.zeros((len(equal), len(equal)))]])
-    found = np.linalg.solve(system, np.concatenate([np.zeros((8 * legs, 3)), np.array(right)]))[: 8 * legs]
+    solution = np.linalg.solve(system, np.concatenate([np.zeros((8 * legs, 3)), np.array(right)]))
+    found = np.asarray(solution, dtype=np.float64)[: 8 * legs]
     return found.reshape(legs, 8, 3), float(np.einsum("ic,ij,jc->", found, hessian, found))
 
 

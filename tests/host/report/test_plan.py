@@ -119,10 +119,19 @@ def test_plan_pictures_say_how_far_it_goes(made: Plan) -> None:
 
 
 def test_trade_page_has_a_row_for_every_plan_and_the_reason_of_one_that_failed(made: Plan) -> None:
-    known = {"jerk_rms_m_s3": 9.0, "tilt_max_deg": 30.0, "thrust_share_max": 0.3, "solve_s": 0.5}
     points = [
         Point(status="refused", reason="tilt <b> above", **SNAP, **BARE),
-        Point(kind="min-residual", factor=0.3, status="solved", reason=None, plan=made, **known),
+        Point(
+            kind="min-residual",
+            factor=0.3,
+            status="solved",
+            reason=None,
+            plan=made,
+            jerk_rms_m_s3=9.0,
+            tilt_max_deg=30.0,
+            thrust_share_max=0.3,
+            solve_s=0.5,
+        ),
     ]
     html = trade_page(points, ROUTE, {})
     assert html.count("<img ") == 1

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from trimtab.host.effects import Closing, Effect, ExactAlias
+from trimtab.host.effects.effect import Signal
 from trimtab.host.effects.parameter import Parameter
 from trimtab.host.log import Battery, Flight, Mocap
 from trimtab.host.models.model import Model
@@ -75,7 +76,7 @@ def build_effect(
     one_of: bool = False,
     memory: int = 0,
     exact_aliases: Sequence[ExactAlias] = (),
-    needs_signals: Mapping[str, float] | None = None,
+    needs_signals: Mapping[Signal, float] | None = None,
 ) -> Effect:
     """Return an effect that acts as a factor on the mass; with `memory` it has states of its own.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.host.trace.builders import build_flight
+from tests.narrowing import not_none
 from trimtab.host.log import Flight
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.decide import tracking_shortfall
@@ -98,6 +99,6 @@ def test_shortfall_of_tracking_holds_how_much_there_is_and_is_told_before_a_hove
 
 
 def test_shortfall_of_a_long_hover_holds_its_extent_and_mentions_no_time() -> None:
-    found = shortfall_of([build_flight(tracked_s=23.4, extent_m=0.0)])
+    found = not_none(shortfall_of([build_flight(tracked_s=23.4, extent_m=0.0)]))
     assert found == Finding(code=Code.HOVER_ONLY, value=0.0, bound=HOVER_M, unit="m")
     assert "23.4" not in sentence(found)

@@ -79,7 +79,8 @@ def test_read_logs_against_a_given_vehicle_is_that_vehicle() -> None:
     assert caught.value.details == {"code": Code.MIXED_VEHICLES}
 
 
-BARE = {"poses": 99}
+TOO_FEW = 99
+"""Poses of a flight that has too few."""
 WRONG = [
     pytest.param(
         [build_flight("a"), build_flight("b", vehicle=OTHER)],
@@ -126,7 +127,7 @@ WRONG = [
         id="vehicle-before-twice",
     ),
     pytest.param(
-        [build_flight("a"), build_flight("a", **BARE)],
+        [build_flight("a"), build_flight("a", poses=TOO_FEW)],
         [],
         "a",
         Code.LOG_GIVEN_TWICE,
@@ -134,7 +135,7 @@ WRONG = [
         id="twice-before-poses",
     ),
     pytest.param(
-        [build_flight("a"), build_flight("b", vehicle=OTHER, **BARE)],
+        [build_flight("a"), build_flight("b", vehicle=OTHER, poses=TOO_FEW)],
         [],
         "b",
         Code.MIXED_VEHICLES,
@@ -158,13 +159,13 @@ def test_read_logs_that_do_not_belong_together_are_refused_with_a_code(
 @pytest.mark.parametrize(
     ("flights", "held_out", "log", "code"),
     [
-        pytest.param([build_flight("a", **BARE)], [], "a", Code.TOO_FEW_POSES, id="used"),
+        pytest.param([build_flight("a", poses=TOO_FEW)], [], "a", Code.TOO_FEW_POSES, id="used"),
         pytest.param(
-            [build_flight("a")], [build_flight("b", **BARE)], "b", Code.TOO_FEW_POSES, id="held-out"
+            [build_flight("a")], [build_flight("b", poses=TOO_FEW)], "b", Code.TOO_FEW_POSES, id="held-out"
         ),
         pytest.param(
             [build_flight("a", reference_id="r")],
-            [build_flight("b", reference_id="r", **BARE)],
+            [build_flight("b", reference_id="r", poses=TOO_FEW)],
             "b",
             Code.TOO_FEW_POSES,
             id="poses-before-reference",

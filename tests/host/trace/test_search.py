@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,11 +43,12 @@ class KnownFitter:
     def prior(self) -> Prior:
         return self.space.prior
 
-    def fit(self, effects: Names, start: Known) -> Known:
+    def fit(self, effects: Sequence[str], start: Known) -> Known:
+        names = tuple(effects)
         theta_scaled = np.zeros(len(self.space.columns))
-        for name in effects:
+        for name in names:
             theta_scaled[list(self.space.groups[name])] = self.size
-        return Known(effects, self.evidence[effects], theta_scaled)
+        return Known(names, self.evidence[names], theta_scaled)
 
     def scorers(self, fit: Known) -> list[Callable[[Names], float]]:
         return [lambda names: self.believed[names]]

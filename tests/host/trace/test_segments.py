@@ -120,7 +120,7 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
     truth = 0.2 * rng.normal(size=(3, 12))
     data = make(np.full((3, PRE + STEPS, 4), HOVER), truth)
     theta_scaled, local = np.zeros(len(SPACE.columns)), np.zeros((1, model.LOCALS))
-    attitude = data.R_ned_frd
+    attitude, seen = data.R_ned_frd, np.zeros((0, 0, 12))
     for _ in range(4):  # the predicted attitude is told as what the measured one must turn by
         rolled = rollout.roll_out(FORM, replace(data, R_ned_frd=attitude), *lanes(data, theta_scaled))
         seen = np.transpose(rolled[:, :, 0], (2, 0, 1))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from generators.manoeuvres import INSTRUMENTS
 
+from tests.narrowing import not_none
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.route import load_route
@@ -138,7 +139,7 @@ def test_nominal_commands_do_not_leave_the_path_of_a_vehicle_that_is_off(
     at = [
         separation(
             segment_model.space,
-            information(segment_model, flat, point, INSTRUMENTS),
+            not_none(information(segment_model, flat, point, INSTRUMENTS)),
             (effect,),
             theta_scaled,
             effect,

@@ -32,6 +32,7 @@ def test_a_network_takes_what_is_left_and_names_nothing(monkeypatch: pytest.Monk
     said: list[str] = []
     found = unexplained(flights, held_out, model, load_effects(), told, said.append)
     assert found is not None
+    assert found.model is not None
     assert found.model.network is not None
     assert not found.model.effects
     assert 0.0 < found.before.position_rmse_m < 1.0

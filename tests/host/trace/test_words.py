@@ -328,10 +328,10 @@ def build_errors(position_m: float) -> Errors:
 
 
 def test_verdict_with_held_out_flights_ends_with_errors_in_whole_millimetres() -> None:
-    scores = {"before": [build_errors(0.0518)] * 2, "after": [build_errors(0.0121)] * 2}
-    told = words.verdict(trace(("drag",), named=("drag",), **scores))
+    before, after = [build_errors(0.0518)] * 2, [build_errors(0.0121)] * 2
+    told = words.verdict(trace(("drag",), named=("drag",), before=before, after=after))
     assert told.endswith("On 2 held-out flights the prediction error went from 52 to 12 mm.")
-    assert "mm" not in words.verdict(trace(**scores))
+    assert "mm" not in words.verdict(trace(before=before, after=after))
 
 
 def test_result_lines_hold_the_findings_in_groups() -> None:

@@ -86,9 +86,9 @@ def test_optional_observer_reaches_the_board_and_leaves_ids_without_it_alone(res
 
 def test_vehicle_refuses_changes_in_place(research: Vehicle) -> None:
     with pytest.raises(ValueError, match="frozen"):
-        research.mass_kg = 1.0  # pyright: ignore[reportAttributeAccessIssue]
+        research.mass_kg = 1.0
     with pytest.raises(TypeError):
-        research.tolerances["wind.wx"] = 1.0  # pyright: ignore[reportIndexIssue]
+        research.tolerances["wind.wx"] = 1.0  # pyright: ignore[reportIndexIssue]  # read-only
 
 
 def test_replace_checks_like_a_file(research: Vehicle) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,7 +53,7 @@ def test_one_world_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_study_measures_worlds_and_resumes(tmp_path: Path, short_programme: Programme) -> None:
-    def run() -> dict[str, object]:
+    def run() -> dict[str, Any]:
         return calibrate.run(
             folder=tmp_path, seed=4, vehicle="research", jobs=2, worlds=2, programme=short_programme
         )
@@ -63,4 +64,4 @@ def test_study_measures_worlds_and_resumes(tmp_path: Path, short_programme: Prog
     again = run()
     assert again == first
     assert {path: path.stat().st_mtime_ns for path in logs} == logs
-    assert all(np.isfinite(row["measured"]) for row in first["answer"]["rules"].values())  # pyright: ignore
+    assert all(np.isfinite(row["measured"]) for row in first["answer"]["rules"].values())

@@ -48,6 +48,7 @@ def test_log_that_is_not_there_is_refused_before_anything_is_traced(tmp_path: Pa
         read_groups(tmp_path / "none.toml")
 
 
+@pytest.mark.full  # a whole trace, twice
 def test_own_flights_are_traced_once_and_again_when_a_log_has_changed(tmp_path: Path) -> None:
     for name in ("a1", "a2", "b1", "c1"):
         shutil.copy(DATA / f"{name}.mcap", tmp_path)

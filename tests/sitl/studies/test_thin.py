@@ -112,6 +112,7 @@ def references(tmp_path_factory: pytest.TempPathFactory, short_programme: Progra
     return folder / "references"
 
 
+@pytest.mark.full  # flies two vehicles; the refusal itself is tested with the logs
 def test_two_vehicles_are_flown_and_the_answer_says_so(
     references: Path, tmp_path: Path, short_programme: Programme
 ) -> None:

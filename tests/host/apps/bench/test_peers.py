@@ -60,7 +60,7 @@ def test_derivative_at_states_of_every_kind_is_phis(
     require: Callable[[str], None], batch: tuple[Phi, Segments, np.ndarray, Gradient]
 ) -> None:
     require("diffrax")
-    import jax
+    import jax  # pyright: ignore[reportMissingImports]  # only in the extra `bench`
 
     from trimtab.host.apps.bench.jax_loop import JaxLoop
 
@@ -99,7 +99,7 @@ def test_peer_with_another_gradient_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     require("diffrax")
-    import jax
+    import jax  # pyright: ignore[reportMissingImports]  # only in the extra `bench`
 
     from trimtab.host.apps.bench import jax_rollouts
 

@@ -74,6 +74,7 @@ def test_demo_without_drag_applies_the_thrust_at_the_battery_there_is_to_the_fir
     assert outcome.failure is None
 
 
+@pytest.mark.full  # the other demos show the report
 def test_demo_whose_second_plan_and_flight_fail_still_reports(
     tmp_path: Path, vehicle: Vehicle, short_routes: DemoRoutes, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,7 +16,7 @@ from trimtab.host.apps.demo.plans import Planned, plan_first
 from trimtab.host.effects import load_effects
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.log.tracking import reference_at, tracking_error
-from trimtab.host.models.model import Model
+from trimtab.host.models.model import Model, Values
 from trimtab.host.route import Route
 from trimtab.host.vehicle import Vehicle
 
@@ -88,12 +88,12 @@ def test_tracked_with_the_latency_of_the_poses_sees_where_the_vehicle_was(
 
 
 def test_latency_of_a_trace_is_that_of_the_effect_it_names() -> None:
-    def trace(**tables: dict[str, dict[str, float]]) -> Any:
-        model = Model(vehicle_id="v", vehicle_name="n", **tables)
+    def trace(effects: Values, adjustments: Values) -> Any:
+        model = Model(vehicle_id="v", vehicle_name="n", effects=effects, adjustments=adjustments)
         return SimpleNamespace(model=model, space=SimpleNamespace(effects=load_effects()))
 
     late, other = {"mocap-latency": {"latency_s": 0.012}}, {"wind": {"wx": 1.0, "wy": 0.0}}
-    assert latency_of(trace(effects={**other, **late})) == 0.012
+    assert latency_of(trace(effects={**other, **late}, adjustments={})) == 0.012
     assert latency_of(trace(effects=other, adjustments=late)) == 0.0
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from trimtab.host.apps.demo import plans
 from trimtab.host.apps.demo.plans import Planned, fastest, plan_again, plan_first
 from trimtab.host.base.errors import Refused
-from trimtab.host.plan import PlanRefused, Weights
+from trimtab.host.plan import Plan, PlanRefused, Weights
 from trimtab.host.route import Route
 from trimtab.host.vehicle import Vehicle
 
@@ -49,7 +49,7 @@ def test_first_plan_that_stays_refused_ends_with_its_last_reason(
     assert caught.value.exit_code == 1
 
 
-FIRST = Planned(name="hop", route=ROUTE, time_s=2.3, plan=SimpleNamespace())  # type: ignore[arg-type]
+FIRST = Planned(name="hop", route=ROUTE, time_s=2.3, plan=cast(Plan, SimpleNamespace()))
 MODEL: Any = object()
 
 

@@ -18,7 +18,9 @@ def run(world: str, seed: int, folder: Path, vehicle: Vehicle, routes: DemoRoute
     return run_demo(order, load_effects(), say=lambda _: None)
 
 
-@pytest.mark.parametrize("world", ["flapping", pytest.param("tether", marks=pytest.mark.full)])
+# In the full run: tracing's own tests have the verdict.
+@pytest.mark.full
+@pytest.mark.parametrize("world", ["flapping", "tether"])
 def test_demo_in_a_world_outside_the_library_says_so_and_adds_nothing(
     world: str, tmp_path: Path, vehicle: Vehicle, short_routes: DemoRoutes
 ) -> None:

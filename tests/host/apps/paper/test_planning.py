@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.narrowing import not_none
 from trimtab.host.apps.paper.planning import compare
 from trimtab.host.apps.paper.planning.courses import draw_course
 from trimtab.host.apps.paper.planning.study import COURSES, PLANNED, WORLDS, plan_pieces
@@ -83,7 +84,7 @@ def test_residual_models_hold_the_drag_as_a_closed_form_or_a_network_and_the_tor
     assert sorted(names.pop(compare.CLOSED_FORM)) == ["com-offset", "linear-drag"]
     assert all(each == ["com-offset"] for each in names.values())
     assert found[compare.CLOSED_FORM].network is None
-    frames = {what: found[what].network.layout.frame for what in compare.NETWORKS}
+    frames = {what: not_none(found[what].network).layout.frame for what in compare.NETWORKS}
     assert frames == {"network-body": "body", "network-world": "world"}
 
 

@@ -53,7 +53,7 @@ def test_finding_to_json_without_a_comparison_holds_nulls() -> None:
 def test_finding_cannot_be_changed() -> None:
     finding = Finding(code=Code.NO_GYRO)
     with pytest.raises(FrozenInstanceError):
-        finding.value = 1.0  # pyright: ignore[reportAttributeAccessIssue]
+        finding.value = 1.0  # pyright: ignore[reportAttributeAccessIssue]  # frozen
 
 
 def test_refusal_tells_its_code_and_its_message() -> None:

@@ -190,7 +190,7 @@ def test_amounts_of_data_pay_for_the_whitening_that_they_are_meant_for() -> None
 
 def test_rules_cannot_be_changed() -> None:
     with pytest.raises(FrozenInstanceError):
-        RULES.odds = 10.0  # pyright: ignore[reportAttributeAccessIssue]
+        RULES.odds = 10.0  # pyright: ignore[reportAttributeAccessIssue]  # frozen
 
 
 def test_every_rule_is_read_somewhere_in_tracing() -> None:
