@@ -1,1 +1,1 @@
-"""The vehicle's firmware in Python: a flight MCU and a radio MCU that see nothing but bytes and sensors."""
+"""Python model of the vehicle's firmware: a flight MCU and a radio MCU with bytes and sensors as inputs."""

@@ -1,4 +1,4 @@
 """Times on the vehicle's clock: integer microseconds since power-up."""
 
 NEVER_US = 1 << 62
-"""A time that no clock reaches."""
+"""A time later than any clock time."""

@@ -1,1 +1,1 @@
-"""What crosses the link or lands in a file: dialect, framing, transfers, blobs, parameters, log schemas."""
+"""Formats of the link and of files: dialect, framing, transfers, blobs, parameters, log schemas."""

@@ -15,23 +15,23 @@ T_US_MAX = 0xFFFF_FFFF
 _HEADER = struct.Struct("<4sBBH6s3dII")
 HEADER_BYTES = _HEADER.size
 ORIGIN_BYTES = slice(14, 38)
-"""Place of the origin in the header."""
+"""Bytes of the header that hold the origin."""
 _FLOAT32_MAX = 3.4028235e38
 
 
 class Kind(IntEnum):
-    """Kind of a blob; the value is the header's, and TRIMTAB_BLOB's on the wire."""
+    """Kind of a blob. The header and TRIMTAB_BLOB on the wire use the same values."""
 
     REFERENCE = 1
     FEEDFORWARD = 2
 
 
 class BlobError(ValueError):
-    """Bytes or values that make no blob; the message names the field."""
+    """Invalid bytes or values of a blob. The message names the field."""
 
 
 class Header(NamedTuple):
-    """Header of a blob, without magic, kind and version. first, second: the two counts."""
+    """Header of a blob without magic, kind and version. first, second: the two counts."""
 
     flags: int
     vehicle_id: str
@@ -48,12 +48,12 @@ def pack_header(
 
 
 def unpack_header(data: bytes, kind: Kind) -> Header:
-    """Return the header of a blob of this kind. Raises BlobError."""
+    """Return the header of a blob of this kind. Raises BlobError if the header is invalid."""
     stated = kind_of(data)
     if stated is not kind:
         raise BlobError(f"kind: {stated} ({stated.name.lower()}) is not {int(kind)} ({kind.name.lower()})")
     if len(data) < HEADER_BYTES:
-        raise BlobError(f"length: {len(data)} bytes are less than a header of {HEADER_BYTES}")
+        raise BlobError(f"length: {len(data)} bytes are shorter than a header of {HEADER_BYTES}")
     _, _, version, flags, vehicle, n, e, d, first, second = _HEADER.unpack_from(data)
     if version != VERSION:
         raise BlobError(f"version: {version} is not {VERSION}")
@@ -67,13 +67,13 @@ def check_length(data: bytes, expected: int) -> None:
 
 
 def check_id(name: str, value: str) -> None:
-    """Raise BlobError unless `value` is an id."""
+    """Raise BlobError unless `value` is an id of 12 lower-case hex digits."""
     if not isinstance(value, str) or len(value) != 12 or any(c not in "0123456789abcdef" for c in value):
         raise BlobError(f"{name}: {value!r} is not 12 lower-case hex digits")
 
 
 def whole_time(name: str, value: int) -> int:
-    """Return a time in us. Raises BlobError unless it is a whole number in range."""
+    """Return a time in us as an int. Raises BlobError unless it is a whole number in range."""
     try:
         t_us = operator.index(value)
     except TypeError:
@@ -84,14 +84,14 @@ def whole_time(name: str, value: int) -> int:
 
 
 def check_increasing(name: str, times: Sequence[int]) -> None:
-    """Raise BlobError unless the times increase strictly."""
+    """Raise BlobError unless the times are strictly increasing."""
     for i in range(1, len(times)):
         if times[i] <= times[i - 1]:
             raise BlobError(f"{name}[{i}].t_us: {times[i]} does not come after {times[i - 1]}")
 
 
 def finite_floats(name: str, values: Iterable[float], size: int) -> tuple[float, ...]:
-    """Return `size` finite floats. Raises BlobError for another number or a value that is not finite."""
+    """Return `size` finite floats. Raises BlobError for another count or a value that is not finite."""
     floats = tuple(map(float, values))
     if len(floats) != size:
         raise BlobError(f"{name}: has {len(floats)} numbers, not {size}")
@@ -102,7 +102,7 @@ def finite_floats(name: str, values: Iterable[float], size: int) -> tuple[float,
 
 
 def float32s(name: str, values: Iterable[float], names: Sequence[str]) -> tuple[float, ...]:
-    """Return the values rounded to float32. Raises BlobError that names a value without a finite float32."""
+    """Return the values rounded to float32. Raises BlobError that names a value beyond float32."""
     floats = tuple(map(float, values))
     if len(floats) != len(names):
         raise BlobError(f"{name}: has {len(floats)} numbers, not {len(names)}")
@@ -119,7 +119,7 @@ def float32s(name: str, values: Iterable[float], names: Sequence[str]) -> tuple[
 
 
 def kind_of(data: bytes) -> Kind:
-    """Return the kind that the header states. Raises BlobError if there is no such header."""
+    """Return the kind that the header states. Raises BlobError if the header is invalid."""
     if data[:4] != MAGIC:
         raise BlobError(f"magic: {bytes(data[:4])!r} is not {MAGIC!r}")
     if len(data) < 5 or data[4] not in tuple(Kind):

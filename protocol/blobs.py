@@ -1,17 +1,20 @@
-"""Blobs to upload: a reference to fly, and a feed-forward. Standard library only.
+"""Blobs that a vehicle receives: references and feed-forwards. Standard library only.
 
-Little-endian, no padding, exact length. Both begin with a header of 46 B:
+The format is little-endian without padding. The length must match exactly. Both kinds start with a header of
+46 B:
 
     magic "TRTB", kind u8, version u8, flags u16, vehicle id 6 B, origin 3 x float64, count u32, count u32
 
-In a reference, nodes follow, as many as the first count: t_us u32 and p, v, a, j (3 float32 each, NED, p
-relative to the origin; 52 B). Then yaw rows, as many as the second count: t_us u32, yaw, yaw rate (float32;
-12 B). In a feed-forward, the model id (6 B), the number of hidden layers u8 and their widths (u8 each)
-follow, then float32 numbers: as many as the first count for form (a), as the second for form (b). The flags
-name the forms.
+A reference continues with its nodes and its yaw nodes. The first count is the number of nodes, the second the
+number of yaw nodes. A node has 52 B: t_us u32 and p, v, a, j (3 float32 each, NED, p relative to the origin).
+A yaw node has 12 B: t_us u32, yaw and yaw rate (float32).
 
-The id of a blob is the first 12 hex digits of the SHA-256 of its bytes. Values that travel as float32 are
-rounded when an object is built, so the host holds exactly what flies.
+A feed-forward continues with the model id (6 B), the number of hidden layers u8 and their widths (u8 each).
+float32 numbers follow: the first count is the number for form (a), the second the number for form (b). The
+flags name the forms.
+
+The id of a blob is the first 12 hex digits of the SHA-256 of its bytes. Objects round their values to float32
+when they are built, so the host holds exactly what the vehicle flies.
 """
 
 from __future__ import annotations
@@ -40,18 +43,18 @@ from trimtab.protocol.blob_fields import (
 )
 
 BLOB_BYTES_MAX = 256 * 1024
-"""Longest blob that a vehicle stores: 5040 nodes of a reference without yaw rows."""
+"""Longest blob that a vehicle stores: a reference of 5040 nodes without yaw nodes."""
 
 
 class Node(NamedTuple):
-    """A node of a reference: time and the 12 numbers p, v, a, j, NED."""
+    """A node of a reference: time and the 12 numbers p, v, a, j in NED."""
 
     t_us: int
     state: tuple[float, ...]
 
 
 class YawNode(NamedTuple):
-    """A node of the yaw profile: cubic Hermite pieces between nodes, held outside them."""
+    """A node of the yaw profile. Yaw is a cubic Hermite spline between nodes and constant outside them."""
 
     t_us: int
     yaw: float
@@ -73,11 +76,11 @@ BLOCK_FIELDS: tuple[tuple[str, int], ...] = (
     ("attitude_offset", 2),
     ("prediction_time_s", 1),
 )
-"""Form (a): names and sizes in order."""
+"""Names and sizes of the fields of form (a), in order."""
 
 BLOCK_SIZE = sum(size for _, size in BLOCK_FIELDS)
 NEUTRAL_BLOCK: tuple[float, ...] = (1.0, *(0.0 for _ in range(BLOCK_SIZE - 1)))
-"""The block that changes nothing."""
+"""Block of form (a) that has no effect."""
 
 NETWORK_INPUTS = 6
 NETWORK_OUTPUTS = 3
@@ -90,13 +93,14 @@ class Reference:
     """A trajectory as nodes of position, velocity, acceleration and jerk: a C3 spline of degree 7.
 
     Fields:
-        vehicle_id: 12 hex digits, the id of the vehicle it was planned for.
+        vehicle_id: id of the vehicle that the reference was planned for, 12 hex digits.
         origin_ned: m; positions of the nodes are relative to it.
-        nodes: at least two, the first at t_us 0, times strictly increasing.
-        yaws: none means yaw 0 throughout; times strictly increasing.
-        free_ends: it need not start and end at rest; the vehicle does not start one whose ends move.
+        nodes: at least two; the first is at t_us 0; times are strictly increasing.
+        yaws: times are strictly increasing; an empty tuple stands for yaw 0 throughout.
+        free_ends: whether the reference may start and end in motion. A flight cannot start with a reference
+            whose ends move.
 
-    Raises BlobError naming the field.
+    Raises BlobError that names the invalid field.
     """
 
     KIND: ClassVar[Kind] = Kind.REFERENCE
@@ -143,7 +147,7 @@ class Reference:
     def from_bytes(cls, data: bytes) -> Reference:
         """Return the reference in `data`.
 
-        Raises BlobError, and nothing else, naming the field that is wrong.
+        Raises BlobError that names the invalid field, and no other exception.
         """
         head = unpack_header(data, cls.KIND)
         if head.flags & ~cls._FREE_ENDS:
@@ -160,37 +164,38 @@ class Reference:
 
     @property
     def id(self) -> str:
-        """First 12 hex digits of the SHA-256 of the bytes."""
+        """First 12 hex digits of the SHA-256 of the blob's bytes."""
         return blob_id(self.to_bytes())
 
     @property
     def duration_us(self) -> int:
-        """Time of the last node."""
+        """Time of the last node in us."""
         return self.nodes[-1].t_us
 
     def nodes_ned(self) -> tuple[Node, ...]:
-        """Return the nodes with the origin added to their positions, in double."""
+        """Return the nodes with the origin added to their positions, in double precision."""
         n, e, d = self.origin_ned
         return tuple(
             Node(t, (state[0] + n, state[1] + e, state[2] + d, *state[3:])) for t, state in self.nodes
         )
 
     def yaw_nodes(self) -> tuple[YawNode, ...]:
-        """Return the yaw nodes, at least one: yaw 0 where the blob has none."""
+        """Return the yaw nodes, or a single node of yaw 0 if the blob has none."""
         return self.yaws or (YawNode(0, 0.0, 0.0),)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FeedForward:
-    """What the law adds: form (a), a block of numbers, form (b), a network, or both; at least one.
+    """A correction of the control law: form (a), a block of numbers; form (b), a network; or both.
 
     Fields:
         vehicle_id, model_id: 12 hex digits each.
-        block: BLOCK_SIZE numbers in the order of BLOCK_FIELDS, or None.
-        layers: widths of the network's hidden layers, at most 3 of at most 32; empty for no network.
-        weights: layer by layer, the output last; for every neuron its inputs' weights, then its bias.
+        block: form (a), BLOCK_SIZE numbers in the order of BLOCK_FIELDS, or None.
+        layers: form (b), widths of the hidden layers: at most 3 layers of at most 32 neurons; empty without a
+            network.
+        weights: weights by layer, the output layer last; for each neuron its input weights, then its bias.
 
-    Raises BlobError naming the field.
+    Raises BlobError that names the invalid field.
     """
 
     KIND: ClassVar[Kind] = Kind.FEEDFORWARD
@@ -236,7 +241,7 @@ class FeedForward:
     def from_bytes(cls, data: bytes) -> FeedForward:
         """Return the feed-forward in `data`.
 
-        Raises BlobError, and nothing else, naming the field that is wrong.
+        Raises BlobError that names the invalid field, and no other exception.
         """
         head = unpack_header(data, cls.KIND)
         if head.flags & ~(cls._BLOCK | cls._NETWORK):
@@ -263,7 +268,7 @@ class FeedForward:
 
     @property
     def id(self) -> str:
-        """First 12 hex digits of the SHA-256 of the bytes."""
+        """First 12 hex digits of the SHA-256 of the blob's bytes."""
         return blob_id(self.to_bytes())
 
 
@@ -271,12 +276,12 @@ Blob = Reference | FeedForward
 
 
 def from_bytes(data: bytes) -> Blob:
-    """Return the blob in `data`, of whichever kind its header says. Raises BlobError."""
+    """Return the blob in `data`, of the kind that its header states. Raises BlobError if it is invalid."""
     return FeedForward.from_bytes(data) if kind_of(data) is Kind.FEEDFORWARD else Reference.from_bytes(data)
 
 
 def blob_id(data: bytes) -> str:
-    """First 12 hex digits of the SHA-256 of `data`."""
+    """Return the first 12 hex digits of the SHA-256 of `data`."""
     return hashlib.sha256(data).hexdigest()[:12]
 
 
@@ -285,7 +290,7 @@ def _block_names() -> tuple[str, ...]:
 
 
 def _weight_count(layers: tuple[int, ...]) -> int:
-    """Return number of weights of a network with these hidden widths, 0 for none. Raises BlobError."""
+    """Return the number of weights of a network with these hidden widths. Raises BlobError if invalid."""
     if not layers:
         return 0
     if len(layers) > HIDDEN_MAX or not all(isinstance(n, int) and 1 <= n <= WIDTH_MAX for n in layers):

@@ -1,4 +1,4 @@
-"""MAVLink FTP as it travels: the 251 bytes inside FILE_TRANSFER_PROTOCOL, requests and answers alike."""
+"""Payload of MAVLink FTP: the 251 bytes inside FILE_TRANSFER_PROTOCOL, for requests and responses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _HEADER = struct.Struct("<HBBBBBBI")
 
 
 class Opcode(IntEnum):
-    """What is asked for, and the two kinds of answer."""
+    """Requests, and the two kinds of response."""
 
     NONE = 0
     TERMINATE_SESSION = 1
@@ -31,7 +31,7 @@ class Opcode(IntEnum):
 
 
 class Error(IntEnum):
-    """The first byte of a NAK's data."""
+    """Error code: the first byte of the data of a NAK."""
 
     FAIL = 1
     INVALID_DATA_SIZE = 3
@@ -45,9 +45,10 @@ class Error(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Packet:
-    """One request or answer. `size` is the length of `data`, except in requests to read: what is wanted.
+    """A request or a response.
 
-    `opcode` may be a number that Opcode does not name; `request` is the request's in an answer.
+    `size` is the length of `data`; in a read request it is the number of bytes requested. `opcode` may be a
+    number that Opcode does not define. `request` is the opcode of the request that a response answers.
     """
 
     number: int
@@ -61,7 +62,7 @@ class Packet:
 
     @classmethod
     def decode(cls, payload: bytes) -> Packet:
-        """Return the packet in a payload of any length: what is missing counts as zeros."""
+        """Return the packet in a payload of any length. Missing bytes count as zeros."""
         payload = bytes(payload).ljust(PAYLOAD_BYTES, b"\0")
         number, session, opcode, size, request, complete, _, offset = _HEADER.unpack_from(payload)
         return cls(
@@ -76,9 +77,9 @@ class Packet:
         )
 
     def encode(self) -> bytes:
-        """Return the payload, of full length. Raises ValueError where the data is too long."""
+        """Return the payload at full length. Raises ValueError if the data is too long."""
         if len(self.data) > DATA_BYTES:
-            raise ValueError(f"{len(self.data)} bytes do not fit, at most {DATA_BYTES} do")
+            raise ValueError(f"data must have at most {DATA_BYTES} bytes, not {len(self.data)}")
         head = _HEADER.pack(
             self.number & 0xFFFF,
             self.session,
@@ -93,5 +94,5 @@ class Packet:
 
 
 def crc32(data: bytes) -> int:
-    """Return the checksum of CALC_FILE_CRC32: initial value 0, nothing inverted at the end."""
+    """Return the checksum of CALC_FILE_CRC32: initial value 0, no final inversion."""
     return zlib.crc32(data, 0xFFFF_FFFF) ^ 0xFFFF_FFFF

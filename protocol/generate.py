@@ -1,8 +1,8 @@
-"""Writes `protocol/generated/`: `python -m trimtab.protocol.generate [folder]`.
+"""Generate `protocol/generated/`: `python -m trimtab.protocol.generate [folder]`.
 
-The dialect module comes from `dialect/trimtab.xml` by pymavlink's mavgen, `frames.py` (what a processor needs
-to find messages in a byte stream) from the same file, and `*_pb2.py` from `log/*.proto` by grpcio-tools.
-Needs pymavlink and grpcio-tools; the product itself needs only what is written here.
+pymavlink's mavgen makes the dialect module from `dialect/trimtab.xml`. `frames.py`, the table that finds
+messages in a byte stream, comes from the same file. grpcio-tools makes `*_pb2.py` from `log/*.proto`. Only
+this script needs the two generators; Trimtab itself needs only the generated files.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MESSAGES: dict[int, tuple[str, int, int]] = {{
 
 
 def generate(folder: Path = GENERATED) -> list[Path]:
-    """Return the files written into `folder`, sorted by name; the same bytes on every run."""
+    """Write the generated files into `folder` and return their paths. The output is reproducible."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "__init__.py").write_text(_INIT, encoding="utf-8")
     _write_dialect(folder)
@@ -45,11 +45,11 @@ def _write_dialect(folder: Path) -> None:
 
     output = folder / "trimtab.py"
     options = mavgen.Opts(str(output), wire_protocol="2.0", language="Python3", validate=True)
-    chatter = io.StringIO()
-    with contextlib.redirect_stdout(chatter):
-        done = mavgen.mavgen(options, [str(DIALECT)])
-    if not done:
-        raise RuntimeError(f"mavgen refused {DIALECT.name}:\n{chatter.getvalue()}")
+    output_text = io.StringIO()
+    with contextlib.redirect_stdout(output_text):
+        succeeded = mavgen.mavgen(options, [str(DIALECT)])
+    if not succeeded:
+        raise RuntimeError(f"mavgen rejected {DIALECT.name}:\n{output_text.getvalue()}")
 
 
 def _write_frames(folder: Path) -> None:
@@ -77,7 +77,7 @@ def _write_protos(folder: Path) -> None:
     include = Path(grpc_tools.__file__).parent / "_proto"
     options = [f"-I{PROTOS}", f"-I{include}", f"--python_out={folder}", f"--pyi_out={folder}"]
     if protoc.main(["protoc", *options, *protos]) != 0:
-        raise RuntimeError("protoc refused the log's schemas")
+        raise RuntimeError("protoc rejected the schemas of the flight log")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""The dialect's messages under short names, who speaks, and what a vehicle says about itself.
+"""Messages of the dialect under short names, addresses, and heartbeats.
 
-A message is built with its fields in the order of `dialect/trimtab.xml`, by place or by name; text fields
-are bytes. `mavlink` holds the dialect's constants (`mavlink.MAV_CMD_NAV_LAND`).
+Messages take their fields by position, in the order of `dialect/trimtab.xml`, or by name. Text fields are
+bytes. `mavlink` holds the constants of the dialect (`mavlink.MAV_CMD_NAV_LAND`).
 """
 
 from __future__ import annotations
@@ -61,24 +61,24 @@ VEHICLE_RADIO = (1, mavlink.MAV_COMP_ID_TELEMETRY_RADIO)
 HOST = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
 HOST_RADIO = (255, mavlink.MAV_COMP_ID_TELEMETRY_RADIO)
 CAMERAS = (254, 1)
-"""The motion capture system, which sends poses to the host."""
+"""System and component of the motion capture system, which sends poses to the host."""
 
 NO_TICK = 0xFFFF_FFFF
-"""FC_STATUS.reference_tick before it is known, swap_tick where none is agreed, UPLOAD_COMMIT.at_tick at
-once.
+"""No tick: FC_STATUS.reference_tick before it is known, FC_STATUS.swap_tick without an agreed swap, and
+UPLOAD_COMMIT.at_tick for an immediate commit.
 """
 NO_NODE = 0xFFFF
-"""UPLOAD_VERDICT.node where none is concerned."""
+"""UPLOAD_VERDICT.node if the verdict concerns no node."""
 FORCE = 21196.0
-"""COMMAND_LONG.param2 of MAV_CMD_COMPONENT_ARM_DISARM that disarms in flight."""
+"""COMMAND_LONG.param2 of MAV_CMD_COMPONENT_ARM_DISARM that forces a disarm in flight."""
 
 _MARK = 0x54
 VENDOR_ID = 0x5454
-"""AUTOPILOT_VERSION.vendor_id of a Trimtab vehicle; product_id is its dialect's version."""
+"""AUTOPILOT_VERSION.vendor_id of a Trimtab vehicle; its product_id is the dialect version."""
 
 
 class UploadState(IntEnum):
-    """UPLOAD_STATUS.state: what the receiver holds of the blob the message is about."""
+    """UPLOAD_STATUS.state: the receiver's state of the blob that the message concerns."""
 
     IDLE = mavlink.TRIMTAB_UPLOAD_IDLE
     RECEIVING = mavlink.TRIMTAB_UPLOAD_RECEIVING
@@ -89,7 +89,7 @@ class UploadState(IntEnum):
 
 
 class UploadResult(IntEnum):
-    """UPLOAD_STATUS.result: how the receiver took the last message about the blob."""
+    """UPLOAD_STATUS.result: the receiver's response to the last message about the blob."""
 
     OK = mavlink.TRIMTAB_UPLOAD_RESULT_OK
     TOO_LARGE = mavlink.TRIMTAB_UPLOAD_RESULT_TOO_LARGE
@@ -123,19 +123,19 @@ def host_heartbeat() -> Heartbeat:
 
 
 def sender_of(message: Message) -> tuple[int, int]:
-    """System and component that sent a message."""
+    """Return system and component of the sender of a message."""
     return message.get_srcSystem(), message.get_srcComponent()
 
 
 def is_own_host(heartbeat: Heartbeat) -> bool:
-    """Whether the sender is Trimtab's own ground station, which understands the private messages."""
+    """Return whether the sender is Trimtab's ground station, which understands the private messages."""
     return heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID and heartbeat.custom_mode >> 24 == _MARK
 
 
 def dialect_version(heartbeat: Heartbeat) -> int | None:
-    """Version of the dialect that the sender of this heartbeat speaks; None where it is no Trimtab vehicle.
+    """Return the dialect version of the heartbeat's sender, or None if it is not a Trimtab vehicle.
 
-    Compare with DIALECT_VERSION: with another version the private messages cannot be read.
+    The private messages can be read only if the version equals DIALECT_VERSION.
     """
     if heartbeat.autopilot != mavlink.MAV_AUTOPILOT_GENERIC or heartbeat.custom_mode >> 24 != _MARK:
         return None
@@ -143,5 +143,5 @@ def dialect_version(heartbeat: Heartbeat) -> int | None:
 
 
 def is_vehicle(heartbeat: Heartbeat) -> bool:
-    """Whether the sender is a flight controller of any make, not a ground station or a part of one."""
+    """Return whether the sender is a flight controller of any make rather than part of a ground station."""
     return heartbeat.autopilot != mavlink.MAV_AUTOPILOT_INVALID

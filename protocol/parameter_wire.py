@@ -1,4 +1,4 @@
-"""Parameters on the wire: whole numbers as the bits of an int32 in the float field, others as they are."""
+"""Wire encoding of parameters: the float field holds a float32, or the bits of an int32 for whole numbers."""
 
 from __future__ import annotations
 
@@ -14,14 +14,12 @@ _FLOAT = struct.Struct("<f")
 
 
 def type_of(row: Parameter | None) -> int:
-    """MAV_PARAM_TYPE by which a row of the table travels; that of floats for one that is not in it."""
+    """Return the MAV_PARAM_TYPE of a row of the table; REAL32 for None."""
     return INT32 if row is not None and row.integer else REAL32
 
 
 def encode(value: float, kind: int) -> float:
-    """Return what goes into param_value. Raises ValueError where an int32 is asked for and `value` is
-    none.
-    """
+    """Return param_value for a value of this type. Raises ValueError if `value` does not fit an int32."""
     if kind != INT32:
         return value
     try:
@@ -29,11 +27,11 @@ def encode(value: float, kind: int) -> float:
             raise ValueError
         return _FLOAT.unpack(_INT.pack(int(value)))[0]
     except (struct.error, OverflowError, ValueError):
-        raise ValueError(f"{value:g} is no int32") from None
+        raise ValueError(f"{value:g} is not an int32") from None
 
 
 def decode(raw: float, kind: int) -> float:
-    """Return the value that a param_value of this type stands for. Raises ValueError for any other type."""
+    """Return the value of a param_value of this type. Raises ValueError for any other type."""
     if kind == INT32:
         return float(_INT.unpack(_FLOAT.pack(raw))[0])
     if kind == REAL32:

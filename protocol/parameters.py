@@ -1,11 +1,10 @@
-"""The parameter table: everything that can be set on board, with type, default, unit and bounds.
+"""The parameter table: every parameter on board with type, default, unit and bounds.
 
-Every parameter is float32 on board; those that are whole numbers travel as int32. Names have at most 16
-characters. Defaults describe the 0.752 kg research quadrotor. In a name X, Y, Z are axes of body FRD, N, E, D
-those of world NED.
+Every parameter is a float32 on board. Whole numbers travel as int32. Names have at most 16 characters. The
+defaults describe the 0.752 kg research quadrotor. In a name, X, Y, Z are axes of the body frame FRD; N, E, D
+are axes of the world frame NED.
 
-Values are compared after rounding to float32 (`equal`): a host that holds 0.1 and a vehicle that answers
-0.10000000149 agree.
+Values are compared after rounding to float32 (`equal`): 0.1 on the host equals 0.10000000149 on board.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _FLOAT = struct.Struct("<f")
 
 
 def float32(value: float) -> float:
-    """`value` rounded to the nearest float32. Raises ValueError where it is not finite in float32."""
+    """Return `value` rounded to the nearest float32. Raises ValueError if the result is not finite."""
     try:
         rounded = _FLOAT.unpack(_FLOAT.pack(value))[0]
     except OverflowError:
@@ -32,15 +31,15 @@ def float32(value: float) -> float:
 
 
 def equal(a: float, b: float) -> bool:
-    """Whether the two values are the same on board: equal after rounding to float32."""
+    """Return whether two values are equal on board, that is after rounding to float32."""
     return float32(a) == float32(b)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One row: `min` and `max` are allowed themselves; `unit` is empty for a pure number.
+    """One row of the table. The bounds are inclusive; `unit` is empty for a pure number.
 
-    `integer`: a whole number, below 2^24 in size, which travels as an int32.
+    `integer`: whether it is a whole number of magnitude below 2^24, which travels as an int32.
     """
 
     name: str
@@ -58,7 +57,7 @@ class Parameter:
             raise ValueError(f"{self.name}: default {self.default} outside {self.min}..{self.max}")
 
     def check(self, value: float) -> float:
-        """`value` as float32. Raises ValueError naming parameter, value and bounds where not allowed."""
+        """Return `value` as float32. Raises ValueError if it is out of bounds or not a whole number."""
         try:
             rounded = float32(value)
         except ValueError as error:
@@ -67,7 +66,7 @@ class Parameter:
             bounds = f"{self.min:g}..{self.max:g} {self.unit}".rstrip()
             raise ValueError(f"{self.name}: {value:g} is outside {bounds}")
         if self.integer and not rounded.is_integer():
-            raise ValueError(f"{self.name}: {value:g} is no whole number")
+            raise ValueError(f"{self.name}: {value:g} is not a whole number")
         return rounded
 
 
@@ -117,24 +116,24 @@ PARAMETERS: tuple[Parameter, ...] = (
     *_axes("RATE_I", "XYZ", (5.0, 5.0, 1.0), "1/s^2", 0.0, 500.0, "gain of the body rate error's integral"),
     *_axes("RATE_D", "XYZ", (0.25, 0.25, 0.0), "", 0.0, 20.0, "gain of the body rate's derivative"),
     *_axes("RATE_ILIM", "XYZ", (8.0, 8.0, 2.0), "rad/s^2", 0.0, 1000.0, "bound of the rate integral"),
-    _row("RATE_FILT_HZ", 40.0, "Hz", 1.0, 300.0, "corner of the body rate filter behind the derivative"),
-    _row("THRUST_FLOOR", 0.2, "", 0.0, 1.0, "least collective thrust commanded, share of the weight"),
+    _row("RATE_FILT_HZ", 40.0, "Hz", 1.0, 300.0, "corner of the body rate filter of the derivative"),
+    _row("THRUST_FLOOR", 0.2, "", 0.0, 1.0, "least commanded collective thrust, share of the weight"),
     # The estimator: continuous gains.
-    _row("EST_POS", 20.0, "1/s", 0.0, 500.0, "gain of a pose's position error on position"),
-    _row("EST_VEL", 120.0, "1/s^2", 0.0, 5000.0, "gain of a pose's position error on velocity"),
-    _row("EST_ATT", 5.0, "1/s", 0.0, 500.0, "gain of a pose's attitude error on attitude"),
-    _row("EST_BIAS", 0.5, "1/s^2", 0.0, 50.0, "gain of a pose's attitude error on the gyro bias"),
+    _row("EST_POS", 20.0, "1/s", 0.0, 500.0, "gain from a pose's position error to position"),
+    _row("EST_VEL", 120.0, "1/s^2", 0.0, 5000.0, "gain from a pose's position error to velocity"),
+    _row("EST_ATT", 5.0, "1/s", 0.0, 500.0, "gain from a pose's attitude error to attitude"),
+    _row("EST_BIAS", 0.5, "1/s^2", 0.0, 50.0, "gain from a pose's attitude error to the gyro bias"),
     _row("EST_BIAS_MAX", 0.2, "rad/s", 0.0, 2.0, "bound of the estimated gyro bias"),
     # The disturbance observer.
     _row("OBS_GAIN", 0.0, "1/s", 0.0, 20.0, "bandwidth of the disturbance observer, 0 for off"),
-    _row("MOTOR_LAG", 0.033, "s", 1e-4, 1.0, "lag of the rotors' thrust behind its command"),
-    # What the on-board check accepts.
+    _row("MOTOR_LAG", 0.033, "s", 1e-4, 1.0, "time constant of the rotors' thrust"),
+    # Limits of the on-board check.
     _row("LIM_SPEED", 10.0, "m/s", 0.1, 100.0, "greatest speed of a reference"),
     _row("LIM_TILT_DEG", 60.0, "deg", 1.0, 180.0, "greatest tilt of a reference"),
     *_axes("LIM_RATE", "XYZ", (6.0, 6.0, 3.0), "rad/s", 0.1, 100.0, "greatest body rate of a reference"),
     _row("LIM_JERK", 80.0, "m/s^3", 0.1, 10000.0, "greatest jerk of a reference"),
-    _row("LIM_THR_LO", 0.08, "", 0.0, 1.0, "least thrust of a rotor on a reference, of THRUST_MAX"),
-    _row("LIM_THR_HI", 0.65, "", 0.0, 1.0, "greatest thrust of a rotor on a reference, of THRUST_MAX"),
+    _row("LIM_THR_LO", 0.08, "", 0.0, 1.0, "least rotor thrust on a reference, share of THRUST_MAX"),
+    _row("LIM_THR_HI", 0.65, "", 0.0, 1.0, "greatest rotor thrust on a reference, share of THRUST_MAX"),
     _row("FENCE_N_MIN", -10.0, "m", -10000.0, 10000.0, "southern wall of the flight volume"),
     _row("FENCE_N_MAX", 10.0, "m", -10000.0, 10000.0, "northern wall of the flight volume"),
     _row("FENCE_E_MIN", -10.0, "m", -10000.0, 10000.0, "western wall of the flight volume"),
@@ -145,9 +144,14 @@ PARAMETERS: tuple[Parameter, ...] = (
     # The flight around a reference.
     _row("TAKEOFF_SPEED", 1.0, "m/s", 0.05, 10.0, "greatest speed of the climb to the first node"),
     _row(
-        "TAKEOFF_CLEAR", 0.3, "m", 0.0, 100.0, "a first node further to the side is climbed to upright first"
+        "TAKEOFF_CLEAR",
+        0.3,
+        "m",
+        0.0,
+        100.0,
+        "horizontal distance of the first node above which the climb starts vertically",
     ),
-    _row("TAKEOFF_HEIGHT", 1.0, "m", 0.3, 100.0, "height of a takeoff that names none"),
+    _row("TAKEOFF_HEIGHT", 1.0, "m", 0.3, 100.0, "default height of a takeoff"),
     _row("HOVER_S", 1.0, "s", 0.0, 60.0, "hover before tracking"),
     _row("HOLD_S", 1.0, "s", 0.0, 600.0, "hold after the last node"),
     _row("LAND_SPEED", 0.5, "m/s", 0.05, 5.0, "speed of the descent"),
@@ -157,7 +161,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     _row("IDLE_S", 30.0, "s", 1.0, 3600.0, "time armed on the floor after which the vehicle disarms"),
     _row("OFFB_ACCEL", 4.0, "m/s^2", 0.1, 50.0, "greatest acceleration towards a setpoint"),
     _row("OFFB_TURN", 1.5, "rad/s", 0.05, 20.0, "greatest yaw rate towards a setpoint's yaw"),
-    _row("OFFB_HEIGHT", 0.2, "m", 0.0, 100.0, "least height above the floor that a setpoint leads to"),
+    _row("OFFB_HEIGHT", 0.2, "m", 0.0, 100.0, "least height above the floor of a setpoint"),
     # Arming.
     _row("ARM_TILT_DEG", 20.0, "deg", 1.0, 90.0, "greatest tilt at arming"),
     _row(
@@ -166,10 +170,10 @@ PARAMETERS: tuple[Parameter, ...] = (
         "deg",
         0.5,
         90.0,
-        "greatest angle at arming from the accelerometer's down to the poses'",
+        "greatest angle at arming between the verticals of accelerometer and poses",
     ),
     _row("ARM_GYRO_STILL", 0.15, "rad/s", 0.001, 5.0, "greatest change of a gyro sample during calibration"),
-    # Poses that the estimate refuses in the air.
+    # Rejection of poses in flight.
     _row("EST_JUMP_M", 0.5, "m", 0.01, 100.0, "distance from the estimate beyond which a pose is refused"),
     _row("EST_JUMP_SPEED", 3.0, "m/s", 0.0, 100.0, "growth of EST_JUMP_M with the age of the last pose"),
     _row("EST_JUMP_DEG", 45.0, "deg", 1.0, 180.0, "angle from the estimate beyond which a pose is refused"),
@@ -177,19 +181,21 @@ PARAMETERS: tuple[Parameter, ...] = (
     _row("FS_TILT_DEG", 85.0, "deg", 10.0, 180.0, "tilt that counts as loss of control"),
     _row("FS_TILT_S", 0.3, "s", 0.001, 60.0, "time beyond FS_TILT_DEG before the motors stop"),
     _row("FS_MOCAP_S", 0.5, "s", 0.01, 60.0, "time without a pose before the vehicle descends level"),
-    _row("FS_LINK_S", 3.0, "s", 0.1, 3600.0, "time without a message of the host before the vehicle lands"),
-    _row("FS_AGE_S", 0.1, "s", 0.01, 10.0, "age of the newest pose used that counts as late"),
-    _row("FS_LATE_S", 1.0, "s", 0.01, 60.0, "time that poses are late before the vehicle lands"),
+    _row("FS_LINK_S", 3.0, "s", 0.1, 3600.0, "time without a host message before the vehicle lands"),
+    _row("FS_AGE_S", 0.1, "s", 0.01, 10.0, "age of the newest pose above which poses are late"),
+    _row("FS_LATE_S", 1.0, "s", 0.01, 60.0, "time with late poses before the vehicle lands"),
     _row("FS_OFFB_S", 0.5, "s", 0.05, 60.0, "time without a setpoint before the vehicle holds"),
     _row("FS_OFFB_HOLD_S", 10.0, "s", 0.0, 3600.0, "hold after the last setpoint before the vehicle lands"),
-    _row("FS_BAT_SHARE", 0.1, "", 0.0, 1.0, "share from empty to full voltage that counts as low, 0 for off"),
-    _row("FS_BAT_S", 3.0, "s", 0.1, 600.0, "time constant that the battery's voltage is smoothed by"),
+    _row("FS_BAT_SHARE", 0.1, "", 0.0, 1.0, "low battery, share from empty to full voltage, 0 for off"),
+    _row("FS_BAT_S", 3.0, "s", 0.1, 600.0, "time constant of the voltage filter"),
     _row("FS_SAT_S", 1.5, "s", 0.05, 60.0, "time with saturated motors before the vehicle lands"),
     _row("FS_IMU_S", 0.05, "s", 0.0, 60.0, "time with an unchanging IMU before the motors stop, 0 for off"),
-    _row("FS_LOOP_MAX", 100, "", 1, 10000, "late ticks within FS_LOOP_S that are too many", integer=True),
+    _row(
+        "FS_LOOP_MAX", 100, "", 1, 10000, "late ticks within FS_LOOP_S before the vehicle lands", integer=True
+    ),
     _row("FS_LOOP_S", 1.0, "s", 0.01, 600.0, "time over which late ticks are counted"),
-    _row("FS_FENCE_M", 0.5, "m", 0.0, 1000.0, "distance beyond the flight volume that is too far"),
-    _row("FS_FENCE_S", 0.5, "s", 0.0, 60.0, "time beyond it before the vehicle lands"),
+    _row("FS_FENCE_M", 0.5, "m", 0.0, 1000.0, "distance beyond the flight volume that counts as leaving it"),
+    _row("FS_FENCE_S", 0.5, "s", 0.0, 60.0, "time beyond FS_FENCE_M before the vehicle lands"),
     _row("FS_SINK_SPEED", 0.7, "m/s", 0.05, 5.0, "speed of the level descent without position"),
     _row("FS_BLIND_S", 5.0, "s", 0.5, 60.0, "time that the level descent follows dead-reckoned velocity"),
     _row("FS_BLIND_END_S", 3.0, "s", 2.0, 60.0, "time after FS_BLIND_S at which the level descent ends"),
@@ -199,25 +205,24 @@ PARAMETERS: tuple[Parameter, ...] = (
 def _index(table: tuple[Parameter, ...]) -> Mapping[str, Parameter]:
     names = {row.name: row for row in table}
     if len(names) != len(table):
-        raise ValueError("a parameter name occurs twice")
+        raise ValueError("duplicate parameter name")
     return MappingProxyType(names)
 
 
 BY_NAME: Mapping[str, Parameter] = _index(PARAMETERS)
-"""The rows by name."""
+"""Rows of the table by name."""
 
 INDEX: Mapping[str, int] = MappingProxyType({row.name: index for index, row in enumerate(PARAMETERS)})
-"""Place of each name in the table: PARAM_VALUE's param_index."""
+"""Index of each name in the table: param_index of PARAM_VALUE."""
 
 DEFAULTS: Mapping[str, float] = MappingProxyType({row.name: row.default for row in PARAMETERS})
-"""Default of each parameter, in the table's order."""
+"""Default of each parameter, in the order of the table."""
 
 
 def complete(values: Mapping[str, float]) -> dict[str, float]:
-    """Return a value for every parameter in the table's order, rounded to float32: `values`, defaults
-    elsewhere.
+    """Return `values` completed with defaults, rounded to float32, in the order of the table.
 
-    Raises ValueError where a name is not in the table or a value is not allowed.
+    Raises ValueError if a name is not in the table or a value is not allowed.
     """
     unknown = sorted(set(values) - set(BY_NAME))
     if unknown:
@@ -230,11 +235,11 @@ def differences(
 ) -> dict[str, tuple[float, float]]:
     """Return (expected, on board) of each parameter of `expected` that differs after rounding to float32.
 
-    A parameter that is not on board counts as NaN there.
+    The value on board is NaN if `on_board` lacks the parameter.
     """
-    found = {}
+    pairs = {}
     for name, value in expected.items():
-        other = on_board.get(name, math.nan)
-        if math.isnan(other) or not equal(value, other):
-            found[name] = (value, other)
-    return found
+        board_value = on_board.get(name, math.nan)
+        if math.isnan(board_value) or not equal(value, board_value):
+            pairs[name] = (value, board_value)
+    return pairs

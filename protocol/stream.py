@@ -1,4 +1,4 @@
-"""Find whole MAVLink 2 messages of the dialect in a stream of bytes, without decoding their payloads."""
+"""Find complete MAVLink 2 messages of the dialect in a byte stream, without decoding their payloads."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ MAGIC = 0xFD
 HEADER_BYTES = 10
 OVERHEAD_BYTES = HEADER_BYTES + 2
 SIGNATURE_BYTES = 13
-LONGEST_BYTES = OVERHEAD_BYTES + 255 + SIGNATURE_BYTES
-"""No message is longer, so no splitter keeps more than one byte less between two calls."""
+MESSAGE_BYTES_MAX = OVERHEAD_BYTES + 255 + SIGNATURE_BYTES
+"""Longest message. A splitter buffers fewer bytes than this between two calls."""
 
 _SIGNED = 0x01
 _PRIVATE = 52100
 _MAGIC = bytes([MAGIC])
-# id: (checksum seed, longest payload). Standard messages may have grown extensions that we do not know.
+# id: (checksum seed, longest payload). Standard messages may have extensions that this dialect lacks.
 _KNOWN: dict[int, tuple[bytes, int]] = {
     number: (bytes([seed]), longest if number >= _PRIVATE else 255)
     for number, (_, seed, longest) in MESSAGES.items()
@@ -24,20 +24,20 @@ _KNOWN: dict[int, tuple[bytes, int]] = {
 
 
 def message_id(message: bytes) -> int:
-    """Id of a whole message."""
+    """Return the id of a complete message."""
     return message[7] | message[8] << 8 | message[9] << 16
 
 
 class StreamSplitter:
-    """Finds whole messages of the dialect in a stream that may lose, repeat or garble bytes.
+    """Finds complete messages of the dialect in a stream that may lose, repeat or corrupt bytes.
 
-    A message counts when its id is known, its length possible and its checksum right; otherwise the search
-    goes on one byte further, so that a damaged message costs none of its neighbours.
+    A message is valid if its id is known, its length is possible and its checksum is correct. Otherwise the
+    search resumes one byte later, so a damaged message does not cost its neighbours.
 
     Attributes, all counts since construction:
-        messages: whole messages found.
-        bad_bytes: bytes that belonged to none.
-        bad_checksums: plausible headers whose checksum was wrong.
+        messages: complete messages.
+        bad_bytes: bytes that belonged to no message.
+        bad_checksums: plausible headers with a wrong checksum.
     """
 
     def __init__(self) -> None:
@@ -48,17 +48,17 @@ class StreamSplitter:
 
     @property
     def pending_bytes(self) -> int:
-        """Bytes kept for the next call: the beginning of what may become a message."""
+        """Number of buffered bytes: a possible start of a message."""
         return len(self._pending)
 
     def feed(self, data: bytes, *, last: bool = False) -> list[bytes]:
-        """Return the messages that `data` completes, oldest first, each exactly as it was in the stream.
+        """Return the messages that `data` completes, oldest first, as the bytes of the stream.
 
-        After the `last` bytes nothing is waited for: what has begun and not ended is no message, and may
-        have one inside.
+        last: whether the stream ends with `data`. An incomplete message at the end is then searched for
+        messages inside it.
         """
         data = self._pending + data if self._pending else bytes(data)
-        found: list[bytes] = []
+        messages: list[bytes] = []
         at, end = 0, len(data)
         while at < end:
             if data[at] != MAGIC:
@@ -88,16 +88,16 @@ class StreamSplitter:
                 self.bad_bytes += 1
                 at += 1
                 continue
-            found.append(data[at:after])
+            messages.append(data[at:after])
             at = after
         if last:
             self.bad_bytes += end - at
             at = end
         self._pending = data[at:]
-        self.messages += len(found)
-        return found
+        self.messages += len(messages)
+        return messages
 
 
 def split(data: bytes) -> list[bytes]:
-    """Return the messages in `data` alone, a datagram: what began in it and did not end is none."""
+    """Return the complete messages in a datagram."""
     return StreamSplitter().feed(data, last=True)

@@ -1,9 +1,9 @@
-"""What the vehicle reports at rate: running sums, and the field encodings of the FC_ messages.
+"""Running sums and field encodings of the FC_ messages, which the vehicle sends at a fixed rate.
 
-The vehicle adds up motor commands, gyro and specific force over all ticks since boot, in counts. It sends the
-floor of each sum modulo 2^32, so the remainder is carried along. The difference of two messages is the exact
-sum between them: a lost message widens the interval and loses nothing. Differences are read as signed, which
-is unambiguous below 2^31 counts: over the longest interval, 10 s, a mean of 52 rad/s or 209 m/s^2.
+The vehicle sums motor commands, gyro and specific force over all ticks since boot, in counts. It sends the
+floor of each sum modulo 2^32 and carries the remainder along. The difference of two messages is therefore the
+exact sum between them: a lost message widens the interval but loses no data. Differences are signed. They are
+unambiguous below 2^31 counts: over the longest interval, 10 s, that is a mean of 52 rad/s or 209 m/s^2.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NamedTuple
 from trimtab.protocol.messages import FcControl, FcEstimate, FcObserver
 
 TICK_US = 1000
-"""Everybody's base tick: the law's step, the plant's, and the unit of ticks in messages."""
+"""Base tick: step of the control law and of the plant, and unit of ticks in messages."""
 MOTOR_COUNTS = 65536.0
 """Counts per unit of motor command and tick."""
 GYRO_COUNTS = 4096.0
@@ -23,13 +23,13 @@ GYRO_COUNTS = 4096.0
 FORCE_COUNTS = 1024.0
 """Counts per m/s^2 and tick."""
 GAP_MAX_TICKS = 10_000
-"""A longer interval is invalid."""
+"""Longest valid interval between two FC_CONTROL messages."""
 OVERTAKEN_TICKS = 1_000
-"""A message whose tick is less than this behind the newest is late; further back, the vehicle rebooted."""
+"""A message is late if its tick is less than this behind the newest; if more, the vehicle has rebooted."""
 QUATERNION_SCALE = 32767
 AGE_TICK_US = 100
 AGE_NONE = 0xFFFF
-"""FC_ESTIMATE.mocap_age of a pose that is 6.5 s old or more, or that never came."""
+"""FC_ESTIMATE.mocap_age if the newest pose is 6.5 s old or older, or if none has arrived."""
 
 _MODULUS = 1 << 32
 _HALF = 1 << 31
@@ -37,46 +37,42 @@ _MASK = _MODULUS - 1
 
 
 def encode_sum(counts: float) -> int:
-    """Return the running sum as it is sent: its floor modulo 2^32."""
+    """Return the wire value of a running sum: its floor modulo 2^32."""
     return math.floor(counts) & _MASK
 
 
 def difference(later: int, earlier: int) -> int:
-    """Return counts from `earlier` to `later`, signed: -2^31 to 2^31 - 1."""
+    """Return the signed counts from `earlier` to `later`: -2^31 to 2^31 - 1."""
     return ((later - earlier + _HALF) & _MASK) - _HALF
 
 
 def encode_quaternion(q: Sequence[float]) -> tuple[int, int, int, int]:
-    """Return a unit quaternion as FC_ESTIMATE carries it; each part is off by at most half a step of
-    1/32767.
-    """
+    """Return the FC_ESTIMATE code of a unit quaternion, in steps of 1/32767 for each component."""
     w, x, y, z = (max(-QUATERNION_SCALE, min(QUATERNION_SCALE, round(QUATERNION_SCALE * part))) for part in q)
     return (w, x, y, z)
 
 
 def decode_quaternion(q: Sequence[int]) -> tuple[float, float, float, float]:
-    """Return the unit quaternion in FC_ESTIMATE, w first; the identity where all parts are 0."""
+    """Return the unit quaternion of an FC_ESTIMATE code, w first; the identity if all components are 0."""
     w, x, y, z = q
     norm = math.sqrt(w * w + x * x + y * y + z * z)
     return (w / norm, x / norm, y / norm, z / norm) if norm else (1.0, 0.0, 0.0, 0.0)
 
 
 def whole_tick(tick: int, now: int) -> int:
-    """Return the tick nearest to `now` of which a message has the last 32 bits; they begin anew after 49.7
-    days.
-    """
+    """Return the tick nearest to `now` whose last 32 bits are `tick`. The 32 bits wrap after 49.7 days."""
     return now + difference(tick, now)
 
 
 def encode_age(age_us: int | None) -> int:
-    """Age of a pose as FC_ESTIMATE carries it, rounded to 0.1 ms; None is for no pose."""
+    """Return the FC_ESTIMATE code of a pose age, rounded to 0.1 ms. None stands for no pose."""
     if age_us is None:
         return AGE_NONE
     return max(0, min(AGE_NONE, (age_us + AGE_TICK_US // 2) // AGE_TICK_US))
 
 
 def decode_age(age: int) -> int | None:
-    """Age in us; None where it is 6.5 s or more, or there was no pose."""
+    """Return the age in us, or None if it is 6.5 s or more or if no pose has arrived."""
     return None if age >= AGE_NONE else age * AGE_TICK_US
 
 
@@ -91,7 +87,7 @@ def control_message(
     force_sum: Sequence[float],
     rate_integral: Sequence[float],
 ) -> FcControl:
-    """FC_CONTROL at this tick. The sums come in counts, as floats that nothing has wrapped yet."""
+    """Return FC_CONTROL at this tick. The sums are unwrapped counts."""
     return FcControl(
         tick & _MASK,
         collective_n,
@@ -114,7 +110,7 @@ def estimate_message(
     mocap_age_us: int | None,
     gyro_bias_frd: Sequence[float],
 ) -> FcEstimate:
-    """FC_ESTIMATE at this tick."""
+    """Return FC_ESTIMATE at this tick."""
     return FcEstimate(
         tick & _MASK,
         p_ned,
@@ -127,12 +123,12 @@ def estimate_message(
 
 
 def observer_message(tick: int, *, disturbance_ned: Sequence[float]) -> FcObserver:
-    """FC_OBSERVER at this tick."""
+    """Return FC_OBSERVER at this tick."""
     return FcObserver(tick & _MASK, disturbance_ned)
 
 
 class ControlInterval(NamedTuple):
-    """Means between two FC_CONTROL messages, over the ticks after `start_tick` up to and with `end_tick`."""
+    """Means between two FC_CONTROL messages, over the ticks `start_tick` + 1 to `end_tick`."""
 
     start_tick: int
     end_tick: int
@@ -145,37 +141,39 @@ class ControlInterval(NamedTuple):
 
 
 class IntervalDecoder:
-    """Turns the FC_CONTROL messages of one vehicle into intervals.
+    """Converts the FC_CONTROL messages of one vehicle to intervals.
 
     Attributes, counts since construction:
-        invalid: messages that began anew: the tick ran back (a reboot) or more than 10 s were missing.
-        ignored: repeated messages, and late ones: overtaken by less than OVERTAKEN_TICKS, or from within the
-            last interval given.
+        invalid: messages that restarted the decoder: the tick ran back (a reboot) or more than 10 s were
+            missing.
+        ignored: repeated messages and late ones. A message is late if it was overtaken by less than
+            OVERTAKEN_TICKS, or if it lies within the last interval returned.
     """
 
     def __init__(self) -> None:
         self.invalid = 0
         self.ignored = 0
         self._last: FcControl | None = None
-        self._before = 0
+        self._previous_tick = 0
 
     def push(self, message: FcControl) -> ControlInterval | None:
-        """Return the interval that this message ends; None for a first message, an invalid, late or repeated
-        one.
+        """Return the interval that ends with this message, or None.
+
+        A first, invalid, late or repeated message ends no interval.
         """
         last = self._last
         if last is None:
-            self._begin(message)
+            self._restart(message)
             return None
         ticks = message.tick - last.tick
-        if -OVERTAKEN_TICKS < ticks <= 0 or self._before < message.tick < last.tick:
+        if -OVERTAKEN_TICKS < ticks <= 0 or self._previous_tick < message.tick < last.tick:
             self.ignored += 1
             return None
         if not 0 < ticks <= GAP_MAX_TICKS:
             self.invalid += 1
-            self._begin(message)
+            self._restart(message)
             return None
-        self._last, self._before = message, last.tick
+        self._last, self._previous_tick = message, last.tick
         return ControlInterval(
             start_tick=last.tick,
             end_tick=message.tick,
@@ -184,10 +182,10 @@ class IntervalDecoder:
             force_mean=_means(message.force_sum, last.force_sum, ticks * FORCE_COUNTS),
         )
 
-    def _begin(self, message: FcControl) -> None:
-        self._last, self._before = message, message.tick
+    def _restart(self, message: FcControl) -> None:
+        self._last, self._previous_tick = message, message.tick
 
 
 def _means(later: Sequence[int], earlier: Sequence[int], counts: float) -> tuple[float, ...]:
-    # `difference` written out: this runs ten times a message.
+    # `difference` inlined: this runs ten times for each message.
     return tuple([((b - a + _HALF & _MASK) - _HALF) / counts for b, a in zip(later, earlier, strict=True)])

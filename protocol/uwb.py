@@ -1,8 +1,8 @@
 """Pack MAVLink 2 messages into radio frames of 116 B.
 
-Whole messages share a frame. A message longer than a frame is cut into pieces, each alone in its frame; the
-other radio puts them together again (`uwb_pieces`). Payloads are not decoded: id, length and checksum are
-enough.
+Several complete messages share a frame. A message longer than a frame is split into pieces, one for each
+frame; the other radio reassembles them (`uwb_pieces`). Payloads are not decoded: id, length and checksum are
+sufficient.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from enum import IntEnum
 
 from trimtab.protocol.generated.frames import MESSAGES
-from trimtab.protocol.uwb_pieces import FRAME_BYTES, FRAME_LEAST, cut
+from trimtab.protocol.uwb_pieces import FRAME_BYTES, FRAME_BYTES_MIN, split_message
 
 
 class Priority(IntEnum):
-    """Classes of messages, the most urgent first."""
+    """Priority classes of messages, the most urgent first."""
 
     URGENT = 0
     CONTROL = 1
@@ -26,7 +26,7 @@ class Priority(IntEnum):
 
 _URGENT = (
     *("ATT_POS_MOCAP", "TIMESYNC", "COMMAND_LONG", "COMMAND_INT", "COMMAND_ACK"),
-    # A client streams setpoints and then asks for them to be followed: the command must not overtake them.
+    # A client streams setpoints before it commands OFFBOARD: the command must not overtake them.
     *("SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET"),
 )
 _CONTROL = ("FC_CONTROL", "FC_ESTIMATE", "FC_OBSERVER")
@@ -42,7 +42,7 @@ def _priority(name: str) -> Priority:
 
 
 PRIORITIES: dict[int, Priority] = {number: _priority(name) for number, (name, _, _) in MESSAGES.items()}
-"""Class of each message by id."""
+"""Priority of each message by id."""
 _UNKNOWN = Priority.STATUS
 
 CAPACITY_BYTES: Mapping[Priority, int] = {
@@ -51,32 +51,38 @@ CAPACITY_BYTES: Mapping[Priority, int] = {
     Priority.STATUS: 4096,
     Priority.UPLOAD: 4096,
 }
-"""Room of each queue."""
+"""Capacity of each queue."""
 
 _POSE = next(number for number, (name, _, _) in MESSAGES.items() if name == "ATT_POS_MOCAP")
 
 
 class FramePacker:
-    """Packs whole messages into radio frames, the most urgent first, in order within each class.
+    """Packs complete messages into radio frames by priority, in order of arrival within each class.
 
-    Poses come before everything, and at most `poses` of them wait: a newer one replaces the oldest. Where a
-    queue has no room, control telemetry drops its oldest message and every other class refuses the new one.
-    A message longer than a frame goes out in pieces, a frame each, when nothing more urgent waits; what is
-    more urgent goes between them.
+    Poses have precedence over all other messages. At most `poses` of them wait: a newer pose replaces the
+    oldest. If a queue is full, control telemetry drops its oldest message; every other class refuses the new
+    one. A message longer than a frame is sent in pieces, one for each frame, when no more urgent message
+    waits. More urgent messages may go out between the pieces.
 
     Parameters
     ----------
     poses
-        poses that may wait; with 1 a frame holds the newest, with 2 two travel together.
+        Greatest number of waiting poses. With 1, a frame holds the newest pose; with 2, up to two poses.
     capacity
-        room of each queue in bytes.
+        Capacity of each queue in bytes.
     frame_bytes
-        what a frame holds, at least FRAME_LEAST.
+        Payload of a frame, at least FRAME_BYTES_MIN.
 
-    `waiting` is how many messages wait. Other attributes, all counts since construction:
-        refused: messages dropped for lack of room, control telemetry included.
-        replaced: poses dropped for a newer one.
-        packed: messages handed out.
+    Attributes
+    ----------
+    waiting
+        Number of waiting messages.
+    refused
+        Number of messages dropped because a queue was full, including control telemetry.
+    replaced
+        Number of poses that a newer pose replaced.
+    packed
+        Number of messages packed into frames.
     """
 
     def __init__(
@@ -88,12 +94,12 @@ class FramePacker:
     ) -> None:
         if poses < 1:
             raise ValueError(f"poses must be at least 1, not {poses}")
-        if frame_bytes < FRAME_LEAST:
-            raise ValueError(f"frame_bytes must be at least {FRAME_LEAST}, not {frame_bytes}")
+        if frame_bytes < FRAME_BYTES_MIN:
+            raise ValueError(f"frame_bytes must be at least {FRAME_BYTES_MIN}, not {frame_bytes}")
         self.refused = 0
         self.replaced = 0
         self.packed = 0
-        self._most_poses = poses
+        self._poses_max = poses
         self._capacity = [capacity[priority] for priority in Priority]
         self._frame_bytes = frame_bytes
         self.waiting = 0
@@ -101,21 +107,21 @@ class FramePacker:
         self._queues: list[deque[bytes]] = [deque() for _ in Priority]
         self._bytes = [0 for _ in Priority]
         self._pieces: list[deque[bytes]] = [deque() for _ in Priority]  # of the first message of each queue
-        self._cut = 0
+        self._split_count = 0
 
     @property
     def pose_waits(self) -> bool:
-        """Whether a pose waits."""
+        """Whether a pose is waiting."""
         return bool(self._poses)
 
     def offer(self, message: bytes) -> bool:
-        """Return true where the whole message was queued, False where it was dropped and counted."""
+        """Queue the message; return False if it was dropped and counted."""
         size = len(message)
         number = message[7] | message[8] << 8 | message[9] << 16
         if number == _POSE and size <= self._frame_bytes:
             self._poses.append(message)
             self.waiting += 1
-            if len(self._poses) > self._most_poses:
+            if len(self._poses) > self._poses_max:
                 self._poses.popleft()
                 self.waiting -= 1
                 self.replaced += 1
@@ -137,7 +143,7 @@ class FramePacker:
         return True
 
     def take(self) -> bytes | None:
-        """Return the next frame, None where nothing waits."""
+        """Return the next frame, or None if no message is waiting."""
         if not self.waiting:
             return None
         parts: list[bytes] = []
@@ -161,11 +167,11 @@ class FramePacker:
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def _take_piece(self, priority: int) -> bytes:
-        """Return the next piece of the first message of a queue."""
+        """Return the next piece of the first message in a queue."""
         queue, pieces = self._queues[priority], self._pieces[priority]
         if not pieces:
-            pieces.extend(cut(queue[0], self._cut, self._frame_bytes))
-            self._cut += 1
+            pieces.extend(split_message(queue[0], self._split_count, self._frame_bytes))
+            self._split_count += 1
         piece = pieces.popleft()
         if not pieces:
             self._bytes[priority] -= len(queue.popleft())

@@ -285,9 +285,9 @@ class SimulatedVehicle:
         if now_us >= channel.due_us:
             channel.tick(now_us)
         # `due_us` of the radios, written out: it is asked for twice a tick.
-        if (now_us >= ground.own_due_us or now_us >= ground.uart.due_us) and ground.tick(now_us):
+        if (now_us >= ground.radio_due_us or now_us >= ground.uart.due_us) and ground.tick(now_us):
             channel.wake(now_us, ground=True)
-        if (now_us >= air.own_due_us or now_us >= air.uart.due_us) and air.tick(now_us):
+        if (now_us >= air.radio_due_us or now_us >= air.uart.due_us) and air.tick(now_us):
             channel.wake(now_us, ground=False)
         p, q, r, x, y, z, volts = self._sensed
         dp, dq, dr, dx, dy, dz, dv = next(self._imu_errors)

@@ -15,7 +15,7 @@ from pydantic import Field, ValidationInfo, create_model, field_validator
 from trimtab.host.vehicle import ConfigurationError
 from trimtab.host.vehicle.strict_toml import Strict, read_strict
 from trimtab.protocol.telemetry import TICK_US
-from trimtab.protocol.uwb_pieces import FRAME_BYTES, FRAME_LEAST
+from trimtab.protocol.uwb_pieces import FRAME_BYTES, FRAME_BYTES_MIN
 from trimtab.sitl.air_time import air_us
 from trimtab.sitl.kinds import DRAG, KINDS
 
@@ -74,7 +74,7 @@ class RadioSettings(Strict):
 
     slot_us: Annotated[int, Field(ge=TICK_US, le=3000)] = 2000
     """Half-duplex slot: one frame of one side. With longer ones control telemetry takes all there are."""
-    frame_bytes: Annotated[int, Field(ge=FRAME_LEAST, le=FRAME_BYTES)] = FRAME_BYTES
+    frame_bytes: Annotated[int, Field(ge=FRAME_BYTES_MIN, le=FRAME_BYTES)] = FRAME_BYTES
     """What a frame carries. Longer messages are cut."""
     bit_rate: Annotated[Literal[850_000, 6_800_000] | None, Field(validate_default=True)] = None
     """bit/s in the air. Where it is left out, a frame takes its slot, however short it is."""

@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 from trimtab.firmware_model.flight.failsafe import CONDITIONS, Action, Condition, Failsafe
-from trimtab.firmware_model.flight.flight import LOOK_TICKS
-from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, TAKEOFF_LEAST
+from trimtab.firmware_model.flight.flight import UPDATE_TICKS
+from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, TAKEOFF_HEIGHT_MIN
 from trimtab.firmware_model.flight.readiness import (
     CHECKS,
     CURVE,
@@ -23,7 +23,7 @@ from trimtab.firmware_model.flight.readiness import (
 from trimtab.firmware_model.flight.setpoints import SHORTEST_S
 from trimtab.firmware_model.flight.supervisor import COMMANDS, FAILURES, Event, State, update
 from trimtab.firmware_model.flight.verdict import BATTERY_LOW_CELL_V
-from trimtab.firmware_model.law.estimator import LONGEST_INTERVAL_S
+from trimtab.firmware_model.law.estimator import INTERVAL_MAX_S
 from trimtab.protocol.parameters import BY_NAME
 from trimtab.protocol.telemetry import TICK_US
 
@@ -138,10 +138,10 @@ def page() -> str:
     ranks = " < ".join(_words(action.name) for action in Action)
     return "".join(
         (
-            _HEAD.format(look_ms=LOOK_TICKS * TICK_US // 1000),
+            _HEAD.format(look_ms=UPDATE_TICKS * TICK_US // 1000),
             *map(_row, CONDITIONS),
             _BEHIND.format(ranks=ranks),
-            *(f"| {check.what} | {_text(check.text)} |\n" for check in CHECKS),
+            *(f"| {check.name} | {_text(check.text)} |\n" for check in CHECKS),
             _REFERENCE.format(
                 tilt=_default("ARM_TILT_DEG"),
                 rest=1e-6 * REST_US,
@@ -152,11 +152,13 @@ def page() -> str:
                 floor=FLOOR_MAX,
                 low=CURVE[0],
                 high=CURVE[1],
-                interval=LONGEST_INTERVAL_S,
+                interval=INTERVAL_MAX_S,
                 cell=BATTERY_LOW_CELL_V,
             ),
             _table(COMMANDS),
-            _EVENTS.format(least=TAKEOFF_LEAST, hold_s=_default("HOLD_S"), lost_s=_default("FS_OFFB_HOLD_S")),
+            _EVENTS.format(
+                least=TAKEOFF_HEIGHT_MIN, hold_s=_default("HOLD_S"), lost_s=_default("FS_OFFB_HOLD_S")
+            ),
             _table(tuple(event for event in Event if event not in COMMANDS and event not in FAILURES)),
             "\n",
             _table(FAILURES),
@@ -169,7 +171,8 @@ def _row(row: Condition) -> str:
     name = "" if row.failsafe is Failsafe.NONE else f" ({row.failsafe.name})"
     bound = "" if row.bound is None else _default(row.bound)
     time = "" if row.timeout is None else ("" if row.lasting else "over ") + _default(row.timeout)
-    return f"| {row.what}{name} | {bound} | {time} | {_words(row.action.name)} | {row.why} | {row.clears} |\n"
+    cells = (f"{row.description}{name}", bound, time, _words(row.action.name), row.rationale, row.clears)
+    return f"| {' | '.join(cells)} |\n"
 
 
 def _default(name: str) -> str:

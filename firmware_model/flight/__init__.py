@@ -1,1 +1,1 @@
-"""The flight itself: estimate, supervisor, failsafes, phases and tracks. Knows no bytes."""
+"""Flight logic: estimate, supervisor, failsafes, phases and tracks. Independent of the link."""

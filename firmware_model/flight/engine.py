@@ -1,7 +1,7 @@
-"""How the flight MCU calls its law: named blocks of doubles in, named blocks of doubles out.
+"""Interface of the flight MCU to its control law: named blocks of doubles as inputs and outputs.
 
-The firmware neither knows who compiled its step function nor how. `FloatEngine` runs the law's own source on
-Python floats: for unit tests and for readers. Sessions hand in a compiled engine, which looks the same.
+The firmware does not depend on how the step function is compiled. `FloatEngine` runs the source of the law on
+Python floats, for unit tests and for reading. Sessions use a compiled engine with the same interface.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Block(Protocol):
 class Engine(Protocol):
     """A step function with fixed memory: write `inputs`, call, read `outputs`.
 
-    Each value is a writable memoryview of format "d" that stays the same for the engine's life.
+    Each value is a writable memoryview of format "d" that stays the same for the lifetime of the engine.
     """
 
     @property
@@ -37,21 +37,21 @@ class Engine(Protocol):
 
 
 def doubles(blocks: Mapping[str, memoryview]) -> Mapping[str, memoryview[float]]:
-    """Return the same blocks, seen as what they hold."""
+    """Return the same blocks with the type of their elements."""
     return cast("Mapping[str, memoryview[float]]", blocks)
 
 
 class FloatEngine:
-    """An Engine that evaluates `step(ops, inputs) -> outputs` with the operations given, value by value.
+    """An Engine that evaluates `step(ops, inputs) -> outputs` with the given operations.
 
     Parameters
     ----------
     step
-        maps a dict of sequences, one an input block, to a dict of sequences, one an output block.
+        Function from a dict of input blocks to a dict of output blocks.
     ops
-        operations the step is evaluated with, `trimtab.firmware_model.law.ops.FLOAT` as a rule.
+        Operations of the step, usually `trimtab.firmware_model.law.ops.FLOAT`.
     inputs, outputs
-        blocks of the step.
+        Blocks of the step.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class FloatEngine:
     def __call__(self) -> None:
         """Compute one step from the input blocks into the output blocks.
 
-        Raises ValueError where the step's result has other blocks or sizes than stated.
+        Raises ValueError if blocks or sizes of the result differ from `outputs`.
         """
         result = self._step(self._ops, {name: tuple(view) for name, view in self.inputs.items()})
         if result.keys() != self.outputs.keys():

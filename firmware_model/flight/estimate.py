@@ -1,4 +1,4 @@
-"""The estimate as Flight sets it: by the first pose at rest, by each pose that comes, by calibration."""
+"""Inputs of the estimator: initialization, poses and gyro calibration."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.feedforward import PREDICTION_TIME
 
 STILL = 1e-3
-"""m/s and rad/s: a vehicle that is slower in both may have the same pose twice."""
+"""Speed (m/s) and body rate (rad/s) below which two identical poses in succession are plausible."""
 _KNOWN = slice(law.EST_P.start, law.EST_Q.stop)
 
 
 class Estimate:
-    """Keeps the estimate in the engine's block `memory`, and what is on its way into it.
+    """Sets the estimate in the engine's block `memory` and passes poses to the estimator.
 
-    `poses` are those that wait for a tick; `calibration` is the gyro's.
+    `poses`: poses that wait for a tick. `calibration`: calibration of the gyro.
     """
 
     def __init__(self, inputs: Mapping[str, memoryview[float]], parameters: ParameterValues) -> None:
@@ -30,8 +30,8 @@ class Estimate:
         self._gyro, self._force = inputs["gyro"], inputs["specific_force"]
         self._feedforward = inputs["feedforward"]
 
-    def begin(self) -> None:
-        """Reset the estimate: nothing is known yet."""
+    def reset(self) -> None:
+        """Reset the estimate to the origin at rest."""
         for k, value in enumerate(law.initial_memory()):
             self._memory[k] = value
 
@@ -43,23 +43,23 @@ class Estimate:
         now_us: int,
         *,
         flying: bool,
-        aloft: bool,
+        off_floor: bool,
     ) -> bool:
-        """Whether the pose waits for a tick now.
+        """Queue a pose for the next tick; return False if it is rejected.
 
-        While it is flying not where it strays from the estimate; aloft and in motion not where it repeats
-        the last one: a camera system that sees nothing may go on sending what it saw last.
+        In flight, a pose far from the estimate is rejected. Off the floor and in motion, a repetition of the
+        previous pose is rejected: a camera system that has lost the vehicle may repeat its last pose.
         """
         repeats = self.poses.repeats(p, q)
-        if flying and (self._strays(time_us, p, q, now_us) or (repeats and aloft and self._moving())):
+        if flying and (self._is_outlier(time_us, p, q, now_us) or (repeats and off_floor and self._moving())):
             return False
         return self.poses.offer(time_us, p, q, now_us)
 
     def take_pose(self, now_us: int, restart_us: int | None) -> bool:
-        """Whether the oldest waiting pose is in the engine's inputs, for one tick.
+        """Put the oldest waiting pose into the engine's inputs; return False if it set the estimate instead.
 
-        The first pose of all sets the estimate instead, and so does one that follows on the pose before by
-        more than `restart_us` (None: never).
+        The first pose sets the estimate. So does a pose that follows the previous one after more than
+        `restart_us` (None: never).
         """
         pose, before_us = self.poses.take()
         if before_us is None or (restart_us is not None and pose[0] - before_us > restart_us):
@@ -69,9 +69,9 @@ class Estimate:
         return True
 
     def calibrate(self, now_us: int) -> bool:
-        """Whether this look completed the gyro's calibration; a bias above EST_BIAS_MAX is not believed."""
+        """Continue the gyro calibration; return whether it is complete. Rejects a bias above EST_BIAS_MAX."""
         memory, calibration, values = self._memory, self.calibration, self._parameters
-        if not calibration.look(
+        if not calibration.update(
             now_us,
             self._gyro,
             self._force,
@@ -92,14 +92,14 @@ class Estimate:
         bias = self._memory[law.EST_BIAS]
         return math.hypot(*(g - b for g, b in zip(self._gyro, bias, strict=True)))
 
-    def _strays(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
-        """Whether the pose is far from what the estimate says about its moment, or of no numbers."""
+    def _is_outlier(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
+        """Return whether the pose is not finite or far from the estimate at its time."""
         px, py, pz, vx, vy, vz, qw, qx, qy, qz = self._memory[_KNOWN]
         age_s = 1e-6 * (now_us - time_us) + self._feedforward[PREDICTION_TIME]
         values = self._parameters
-        far_m = values["EST_JUMP_M"] + values["EST_JUMP_SPEED"] * 1e-6 * (time_us - self.poses.newest_us)
+        jump_m = values["EST_JUMP_M"] + values["EST_JUMP_SPEED"] * 1e-6 * (time_us - self.poses.newest_us)
         x, y, z = p
-        near = math.hypot(x - px + vx * age_s, y - py + vy * age_s, z - pz + vz * age_s) <= far_m
+        near = math.hypot(x - px + vx * age_s, y - py + vy * age_s, z - pz + vz * age_s) <= jump_m
         w, x, y, z = q
         along, length = abs(w * qw + x * qx + y * qy + z * qz), math.hypot(w, x, y, z)
         jump = math.radians(values["EST_JUMP_DEG"])
@@ -107,6 +107,6 @@ class Estimate:
         return not (near and along >= length * math.cos(0.5 * turn))
 
     def _set(self, p: Sequence[float], q: Sequence[float]) -> None:
-        """Set the estimate to this pose, at rest; the gyro bias stays."""
+        """Set the estimate to this pose at rest; the gyro bias is unchanged."""
         for k, value in enumerate((*p, 0.0, 0.0, 0.0, *q)):
             self._memory[k] = value

@@ -1,8 +1,8 @@
-"""What the flight MCU does about trouble: one row a condition.
+"""The failsafe table: one row for each condition.
 
-A condition lasts for its time, then its event goes to the supervisor, and where that leads into FAILSAFE its
-action is taken. Actions are ordered: once one is under way only a higher one replaces it. On the floor the
-same conditions refuse arming or disarm.
+If a condition lasts for its time, its event goes to the supervisor. If that leads into FAILSAFE, the vehicle
+takes the action of the row. Actions are ranked: an active action is replaced only by a higher one. On the
+floor the same conditions refuse arming or disarm the vehicle.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from trimtab.firmware_model.flight.supervisor import Event
 
 
 class Action(IntEnum):
-    """What is done, by rank."""
+    """Actions of the failsafes, by rank."""
 
     NONE = 0
     HOLD = 1
@@ -24,7 +24,7 @@ class Action(IntEnum):
 
 
 class Failsafe(IntEnum):
-    """Which failure ended the flight; the values travel in FC_STATUS and stay until the next arming."""
+    """Failure that ended the flight. FC_STATUS reports its value until the next arming."""
 
     NONE = 0
     MOCAP_LOST = 1
@@ -41,19 +41,32 @@ class Failsafe(IntEnum):
 class Condition:
     """One row of the table.
 
-    what: the condition; bound, timeout: the parameters it is judged by and timed by (seconds); lasting: it
-    must last that long, else the time is what it is measured over. event is raised, action taken because of
-    why; clears: who or what ends it. text: what people read.
+    Parameters
+    ----------
+    failsafe, event, action
+        Reported failure, event for the supervisor, and action in FAILSAFE.
+    description
+        The condition.
+    bound, timeout
+        Names of the parameters with its bound and its time (s).
+    lasting
+        Whether the condition must last for its time. Otherwise it is measured over that time.
+    rationale
+        Reason for the action.
+    clears
+        Who or what ends the condition.
+    text
+        Message for people.
     """
 
     failsafe: Failsafe
     event: Event
-    what: str
+    description: str
     bound: str | None = None
     timeout: str | None = None
     lasting: bool = True
     action: Action
-    why: str
+    rationale: str
     clears: str
     text: str
 
@@ -64,116 +77,116 @@ CONDITIONS: tuple[Condition, ...] = (
     Condition(
         failsafe=Failsafe.TILT,
         event=Event.TILTED,
-        what="tilt beyond the bound",
+        description="tilt beyond the bound",
         bound="FS_TILT_DEG",
         timeout="FS_TILT_S",
         action=Action.MOTORS_OFF,
-        why="control is lost; rotors that turn make the fall worse",
+        rationale="control is lost; spinning rotors make a crash worse",
         clears=_NEXT_ARMING,
         text="tilted too far: motors off",
     ),
     Condition(
         failsafe=Failsafe.IMU_STUCK,
         event=Event.IMU_STUCK,
-        what="gyro and accelerometer repeat the same sample",
+        description="gyro and accelerometer repeat the same sample",
         timeout="FS_IMU_S",
         action=Action.MOTORS_OFF,
-        why="without body rates no attitude is held; it tips within tenths of a second and would fly off",
+        rationale="without body rates the vehicle tips over within tenths of a second and would fly off",
         clears=_NEXT_ARMING,
         text="IMU stuck: motors off",
     ),
     Condition(
         failsafe=Failsafe.MOCAP_LOST,
         event=Event.MOCAP_LOST,
-        what="no pose used by the estimator",
+        description="no pose used by the estimator",
         timeout="FS_MOCAP_S",
         action=Action.LEVEL_DESCENT,
-        why="position is a guess after a second, attitude is not",
-        clears="a pose before that; then the next arming",
+        rationale="the position estimate is unreliable after a second, the attitude estimate is not",
+        clears="a pose in time; afterwards the next arming",
         text="mocap lost: descending level",
     ),
     Condition(
         failsafe=Failsafe.MOCAP_LOST,
         event=Event.MOCAP_LATE,
-        what="newest pose used older than the bound",
+        description="age of the newest pose used above the bound",
         bound="FS_AGE_S",
         timeout="FS_LATE_S",
         action=Action.LAND_IN_PLACE,
-        why="position is known, but late: a gap is flown through, a link that stays late is not",
-        clears="a fresh pose before that; then the next arming",
+        rationale="position is known, but late: short gaps are harmless, a permanent delay is not",
+        clears="a recent pose in time; afterwards the next arming",
         text="mocap late: landing in place",
     ),
     Condition(
         failsafe=Failsafe.GEOFENCE,
         event=Event.FENCE_LEFT,
-        what="estimated position outside FENCE_* by more than the bound",
+        description="estimated position outside FENCE_* by more than the bound",
         bound="FS_FENCE_M",
         timeout="FS_FENCE_S",
         action=Action.LAND_IN_PLACE,
-        why="whatever took it there may take it further; a way back is a way through people",
-        clears="being back before that; then the next arming",
+        rationale="the cause may take the vehicle further; the way back may lead through people",
+        clears="a return in time; afterwards the next arming",
         text="outside the fence: landing in place",
     ),
     Condition(
         failsafe=Failsafe.SATURATED,
         event=Event.SATURATED,
-        what="motors saturated on nine of ten ticks or more",
+        description="motors saturated on nine of ten ticks or more",
         timeout="FS_SAT_S",
         action=Action.LAND_IN_PLACE,
-        why="what is asked for cannot be had; a descent asks for less",
-        clears="motors that suffice before that; then the next arming",
+        rationale="the rotors cannot meet the demand; a descent demands less",
+        clears="an end of the saturation in time; afterwards the next arming",
         text="motors saturated: landing in place",
     ),
     Condition(
         failsafe=Failsafe.BATTERY_LOW,
         event=Event.BATTERY_LOW,
-        what="smoothed voltage below this share between BAT_EMPTY_V and BAT_FULL_V",
+        description="smoothed voltage below this share between BAT_EMPTY_V and BAT_FULL_V",
         bound="FS_BAT_SHARE",
         timeout="FS_BAT_S",
         lasting=False,
         action=Action.LAND_IN_PLACE,
-        why="there is charge for a landing, not for much more",
-        clears="the next arming, with a fuller battery",
+        rationale="the charge suffices for a landing, but not for much more",
+        clears="the next arming, with a charged battery",
         text="battery low: landing in place",
     ),
     Condition(
         failsafe=Failsafe.LOOP_OVERRUN,
         event=Event.LOOP_OVERRUN,
-        what="late ticks, as many as the bound",
+        description="number of late ticks at the bound",
         bound="FS_LOOP_MAX",
         timeout="FS_LOOP_S",
         lasting=False,
         action=Action.LAND_IN_PLACE,
-        why="the law is not computed at its rate; a single late tick does no harm",
+        rationale="the control law does not run at its rate; a single late tick is harmless",
         clears=_NEXT_ARMING,
         text="ticks too late: landing in place",
     ),
     Condition(
         failsafe=Failsafe.LINK_LOST,
         event=Event.LINK_LOST,
-        what="no message from a host but poses",
+        description="no message from a host, poses excepted",
         timeout="FS_LINK_S",
         action=Action.LAND_IN_PLACE,
-        why="position is known: land where it is",
-        clears="a message before that; then the next arming",
+        rationale="position is known, so a landing in place is safe",
+        clears="a message in time; afterwards the next arming",
         text="link lost: landing in place",
     ),
     Condition(
         failsafe=Failsafe.NONE,
         event=Event.SETPOINTS_LOST,
-        what="no setpoint in OFFBOARD",
+        description="no setpoint in OFFBOARD",
         timeout="FS_OFFB_S",
         action=Action.HOLD,
-        why="no failure of the vehicle: it stops and lands after FS_OFFB_HOLD_S",
-        clears="the operator: hold, or offboard once setpoints come again",
+        rationale="not a failure of the vehicle: it stops and lands after FS_OFFB_HOLD_S",
+        clears="the operator: hold, or offboard once setpoints arrive again",
         text="setpoints lost: holding, then landing",
     ),
     Condition(
         failsafe=Failsafe.NONE,
         event=Event.REFERENCE_ENDED,
-        what="the last node has been passed",
+        description="end of the reference",
         action=Action.HOLD,
-        why="no failure: it lands after HOLD_S",
+        rationale="not a failure: the vehicle lands after HOLD_S",
         clears="the operator: hold, or offboard",
         text="reference ended: holding, then landing",
     ),
@@ -183,7 +196,5 @@ BY_EVENT: dict[Event, Condition] = {row.event: row for row in CONDITIONS}
 
 
 def escalate(current: Action, condition: Condition) -> Action:
-    """Return the action to take when `condition` strikes while `current` is under way: the higher of the
-    two.
-    """
+    """Return the higher of the active action and that of `condition`."""
     return max(current, condition.action)

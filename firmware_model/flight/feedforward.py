@@ -1,4 +1,4 @@
-"""The uploaded feed-forward in the engine's inputs: form (a) as it is, form (b) along the reference."""
+"""Feed-forward as engine inputs: form (a) unchanged, form (b) evaluated along the reference."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from trimtab.protocol.blobs import FeedForward
 
 
 class FeedForwardInput:
-    """Keeps the engine's blocks `feedforward` and `ff_accel_ned`; neutral where nothing is on board.
+    """Writes the engine's blocks `feedforward` and `ff_accel_ned`; they are neutral without a feed-forward.
 
-    The network is evaluated whenever `update` is called and held in between.
+    `update` evaluates the network; its output is constant in between.
     """
 
     def __init__(self, block: memoryview[float], accel_ned: memoryview[float]) -> None:
@@ -32,19 +32,19 @@ class FeedForwardInput:
         self._hidden = self._weights = ()
 
     def load(self, blob: FeedForward) -> None:
-        """Put this feed-forward in force."""
+        """Apply this feed-forward."""
         self.clear()
         if blob.block is not None:
             self._fill(self._block, blob.block)
         self._hidden, self._weights = blob.layers, blob.weights
 
     def hold(self, accel_ned: Sequence[float]) -> None:
-        """Replace the network by this residual acceleration (m/s^2) until `resume`."""
+        """Replace the network's output by this residual acceleration (m/s^2, NED) until `resume`."""
         self._held = True
         self._fill(self._accel, accel_ned)
 
     def resume(self) -> None:
-        """Let the network act again."""
+        """Use the network again."""
         self._held = False
         self._fill(self._accel, (0.0, 0.0, 0.0))
 

@@ -1,6 +1,6 @@
-"""The flight: law, state and failsafes, tick by tick, without bytes and messages.
+"""One flight: control law, supervisor and failsafes, tick by tick, independent of bytes and messages.
 
-Commands come in as events and poses as numbers. Texts for people go out in `texts`.
+Inputs are events, poses and sensor samples. Messages for people are in `texts`.
 """
 
 from __future__ import annotations
@@ -10,39 +10,39 @@ from collections import deque
 from collections.abc import Sequence
 
 from trimtab.firmware_model.clock import NEVER_US
+from trimtab.firmware_model.flight.condition_monitor import LEVEL, ConditionMonitor, Observation
 from trimtab.firmware_model.flight.engine import Engine, doubles
 from trimtab.firmware_model.flight.estimate import Estimate
 from trimtab.firmware_model.flight.failsafe import BY_EVENT, Action, Condition, Failsafe, escalate
 from trimtab.firmware_model.flight.feedforward import FeedForwardInput
-from trimtab.firmware_model.flight.gate import Gate
+from trimtab.firmware_model.flight.gate import CommandGate
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, Phases, Present
-from trimtab.firmware_model.flight.readiness import Rest
+from trimtab.firmware_model.flight.readiness import StillnessDetector
 from trimtab.firmware_model.flight.setpoints import Target
 from trimtab.firmware_model.flight.supervisor import FLYING, Event, State, update
 from trimtab.firmware_model.flight.track import Track
-from trimtab.firmware_model.flight.watch import LEVEL, Seen, Watch
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import mat_vec, quat_to_matrix
 
 BOOT_US = 200_000
 """Time from power to standby."""
-LOOK_TICKS = 10
+UPDATE_TICKS = 10
 """Number of ticks between two checks of conditions, readiness and touchdown."""
 _CRITICAL, _WARNING, _INFO = 2, 4, 6  # MAV_SEVERITY
 
 OBSERVED = (State.TRACKING, State.HOLD, State.OFFBOARD)
-"""States in which the disturbance observer runs once the vehicle is or was well above the floor; in TRACKING
-it runs at once. It also runs in a take-off. In a landing its estimate stays constant, because the floor would
-look like a disturbance."""
+"""States in which the disturbance observer keeps running. It starts in TRACKING, or once the vehicle is well
+above the floor, also in a take-off. In a landing its estimate stays constant, because it would interpret the
+floor as a disturbance."""
 _END = {
     State.TRACKING: Event.REFERENCE_ENDED,
     State.HOLD: Event.HELD,
     State.LANDING: Event.TOUCHDOWN,
     State.FAILSAFE: Event.TOUCHDOWN,
 }
-"""Event at the end of a state's track; for descents the timeout of touchdown. A take-off has its own."""
+"""Event at the end of the track of a state. For descents it is the timeout of the touchdown."""
 
 
 class Flight:
@@ -55,10 +55,17 @@ class Flight:
     parameters
         Values on board.
 
-    `reference` is the track to fly or None, `feedforward` the law's feed-forward. Both may be replaced in
-    standby; `swap` replaces the reference while it is tracked. `changed` is set when state or failsafe
-    change, for those who report them. `conditions`: rows of the failsafe table that held at the last check,
-    bit k for Failsafe k.
+    Attributes
+    ----------
+    reference, feedforward
+        Track to fly (or None) and feed-forward. Both may be replaced in standby. `swap` replaces the
+        reference in flight.
+    changed
+        Set on a change of state or failsafe; the reader of FC_STATUS resets it.
+    conditions
+        Active rows of the failsafe table at the last update, bit k for Failsafe k.
+    texts
+        Severities and texts for people; the reader removes them.
     """
 
     def __init__(self, *, engine: Engine, parameters: ParameterValues) -> None:
@@ -74,7 +81,7 @@ class Flight:
         self.changed = True
         self.saturated_ticks = 0
         self.flight_ticks = 0
-        self.watch = Watch(parameters)
+        self.monitor = ConditionMonitor(parameters)
 
         self._engine = engine
         inputs, self.outputs = doubles(engine.inputs), doubles(engine.outputs)
@@ -91,31 +98,31 @@ class Flight:
             self.outputs,
             parameters=parameters,
             feedforward=self.feedforward,
-            tell=lambda text: self._tell(_WARNING, text),
+            report=lambda text: self._report(_WARNING, text),
         )
         self._player, self._offboard = self._phases.player, self._phases.offboard
 
         self._estimate = Estimate(inputs, parameters)
         self.poses, self.calibration = self._estimate.poses, self._estimate.calibration
-        self._rest = Rest()
+        self._stillness = StillnessDetector()
         self._poses_waiting = self.poses.waiting
         self._flying = False
-        self._gate = Gate(
+        self._gate = CommandGate(
             parameters=parameters,
-            watch=self.watch,
+            monitor=self.monitor,
             estimate=self._estimate,
-            rest=self._rest,
+            stillness=self._stillness,
             phases=self._phases,
             memory=self._memory,
             cos_tilt=self._cos_tilt,
         )
         for view in (*inputs.values(), *self.outputs.values()):
             view[:] = memoryview(bytes(8 * len(view))).cast("d")
-        self._estimate.begin()
+        self._estimate.reset()
         self.feedforward.clear()
         self._offboard.release()
         self.configure()
-        self._phases.rest(0)
+        self._phases.stop_rotors(0)
 
     @property
     def rotors_on(self) -> bool:
@@ -144,7 +151,10 @@ class Flight:
     # Commands and measurements.
 
     def command(self, event: Event, now_us: int, height_m: float | None = None) -> str | None:
-        """Apply `event`; return why it was refused, or None. height_m: of a take-off, else TAKEOFF_HEIGHT."""
+        """Apply a command; return why it was refused, or None.
+
+        height_m: height of a take-off; TAKEOFF_HEIGHT by default.
+        """
         outcome = update(self.state, event)
         refusal = outcome.refusal or self._gate.refusal(
             event,
@@ -159,34 +169,34 @@ class Flight:
         return refusal
 
     def setpoint(self, target: Target, now_us: int) -> None:
-        """Follow the target now, or as soon as the mode follows setpoints."""
+        """Store a setpoint, and follow it now if the state is OFFBOARD."""
         self._offboard.offer(target, now_us)
         if self.state is State.OFFBOARD:
-            self.watch.setpoint_us = now_us
+            self.monitor.setpoint_us = now_us
             self._phases.follow(now_us)
 
     def pose(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
-        """Take a pose (NED; q_ned_frd, w first) of `time_us`; return whether the next tick uses it."""
+        """Queue a pose (NED; q_ned_frd, w first) measured at `time_us`; return False if it is rejected."""
         if self.state is State.BOOT:
             return False
         flying = self._flying
-        aloft = flying and self.height_m > CLEAR_HEIGHT
-        return self._estimate.offer(time_us, p, q, now_us, flying=flying, aloft=aloft)
+        off_floor = flying and self.height_m > CLEAR_HEIGHT
+        return self._estimate.offer(time_us, p, q, now_us, flying=flying, off_floor=off_floor)
 
     def host_heard(self, now_us: int) -> None:
         """Record that a host message arrived."""
-        self.watch.host_us = now_us
+        self.monitor.host_us = now_us
 
     def configure(self) -> None:
         """Configure the law and the failsafes from the present parameters."""
         self._law_parameters[:] = memoryview(self.parameters.vector)
-        self.watch.configure(self.parameters)
+        self.monitor.configure(self.parameters)
 
     def swap(self, reference: Track, at_us: int) -> None:
-        """Track `reference` from now on; its time 0 is `at_us`, which has come."""
+        """Track `reference` from now on. Its time 0 is `at_us`, which is not in the future."""
         self.reference, self.tracking_us, self.changed = reference, at_us, True
         self._player.start(reference, at_us)
-        self._tell(_INFO, "reference swapped")
+        self._report(_INFO, "reference swapped")
 
     # The tick.
 
@@ -195,9 +205,9 @@ class Flight:
         player = self._player
         if now_us >= player.switch_us and player.switch(now_us):
             self._track_ended(now_us)
-        fresh = False
+        has_pose = False
         if self._poses_waiting:
-            fresh = self._take_pose(now_us)
+            has_pose = self._take_pose(now_us)
         view = self._gyro
         view[0], view[1], view[2] = gyro
         view = self._force
@@ -206,15 +216,15 @@ class Flight:
         player.yaw[0] = (now_us - player.yaw_us) * 1e-6
         self._engine()
         self._memory[:] = self._memory_out
-        if fresh:
+        if has_pose:
             self.poses.hide()
         if self._flying:
             self.flight_ticks += 1
             if self._saturated[0]:
                 self.saturated_ticks += 1
 
-    def look(self, now_us: int, battery_v: float) -> None:
-        """Check readiness, failsafes and touchdown; called every LOOK_TICKS, after the tick."""
+    def update(self, now_us: int, battery_v: float) -> None:
+        """Check readiness, failsafes and touchdown; called every UPDATE_TICKS, after the tick."""
         state = self.state
         if self._flying:
             self.feedforward.update(self.outputs["reference"])
@@ -222,38 +232,38 @@ class Flight:
             if now_us >= BOOT_US:
                 self.command(Event.BOOTED, now_us)
             return
-        self._see(now_us, battery_v)
-        holding = self.watch.holding()
+        self._observe(now_us, battery_v)
+        active = self.monitor.active_conditions()
         self.conditions = 0
-        for condition in holding:
+        for condition in active:
             if condition.failsafe is not Failsafe.NONE:
                 self.conditions |= 1 << condition.failsafe
         if state is State.STANDBY:
             R = quat_to_matrix(FLOAT, self._memory[law.EST_Q])
-            self._rest.look(now_us, math.hypot(*self._memory[law.EST_V]), mat_vec(R, self._force))
+            self._stillness.update(now_us, math.hypot(*self._memory[law.EST_V]), mat_vec(R, self._force))
             if self._estimate.calibrate(now_us):
-                self._tell(_INFO, "gyro calibrated")
+                self._report(_INFO, "gyro calibrated")
             return
-        for condition in holding:
-            self._strike(condition, now_us)
-        self._look_at_state(now_us)
+        for condition in active:
+            self._trigger(condition, now_us)
+        self._update_state(now_us)
 
-    def _look_at_state(self, now_us: int) -> None:
-        """Disarm an idle vehicle, detect touchdown, and learn the thrust ratio in the air."""
+    def _update_state(self, now_us: int) -> None:
+        """Disarm an idle vehicle, detect touchdown, and estimate the thrust ratio in the air."""
         if self.state is State.ARMED and now_us - self.state_us > self.parameters.us("IDLE_S"):
-            self._tell(_INFO, "disarmed: nothing started")
+            self._report(_INFO, "disarmed: nothing started")
             self.command(Event.IDLED, now_us)
         elif self.state in (State.LANDING, State.FAILSAFE):
-            if self._touched(now_us):
+            if self._has_landed(now_us):
                 self.command(Event.TOUCHDOWN, now_us)
         elif self.height_m > 2.0 * self.parameters["LAND_HEIGHT"]:
             if self._cos_tilt[0] > LEVEL:
-                self.watch.aloft(force=-self._force[2], thrust=self._phases.lagged_thrust)
+                self.monitor.update_thrust_ratio(force=-self._force[2], thrust=self._phases.lagged_thrust)
             self._observing[0] = 1.0
 
-    def _see(self, now_us: int, battery_v: float) -> None:
+    def _observe(self, now_us: int, battery_v: float) -> None:
         memory, measured_us = self._memory, self.poses.measured_us
-        seen = Seen(
+        observation = Observation(
             cos_tilt=self._cos_tilt[0],
             age_us=None if measured_us is None else now_us - measured_us,
             p=(memory[0], memory[1], memory[2]),
@@ -262,7 +272,7 @@ class Flight:
             flight_ticks=self.flight_ticks,
             saturated_ticks=self.saturated_ticks,
         )
-        self.watch.see(now_us, seen)
+        self.monitor.observe(now_us, observation)
 
     # Entry actions of the states.
 
@@ -273,8 +283,8 @@ class Flight:
             self._observing[0] = 0.0
         elif state is State.TRACKING:
             self._observing[0] = 1.0
-        self.watch.start(now_us)
-        self.watch.setpoint_us = self._offboard.heard_us if state is State.OFFBOARD else NEVER_US
+        self.monitor.start(now_us)
+        self.monitor.setpoint_us = self._offboard.setpoint_us if state is State.OFFBOARD else NEVER_US
         phases = self._phases
         present = phases.present(now_us)
         self._offboard.release()
@@ -300,24 +310,24 @@ class Flight:
             phases.land(present, now_us)
 
     def _stand_by(self, before: State, now_us: int) -> None:
-        """Stop the rotors; begin to calibrate at rest."""
+        """Stop the rotors and restart the detection of stillness."""
         self.action = Action.NONE
-        self._rest.begin(now_us)
+        self._stillness.reset(now_us)
         self.feedforward.resume()
-        self._phases.rest(now_us)
+        self._phases.stop_rotors(now_us)
         if before is not State.BOOT:
-            self._tell(_INFO, "disarmed")
+            self._report(_INFO, "disarmed")
 
     def _arm(self) -> None:
-        """Forget the last flight and report a missing reference."""
+        """Reset the results of the last flight and report a missing reference."""
         self.failsafe = Failsafe.NONE
         self.tracking_us = None
-        self._tell(_INFO, "armed")
+        self._report(_INFO, "armed")
         if self.reference is None:
-            self._tell(_WARNING, "no live reference: start will be refused")
+            self._report(_WARNING, "no live reference: start will be refused")
 
     def _hold(self, event: Event, present: Present, now_us: int) -> None:
-        """Hold at the end of the reference, or stop here; for a limited time after lost setpoints."""
+        """Hold at the end of the reference, or stop here: for a limited time after a loss of setpoints."""
         if event is Event.REFERENCE_ENDED and self.reference is not None:
             self._phases.hold_end(self.reference, now_us)
             return
@@ -338,14 +348,14 @@ class Flight:
 
     # Failsafes and touchdown.
 
-    def _strike(self, condition: Condition, now_us: int) -> None:
-        """Send the condition's event to the supervisor, and act if its action outranks the present one."""
+    def _trigger(self, condition: Condition, now_us: int) -> None:
+        """Send the event of a condition to the supervisor; take its action if it outranks the present one."""
         if self.state is State.FAILSAFE and condition.action <= self.action:
             return
         outcome = update(self.state, condition.event)
         if outcome.refusal is not None:
             return
-        self._tell(_WARNING if condition.failsafe is Failsafe.NONE else _CRITICAL, condition.text)
+        self._report(_WARNING if condition.failsafe is Failsafe.NONE else _CRITICAL, condition.text)
         if outcome.state is not State.FAILSAFE:
             self.failsafe = condition.failsafe
             self._enter(outcome.state, condition.event, now_us)
@@ -362,7 +372,7 @@ class Flight:
             phases.land(present, now_us)
         elif self.action is Action.LEVEL_DESCENT:
             _, (yaw, _) = present
-            phases.descend_level(yaw, self.watch.thrust_ratio, now_us)
+            phases.descend_level(yaw, self.monitor.thrust_ratio, now_us)
         elif self.action is Action.MOTORS_OFF:
             phases.fall(now_us)
 
@@ -371,26 +381,26 @@ class Flight:
         if event is None:
             return
         if event in BY_EVENT:
-            self._tell(_INFO, BY_EVENT[event].text)
+            self._report(_INFO, BY_EVENT[event].text)
         elif event is Event.TOUCHDOWN and self.action is not Action.MOTORS_OFF:
-            self._tell(_WARNING, "no touchdown noticed: motors off")
+            self._report(_WARNING, "no touchdown detected: motors off")
         self.command(event, now_us)
 
-    def _touched(self, now_us: int) -> bool:
+    def _has_landed(self, now_us: int) -> bool:
         if self.action is Action.MOTORS_OFF:
             return False
         memory = self._memory
         if self.action is Action.LEVEL_DESCENT:
-            phases, watch = self._phases, self.watch
-            phases.go_blind(watch.thrust_ratio, now_us)
-            return watch.carried(
+            phases, monitor = self._phases, self.monitor
+            phases.go_blind(monitor.thrust_ratio, now_us)
+            return monitor.is_supported(
                 now_us,
                 force=-self._force[2],
                 thrust=phases.lagged_thrust,
                 floor=phases.floor_force,
                 learn=not phases.blind,
             )
-        return self.watch.landed(
+        return self.monitor.has_landed(
             now_us,
             height=self.height_m,
             speed=math.hypot(memory[3], memory[4], memory[5]),
@@ -398,17 +408,17 @@ class Flight:
         )
 
     def _take_pose(self, now_us: int) -> bool:
-        """Put a waiting pose into the engine's inputs and return whether there is one.
+        """Put a waiting pose into the engine's inputs; return False if it set the estimate instead.
 
-        After a pause in standby the pose also sets the estimate.
+        In standby a pose sets the estimate if it follows a gap of FS_MOCAP_S.
         """
-        self.watch.pose_us = now_us
+        self.monitor.pose_us = now_us
         resting = self.state is State.STANDBY
-        return self._estimate.take_pose(now_us, self.watch.pose_lost_us if resting else None)
+        return self._estimate.take_pose(now_us, self.monitor.pose_lost_us if resting else None)
 
     def arming_reasons(self, now_us: int) -> list[str]:
         """Return every reason why arming would be refused in standby."""
         return self._gate.arming_reasons(now_us, self.reference)
 
-    def _tell(self, severity: int, text: str) -> None:
+    def _report(self, severity: int, text: str) -> None:
         self.texts.append((severity, text))

@@ -1,6 +1,6 @@
-"""Parameter values on board: protocol's table at run time, and what the law wants made of it.
+"""Parameter values on board, and the quantities that the control law derives from them.
 
-Values are float32, as they travel. A value that the table or the law refuses leaves everything as it was.
+Values are float32, as on the wire. A refused value leaves all values unchanged.
 """
 
 from __future__ import annotations
@@ -15,12 +15,11 @@ from trimtab.protocol.parameters import BY_NAME, INDEX, PARAMETERS, complete
 
 
 class ParameterValues(Mapping[str, float]):
-    """Values by name, in the table's order.
+    """Values by name, in the order of the table.
 
-    `vector` is the law's block `parameters`: values and the allocation derived from them; `airframe` and
-    `limits` are what references are checked by.
-    Raises ValueError where a name is unknown, a value out of bounds, a torque beyond the rotors' geometry, or
-    a lower limit not below its upper one.
+    `vector` is the law's block `parameters`: values and allocation table. References are checked against
+    `airframe` and `limits`. Raises ValueError if a name is unknown, a value is out of bounds, the rotors
+    cannot produce every torque, or a lower limit is not below its upper limit.
     """
 
     def __init__(self, values: Mapping[str, float]) -> None:
@@ -38,19 +37,19 @@ class ParameterValues(Mapping[str, float]):
         return len(self._values)
 
     def set(self, name: str, value: float) -> float:
-        """Return the value now on board, `value` rounded to float32.
+        """Set a value, rounded to float32, and return it.
 
-        Raises KeyError for an unknown name, ValueError where the value is refused; nothing has changed then.
+        Raises KeyError for an unknown name and ValueError for a refused value; nothing changes then.
         """
         rounded = BY_NAME[name].check(value)
         changed = {**self._values, name: rounded}
         try:
             vector = array("d", parameter_vector(changed))
-            judged_by = from_parameters(changed)
+            airframe, limits = from_parameters(changed)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         self._values, self.vector = changed, vector
-        self.airframe, self.limits = judged_by
+        self.airframe, self.limits = airframe, limits
         return rounded
 
     def us(self, name: str) -> int:
@@ -61,9 +60,9 @@ class ParameterValues(Mapping[str, float]):
 def stored_parameters(
     values: Mapping[str, float], store: ReferenceStore, vehicle_id: bytes
 ) -> ParameterValues:
-    """`values`, with what was set before in their place; memory of another vehicle is claimed for this one.
+    """Return `values`, overridden by those in the store. Values of another vehicle are discarded.
 
-    What cannot be used is told in `store.faults`. Raises ValueError where `values` themselves are refused.
+    `store.faults` reports discarded values. Raises ValueError if `values` themselves are refused.
     """
     settings = store.settings
     if settings.vehicle_id != vehicle_id:
@@ -73,15 +72,15 @@ def stored_parameters(
     try:
         return ParameterValues({**values, **settings.values})
     except ValueError:
-        store.faults.append("memory: parameters that were set do not fit")
+        store.faults.append("memory: the set parameters do not fit")
     return ParameterValues(values)
 
 
 def name_at(index: int) -> str | None:
-    """Name of the parameter at this place in the table, None beyond it."""
+    """Return the name of the parameter at this index of the table, or None."""
     return PARAMETERS[index].name if 0 <= index < len(PARAMETERS) else None
 
 
 def index_of(name: str) -> int | None:
-    """Place of this name in the table, None where it has no such name."""
+    """Return the index of this name in the table, or None."""
     return INDEX.get(name)

@@ -1,7 +1,7 @@
-"""What is flown in each phase: the tracks and engine settings of take-off, hold, setpoints, landings, rest.
+"""Phases of a flight: tracks and engine settings of take-off, hold, setpoints, landings and rest.
 
-Each phase begins where the reference of the one before is, so that the reference never steps. What state the
-vehicle is in, and why, is Flight's affair.
+Each phase starts at the reference of the previous one, so the reference never jumps. `Flight` decides on the
+state of the vehicle.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from collections.abc import Callable, Mapping
 
 from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight import braking, track
+from trimtab.firmware_model.flight.condition_monitor import FLOOR_HEIGHT
 from trimtab.firmware_model.flight.feedforward import FeedForwardInput
 from trimtab.firmware_model.flight.offboard import Offboard
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.player import Player
-from trimtab.firmware_model.flight.setpoints import PositionTarget, towards, turned, upwards
-from trimtab.firmware_model.flight.watch import FLOOR_HEIGHT
+from trimtab.firmware_model.flight.setpoints import PositionTarget, climb_only, to_ned, towards
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.ops import FLOAT
@@ -25,33 +25,46 @@ from trimtab.protocol.parameters import BY_NAME
 from trimtab.protocol.telemetry import TICK_US
 
 FALL_US = 2_000_000
-"""Time that rotors rest before a failsafe that stopped them ends."""
-HARDEST = 8.0
-"""m/s^2 that a reference begins with at most where it takes over from commanded attitude."""
+"""Time from a stop of the rotors in the air to the end of the failsafe."""
+START_ACCEL_MAX = 8.0
+"""Greatest initial acceleration (m/s^2) of a reference that follows a commanded attitude."""
 
-TAKEOFF_LEAST = BY_NAME["TAKEOFF_HEIGHT"].min
-"""m that a takeoff climbs at least."""
+TAKEOFF_HEIGHT_MIN = BY_NAME["TAKEOFF_HEIGHT"].min
+"""Least height (m) of a take-off."""
 CLEAR_HEIGHT = 0.15
-"""m above the floor below which it goes straight up, whatever place is asked for: no foot is dragged."""
+"""Height (m) above the floor below which the vehicle only climbs vertically, so it does not drag its feet."""
 
 Present = tuple[braking.Node, track.YawState]
-"""The reference's state (p, v, a, j) and its yaw and yaw rate."""
+"""State (p, v, a, j) of the reference, and its yaw and yaw rate."""
 
 
 _REST = (0.0,) * 9
 
 
 class Phases:
-    """Keeps the engine's blocks that say what is followed, and whether the rotors turn.
+    """Writes the engine's blocks for the reference and for the rotors.
 
     Parameters
     ----------
     inputs, outputs
-        the engine's blocks. parameters: values on board. feedforward: the law's. tell: is
-        told what people should read of a setpoint or a take-off that is bounded.
+        Blocks of the engine.
+    parameters
+        Values on board.
+    feedforward
+        Feed-forward of the law.
+    report
+        Receives texts for people about bounded setpoints and take-offs.
 
-    `player` plays what is followed, `offboard` has the newest setpoint. `floor` (m, down) and `home_ned`: of
-    the last take-off, home None before the first.
+    Attributes
+    ----------
+    player
+        Playback of the present track.
+    offboard
+        Newest setpoint.
+    floor
+        Floor of the last take-off (m, down).
+    home_ned
+        Position of the last take-off; None before the first.
     """
 
     def __init__(
@@ -61,7 +74,7 @@ class Phases:
         *,
         parameters: ParameterValues,
         feedforward: FeedForwardInput,
-        tell: Callable[[str], None],
+        report: Callable[[str], None],
     ) -> None:
         self.player = Player(inputs["piece"], inputs["yaw_piece"])
         self.offboard = Offboard(inputs["offboard"], parameters)
@@ -69,11 +82,11 @@ class Phases:
         self.home_ned: tuple[float, float, float] | None = None
         self._parameters = parameters
         self._feedforward = feedforward
-        self._tell = tell
+        self._report = report
         self._memory = inputs["memory"]
         self._armed, self._weights = inputs["armed"], inputs["feedback_weights"]
         self._collective = outputs["collective_n"]
-        self._bounded = False  # by the newest setpoint
+        self._bounded = False  # whether the newest setpoint was bounded
         self._blind_until_us = NEVER_US
 
     @property
@@ -88,49 +101,49 @@ class Phases:
 
     @property
     def headroom(self) -> float:
-        """Return the distance in m from the vehicle up to the ceiling of the flight volume."""
+        """Distance (m) from the vehicle up to the ceiling of the flight volume."""
         return self._memory[2] - self._parameters["FENCE_D_MIN"]
 
     @property
     def lagged_thrust(self) -> float:
-        """Thrust over mass (m/s^2) that the rotors give, by their nominal gain and lag."""
+        """Thrust over mass (m/s^2) of the rotors with nominal gain and lag."""
         return self._memory[law.OBSERVER_THRUST.start] / self._parameters["MASS"]
 
     @property
     def blind(self) -> bool:
-        """Whether velocity is no longer followed: on the floor, too, thrust then sinks slowly."""
+        """Whether velocity feedback is off. Thrust then decreases slowly, also on the floor."""
         return self._weights[1] == 0.0
 
     @property
     def floor_force(self) -> float:
-        """m/s^2 by which the rotors carry less in a level descent once it stands on the floor."""
+        """Decrease of thrust over mass (m/s^2) in a level descent once the vehicle is on the floor."""
         values = self._parameters
         return track.SINK if self.blind else values["VEL_D_D"] * values["FS_SINK_SPEED"]
 
     def present(self, now_us: int) -> Present:
-        """Return the reference now; the vehicle's own state where attitude is commanded."""
+        """Return the present reference, or the state of the vehicle while attitude is commanded."""
         if not self.offboard.direct:
             reference = self.player.reference(now_us)
             return reference[:12], (reference[12], reference[13])
         memory = self._memory
-        if self.floor - memory[2] < FLOOR_HEIGHT:  # which carries what thrust does not
-            return (*self._place(), *_REST), (self._yaw(), 0.0)
+        if self.floor - memory[2] < FLOOR_HEIGHT:  # the floor supports the vehicle
+            return (*self._position(), *_REST), (self._yaw(), 0.0)
         R = quat_to_matrix(FLOAT, memory[law.EST_Q])
         thrust = self.thrust
         a = (-R[2] * thrust, -R[5] * thrust, GRAVITY - R[8] * thrust)
-        share = min(1.0, HARDEST / max(math.hypot(*a), 1e-9))
+        share = min(1.0, START_ACCEL_MAX / max(math.hypot(*a), 1e-9))
         state = (*memory[law.EST_P], *memory[law.EST_V], *(share * x for x in a), 0.0, 0.0, 0.0)
         return state, (self._yaw(), 0.0)
 
-    # On the floor and off it.
+    # Floor and take-off.
 
-    def rest(self, now_us: int) -> None:
-        """Stop the rotors; there is nothing to follow."""
+    def stop_rotors(self, now_us: int) -> None:
+        """Stop the rotors on the floor."""
         self._armed[0] = 0.0
         self._weights[0] = self._weights[1] = 1.0
         self._blind_until_us = NEVER_US
         self._bounded = False
-        self.player.rest(track.hold(self._place(), 0.0, 1_000_000), now_us)
+        self.player.hold_first_piece(track.hold(self._position(), 0.0, 1_000_000), now_us)
 
     def climb_to(self, reference: track.Track, now_us: int) -> None:
         """Take off to the reference's first node and hover there."""
@@ -138,14 +151,14 @@ class Phases:
 
     def rise(self, height_m: float | None, now_us: int) -> None:
         """Take off to this height above the floor, by default TAKEOFF_HEIGHT."""
-        p, most = self._place(), self.headroom
+        p, height_max = self._position(), self.headroom
         height = self._parameters["TAKEOFF_HEIGHT"] if height_m is None else height_m
-        if height > most:
-            self._tell(f"takeoff bounded by the fence: {most:.2f} m")
-        self._climb((p[0], p[1], p[2] - min(height, most)), self._yaw(), now_us)
+        if height > height_max:
+            self._report(f"takeoff bounded by the fence: {height_max:.2f} m")
+        self._climb((p[0], p[1], p[2] - min(height, height_max)), self._yaw(), now_us)
 
     def _climb(self, target: braking.Vector, yaw_end: float, now_us: int) -> None:
-        values, p = self._parameters, self._place()
+        values, p = self._parameters, self._position()
         climb = track.climb(
             p,
             self._yaw(),
@@ -159,13 +172,13 @@ class Phases:
         self.player.start(climb, now_us)
 
     def lift_off(self, now_us: int) -> None:
-        """Start the rotors; the reference rests at the present position."""
-        p = self._place()
+        """Start the rotors with a reference at rest at the present position."""
+        p = self._position()
         self._leave_floor(p)
         self.player.start(track.hold(p, self._yaw(), track.ENDLESS_US), now_us)
 
     def _leave_floor(self, p: braking.Vector) -> None:
-        """Start the rotors; home is here."""
+        """Start the rotors and set floor and home to this position."""
         self.floor, self.home_ned = p[2], p
         self._weights[0] = self._weights[1] = 1.0
         self._armed[0] = 1.0
@@ -175,7 +188,7 @@ class Phases:
     def go_to_start(self, reference: track.Track, present: Present, now_us: int) -> None:
         """Go to the reference's first node and hover; from the floor, climb first."""
         values = self._parameters
-        way = track.transit(
+        path = track.transit(
             *present,
             reference.start_ned,
             reference.start_yaw,
@@ -183,9 +196,9 @@ class Phases:
             deceleration=values["LAND_DECEL"],
             room=self._room(),
             hover_us=max(TICK_US, braking.seconds_us(values["HOVER_S"])),
-            upright=self._low(present[0]),
+            upright=self._is_low(present[0]),
         )
-        self.player.start(way, now_us)
+        self.player.start(path, now_us)
 
     def hold_end(self, reference: track.Track, now_us: int) -> None:
         """Stay at the end of the reference for HOLD_S."""
@@ -193,11 +206,11 @@ class Phases:
         self.player.start(track.hold(reference.end_ned, reference.end_yaw, hold_us), now_us)
 
     def stop(self, present: Present, now_us: int, hold_s: float | None = None) -> None:
-        """Stop and stay, for `hold_s` or until another command."""
+        """Stop and hold, for `hold_s` or until another command."""
         hold_us = track.ENDLESS_US if hold_s is None else max(TICK_US, braking.seconds_us(hold_s))
         deceleration = self._parameters["LAND_DECEL"]
-        way = track.stop(*present, deceleration=deceleration, room=self._room(), hold_us=hold_us)
-        self.player.start(way, now_us)
+        path = track.stop(*present, deceleration=deceleration, room=self._room(), hold_us=hold_us)
+        self.player.start(path, now_us)
 
     def follow(self, now_us: int) -> None:
         """Follow the newest setpoint from now on."""
@@ -205,24 +218,24 @@ class Phases:
         target = offboard.target
         if not isinstance(target, PositionTarget):
             if target is not None:
-                offboard.drive(target)
+                offboard.command(target)
             return
-        if target == offboard.followed and target.rests:
+        if target == offboard.followed and target.is_stationary:
             return
         node, yaw = self.present(now_us)
         offboard.release()
-        aim = turned(target, self._yaw())
-        if self._low(node):
-            aim = upwards(aim, node)
+        target_ned = to_ned(target, self._yaw())
+        if self._is_low(node):
+            target_ned = climb_only(target_ned, node)
         else:
             offboard.followed = target
-        way, bounded = towards(aim, node, yaw, offboard.bounds(self.floor))
+        path, bounded = towards(target_ned, node, yaw, offboard.bounds(self.floor))
         if bounded and not self._bounded:
-            self._tell("setpoint bounded by fence, floor or speed")
+            self._report("setpoint bounded by fence, floor or speed")
         self._bounded = bounded
-        self.player.start(way, now_us)
+        self.player.start(path, now_us)
 
-    # Down.
+    # Descent.
 
     def land(self, present: Present, now_us: int) -> None:
         """Stop and descend vertically."""
@@ -239,12 +252,12 @@ class Phases:
     def descend_level(self, yaw: float, thrust_ratio: float, now_us: int) -> None:
         """Hold attitude and sink rate without position feedback.
 
-        thrust_ratio: real over nominal thrust, as it was while position was known.
+        thrust_ratio: actual over nominal thrust, estimated while position was known.
         """
         memory, values = self._memory, self._parameters
         blind_us = values.us("FS_BLIND_S")
         descent = track.level_descent(
-            self._place(),
+            self._position(),
             (memory[3], memory[4], memory[5]),
             yaw,
             speed=values["FS_SINK_SPEED"],
@@ -253,23 +266,23 @@ class Phases:
         )
         self._weights[0] = 0.0
         self._blind_until_us = now_us + blind_us
-        # What was observed rests on a velocity that is no longer measured.
+        # The disturbance estimate depends on a velocity that is no longer measured.
         for k in range(law.OBSERVER.start, law.OBSERVER.stop):
             memory[k] = 0.0
-        self._make_up(thrust_ratio)
+        self._compensate_thrust(thrust_ratio)
         self.player.start(descent, now_us)
 
     def go_blind(self, thrust_ratio: float, now_us: int) -> None:
-        """Stop following the velocity once dead reckoning is worth nothing.
+        """Turn velocity feedback off after FS_BLIND_S, when dead reckoning is unreliable.
 
-        thrust_ratio: real over nominal thrust, as it was in the descent so far.
+        thrust_ratio: actual over nominal thrust, estimated in the descent so far.
         """
         if now_us >= self._blind_until_us and not self.blind:
             self._weights[1] = 0.0
-            self._make_up(thrust_ratio)
+            self._compensate_thrust(thrust_ratio)
 
-    def _make_up(self, thrust_ratio: float) -> None:
-        """Replace the feedback that made up for thrust by what thrust has been worth."""
+    def _compensate_thrust(self, thrust_ratio: float) -> None:
+        """Compensate the thrust ratio by feed-forward instead of feedback."""
         self._feedforward.hold((0.0, 0.0, GRAVITY / thrust_ratio - GRAVITY))
 
     def fall(self, now_us: int) -> None:
@@ -280,10 +293,10 @@ class Phases:
     def _room(self) -> braking.Room:
         return self.offboard.bounds(self.floor).room
 
-    def _low(self, node: braking.Node) -> bool:
+    def _is_low(self, node: braking.Node) -> bool:
         return self.floor - node[2] < CLEAR_HEIGHT
 
-    def _place(self) -> braking.Vector:
+    def _position(self) -> braking.Vector:
         return (self._memory[0], self._memory[1], self._memory[2])
 
     def _yaw(self) -> float:

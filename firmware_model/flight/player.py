@@ -1,4 +1,4 @@
-"""Plays a track into the engine: its pieces change when they are due, the time inside them at every tick."""
+"""Playback of a track: writes its current pieces and the time inside them to the engine."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from trimtab.firmware_model.law.reference import cubic_at, septic_at
 
 
 class Player:
-    """Where on its track the vehicle is.
+    """Playback position on a track.
 
-    A tick compares its time with `switch_us`, calls `switch` where that has come, and writes the time inside
-    the pieces, `piece[0] = (now_us - piece_us) * 1e-6` and likewise for yaw. That is all it costs.
+    A tick calls `switch` if `switch_us` has been reached and writes the time inside the pieces,
+    `piece[0] = (now_us - piece_us) * 1e-6` and likewise for yaw. It has no other cost.
 
     Parameters
     ----------
     piece, yaw
-        the engine's input blocks.
+        Input blocks of the engine.
     """
 
     def __init__(self, piece: memoryview[float], yaw: memoryview[float]) -> None:
@@ -37,18 +37,18 @@ class Player:
         self._next_piece = self._next_yaw = 0
         self.switch(now_us)
 
-    def rest(self, track: Track, now_us: int) -> None:
-        """Load the track's first piece and hold it: time no longer ends it."""
+    def hold_first_piece(self, track: Track, now_us: int) -> None:
+        """Load the first piece of a track and keep it without a time limit."""
         self.start(track, now_us)
         self.switch_us = NEVER_US
 
     def reference(self, now_us: int) -> tuple[float, ...]:
-        """Position, velocity, acceleration, jerk (NED), yaw and yaw rate at `now_us`, 14 numbers."""
+        """Return position, velocity, acceleration, jerk (NED), yaw and yaw rate at `now_us`, 14 numbers."""
         p, v, a, j, _ = septic_at(self.piece[1:], (now_us - self.piece_us) * 1e-6)
         return (*p, *v, *a, *j, *cubic_at(self.yaw[1:], (now_us - self.yaw_us) * 1e-6))
 
     def switch(self, now_us: int) -> bool:
-        """Whether the track has ended; if not, the inputs hold the present pieces until `switch_us`."""
+        """Write the current pieces, which apply until `switch_us`; return whether the track has ended."""
         track, start = self._track, self._start_us
         if track is None or now_us >= start + track.end_us:
             self.switch_us = NEVER_US

@@ -1,4 +1,4 @@
-"""Poses on their way into the law: what is believed, one a tick, oldest first."""
+"""Queue of poses for the estimator: plausibility checks, one pose per tick, oldest first."""
 
 from __future__ import annotations
 
@@ -8,45 +8,51 @@ from collections.abc import Mapping, Sequence
 
 AGE_MAX_US = 200_000
 AHEAD_US = 5_000
-"""How far in the future a stamp may lie: clocks are compared over a radio."""
-FARTHEST = 1e4
-"""m from the origin."""
-WAITING = 4
+"""Greatest time by which a stamp may lie in the future: clocks are compared over a radio."""
+DISTANCE_MAX = 1e4
+"""Greatest distance from the origin, m."""
+QUEUE_SIZE = 4
 
 Pose = tuple[int, Sequence[float], Sequence[float]]
-"""Time of measurement on the vehicle's clock (us), p (NED), q_ned_frd (w first, of length 1)."""
+"""Time of measurement on the vehicle's clock (us), p (NED), q_ned_frd (w first, unit length)."""
 
 
 class PoseInput:
-    """Keeps the engine's mocap blocks.
+    """Queues poses and writes the engine's mocap blocks.
 
-    `measured_us` is when the newest pose handed on was measured, None before the first; `used` counts them.
-    `newest_us` is when the newest one believed was measured, handed on or waiting.
+    Attributes
+    ----------
+    measured_us
+        Time of measurement of the newest pose passed to the estimator; None before the first.
+    used
+        Number of poses passed to the estimator.
+    newest_us
+        Time of measurement of the newest accepted pose, used or waiting.
     """
 
     def __init__(self, inputs: Mapping[str, memoryview[float]]) -> None:
-        self.waiting: deque[Pose] = deque(maxlen=WAITING)
+        self.waiting: deque[Pose] = deque(maxlen=QUEUE_SIZE)
         self.measured_us: int | None = None
         self.used = 0
         self.newest_us = -1
-        self._last: tuple[float, ...] = ()  # numbers of the pose offered last
+        self._last: tuple[float, ...] = ()  # last pose offered
         self._oldest_us = 0
         self._new, self._p, self._q = inputs["mocap_new"], inputs["mocap_p"], inputs["mocap_q"]
         self._age, self._interval = inputs["mocap_age_s"], inputs["mocap_interval_s"]
 
     def repeats(self, p: Sequence[float], q: Sequence[float]) -> bool:
-        """Whether the pose that is being offered has the numbers of the one before it, to the bit."""
+        """Return whether an offered pose is identical to the previous one."""
         last, self._last = self._last, (*p, *q)
         return self._last == last
 
     def offer(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
-        """Whether the pose waits for a tick now: newer than the last one, recent, of sane numbers."""
+        """Queue a pose; return False unless it is newer than the last one, recent and plausible."""
         length = math.hypot(*q)
         if (
             time_us <= self.newest_us
             or not -AHEAD_US <= now_us - time_us <= AGE_MAX_US
             or not 0.9 < length < 1.1
-            or not math.hypot(*p) < FARTHEST
+            or not math.hypot(*p) < DISTANCE_MAX
         ):
             return False
         self.newest_us = time_us
@@ -54,21 +60,21 @@ class PoseInput:
         return True
 
     def take(self) -> tuple[Pose, int | None]:
-        """Return the oldest that waits, and the time of measurement of the one before it."""
+        """Return the oldest waiting pose, and the time of measurement of the pose before it."""
         pose = self.waiting.popleft()
-        before, self.measured_us = self.measured_us, pose[0]
+        previous_us, self.measured_us = self.measured_us, pose[0]
         self.used += 1
-        return pose, before
+        return pose, previous_us
 
     def oldest_us(self, now_us: int) -> int | None:
-        """Greatest age of the newest pose used since the last call; None before the first pose."""
+        """Return the greatest age of the newest pose used since the last call; None before the first pose."""
         if self.measured_us is None:
             return None
         oldest_us, self._oldest_us = max(self._oldest_us, now_us - self.measured_us), 0
         return oldest_us
 
     def show(self, pose: Pose, before_us: int, now_us: int) -> None:
-        """Let the law correct its estimate by this pose, until `hide`."""
+        """Write this pose to the engine's inputs, where it corrects the estimate until `hide`."""
         time_us, p, q = pose
         if now_us - before_us > self._oldest_us:
             self._oldest_us = now_us - before_us
@@ -79,5 +85,5 @@ class PoseInput:
         self._new[0] = 1.0
 
     def hide(self) -> None:
-        """Let the law predict only."""
+        """Remove the pose from the engine's inputs: the estimator only predicts."""
         self._new[0] = 0.0

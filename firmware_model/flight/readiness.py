@@ -1,4 +1,4 @@
-"""What must hold before the vehicle may arm or start, and the gyro calibration that is part of it."""
+"""Checks before arming and start, including gyro calibration and detection of stillness."""
 
 from __future__ import annotations
 
@@ -6,36 +6,36 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
+from trimtab.firmware_model.flight.condition_monitor import Box, within
 from trimtab.firmware_model.flight.supervisor import Event
 from trimtab.firmware_model.flight.track import Track
-from trimtab.firmware_model.flight.watch import Box, within
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.estimator import converges
 from trimtab.firmware_model.law.step import GYRO_COUNTS, TICK_S
 
 WINDOW_US = 500_000
-"""Stillness that a calibration takes."""
+"""Time at rest for a gyro calibration."""
 STILL_FORCE = 1.0
-"""m/s^2 by which the length of the specific force may differ from g."""
+"""Greatest deviation of the specific force's magnitude from g (m/s^2) in a gyro calibration."""
 REST_US = 100_000
-"""Stillness that arming takes: three times a rotor's lag, so that one just killed counts as falling."""
+"""Time at rest before arming: three times the rotor lag, so a vehicle that falls after a kill cannot arm."""
 REST_SPEED = 0.5
-"""m/s of the estimate at which a vehicle moves. Poses whose down is 10 deg off look like 0.3 m/s."""
+"""Greatest estimated speed (m/s) at rest. Poses tilted by 10 deg cause an apparent speed of 0.3 m/s."""
 REST_FORCE = 2.0
-"""m/s^2 by which the length of the specific force differs from g then; less steady, no gyro is calibrated."""
+"""Greatest deviation of the specific force's magnitude from g (m/s^2) at rest; STILL_FORCE is stricter."""
 IDLE_SHARE = 0.5
-"""Share of the weight that rotors at their least thrust stay below: it comes down, and can be turned."""
+"""Greatest idle thrust of the rotors as a share of the weight: the vehicle can descend and keep control."""
 FLOOR_MAX = 0.7
-"""Greatest THRUST_FLOOR: it comes down with that."""
+"""Greatest THRUST_FLOOR: the vehicle can descend."""
 CURVE = (0.8, 1.25)
-"""What THRUST_C1 + THRUST_C2, thrust at full command over THRUST_MAX, lies between."""
-_FELT_SHARE = 0.05  # of each look's specific force in the smoothed one: a fifth of a second
+"""Bounds of THRUST_C1 + THRUST_C2, the thrust at full command over THRUST_MAX."""
+_FORCE_GAIN = 0.05  # of the smoothed specific force in each update: a time constant of 0.2 s
 
 
 class GyroCalibration:
-    """The gyro's bias as its mean over the first window in which the vehicle stood still.
+    """Gyro bias: mean over the first window in which the vehicle is at rest.
 
-    Look at it now and then with a sample and the law's running sums; the mean is over every tick in between.
+    Each update takes the present samples and the law's running sums; the mean covers every tick in between.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class GyroCalibration:
         self._first: Sequence[float] = ()
         self._sums: Sequence[float] = ()
 
-    def look(
+    def update(
         self,
         now_us: int,
         gyro: Sequence[float],
@@ -54,16 +54,18 @@ class GyroCalibration:
         bias_max: float,
         still_rate: float,
     ) -> bool:
-        """Whether this look completed the calibration.
+        """Continue the calibration; return whether this update completed it.
 
         Parameters
         ----------
         gyro, force
-            samples of this tick, FRD. sums: the law's gyro sums, in counts, up to this tick.
+            Samples of this tick, FRD.
+        sums
+            Gyro sums of the law up to this tick, in counts.
         bias_max
-            greatest bias (rad/s) that is believed.
+            Greatest plausible bias (rad/s).
         still_rate
-            rad/s by which a sample may differ from the window's first.
+            Greatest difference of a sample from the first one of the window (rad/s).
         """
         if self.bias is not None:
             return False
@@ -82,127 +84,126 @@ class GyroCalibration:
         per_count = TICK_S / (GYRO_COUNTS * elapsed_us * 1e-6)
         x, y, z = ((b - a) * per_count for a, b in zip(self._sums, sums, strict=True))
         if max(abs(x), abs(y), abs(z)) > bias_max:
-            self._start_us = -1  # turning steadily
+            self._start_us = -1  # a constant rotation
             return False
         self.bias = (x, y, z)
         return True
 
 
-class Rest:
-    """Whether the vehicle stands still, and whether poses know where down is.
+class StillnessDetector:
+    """Detects whether the vehicle is at rest, and measures the tilt error of the poses.
 
-    `still`: REST_US of looks found it so. `askew_deg`: angle between up and the specific force, turned by the
-    estimate and smoothed.
+    `still`: whether the vehicle has been at rest for REST_US.
     """
 
     def __init__(self) -> None:
         self.still = False
         self._since_us = 0
-        self._felt: Sequence[float] = ()
+        self._force_ned: Sequence[float] = ()
 
-    def begin(self, now_us: int) -> None:
-        """Start the calibration."""
-        self.still, self._since_us, self._felt = False, now_us, ()
+    def reset(self, now_us: int) -> None:
+        """Restart the detection."""
+        self.still, self._since_us, self._force_ned = False, now_us, ()
 
-    def look(self, now_us: int, speed: float, force_ned: Sequence[float]) -> None:
-        """Take the estimated speed (m/s) and this tick's specific force (NED, by the estimate)."""
+    def update(self, now_us: int, speed: float, force_ned: Sequence[float]) -> None:
+        """Update with the estimated speed (m/s) and the specific force (NED, by the estimated attitude)."""
         if speed > REST_SPEED or not abs(math.hypot(*force_ned) - GRAVITY) < REST_FORCE:
             self._since_us = now_us
         self.still = now_us - self._since_us >= REST_US
-        felt = self._felt or force_ned
-        self._felt = tuple(a + _FELT_SHARE * (b - a) for a, b in zip(felt, force_ned, strict=True))
+        smoothed = self._force_ned or force_ned
+        self._force_ned = tuple(a + _FORCE_GAIN * (b - a) for a, b in zip(smoothed, force_ned, strict=True))
 
     @property
-    def askew_deg(self) -> float:
-        """See above; 0 before the first look."""
-        if not self._felt:
+    def pose_tilt_deg(self) -> float:
+        """Angle between the smoothed specific force and the upward vertical of the poses; 0 without data."""
+        if not self._force_ned:
             return 0.0
-        north, east, down = self._felt
+        north, east, down = self._force_ned
         return math.degrees(math.atan2(math.hypot(north, east), -down))
 
 
-class Facts(NamedTuple):
-    """What the arming checks judge.
+class ArmingState(NamedTuple):
+    """State of the vehicle that the arming checks evaluate.
 
     Parameters
     ----------
     calibrated
         Whether the gyro is calibrated.
-    posed
+    has_pose
         Whether poses are in use.
-    still, askew_deg
-        Results of `Rest`; askew_max_deg is the bound of askew_deg.
+    still, pose_tilt_deg
+        Results of `StillnessDetector`; pose_tilt_max_deg is the bound of pose_tilt_deg.
     cos_tilt
         Cosine of the estimated tilt; cos_tilt_min is its bound.
     p
         Estimated position, NED.
     fence
         Flight volume.
-    holding
-        Conditions of the failsafe table that hold.
+    active
+        Active conditions of the failsafe table.
     battery
-        Why the live reference must not be flown with this battery; None if it may.
+        Why the live reference may not be flown with this battery, or None.
     contradiction
-        What is contradictory among the parameters; None if nothing is.
+        First inconsistency of the parameters, or None.
     """
 
     calibrated: bool
-    posed: bool
+    has_pose: bool
     still: bool
-    askew_deg: float
-    askew_max_deg: float
+    pose_tilt_deg: float
+    pose_tilt_max_deg: float
     cos_tilt: float
     cos_tilt_min: float
     p: tuple[float, float, float]
     fence: Box
-    holding: frozenset[Event]
+    active: frozenset[Event]
     battery: str | None
     contradiction: str | None
 
 
 class Check(NamedTuple):
-    """One arming check: what is looked at, whether it fails, what people read then."""
+    """An arming check: its subject, whether it fails, and its message for people."""
 
-    what: str
-    fails: Callable[[Facts], bool]
+    name: str
+    fails: Callable[[ArmingState], bool]
     text: str
 
 
-def _holds(event: Event) -> Callable[[Facts], bool]:
-    return lambda facts: event in facts.holding
+def _is_active(event: Event) -> Callable[[ArmingState], bool]:
+    return lambda state: event in state.active
 
 
 CHECKS: tuple[Check, ...] = (
-    Check("gyro", lambda facts: not facts.calibrated, "gyro not calibrated: keep still"),
-    Check("IMU", _holds(Event.IMU_STUCK), "IMU stuck: it repeats one sample"),
-    Check("mocap", lambda facts: not facts.posed, "no mocap"),
-    Check("age of poses", _holds(Event.MOCAP_LATE), "mocap late"),
-    Check("tilt", lambda facts: not facts.cos_tilt >= facts.cos_tilt_min, "tilted"),
-    # Before rest: poses askew make a vehicle that stands seem to move.
+    Check("gyro", lambda state: not state.calibrated, "gyro not calibrated: keep still"),
+    Check("IMU", _is_active(Event.IMU_STUCK), "IMU stuck: it repeats one sample"),
+    Check("mocap", lambda state: not state.has_pose, "no mocap"),
+    Check("age of poses", _is_active(Event.MOCAP_LATE), "mocap late"),
+    Check("tilt", lambda state: not state.cos_tilt >= state.cos_tilt_min, "tilted"),
+    # Before the check of rest: tilted poses make a vehicle at rest appear to move.
     Check(
         "poses' vertical",
-        lambda facts: facts.posed and not facts.askew_deg <= facts.askew_max_deg,
-        "poses askew: mend frame or rigid body",
+        lambda state: state.has_pose and not state.pose_tilt_deg <= state.pose_tilt_max_deg,
+        "poses tilted: fix frame or rigid body",
     ),
-    Check("rest", lambda facts: facts.posed and not facts.still, "moving: let it stand still"),
-    Check("fence", lambda facts: not within(facts.p, facts.fence), "outside the fence"),
-    Check("battery", _holds(Event.BATTERY_LOW), "battery low: charge it"),
-    Check("battery for the live reference", lambda facts: facts.battery is not None, "{battery}"),
-    Check("loop", _holds(Event.LOOP_OVERRUN), "ticks too late"),
-    Check("link", _holds(Event.LINK_LOST), "no host heard"),
-    Check("parameters", lambda facts: facts.contradiction is not None, "{contradiction}"),
+    Check("rest", lambda state: state.has_pose and not state.still, "moving: let it stand still"),
+    Check("fence", lambda state: not within(state.p, state.fence), "outside the fence"),
+    Check("battery", _is_active(Event.BATTERY_LOW), "battery low: charge it"),
+    Check("battery for the live reference", lambda state: state.battery is not None, "{battery}"),
+    Check("loop", _is_active(Event.LOOP_OVERRUN), "ticks too late"),
+    Check("link", _is_active(Event.LINK_LOST), "no host heard"),
+    Check("parameters", lambda state: state.contradiction is not None, "{contradiction}"),
 )
-"""In the order in which reasons are told."""
+"""Arming checks in the order of their messages."""
 
 
-def reasons(facts: Facts) -> list[str]:
-    """Every reason why the vehicle must not arm; none where it may."""
-    found = {"battery": facts.battery, "contradiction": facts.contradiction}
-    return [check.text.format(**found) for check in CHECKS if check.fails(facts)]
+def arming_refusals(state: ArmingState) -> list[str]:
+    """Return every reason why the vehicle may not arm."""
+    texts = {"battery": state.battery, "contradiction": state.contradiction}
+    return [check.text.format(**texts) for check in CHECKS if check.fails(state)]
 
 
 def contradiction(parameters: Mapping[str, float]) -> str | None:
-    """Return what parameters that are allowed one by one do not allow together, None where all is well."""
+    """Return the first inconsistency of parameters that are within their bounds, or None."""
     if parameters["BAT_EMPTY_V"] >= parameters["BAT_FULL_V"]:
         return "BAT_EMPTY_V not below BAT_FULL_V"
     if 4.0 * parameters["THRUST_MAX"] * parameters["LIM_THR_HI"] <= parameters["MASS"] * GRAVITY:
@@ -222,10 +223,10 @@ def contradiction(parameters: Mapping[str, float]) -> str | None:
 
 
 def start_refusal(reference: Track | None, *, rising: bool, flown: bool, battery: str | None) -> str | None:
-    """Why the live reference is not flown, None where it is.
+    """Return why the live reference may not be flown, or None.
 
-    rising: a take-off to a hover is under way. flown: it has been, since the last arming. battery: as in
-    Facts.
+    rising: whether a take-off to a hover is in progress. flown: whether the reference was flown since the
+    last arming. battery: as in `ArmingState`.
     """
     if rising:
         return "still taking off"
@@ -233,4 +234,4 @@ def start_refusal(reference: Track | None, *, rising: bool, flown: bool, battery
         return "flown already: land, then arm again"
     if reference is None:
         return "no live reference: upload one"
-    return battery if reference.rests else "reference not at rest at its ends"
+    return battery if reference.ends_at_rest else "reference not at rest at its ends"

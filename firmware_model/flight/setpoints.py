@@ -1,9 +1,9 @@
-"""Setpoints of a stream: what they may say, and the way from the present reference to what one asks for.
+"""Setpoints of a stream, and the track from the present reference to a setpoint.
 
-Every setpoint of position or velocity becomes a short polynomial that begins in the reference's present
-position, velocity, acceleration and jerk, so that the reference never steps; where no newer one comes, it
-goes on as the setpoint says. Repeated at a steady rate this filters the stream: a position that moves is
-followed 0.29 s late, or without delay where its velocity is given too.
+Every setpoint of position or velocity becomes a short polynomial that starts at the present position,
+velocity, acceleration and jerk of the reference, so the reference never jumps. Without a newer setpoint the
+track continues as the setpoint states. At a constant rate this filters the stream: a moving position is
+followed with a delay of 0.29 s, or without delay if the setpoint includes its velocity.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from trimtab.firmware_model.flight.braking import (
 from trimtab.firmware_model.flight.track import ENDLESS_US, SEPTIC_PEAK, Track, YawState, track
 
 SHORTEST_S = 0.5
-"""Least length of a piece; a setpoint lasts as long as that even where it asks for little."""
+"""Shortest duration of a piece, also for small changes."""
 SEPTIC_ACCEL = 7.52
-"""Greatest acceleration of a septic from rest to rest, times its length squared over its way."""
+"""Peak acceleration of a septic from rest to rest, times its duration squared over its distance."""
 RENEWAL_S = 1.0
-"""Time in which an acceleration ends that no newer setpoint renews."""
-ASIDE_M = 0.2
-"""How far a piece may swing out beyond both its ends and beyond what a stop takes."""
-_FIRST = 0.6  # of the time that rest to rest would take: who moves already needs less
+"""Time in which an acceleration ends without a newer setpoint."""
+OVERSHOOT_M = 0.2
+"""Greatest distance of a piece beyond its ends, in addition to the stopping distances there."""
+_FIRST = 0.6  # of the duration from rest to rest: a moving vehicle needs less time
 _STRETCH = 1.15
 _STRETCHES = 12
 _SAMPLES = 12
@@ -44,10 +44,10 @@ Axes = tuple[float | None, float | None, float | None]
 
 @dataclass(frozen=True, kw_only=True)
 class PositionTarget:
-    """Position and velocity by axis, None where not given; each axis has at least one of the two.
+    """Target position and velocity. Each axis has at least one of the two; the other may be None.
 
-    NED, m and SI; `ahead`: velocity and acceleration are forward, right, down of the vehicle's heading.
-    yaw (rad) and yaw_rate (rad/s): None where not given; without either, the present yaw is held.
+    p, v, a: NED, SI. ahead: whether v and a are forward, right and down relative to the heading instead. yaw
+    (rad), yaw_rate (rad/s): None if not given; without both the present yaw is held.
     """
 
     p: Axes
@@ -62,17 +62,18 @@ class PositionTarget:
             raise ValueError("an axis needs a position or a velocity")
 
     @property
-    def rests(self) -> bool:
-        """Whether it names one place to stay at."""
+    def is_stationary(self) -> bool:
+        """Whether the target is a fixed position without motion."""
         still = all(not v for v in self.v) and not any(self.a) and not self.yaw_rate
         return still and all(p is not None for p in self.p)
 
 
 @dataclass(frozen=True, kw_only=True)
 class AttitudeTarget:
-    """thrust: collective, as a share of all rotors' greatest. rate (rad/s, FRD).
+    """Target thrust with body rate or attitude.
 
-    q: attitude q_ned_frd, a unit quaternion, w first; the rate then comes on top. None: rate alone.
+    thrust: collective thrust as a share of the greatest thrust of all rotors. rate: body rate (rad/s, FRD).
+    q: attitude q_ned_frd, a unit quaternion, w first; the rate is then added. None: body rate only.
     """
 
     thrust: float
@@ -85,9 +86,9 @@ Target = PositionTarget | AttitudeTarget
 
 @dataclass(frozen=True, kw_only=True)
 class Bounds:
-    """What setpoints are kept within: a room, speed (m/s), acceleration (m/s^2), yaw rates (rad/s).
+    """Bounds of setpoints: room, speed (m/s), acceleration (m/s^2) and yaw rates (rad/s).
 
-    turn_rate: greatest yaw rate of the turn to a new yaw.
+    turn_rate: greatest yaw rate of a turn to a new yaw.
     """
 
     room: Room
@@ -97,8 +98,8 @@ class Bounds:
     turn_rate: float
 
 
-def turned(target: PositionTarget, yaw: float) -> PositionTarget:
-    """Return the same in NED for a vehicle that heads this way."""
+def to_ned(target: PositionTarget, yaw: float) -> PositionTarget:
+    """Return the target in NED for a vehicle with this yaw."""
     if not target.ahead:
         return target
     c, s = math.cos(yaw), math.sin(yaw)
@@ -111,10 +112,8 @@ def turned(target: PositionTarget, yaw: float) -> PositionTarget:
     )
 
 
-def upwards(target: PositionTarget, state: Node) -> PositionTarget:
-    """Return what is left of a target in NED where the vehicle may only rise from here (p, v, a, j): the
-    height.
-    """
+def climb_only(target: PositionTarget, state: Node) -> PositionTarget:
+    """Return a target in NED reduced to its height, for a vehicle that may only climb from its state."""
     return replace(
         target,
         p=(state[0], state[1], target.p[2]),
@@ -124,13 +123,12 @@ def upwards(target: PositionTarget, state: Node) -> PositionTarget:
 
 
 def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) -> tuple[Track, bool]:
-    """Return the track from the reference state (p, v, a, j) to the target and on, and whether bounds
-    changed it.
+    """Return the track from the reference state (p, v, a, j) to the target, and whether bounds changed it.
 
-    It has no end of its own. `target.ahead` is for whoever knows the heading: here it must be False.
+    The track continues without end. `target.ahead` must be False; `to_ned` converts such a target.
     """
-    aims, asked = _aims(target, state, bounds)
-    nodes = _nodes(aims, asked, target.a, state, bounds)
+    goal, goal_v = _bounded_goal(target, state, bounds)
+    nodes = _nodes(goal, goal_v, target.a, state, bounds)
     t_us, end = nodes[-1]
     velocity: Vector = (end[3], end[4], end[5])
     if any(end[6:9]):
@@ -140,95 +138,91 @@ def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) 
     far = ENDLESS_US * 1e-6
     p: Vector = (end[0] + far * end[3], end[1] + far * end[4], end[2] + far * end[5])
     nodes.append((t_us + ENDLESS_US, _moving(p, velocity)))
-    bounded = aims != target.p or any(
-        abs(v - (w or 0.0)) > 1e-6 for v, w in zip(asked, target.v, strict=True)
+    bounded = goal != target.p or any(
+        abs(v - (w or 0.0)) > 1e-6 for v, w in zip(goal_v, target.v, strict=True)
     )
     return track(nodes, _turn(target, yaw, t_us + ENDLESS_US, bounds)), bounded
 
 
-def _nodes(aims: Axes, asked: Vector, accel: Vector, state: Node, bounds: Bounds) -> list[tuple[int, Node]]:
-    """Return nodes from the state to the setpoint's goal.
+def _nodes(goal: Axes, goal_v: Vector, accel: Vector, state: Node, bounds: Bounds) -> list[tuple[int, Node]]:
+    """Return nodes from the state to the goal.
 
-    They lead there in one piece if possible; else after the acceleration has faded; else after a stop. At
-    worst the vehicle stays at the stop.
+    They reach the goal in one piece if possible; else after the acceleration has decayed; else after a stop.
+    If all of these fail, the vehicle stays at the stop.
     """
-    sure: list[tuple[int, Node]] = []
-    begun = [(0, state)]
-    for sure, begun in _beginnings(state, bounds):
-        t_us, node = begun[-1]
-        length_s = _length_s(aims, asked, node, bounds)
+    fixed: list[tuple[int, Node]] = []
+    start = [(0, state)]
+    for fixed, start in _starts(state, bounds):
+        t_us, node = start[-1]
+        duration = _initial_duration_s(goal, goal_v, node, bounds)
         for _ in range(_STRETCHES):
-            end = _end(aims, asked, accel, node, length_s, bounds)
-            nodes = [*begun, (t_us + seconds_us(length_s), end)]
-            if _gentle(nodes, bounds):
-                return [*sure, *nodes]
-            length_s *= _STRETCH
-    t_us, node = begun[-1]
-    return [*sure, *begun, (t_us + seconds_us(SHORTEST_S), node)]
+            end = _end(goal, goal_v, accel, node, duration, bounds)
+            nodes = [*start, (t_us + seconds_us(duration), end)]
+            if _within_bounds(nodes, bounds):
+                return [*fixed, *nodes]
+            duration *= _STRETCH
+    t_us, node = start[-1]
+    return [*fixed, *start, (t_us + seconds_us(SHORTEST_S), node)]
 
 
-def _beginnings(
-    state: Node, bounds: Bounds
-) -> Iterator[tuple[list[tuple[int, Node]], list[tuple[int, Node]]]]:
-    """Yield nodes that are flown in any case, and the nodes from which a way to the goal starts."""
+def _starts(state: Node, bounds: Bounds) -> Iterator[tuple[list[tuple[int, Node]], list[tuple[int, Node]]]]:
+    """Yield the fixed first nodes of a path, and the nodes from which it continues to the goal."""
     yield [], [(0, state)]
     yield [], [(0, state), (seconds_us(EASE_S), eased(state, EASE_S))]
     stop = braked(state, bounds.accel, bounds.room)
     yield stop[:-1], stop[-1:]
 
 
-def _aims(target: PositionTarget, state: Node, bounds: Bounds) -> tuple[Axes, Vector]:
-    """Return the requested positions and velocities, within the box and the speed limit."""
-    wanted = [v or 0.0 for v in target.v]
-    speed = math.hypot(*wanted)
+def _bounded_goal(target: PositionTarget, state: Node, bounds: Bounds) -> tuple[Axes, Vector]:
+    """Return the requested positions and velocities, limited to the room and the greatest speed."""
+    goal_v = [v or 0.0 for v in target.v]
+    speed = math.hypot(*goal_v)
     if speed > bounds.speed:
-        wanted = [v * bounds.speed / speed for v in wanted]
-    aims: list[float | None] = []
+        goal_v = [v * bounds.speed / speed for v in goal_v]
+    goal: list[float | None] = []
     for i, (p, low, high) in enumerate(zip(target.p, *bounds.room, strict=True)):
-        aim = None if p is None else min(max(p, low), high)
-        aims.append(aim)
-        here = state[i] if aim is None else aim
-        wanted[i] = min(max(wanted[i], -_speed_left(here - low, bounds)), _speed_left(high - here, bounds))
-    return (aims[0], aims[1], aims[2]), (wanted[0], wanted[1], wanted[2])
+        x = None if p is None else min(max(p, low), high)
+        goal.append(x)
+        here = state[i] if x is None else x
+        goal_v[i] = min(max(goal_v[i], -_speed_limit(here - low, bounds)), _speed_limit(high - here, bounds))
+    return (goal[0], goal[1], goal[2]), (goal_v[0], goal_v[1], goal_v[2])
 
 
-def _speed_left(way: float, bounds: Bounds) -> float:
-    """Greatest speed at which a stop ends within this way, some of it flown while no setpoint comes."""
-    return max(0.0, min(math.sqrt(0.5 * bounds.accel * max(way, 0.0)), way))
+def _speed_limit(distance: float, bounds: Bounds) -> float:
+    """Return the greatest speed for a stop within a distance, after some flight without a new setpoint."""
+    return max(0.0, min(math.sqrt(0.5 * bounds.accel * max(distance, 0.0)), distance))
 
 
-def _length_s(aims: Axes, velocity: Vector, state: Node, bounds: Bounds) -> float:
-    """Length that the search for the shortest gentle piece begins with."""
-    way = math.hypot(*(0.0 if aim is None else aim - state[i] for i, aim in enumerate(aims)))
-    change = math.hypot(*(velocity[i] - state[3 + i] for i, aim in enumerate(aims) if aim is None))
+def _initial_duration_s(goal: Axes, velocity: Vector, state: Node, bounds: Bounds) -> float:
+    """Return the duration at which the search for the shortest piece within the bounds starts."""
+    distance = math.hypot(*(0.0 if x is None else x - state[i] for i, x in enumerate(goal)))
+    change = math.hypot(*(velocity[i] - state[3 + i] for i, x in enumerate(goal) if x is None))
     return max(
         SHORTEST_S,
-        _FIRST * SEPTIC_PEAK * way / bounds.speed,
-        _FIRST * math.sqrt(SEPTIC_ACCEL * way / bounds.accel),
+        _FIRST * SEPTIC_PEAK * distance / bounds.speed,
+        _FIRST * math.sqrt(SEPTIC_ACCEL * distance / bounds.accel),
         _FIRST * QUINTIC_PEAK * change / bounds.accel,
     )
 
 
-def _end(aims: Axes, velocity: Vector, accel: Vector, state: Node, length_s: float, bounds: Bounds) -> Node:
-    """Return the node at the end of a piece: the aims have moved on as the setpoint says, within the
-    bounds.
-    """
+def _end(goal: Axes, velocity: Vector, accel: Vector, state: Node, length_s: float, bounds: Bounds) -> Node:
+    """Return the node at the end of a piece: the goal moved on as the setpoint states, within the bounds."""
     size = math.hypot(*accel)
-    most = min(1.0, bounds.accel / size) if size else 1.0
-    a = [most * x for x in accel]
+    scale = min(1.0, bounds.accel / size) if size else 1.0
+    a = [scale * x for x in accel]
     v = [w + b * length_s for w, b in zip(velocity, a, strict=True)]
     speed = math.hypot(*v)
     if speed > bounds.speed:
         v = [x * bounds.speed / speed for x in v]
     p = [
-        here if aim is None else aim + (w + 0.5 * b * length_s) * length_s
-        for here, aim, w, b in zip(_coasted(state, v, length_s, a), aims, velocity, a, strict=True)
+        here if x is None else x + (w + 0.5 * b * length_s) * length_s
+        for here, x, w, b in zip(_coasted(state, v, length_s, a), goal, velocity, a, strict=True)
     ]
     for i, (low, high) in enumerate(zip(*bounds.room, strict=True)):
-        if aims[i] is None:
-            within = min(max(v[i], -_speed_left(p[i] - low, bounds)), _speed_left(high - p[i], bounds))
-            if within != v[i]:
-                v[i], a[i] = within, 0.0
+        if goal[i] is None:
+            limited = min(max(v[i], -_speed_limit(p[i] - low, bounds)), _speed_limit(high - p[i], bounds))
+            if limited != v[i]:
+                v[i], a[i] = limited, 0.0
                 p[i] = _coasted(state, v, length_s, a)[i]
         elif not low <= p[i] <= high:
             p[i], v[i], a[i] = min(max(p[i], low), high), 0.0, 0.0
@@ -239,33 +233,35 @@ def _coasted(state: Node, v: Sequence[float], length_s: float, a: Sequence[float
     return coast(state, (v[0], v[1], v[2]), length_s, (a[0], a[1], a[2]))
 
 
-def _gentle(nodes: Sequence[tuple[int, Node]], bounds: Bounds) -> bool:
-    """Whether the way stays within speed, acceleration and room, or within those of its nodes, and swings out
-    no further than it has to.
+def _within_bounds(nodes: Sequence[tuple[int, Node]], bounds: Bounds) -> bool:
+    """Return whether a path stays within speed, acceleration, room and the permitted overshoot.
+
+    Where a node exceeds a bound, its value is the bound instead.
     """
     state, end = nodes[0][1], nodes[-1][1]
-    fastest = max(bounds.speed, *(math.hypot(*node[3:6]) for _, node in nodes)) * 1.001 + 1e-6
-    hardest = max(bounds.accel, *(math.hypot(*node[6:9]) for _, node in nodes)) * 1.001 + 1e-6
+    speed_max = max(bounds.speed, *(math.hypot(*node[3:6]) for _, node in nodes)) * 1.001 + 1e-6
+    accel_max = max(bounds.accel, *(math.hypot(*node[6:9]) for _, node in nodes)) * 1.001 + 1e-6
     beyond = bounds.room.beyond(state) + 1e-3
-    swing = Room(*(_swing(state, end, side, bounds) for side in (-1.0, 1.0)))
+    corridor = Room(*(_corridor_corner(state, end, side, bounds) for side in (-1.0, 1.0)))
     return all(
-        math.hypot(*v) <= fastest
-        and math.hypot(*a) <= hardest
+        math.hypot(*v) <= speed_max
+        and math.hypot(*a) <= accel_max
         and bounds.room.beyond(p) <= beyond
-        and swing.beyond(p) <= 0.0
+        and corridor.beyond(p) <= 0.0
         for p, v, a in samples(nodes, _SAMPLES)
     )
 
 
-def _swing(state: Node, end: Node, side: float, bounds: Bounds) -> Vector:
-    """How far a way from the state to the end may lead to this side (-1 or 1) of both, by axis."""
-    least = []
+def _corridor_corner(state: Node, end: Node, side: float, bounds: Bounds) -> Vector:
+    """Return the corner on this side (-1 or 1) of the box in which a path from `state` to `end` must stay."""
+    corner = []
     for i in range(3):
-        on = max(0.0, side * (state[3 + i] + 0.5 * EASE_S * state[6 + i]))
-        off = max(0.0, -side * end[3 + i])
-        out = max(side * state[i] + on**2 / bounds.accel, side * end[i] + off**2 / bounds.accel)
-        least.append(side * (out + ASIDE_M))
-    return (least[0], least[1], least[2])
+        start_speed = max(0.0, side * (state[3 + i] + 0.5 * EASE_S * state[6 + i]))
+        end_speed = max(0.0, -side * end[3 + i])
+        start_stop = side * state[i] + start_speed**2 / bounds.accel
+        end_stop = side * end[i] + end_speed**2 / bounds.accel
+        corner.append(side * (max(start_stop, end_stop) + OVERSHOOT_M))
+    return (corner[0], corner[1], corner[2])
 
 
 def _moving(p: Vector, velocity: Vector) -> Node:
@@ -275,7 +271,7 @@ def _moving(p: Vector, velocity: Vector) -> Node:
 def _turn(
     target: PositionTarget, yaw: YawState, end_us: int, bounds: Bounds
 ) -> list[tuple[int, float, float]]:
-    """Yaw nodes from this yaw and rate to the target's."""
+    """Return yaw nodes from this yaw and rate to those of the target."""
     now, rate = yaw
     final = min(max(target.yaw_rate or 0.0, -bounds.yaw_rate), bounds.yaw_rate)
     if target.yaw is None:

@@ -1,7 +1,7 @@
-"""What the vehicle is doing, as one table: every state times event moves it or is refused with a reason.
+"""Supervisor of the flight: a table of transitions. Every event in every state moves it or is refused.
 
-The table is data, `update` is pure, and the table checks itself when it is built: no pair is missing, only
-power leads into BOOT, and a failure in the air leads into FAILSAFE or nowhere.
+The table is data and `update` is a pure function. The table is checked when it is built: no pair is missing,
+only a power-up leads into BOOT, and a failure in the air leads into FAILSAFE or is refused.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 
 class State(IntEnum):
-    """States of the flight MCU; the values travel in FC_STATUS."""
+    """States of the flight MCU. FC_STATUS reports the values."""
 
     BOOT = 0
     STANDBY = 1
@@ -27,7 +27,7 @@ class State(IntEnum):
 
 
 class Event(IntEnum):
-    """What can happen to the vehicle: commands, ends of phases, failures."""
+    """Events of the supervisor: commands, ends of phases, failures."""
 
     BOOTED = 0
     # Commands.
@@ -65,7 +65,7 @@ FAILURES = tuple(event for event in Event if event >= Event.TILTED)
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What an event did: the state afterwards, and why nothing happened where it was refused."""
+    """Outcome of an event: the next state, and the reason of a refusal."""
 
     state: State
     refusal: str | None = None
@@ -94,7 +94,7 @@ _IDLE: _Row = {
     _E.TOUCHDOWN: "not landing",
     _E.IDLED: "not waiting on the floor",
 }
-"""Ends of phases that are not under way; each state's row says which are."""
+"""Refusals of the ends of inactive phases. The row of each state overrides those of its active phase."""
 _UNHARMED: _Row = dict.fromkeys(FAILURES, _GROUNDED)
 _FAILING: _Row = dict.fromkeys(FAILURES, _S.FAILSAFE)
 
@@ -195,7 +195,7 @@ _ROWS: dict[State, _Row] = {
         _E.DISARM: _IN_FLIGHT,
         _E.KILL: _S.STANDBY,
         _E.TOUCHDOWN: _S.STANDBY,
-        # What would make it land in place does not stop a landing.
+        # A landing continues where the action would be a landing in place.
         _E.MOCAP_LATE: _LANDING_ALREADY,
         _E.LINK_LOST: _LANDING_ALREADY,
         _E.BATTERY_LOW: _LANDING_ALREADY,
@@ -218,21 +218,21 @@ FLYING = frozenset(State) - {State.BOOT, State.STANDBY, State.ARMED}
 
 
 def _checked(rows: Mapping[State, Mapping[Event, State | str]]) -> Mapping[tuple[State, Event], Outcome]:
-    """Return the table by (state, event), after its own identities have been checked."""
+    """Return the table by (state, event) after a check of its invariants."""
     table: dict[tuple[State, Event], Outcome] = {}
     for state in State:
         for event in Event:
-            cell = rows[state][event]  # a missing pair is a KeyError on import
+            cell = rows[state][event]  # a missing pair raises KeyError on import
             if isinstance(cell, str):
                 table[state, event] = Outcome(state=state, refusal=cell)
                 continue
             table[state, event] = Outcome(state=cell)
-            assert cell is not State.BOOT, "only power leads into boot"
+            assert cell is not State.BOOT, "only a power-up leads into boot"
             if cell is State.FAILSAFE:
-                assert state in FLYING, "a failsafe flies the vehicle: on the floor it disarms"
+                assert state in FLYING, "failsafe is a flying state: on the floor a failure disarms"
                 assert event in FAILURES, "only a failure leads into failsafe"
             elif state in FLYING:
-                assert event not in FAILURES, "a failure in the air leads nowhere else"
+                assert event not in FAILURES, "a failure in the air leads into failsafe only"
     return MappingProxyType(table)
 
 
@@ -241,7 +241,5 @@ TRANSITIONS = _checked(_ROWS)
 
 
 def update(state: State, event: Event) -> Outcome:
-    """Return the outcome of `event` in `state`: the next state, or the same state with the reason of the
-    refusal.
-    """
+    """Return the outcome of `event` in `state`: the next state, or the same state with a refusal."""
     return TRANSITIONS[state, event]

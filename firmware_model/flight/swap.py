@@ -1,6 +1,6 @@
-"""Whether a staged reference may take over in flight: where it goes on with what is flown, and ends at rest.
+"""Check whether a staged reference may take over in flight: it must continue the present one and end at rest.
 
-The path must not jump by more than a controller notices; what float32 rounds away is far below that.
+The bounds of a jump are far above the rounding of float32 and too small to affect a controller.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ AHEAD_US = 100_000
 def agree_swap(
     live: Track, blob: Reference, following: Track, *, at_us: int, ahead_us: int, limits: Limits
 ) -> Agreement:
-    """Whether `following`, the track of `blob`, takes over `at_us` after the start of the live track.
+    """Return whether `following`, the track of `blob`, takes over `at_us` after the start of `live`.
 
-    ahead_us: how long that is from now.
+    ahead_us: time from now to the takeover.
     """
     if ahead_us < AHEAD_US:
         return _too_late(f"the swap is {ahead_us / 1000:.0f} ms ahead, below {AHEAD_US // 1000} ms", ahead_us)

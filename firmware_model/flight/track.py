@@ -1,8 +1,8 @@
 """Tracks: timelines of septic position pieces and cubic yaw pieces.
 
-A flight follows one track after another: climb and hover, the live reference, hold, descent. Each is built
-once, when its phase begins. A tick then only advances the time inside the current piece. Positions in m, NED;
-a node is p, v, a, j, three each.
+A flight follows one track after another: climb and hover, the live reference, hold, descent. Each track is
+built once, when its phase starts. A tick then only advances the time inside the current piece. Positions are
+in m, NED. A node is p, v, a, j, three values each.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ YawState = tuple[float, float]
 """Yaw and yaw rate."""
 
 SEPTIC_PEAK = 35.0 / 16.0
-"""Peak speed over mean speed of a septic from rest to rest."""
+"""Peak over mean speed of a septic from rest to rest."""
 BRAKING = 5.0
 """Deceleration (m/s^2) of a descent without position."""
 TURN_US = 500_000
-"""Time in which a turn ends if nothing continues it."""
+"""Time in which a turn ends without a new command."""
 SINK = 1.5
-"""Missing thrust (m/s^2) below hover once velocity is unknown too."""
+"""Thrust below hover (m/s^2) in a descent without velocity."""
 ENDLESS_US = 1_000_000_000_000
-"""Duration of a track that only an event ends: eleven days."""
+"""Duration of a track that only an event ends: more than eleven days."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Track:
-    """A timeline from 0 to `end_us`: piece k holds from starts_us[k] until the next one starts.
+    """A timeline from 0 to `end_us`: piece k applies from starts_us[k] until the next piece starts.
 
-    blocks[k] is the law's input `piece`: the time inside, 0 here, and the coefficients; yaw_blocks[k]
-    likewise. rests: whether both ends are at rest.
+    blocks[k] is the law's input `piece`: the time inside the piece, 0 here, and the coefficients; likewise
+    yaw_blocks[k]. ends_at_rest: whether both ends are at rest.
     """
 
     starts_us: tuple[int, ...]
@@ -69,7 +69,7 @@ class Track:
     end_ned: Vector
     start_yaw: float
     end_yaw: float
-    rests: bool
+    ends_at_rest: bool
 
     def __post_init__(self) -> None:
         for starts, blocks, size in (
@@ -77,7 +77,7 @@ class Track:
             (self.yaw_starts_us, self.yaw_blocks, 1 + CUBIC_SIZE),
         ):
             if not starts or starts[0] != 0 or len(starts) != len(blocks):
-                raise ValueError("a track begins with a piece at 0 and has as many starts as pieces")
+                raise ValueError("a track starts with a piece at 0 and has one start for each piece")
             for start_us, end_us in pairwise((*starts, self.end_us)):
                 duration_s(start_us, end_us)
             if any(len(block) != size for block in blocks):
@@ -96,10 +96,11 @@ def track(
 ) -> Track:
     """Return a Track through nodes (t_us, 12 values) and yaw nodes (t_us, yaw, rate).
 
-    The track lasts from the first node to the last. Yaw is held before the first and after the last yaw node.
+    The track lasts from the first node to the last. Yaw is constant before the first and after the last yaw
+    node.
     """
     if len(nodes) < 2:
-        raise ValueError("a track begins with a piece, from one node to another")
+        raise ValueError("a track needs at least two nodes")
     first_us, end_us = nodes[0][0], nodes[-1][0]
     starts = []
     blocks = []
@@ -113,7 +114,7 @@ def track(
         yaw_starts.append(int(t0) - first_us)
         yaw_blocks.append(_block(cubic_coefficients(duration_s(t0, t1), *values)))
     t0, t1, _, _, end_yaw, end_rate = pieces[-1]
-    if t1 > end_us:  # the flight ends inside the piece
+    if t1 > end_us:  # the track ends inside the piece
         end_yaw, end_rate = cubic_at(yaw_blocks[-1][1:], (end_us - t0) * 1e-6)
     return Track(
         starts_us=tuple(starts),
@@ -125,17 +126,17 @@ def track(
         end_ned=position_of(nodes[-1][1]),
         start_yaw=pieces[0][2],
         end_yaw=end_yaw,
-        rests=_at_rest(nodes[0][1], pieces[0][3]) and _at_rest(nodes[-1][1], end_rate),
+        ends_at_rest=_at_rest(nodes[0][1], pieces[0][3]) and _at_rest(nodes[-1][1], end_rate),
     )
 
 
 def climb(
     p: Vector, yaw: float, target: Vector, yaw_end: float, *, speed: float, clear: float, hover_us: int
 ) -> Track:
-    """Return a climb from rest at `p` to rest at `target` by septic pieces, then `hover_us` of hover.
+    """Return a climb from rest at `p` to rest at `target` by septic pieces, then a hover of `hover_us`.
 
-    If the target lies further than `clear` to the side, the vehicle first climbs straight up to its height.
-    The peak speed is `speed`, but no piece is shorter than 1.5 s. Yaw turns the shorter way.
+    If the horizontal distance to the target exceeds `clear`, the vehicle first climbs vertically to its
+    height. The peak speed is `speed`, but no piece is shorter than 1.5 s. Yaw turns in the shorter direction.
     """
     corners = [target]
     if math.hypot(target[0] - p[0], target[1] - p[1]) > clear:
@@ -155,9 +156,9 @@ def transit(  # noqa: PLR0913 (the data of one problem)
     hover_us: int,
     upright: bool = False,
 ) -> Track:
-    """Return a stop from the reference state (p, v, a, j), a straight way to rest at `target`, and a hover.
+    """Return a stop from the reference state (p, v, a, j), a straight path to `target`, and a hover.
 
-    upright: first go straight up to the target's height. Speeds, times and yaw as in `climb`.
+    upright: climb vertically to the target's height first. Speeds, times and yaw are as in `climb`.
     """
     nodes = braked(state, deceleration, room)
     north, east, _ = position_of(nodes[-1][1])
@@ -174,7 +175,7 @@ def _legs(
     speed: float,
     hover_us: int,
 ) -> Track:
-    """Return a track that goes on from the last node through the corners, with rest at each, then hovers."""
+    """Return a track from the last node through the corners, at rest at each of them, then a hover."""
     turn_us, turn_from, _ = turning = _turning(*yaw)[-1]
     t_us, last = nodes[-1]
     p = position_of(last)
@@ -185,7 +186,7 @@ def _legs(
     nodes.append((t_us + hover_us, node_at_rest(p)))
     yaws = [(0, *yaw), turning] if turn_us else [turning]
     turn = math.remainder(yaw_end - turn_from, 2.0 * math.pi)
-    # Count turns from the reference's yaw at the end.
+    # Shift the yaw nodes by whole turns, so the track ends at yaw_end.
     yaws = [(at_us, yaw_end - turn + (value - turn_from), rate) for at_us, value, rate in yaws]
     return track(nodes, [*yaws, (t_us, yaw_end, 0.0)])
 
@@ -206,7 +207,7 @@ def stop(state: Node, yaw: YawState, *, deceleration: float, room: Room, hold_us
 def land(state: Node, yaw: YawState, *, floor: float, speed: float, deceleration: float, room: Room) -> Track:
     """Return a stop from the reference state (p, v, a, j), then a descent at `speed` to 1 m below `floor`.
 
-    A vehicle at rest descends immediately. The end of the track is a timeout: touchdown comes first.
+    A vehicle at rest descends immediately. The end of the track is a timeout of the touchdown.
     """
     nodes = braked(state, deceleration, room, still=0.05)
     t_us, last = nodes[-1]
@@ -215,20 +216,20 @@ def land(state: Node, yaw: YawState, *, floor: float, speed: float, deceleration
     t_us += 1_000_000
     p = _below(p, 0.5 * speed)
     nodes.append((t_us, (*p, *down, *ZERO, *ZERO)))
-    rest_us = seconds_us(max(1.0, (floor + 1.0 - p[2]) / speed))
-    p = _below(p, speed * rest_us * 1e-6)
-    nodes.append((t_us + rest_us, (*p, *down, *ZERO, *ZERO)))
+    descent_us = seconds_us(max(1.0, (floor + 1.0 - p[2]) / speed))
+    p = _below(p, speed * descent_us * 1e-6)
+    nodes.append((t_us + descent_us, (*p, *down, *ZERO, *ZERO)))
     return track(nodes, _turning(*yaw))
 
 
 def level_descent(
     p: Vector, velocity: Vector, yaw: float, *, speed: float, damped_us: int, end_us: int
 ) -> Track:
-    """Return a descent for a vehicle without position feedback: to `speed` straight down, later ever faster.
+    """Return a vertical descent for a vehicle without position feedback.
 
-    The velocity changes from `velocity` to `speed` down within at least a second and stays there until
-    `damped_us`. In the next second thrust sinks by SINK and stays there until `end_us`; that part needs no
-    velocity feedback either.
+    The velocity changes from `velocity` to `speed` down within at least a second and is constant until
+    `damped_us`. In the next second thrust decreases by SINK and is constant until `end_us`. This last part
+    needs no velocity feedback.
     """
     down: Vector = (0.0, 0.0, speed)
     brake_us = seconds_us(max(1.0, QUINTIC_PEAK * math.dist(velocity, down) / BRAKING))
@@ -275,7 +276,7 @@ def _block(coefficients: Sequence[float]) -> memoryview:
 def _yaw_pieces(
     yaw_nodes: Sequence[tuple[int, float, float]], first_us: int, end_us: int
 ) -> list[tuple[int, int, float, float, float, float]]:
-    """Return pieces (t0, t1, y0, r0, y1, r1) that cover first_us to end_us; yaw is held where no node is."""
+    """Return pieces (t0, t1, y0, r0, y1, r1) from first_us to end_us; yaw is constant outside the nodes."""
     rows = []
     start_us, start_yaw, _ = yaw_nodes[0]
     if start_us > first_us:

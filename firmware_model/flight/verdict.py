@@ -1,4 +1,4 @@
-"""The vehicle's own verdict on a blob: by its own parameters and limits, whoever sent it."""
+"""On-board check of a blob against the parameters and limits of the vehicle."""
 
 from __future__ import annotations
 
@@ -13,45 +13,45 @@ from trimtab.protocol.upload import Verdict
 
 
 class Reason(IntEnum):
-    """Reasons beside those of `law.checks`, whose numbers are below 100; they travel on the wire."""
+    """Reasons of a refusal in addition to ReferenceReason (below 100). Part of the protocol."""
 
     BAD_BLOB = 100
     OTHER_VEHICLE = 101
     OTHER_KIND = 102
     FEEDFORWARD_RANGE = 103
-    NOT_CONTINUOUS = 104  # with what is flown, where it should take over
+    NOT_CONTINUOUS = 104  # jump from the present reference at the takeover
     TOO_LATE = 105
 
 
 GAIN_RANGE = (0.3, 3.0)
-"""Real over nominal thrust that a feed-forward may claim."""
+"""Bounds of the gain (actual over nominal thrust) of a feed-forward."""
 BIAS_MAX = 5.0
-"""m/s^2."""
+"""Greatest bias, m/s^2."""
 DRAG_MAX = 5.0
-"""1/s and 1/m."""
+"""Greatest linear (1/s) and quadratic (1/m) drag coefficient."""
 OFFSET_MAX = 0.2
-"""rad."""
+"""Greatest attitude offset, rad."""
 PREDICTION_MAX_S = 0.1
 BATTERY_RESERVE = 0.05
-"""Share of the thrust that is left which a reference must leave to the controller and to further sag."""
+"""Share of the available thrust that a reference leaves for the controller and for further voltage sag."""
 BATTERY_LOW_CELL_V = 0.1
-"""Voltage of a cell above empty below which no reference is accepted."""
+"""Least cell voltage above empty at which a reference is accepted."""
 
 
 def check_blob(
     kind: int, data: bytes, *, parameters: ParameterValues, vehicle_id: str, battery_v: float = 0.0
 ) -> Verdict:
-    """Whether this vehicle may use the blob, and if not, why. Never raises.
+    """Return the verdict on a blob. Never raises.
 
-    battery_v: as measured last, 0 where it has not been: then nothing is said about the battery.
+    battery_v: last measured voltage; 0 without a measurement, which skips the check of the battery.
     """
     try:
         blob = from_bytes(data)
     except BlobError as error:
         return _refused(Reason.BAD_BLOB, str(error))
-    own_kind = int(blob.KIND)
-    if own_kind != kind:
-        return _refused(Reason.OTHER_KIND, f"announced as kind {kind}, but it is kind {own_kind}")
+    blob_kind = int(blob.KIND)
+    if blob_kind != kind:
+        return _refused(Reason.OTHER_KIND, f"announced as kind {kind}, but it is kind {blob_kind}")
     if blob.vehicle_id != vehicle_id:
         return _refused(Reason.OTHER_VEHICLE, f"made for vehicle {blob.vehicle_id}, this is {vehicle_id}")
     if isinstance(blob, Reference):
@@ -60,8 +60,9 @@ def check_blob(
 
 
 def battery_verdict(parameters: ParameterValues, battery_v: float) -> Verdict | None:
-    """Return the refusal of any reference where the battery is as good as empty, else None; also where 0 V or
-    NaN says that it has not been measured.
+    """Return the refusal of any reference if the battery is almost empty, else None.
+
+    0 V and NaN stand for a missing measurement and are not refused.
     """
     bound = parameters["BAT_EMPTY_V"] + BATTERY_LOW_CELL_V * parameters["BAT_CELLS"]
     if not 0.0 < battery_v < bound:
@@ -77,7 +78,7 @@ def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: fl
     if battery_v > 0.0:
         full = (battery_v / parameters["BAT_FULL_V"]) ** 2  # thrust goes with the square of the voltage
         available = max(low + 1e-6, min(high, (1.0 - BATTERY_RESERVE) * full))
-    judged = check_reference(
+    result = check_reference(
         blob.nodes,
         blob.yaw_nodes(),
         parameters.airframe,
@@ -85,18 +86,18 @@ def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: fl
         origin=blob.origin_ned,
         ends_at_rest=not blob.free_ends,
     )
-    if judged.ok:
+    if result.ok:
         return Verdict(ok=True)
-    reason, text = judged.reason_code, judged.text
-    if reason is ReferenceReason.THRUST_HIGH and judged.bound < high:
+    reason, text = result.reason_code, result.text
+    if reason is ReferenceReason.THRUST_HIGH and result.bound < high:
         reason = ReferenceReason.BATTERY
-        text = f"{judged.quantity} {judged.value:.4g} of max, the battery gives {judged.bound:.4g}"
+        text = f"{result.quantity} {result.value:.4g} of max, the battery gives {result.bound:.4g}"
     return Verdict(
         ok=False,
-        node=judged.node if 0 <= judged.node < 0xFFFF else None,
+        node=result.node if 0 <= result.node < 0xFFFF else None,
         reason=int(reason),
-        value=judged.value,
-        bound=judged.bound,
+        value=result.value,
+        bound=result.bound,
         message=text,
     )
 
@@ -104,11 +105,11 @@ def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: fl
 def _check_feedforward(blob: FeedForward) -> Verdict:
     if blob.block is None:
         return Verdict(ok=True)
-    gain, *rest = blob.block
+    gain, *numbers = blob.block
     if not GAIN_RANGE[0] <= gain <= GAIN_RANGE[1]:
         bound = GAIN_RANGE[0] if gain < GAIN_RANGE[0] else GAIN_RANGE[1]
         return _refused(Reason.FEEDFORWARD_RANGE, f"gain {gain:.4g} beyond {bound:g}", gain, bound)
-    bias, drag, offset, prediction_s = rest[0:3], rest[3:9], rest[9:11], rest[11:12]
+    bias, drag, offset, prediction_s = numbers[0:3], numbers[3:9], numbers[9:11], numbers[11:12]
     for name, values, bound in (
         ("bias", bias, BIAS_MAX),
         ("drag", drag, DRAG_MAX),

@@ -1,1 +1,1 @@
-"""What vehicle and host must compute alike: one source for floats, CasADi symbols and numpy lanes."""
+"""The control law, shared by firmware and host: one source for floats, CasADi symbols and numpy lanes."""

@@ -1,7 +1,7 @@
-"""Rotor thrusts for a collective thrust and a torque, and motor commands for rotor thrusts.
+"""Control allocation: rotor thrusts for collective thrust and torque, and motor commands for thrusts.
 
 [T, tau_x, tau_y, tau_z] = C [T1..T4], paper equation 1, with tau = r x (0, 0, -T) and the rotors' reaction
-torque about +z_frd: +kappa T for a rotor that turns counter-clockwise seen from above, -kappa T for a
+torque about +z_frd: +kappa T for a rotor that turns counter-clockwise as seen from above, -kappa T for a
 clockwise one.
 """
 
@@ -13,13 +13,17 @@ from itertools import combinations
 from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
 
 TABLE_SIZE = 32
-"""Numbers in an `allocation_table`."""
+"""Size of an `allocation_table`."""
 
 
 def allocation_matrix(
     rotor_positions: Sequence[Sequence[float]], spins: Sequence[float], kappa: float
 ) -> tuple[float, ...]:
-    """C, 16 floats row-major, of rotors at FRD positions (m; x, y and anything) with spins +1 ccw, -1 cw."""
+    """Return C (16 floats, row-major).
+
+    rotor_positions: x and y in FRD (m); further components are ignored. spins: +1 counter-clockwise, -1
+    clockwise. kappa: reaction torque over thrust (m).
+    """
     return (
         *(1.0 for _ in rotor_positions),
         *(-float(position[1]) for position in rotor_positions),
@@ -29,12 +33,12 @@ def allocation_matrix(
 
 
 def invert4(m16: Sequence[float]) -> tuple[float, ...]:
-    """Return the inverse of a 4 x 4 matrix, row-major, by elimination with row pivots (floats only).
+    """Return the inverse of a 4 x 4 matrix, row-major, by Gaussian elimination with row pivots (floats only).
 
-    Raises ValueError where the matrix is singular to working precision.
+    Raises ValueError if the matrix is singular to working precision.
     """
     rows = [[*map(float, m16[4 * i : 4 * i + 4]), *(float(i == k) for k in range(4))] for i in range(4)]
-    for row in rows:  # pivots are compared between rows of very different units
+    for row in rows:  # makes pivots of rows with different units comparable
         scale = max(abs(value) for value in row[:4]) or 1.0
         row[:] = [value / scale for value in row]
     for i in range(4):
@@ -51,11 +55,12 @@ def invert4(m16: Sequence[float]) -> tuple[float, ...]:
 
 
 def allocation_table(inverse16: Sequence[float]) -> tuple[float, ...]:
-    """Return the constants of `allocate`, from C^-1 (16, row-major; floats only).
+    """Return the constants of `allocate` for C^-1 (16 floats, row-major).
 
-    Four each, rotor by rotor: its share of the collective thrust; 1 over that; its part in roll, pitch and
-    yaw torque, over its share. Then two weights for each pair of rotors, see `_lowest_above`. A rotor without
-    a share counts as one with next to none: such a vehicle cannot fly, but its numbers stay finite.
+    The table starts with five groups of four values, one for each rotor: its share of the collective thrust;
+    the inverse of that share; its roll, pitch and yaw coefficients over its share. Two weights for each pair
+    of rotors follow, see `_lowest_above`. A share of 0 is replaced by 1e-6: such a vehicle cannot fly, but
+    its numbers stay finite.
     """
     share = [max(inverse16[4 * i], 1e-6) for i in range(4)]
     per = [1.0 / part for part in share]
@@ -69,24 +74,24 @@ def allocation_table(inverse16: Sequence[float]) -> tuple[float, ...]:
 def allocate(
     ops: Ops, table: Vector, collective_n: Scalar, torque3: Vector, t_min: Scalar, t_max: Scalar
 ) -> tuple[tuple[Scalar, ...], Scalar]:
-    """Thrust of the four rotors (N, within t_min..t_max) and 1 where something was given up, else 0.
+    """Return the thrust of the four rotors (N, within t_min..t_max) and 1 if they saturate, else 0.
 
-    A demand the rotors can meet is met exactly. Else, given up first: yaw torque, down to none; then
-    collective thrust, shifted up or down as little as needed; last, roll and pitch torque, scaled together.
-    Where rotors do not share thrust equally, roll and pitch are scaled somewhat before they must be.
+    A feasible demand is met exactly. Otherwise the demand is reduced in this order: yaw torque is scaled,
+    down to 0; collective thrust is shifted as little as necessary; roll and pitch torque are scaled together.
+    If the rotors do not share thrust equally, roll and pitch are scaled slightly earlier than necessary.
 
     Parameters
     ----------
     table
         `allocation_table` of the rotors.
     collective_n, torque3
-        what is wanted; N and N m about x, y, z of FRD.
+        Demanded collective thrust (N), and demanded torque about x, y, z of FRD (N m).
     t_min, t_max
-        N, not negative.
+        Bounds of a rotor's thrust (N), not negative.
     """
     share, per, roll, pitch, yaw = (table[4 * k : 4 * k + 4] for k in range(5))
 
-    # In units of collective thrust: a rotor's thrust over its share, rotor i between low_i and high_i.
+    # In units of collective thrust, a rotor's thrust over its share: rotor i is within low_i..high_i.
     low, high = [t_min * k for k in per], [t_max * k for k in per]
     tilt = [r * torque3[0] + p * torque3[1] for r, p in zip(roll, pitch, strict=True)]
     turn = [y * torque3[2] for y in yaw]
@@ -94,8 +99,8 @@ def allocate(
     tilt_scale = ops.minimum((_least(ops, high) - _greatest(ops, low)) / spread, 1.0)
     tilt = [tilt_scale * t for t in tilt]
 
-    # low_i <= collective + tilt_i + k turn_i <= high_i at some part k of the yaw demand. The mean over shares
-    # of low is four times t_min, of high four times t_max: no floor is below 0, no ceiling above `top`.
+    # low_i <= collective + tilt_i + k turn_i <= high_i for some fraction k of the yaw demand. The mean of
+    # low, weighted by shares, is 4 t_min, that of high 4 t_max: no floor is below 0, no ceiling above `top`.
     top = 4.0 * t_max
     weights = table[20:]
     floor = _lowest_above(ops, [a - t for a, t in zip(low, tilt, strict=True)], turn, weights)
@@ -107,42 +112,42 @@ def allocate(
     level = [collective + t for t in tilt]
     yaw_scale = 1.0
     for a, x, b, y in zip(low, level, high, turn, strict=True):
-        way = ops.where(y > 0.0, b - x, x - a)
-        yaw_scale = ops.minimum(yaw_scale, way / ops.maximum(ops.fabs(y), 1e-9))
+        margin = ops.where(y > 0.0, b - x, x - a)
+        yaw_scale = ops.minimum(yaw_scale, margin / ops.maximum(ops.fabs(y), 1e-9))
     yaw_scale = ops.maximum(yaw_scale, 0.0)
     thrust = [
         ops.clip(part * (x + yaw_scale * y), t_min, t_max)
         for part, x, y in zip(share, level, turn, strict=True)
     ]
 
-    # Shifts of rounding's size are no saturation.
-    lost = (1.0 - tilt_scale) + (1.0 - yaw_scale) + ops.fabs(collective - collective_n) / t_max
-    return tuple(thrust), ops.where(lost > 1e-9, 1.0, 0.0)
+    # Below 1e-9 a reduction is rounding, not saturation.
+    reduction = (1.0 - tilt_scale) + (1.0 - yaw_scale) + ops.fabs(collective - collective_n) / t_max
+    return tuple(thrust), ops.where(reduction > 1e-9, 1.0, 0.0)
 
 
 def _lowest_above(ops: Ops, lines: Vector, fall: Vector, weights: Vector) -> Scalar:
-    """Return the lowest point, for k in 0..1, that is above the four lines `lines_i - k fall_i`; it must not
-    be < 0.
+    """Return the minimum over k in 0..1 of the maximum of the four lines `lines_i - k fall_i`.
 
-    It is the end of one of them or where a falling one meets a rising one: rotors that turn opposite ways.
-    Their weighted mean is level, so it is that height; pairs that turn alike have weights 0 and do not count.
+    The result must not be negative. The minimum is at the end of a line, or where a falling line crosses a
+    rising one: the lines of two rotors with opposite spins. The weighted mean of these two lines is constant,
+    so it equals their value at the crossing. Pairs with equal spins have weights 0 and no effect.
     """
-    found = _greatest(ops, [ops.minimum(line, line - f) for line, f in zip(lines, fall, strict=True)])
+    lowest = _greatest(ops, [ops.minimum(line, line - f) for line, f in zip(lines, fall, strict=True)])
     for pair, (i, j) in enumerate(combinations(range(4), 2)):
-        found = ops.maximum(found, weights[2 * pair] * lines[i] + weights[2 * pair + 1] * lines[j])
-    return found
+        lowest = ops.maximum(lowest, weights[2 * pair] * lines[i] + weights[2 * pair + 1] * lines[j])
+    return lowest
 
 
 def thrust_to_command(ops: Ops, thrust_n: Scalar, t_max: Scalar, c1: Scalar, c2: Scalar) -> Scalar:
-    """Motor command u in 0..1 for which c1 u + c2 u^2 = thrust / t_max (full battery)."""
+    """Return the motor command u in 0..1 with c1 u + c2 u^2 = thrust / t_max (full battery)."""
     share = ops.clip(thrust_n / t_max, 0.0, 1.0)
     root = ops.sqrt(c1 * c1 + 4.0 * c2 * share)
-    # The quadratic's root without cancellation, for c2 = 0 and for c1 = 0 alike.
+    # Root of the quadratic without cancellation; also valid for c1 = 0 and for c2 = 0.
     return ops.minimum(2.0 * share / ops.maximum(c1 + root, 1e-9), 1.0)
 
 
 def command_to_thrust(command: Scalar, t_max: Scalar, c1: Scalar, c2: Scalar) -> Scalar:
-    """Rotor thrust in N of a motor command in 0..1 at full battery, once the motor has settled."""
+    """Return the steady-state rotor thrust (N) of a motor command in 0..1 at full battery."""
     return t_max * command * (c1 + c2 * command)
 
 

@@ -1,8 +1,8 @@
-"""Check whether the vehicle can and may fly a reference: one function for planner and vehicle.
+"""Check a reference against the limits of a vehicle. Planner and vehicle use the same function.
 
-The check judges what is flown: the pieces between the nodes, septic in position and cubic in yaw, not only
-the nodes. It compares the limits inside every piece every 12.5 ms, or 512 times in pieces over 6.4 s, with
-the thrust of every rotor from the flat outputs. Floats only.
+The check covers the flown path: the pieces between the nodes, septic in position and cubic in yaw, not only
+the nodes. It samples every piece at least every 12.5 ms, or 512 times in pieces longer than 6.4 s, and
+includes the thrust of every rotor from the flat outputs. Floats only.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ REST = (1e-3, 1e-2, 1e-1)
 """Greatest speed, acceleration and jerk that count as rest: above the rounding to float32."""
 REST_YAW_RATE = 1e-3
 """Greatest yaw rate that counts as rest."""
-GREATEST_NUMBER = 1e6
-"""Greatest absolute number in a node; a greater one is refused as NaN is."""
+NUMBER_MAX = 1e6
+"""Greatest magnitude of a number in a node. Greater numbers are refused like NaN."""
 
 
 def check_reference(
@@ -36,46 +36,47 @@ def check_reference(
     origin: Sequence[float] = (0.0, 0.0, 0.0),
     ends_at_rest: bool = True,
 ) -> ReferenceVerdict:
-    """Check the reference through `nodes` (NED, positions relative to `origin`) and `yaw_nodes`.
+    """Return the verdict on a reference through `nodes` (NED, relative to `origin`) and `yaw_nodes`.
 
-    Nodes are checked as stored: first t_us 0, strictly increasing, finite. With `ends_at_rest` (the default)
-    both ends are at rest and at least `limits.end_height_m` above the floor. No part lies below the floor z =
-    0, whatever the geofence, and yaw is at rest where a hold begins or ends.
+    The times must start at 0 and increase strictly, and all numbers must be finite. With `ends_at_rest` (the
+    default) both ends must be at rest and at least `limits.end_height_m` above the floor. No part may lie
+    below the floor z = 0, independent of the geofence. The yaw rate must be 0 where a constant yaw starts or
+    ends.
     """
-    broken = _structure(nodes, yaw_nodes, origin)
-    if broken is None:
-        broken = _holds(nodes, yaw_nodes, ends_at_rest)
-    if broken is None and ends_at_rest:
-        broken = check_ends(nodes, limits, origin, ends=(0, len(nodes) - 1))
-    if broken is None:
-        broken = _smooth(nodes)
-    if broken is not None:
-        return broken
+    refusal = _structure(nodes, yaw_nodes, origin)
+    if refusal is None:
+        refusal = _holds(nodes, yaw_nodes, ends_at_rest)
+    if refusal is None and ends_at_rest:
+        refusal = check_ends(nodes, limits, origin, ends=(0, len(nodes) - 1))
+    if refusal is None:
+        refusal = _smooth(nodes)
+    if refusal is not None:
+        return refusal
     return scan(nodes, yaw_nodes, model, limits, samples_per_piece, origin)
 
 
 def _structure(
     nodes: Sequence[Node], yaw_nodes: Sequence[YawNode], origin: Sequence[float]
 ) -> ReferenceVerdict | None:
-    """Return the refusal of nodes that make no reference, or None."""
+    """Return the refusal of nodes that do not form a reference, or None."""
     if len(nodes) < 2 or len(yaw_nodes) < 1:
         text = f"{len(nodes)} nodes and {len(yaw_nodes)} yaw nodes, at least 2 and 1 are needed"
         return refused(ReferenceReason.TOO_FEW_NODES, len(nodes), 0, "nodes", float(len(nodes)), 2.0, text)
     rows = [(t, tuple(state), "node") for t, state in nodes]
     rows += [(t, (yaw, rate), "yaw node") for t, yaw, rate in yaw_nodes]
-    for k, (t_us, values, what) in enumerate(rows):
-        node = k if what == "node" else k - len(nodes)
+    for k, (t_us, values, row_kind) in enumerate(rows):
+        node = k if row_kind == "node" else k - len(nodes)
         for value in (*values, *origin):
-            if not abs(value) <= GREATEST_NUMBER:
-                text = f"{what} holds {value:.6g}, not a number to fly by"
-                return refused(ReferenceReason.NOT_FINITE, node, t_us, what, value, GREATEST_NUMBER, text)
+            if not abs(value) <= NUMBER_MAX:
+                text = f"{row_kind} has the invalid number {value:.6g}"
+                return refused(ReferenceReason.NOT_FINITE, node, t_us, row_kind, value, NUMBER_MAX, text)
     if nodes[0][0] != 0:
         text = "the first node must be at 0"
         return refused(ReferenceReason.TIME_ORDER, 0, nodes[0][0], "time", nodes[0][0] * 1e-6, 0.0, text)
-    for times, what in (([t for t, _ in nodes], "node"), ([t for t, _, _ in yaw_nodes], "yaw node")):
+    for times, row_kind in (([t for t, _ in nodes], "node"), ([t for t, _, _ in yaw_nodes], "yaw node")):
         for k, (before, after) in enumerate(pairwise(times), start=1):
             if after <= before:
-                text = f"{what} is not after the one before, at {before * 1e-6:.6f} s"
+                text = f"{row_kind} is not after the previous one at {before * 1e-6:.6f} s"
                 return refused(
                     ReferenceReason.TIME_ORDER, k, after, "time", after * 1e-6, before * 1e-6, text
                 )
@@ -111,7 +112,7 @@ def _holds(
 ) -> ReferenceVerdict | None:
     """Return the refusal of a yaw rate that jumps, or None.
 
-    Yaw is held outside its nodes, and before and after a flight whose ends are at rest.
+    Yaw is constant outside its nodes, and before and after a flight whose ends are at rest.
     """
     end_us = nodes[-1][0]
     first_us, last_us = max(yaw_nodes[0][0], 0), min(yaw_nodes[-1][0], end_us)
@@ -133,7 +134,7 @@ def _holds(
 
 
 def _smooth(nodes: Sequence[Node]) -> ReferenceVerdict | None:
-    """Return the refusal of the node that fits its neighbours least, or None if every node fits."""
+    """Return the refusal of the node with the greatest misfit, or None if all nodes are consistent."""
     worst = worst_misfit(nodes)
     if worst is None or worst.value <= worst.bound:
         return None

@@ -1,4 +1,4 @@
-"""Numbers of nature the law uses."""
+"""Physical constants of the control law."""
 
 from __future__ import annotations
 

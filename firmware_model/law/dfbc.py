@@ -6,9 +6,9 @@
     w_cmd   = w_ff(f, j_r - d_ff', yaw_r, yaw_r') - K_att e_R,     e_R = 1/2 vee(R_des^T R - R^T R_des)
     tau     = J (K_w (w_cmd - w) + I - K_d w_f') + w x J w,        I' = K_i (w_cmd - w)
 
-with d_ff the residual acceleration fed forward, or observed, and w_f' the derivative of the body rate behind
-a first-order filter. Paper sections III-B and V-B ("a PD translational controller and a PID body rate
-controller"). Memory (I and the filter's state) comes in and its derivative goes out.
+d_ff is the residual acceleration, predicted or observed. w_f' is the derivative of the body rate after a
+first-order filter. Paper sections III-B and V-B ("a PD translational controller and a PID body rate
+controller"). The functions take the state (I and the filter's state) and return its derivative.
 """
 
 from __future__ import annotations
@@ -20,16 +20,17 @@ from trimtab.firmware_model.law.flatness import Body, heading, heading_matrix, h
 from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
 from trimtab.firmware_model.law.rotations import attitude_error, cross
 
-GREATEST_FEEDBACK = 15.0
-"""m/s^2 that position and velocity errors may ask for together; more is scaled down in its direction."""
+FEEDBACK_MAX = 15.0
+"""Greatest acceleration (m/s^2) that position and velocity errors command together; more is scaled down."""
 
 
 class Gains(NamedTuple):
-    """The controller's constants.
+    """Constants of the controller.
 
-    Three each along NED: position (1/s^2), velocity (1/s); along FRD: attitude (1/s), body rate (1/s), its
-    integral (1/s^2) and derivative (no unit). filter_rate: corner of the rate filter (rad/s). thrust_floor:
-    least collective thrust as a share of the weight, since a vehicle without thrust cannot turn.
+    Three values each along NED: position (1/s^2), velocity (1/s). Three values each along FRD: attitude
+    (1/s), body rate (1/s), its integral (1/s^2) and its derivative (no unit). filter_rate: corner of the rate
+    filter (rad/s). thrust_floor: least collective thrust as a share of the weight; without thrust a vehicle
+    cannot change its attitude.
     """
 
     position: Vector
@@ -69,10 +70,9 @@ def control(  # noqa: PLR0913 (an equation of many variables)
     ff_jerk: Vector = (0.0, 0.0, 0.0),
     attitude_offset: Vector = (0.0, 0.0),
 ) -> tuple[Scalar, Vector, Vector, Vector]:
-    """Return collective thrust (N), torque (N m), commanded body rate (rad/s), the integral's derivative
-    (rad/s^3).
+    """Return collective thrust (N), torque (N m), rate command (rad/s), integral derivative (rad/s^3).
 
-    Both loops, one after the other; see `outer_loop` and `rate_loop` for what they take.
+    Runs both loops; `outer_loop` and `rate_loop` describe the parameters.
     """
     collective, rate_cmd = outer_loop(
         ops, gains, model, p, v, R, ref, ff_accel, weights, ff_jerk, attitude_offset
@@ -99,14 +99,15 @@ def outer_loop(  # noqa: PLR0913 (an equation of many variables)
     Parameters
     ----------
     p, v
-        NED. R: R_ned_frd, 9 scalars.
+        Estimated position and velocity, NED.
+    R
+        Estimated R_ned_frd, 9 scalars.
     ff_accel, ff_jerk
-        predicted residual acceleration, with the observed one added, and the predicted
-        one's derivative, NED.
+        Predicted plus observed residual acceleration, and derivative of the predicted one, NED.
     weights
-        of position and of velocity feedback.
+        Weights of position and of velocity feedback.
     attitude_offset
-        roll and pitch that the measured attitude shows where thrust points as it should.
+        Roll and pitch of the measured attitude while thrust points in the intended direction.
     """
     feedback = [
         weights[0] * gains.position[i] * (ref.p[i] - p[i])
@@ -114,9 +115,9 @@ def outer_loop(  # noqa: PLR0913 (an equation of many variables)
         for i in range(3)
     ]
     square = feedback[0] * feedback[0] + feedback[1] * feedback[1] + feedback[2] * feedback[2]
-    most = GREATEST_FEEDBACK * GREATEST_FEEDBACK
-    # Exactly 1 while within bounds; else the length goes down to the bound.
-    scale = ops.sqrt(most / ops.maximum(square, most))
+    bound_squared = FEEDBACK_MAX * FEEDBACK_MAX
+    # Exactly 1 within the bound; beyond it the scaled magnitude equals the bound.
+    scale = ops.sqrt(bound_squared / ops.maximum(square, bound_squared))
     f = [ff_accel[i] - ref.a[i] - scale * feedback[i] for i in range(3)]
     f[2] = f[2] + GRAVITY
     at = heading(ops, f, ref.yaw)
@@ -126,24 +127,24 @@ def outer_loop(  # noqa: PLR0913 (an equation of many variables)
 
     error = attitude_error(heading_matrix(at), R)
     error = (error[0] - attitude_offset[0], error[1] - attitude_offset[1], error[2])
-    ahead = heading_rates(at, [ff_jerk[i] - ref.j[i] for i in range(3)], ref.yaw_rate)
-    return collective, [w - k * e for w, k, e in zip(ahead, gains.attitude, error, strict=True)]
+    rate_ff = heading_rates(at, [ff_jerk[i] - ref.j[i] for i in range(3)], ref.yaw_rate)
+    return collective, [w - k * e for w, k, e in zip(rate_ff, gains.attitude, error, strict=True)]
 
 
 def rate_loop(
     gains: Gains, model: Body, rate: Vector, rate_filtered: Vector, integral: Vector, rate_cmd: Vector
 ) -> tuple[Vector, Vector]:
-    """Torque (N m) that brings the body rate to its command, and the integral's derivative (rad/s^3).
+    """Return the torque (N m) of the body rate controller, and the derivative of its integral (rad/s^3).
 
-    rate, rate_filtered, rate_cmd (rad/s), integral (rad/s^2): FRD.
+    rate, rate_filtered, rate_cmd: rad/s, FRD. integral: rad/s^2, FRD.
     """
     rate_error = [command - w for command, w in zip(rate_cmd, rate, strict=True)]
     jx, jy, jz = model.inertia
-    spin = cross(rate, (jx * rate[0], jy * rate[1], jz * rate[2]))
+    gyroscopic = cross(rate, (jx * rate[0], jy * rate[1], jz * rate[2]))
     torque = []
     for i, inertia in enumerate((jx, jy, jz)):
-        slope = gains.filter_rate * (rate[i] - rate_filtered[i])
-        wanted = gains.rate[i] * rate_error[i] + integral[i] - gains.rate_derivative[i] * slope
-        torque.append(inertia * wanted + spin[i])
+        derivative = gains.filter_rate * (rate[i] - rate_filtered[i])
+        accel_cmd = gains.rate[i] * rate_error[i] + integral[i] - gains.rate_derivative[i] * derivative
+        torque.append(inertia * accel_cmd + gyroscopic[i])
     integral_dot = [k * e for k, e in zip(gains.rate_integral, rate_error, strict=True)]
     return torque, integral_dot

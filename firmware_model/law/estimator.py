@@ -1,11 +1,11 @@
-"""Position, velocity, attitude and gyro bias: gyro and accelerometer, corrected by poses that arrive late.
+"""Estimator of position, velocity, attitude and gyro bias from IMU samples and delayed poses.
 
-Prediction is strapdown integration at the base tick. A correction compares the late pose with what the
-present estimate says about that moment, under constant acceleration and constant body rate since then, and
-corrects the state of that moment: what is wrong with velocity and gyro bias has since moved position and
-attitude too. So errors die out in the same way however old the poses are. No history is kept. Gains are
-continuous rates, multiplied by the time since the last correction, so that a model of the loop may take the
-limit of many small corrections.
+Prediction is strapdown integration at the base tick. A correction extrapolates the present estimate back to
+the time of the pose, with constant acceleration and body rate, and compares it with the pose. It corrects the
+state at that time: an error of velocity or gyro bias has since changed position or attitude too, and the
+correction includes this. Errors therefore decay in the same way at any age of the poses. The estimator stores
+no history. Gains are continuous rates, multiplied by the time since the last correction, so a model of the
+loop can take the limit of many small corrections.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from trimtab.firmware_model.law.rotations import (
     quat_to_matrix,
 )
 
-LONGEST_INTERVAL_S = 0.04
-"""A correction after a longer gap weighs no more than this: the gains times a long gap would overshoot."""
+INTERVAL_MAX_S = 0.04
+"""Greatest time that weighs a correction: after a longer gap the gains times the gap would overshoot."""
 
 
 class EstimatorGains(NamedTuple):
@@ -48,10 +48,9 @@ class Estimate(NamedTuple):
 def predict(
     ops: Ops, est: Estimate, gyro: Vector, specific_force: Vector, dt: Scalar
 ) -> tuple[Estimate, Vector, Vector, Vector]:
-    """Return the estimate `dt` later, the body rate (FRD), the acceleration (NED) and R_ned_frd (9) of that
-    moment.
+    """Return the estimate after `dt`, and its body rate (FRD), acceleration (NED) and R_ned_frd (9 scalars).
 
-    `gyro` and `specific_force` (FRD) are the samples of the later moment, held over `dt`.
+    `gyro` and `specific_force` (FRD) are the samples at the end of `dt`, assumed constant over it.
     """
     rate = tuple(g - b for g, b in zip(gyro, est.bias, strict=True))
     q = quat_normalize(ops, quat_multiply(est.q, quat_exp(ops, [r * dt for r in rate])))
@@ -75,14 +74,14 @@ def correct(  # noqa: PLR0913 (an equation of many variables)
     dt_s_since_last: Scalar,
     gains: EstimatorGains,
 ) -> Estimate:
-    """Return the estimate drawn towards a pose measured `age_s` ago; unchanged where `dt_s_since_last` is 0.
+    """Return the estimate corrected by a pose measured `age_s` ago; unchanged if `dt_s_since_last` is 0.
 
-    Position is compared `age_s` back, p - v age + a age^2 / 2 (exact for constant acceleration); attitude by
-    turning the measured one forward by exp(rate age). The sign of either quaternion does not matter. What
-    this does to velocity and gyro bias has acted for `age_s`. The next prediction takes rounding out of the
-    quaternion's length.
+    Positions are compared at the time of the pose: p - v age + a age^2 / 2, exact for constant acceleration.
+    Attitudes are compared now: the measured one is rotated forward by exp(rate age). The signs of the
+    quaternions do not matter. The corrections of velocity and gyro bias also act on position and attitude
+    over `age_s`. The next prediction normalizes the quaternion.
     """
-    dt = ops.minimum(dt_s_since_last, LONGEST_INTERVAL_S)
+    dt = ops.minimum(dt_s_since_last, INTERVAL_MAX_S)
     half = 0.5 * age_s
     k_v = dt * gains.velocity
     k_p = dt * gains.position + age_s * k_v
@@ -108,17 +107,17 @@ def correct(  # noqa: PLR0913 (an equation of many variables)
 
 
 def converges(gain: float, rate_gain: float) -> bool:
-    """Whether errors of a value and of its rate die out, corrected every LONGEST_INTERVAL_S or more often.
+    """Return whether errors of a value and its rate decay, with corrections at least every INTERVAL_MAX_S.
 
-    gain (1/s) and rate_gain (1/s^2): EstimatorGains' position and velocity, or attitude and bias. Over h the
-    error e of the value grows by h times the rate's, f; then a correction takes h gain e from e and
-    h rate_gain e from f. Both roots of that step,
+    gain (1/s) and rate_gain (1/s^2) are the gains of position and velocity, or of attitude and gyro bias.
+    Over an interval h the error e of the value grows by h f, where f is the error of its rate. A correction
+    then subtracts h gain e from e and h rate_gain e from f. The characteristic polynomial of one interval is
 
-        z^2 - (2 - h gain - h^2 rate_gain) z + 1 - h gain,
+        z^2 - (2 - h gain - h^2 rate_gain) z + 1 - h gain.
 
-    lie within the unit circle (Jury) where gain and rate_gain are above 0 and 2 h gain + h^2 rate_gain < 4;
-    with a rate_gain of 0 f stays as it is. The bound is tightest at the longest h. The age of poses is not in
-    it: e is that of the moment of measurement.
+    By the Jury criterion both roots lie within the unit circle if gain > 0, rate_gain > 0 and
+    2 h gain + h^2 rate_gain < 4. With rate_gain = 0, f stays constant. The condition is strictest at the
+    longest h. It does not depend on the age of the poses, because e is the error at the time of measurement.
     """
-    h = LONGEST_INTERVAL_S
+    h = INTERVAL_MAX_S
     return gain > 0.0 <= rate_gain and 2.0 * h * gain + h * h * rate_gain < 4.0

@@ -1,8 +1,8 @@
-"""From flat outputs (position with its derivatives, yaw) to attitude, body rate, thrust and torque.
+"""Differential flatness: attitude, body rate, thrust and torque from flat outputs and their derivatives.
 
-Without residual forces the rotors' specific force is f = g e3 - a along z_frd (thrust is -z). x_frd is chosen
-in the vertical plane of the heading, so that yaw is the yaw of ZYX Euler angles. All of it happens in the
-heading frame: NED turned by yaw. Singular only where f lies along the heading's own y axis (a roll of 90
+Without residual forces the rotors' specific force is f = g e3 - a along z_frd (thrust is -z). x_frd lies in
+the vertical plane of the heading, so yaw is the yaw of ZYX Euler angles. The computation uses the heading
+frame: NED rotated by yaw. It is singular only if f lies along the y axis of this frame (a roll of 90
 degrees).
 
 Sources: paper section III-B; Mellinger and Kumar 2011; Faessler, Franchi and Scaramuzza 2018 (choice of x).
@@ -17,20 +17,20 @@ from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
 from trimtab.firmware_model.law.rotations import cross
 
 _TINY = 1e-9
-"""(m/s^2)^2: keeps free fall finite; far below what any flight can tell."""
+"""Least squared norm, (m/s^2)^2: keeps free fall finite without a measurable effect on a flight."""
 
 
 class Body(NamedTuple):
-    """Mass (kg) and the diagonal of the inertia about x, y, z of FRD (kg m^2)."""
+    """Mass (kg) and moments of inertia about x, y, z of FRD (kg m^2)."""
 
     mass_kg: Any
     inertia: Vector
 
 
 class Heading(NamedTuple):
-    """Where thrust points, in the heading frame.
+    """Direction of the specific force in the heading frame.
 
-    z: unit vector; n: its length across the lateral axis; force: |f|; cos and sin of yaw.
+    z: unit vector along f. n: length of its projection on the plane of x and z. force: |f|. cos, sin: of yaw.
     """
 
     z: Vector
@@ -41,7 +41,7 @@ class Heading(NamedTuple):
 
 
 def heading(ops: Ops, f: Vector, yaw: Scalar) -> Heading:
-    """Return the geometry of specific force f (NED, f = g e3 - a) at this yaw."""
+    """Return the direction of the specific force f (NED, f = g e3 - a) at this yaw."""
     c, s = ops.cos(yaw), ops.sin(yaw)
     fx, fy, fz = c * f[0] + s * f[1], c * f[1] - s * f[0], f[2]
     square = fx * fx + fz * fz
@@ -52,7 +52,7 @@ def heading(ops: Ops, f: Vector, yaw: Scalar) -> Heading:
 
 
 def heading_matrix(at: Heading) -> tuple[Scalar, ...]:
-    """R_ned_frd of the geometry; 9 scalars, row-major."""
+    """Return R_ned_frd of this direction, 9 scalars, row-major."""
     zx, zy, zz = at.z
     c, s = at.cos, at.sin
     per = 1.0 / at.n
@@ -67,14 +67,14 @@ def heading_matrix(at: Heading) -> tuple[Scalar, ...]:
 
 
 def heading_rates(at: Heading, f_dot: Vector, yaw_rate: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Body rate (FRD) that keeps the attitude on f while f changes by f_dot (NED) and yaw by yaw_rate."""
-    rate_x, rate_y = _tilt_rates(at, *_turned(at, f_dot))
+    """Return the body rate (FRD) that keeps z_frd along f, given f_dot (NED) and the yaw rate."""
+    rate_x, rate_y = _tilt_rates(at, *_to_heading(at, f_dot))
     per = 1.0 / at.n
     return rate_x, rate_y, (yaw_rate * at.z[2] * per + rate_y * at.z[1]) * per
 
 
 def flat_attitude(ops: Ops, a: Vector, yaw: Scalar) -> tuple[tuple[Scalar, ...], Scalar]:
-    """R_ned_frd (9) and the specific thrust |f| (m/s^2) at acceleration `a` (NED) and yaw."""
+    """Return R_ned_frd (9 scalars) and specific thrust |f| (m/s^2) at an acceleration (NED) and yaw."""
     at = heading(ops, (-a[0], -a[1], GRAVITY - a[2]), yaw)
     return heading_matrix(at), at.force
 
@@ -82,7 +82,7 @@ def flat_attitude(ops: Ops, a: Vector, yaw: Scalar) -> tuple[tuple[Scalar, ...],
 def flat_rates(
     ops: Ops, a: Vector, j: Vector, yaw: Scalar, yaw_rate: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Body rate (FRD) at acceleration `a` and jerk `j` (NED), yaw and yaw rate."""
+    """Return the body rate (FRD) at acceleration `a` and jerk `j` (NED), yaw and yaw rate."""
     at = heading(ops, (-a[0], -a[1], GRAVITY - a[2]), yaw)
     return heading_rates(at, (-j[0], -j[1], -j[2]), yaw_rate)
 
@@ -97,30 +97,30 @@ def flat_full(
     model: Body,
     yaw_accel: Scalar = 0.0,
 ) -> tuple[tuple[Scalar, ...], Vector, Vector, Scalar, Vector]:
-    """R_ned_frd (9), body rate, its derivative, collective thrust (N) and torque (N m) of the flat outputs.
+    """Return R_ned_frd (9), body rate, its derivative, collective thrust (N) and torque (N m).
 
-    Derivatives in NED, the rest in FRD; inverts paper equation 1.
+    Inverts paper equation 1. a, j and snap are in NED; the results are in FRD.
     """
     at = heading(ops, (-a[0], -a[1], GRAVITY - a[2]), yaw)
     zx, zy, zz = at.z
     n, force = at.n, at.force
     per_n, per_f = 1.0 / n, 1.0 / force
-    fx, fy, fz = _turned(at, (-j[0], -j[1], -j[2]))
+    fx, fy, fz = _to_heading(at, (-j[0], -j[1], -j[2]))
     rate_x, rate_y = _tilt_rates(at, fx, fy, fz)
     rate_z = (yaw_rate * zz * per_n + rate_y * zy) * per_n
 
     force_dot = fx * zx + fy * zy + fz * zz
-    # z' as seen in NED and, relative to the turning heading frame, for the change of n.
+    # z' in NED; (hx, hy, dz) is z' relative to the rotating heading frame, for n'.
     dx, dy, dz = (fx - force_dot * zx) * per_f, (fy - force_dot * zy) * per_f, (fz - force_dot * zz) * per_f
-    gx, gy, gz = _turned(at, (-snap[0], -snap[1], -snap[2]))
-    # z'' has (f'' - 2 |f|' z') / |f| across z; its part along z turns nothing.
-    bend_x, bend_y, bend_z = (
+    gx, gy, gz = _to_heading(at, (-snap[0], -snap[1], -snap[2]))
+    # z'' = (f'' - 2 |f|' z') / |f| except for a component along z, which changes no rate.
+    ddx, ddy, ddz = (
         (gx - 2.0 * force_dot * dx) * per_f,
         (gy - 2.0 * force_dot * dy) * per_f,
         (gz - 2.0 * force_dot * dz) * per_f,
     )
-    along_x = (bend_x * zz - bend_z * zx) * per_n
-    along_y = n * bend_y - zy * (bend_x * zx + bend_z * zz) * per_n
+    along_x = (ddx * zz - ddz * zx) * per_n
+    along_y = n * ddy - zy * (ddx * zx + ddz * zz) * per_n
     dot_x = rate_z * rate_y - along_y
     dot_y = along_x - rate_z * rate_x
     hx, hy = dx + yaw_rate * zy, dy - yaw_rate * zx
@@ -133,18 +133,18 @@ def flat_full(
 
     jx, jy, jz = model.inertia
     rate, rate_dot = (rate_x, rate_y, rate_z), (dot_x, dot_y, dot_z)
-    spin = cross(rate, (jx * rate_x, jy * rate_y, jz * rate_z))
-    torque = (jx * dot_x + spin[0], jy * dot_y + spin[1], jz * dot_z + spin[2])
+    gyroscopic = cross(rate, (jx * rate_x, jy * rate_y, jz * rate_z))
+    torque = (jx * dot_x + gyroscopic[0], jy * dot_y + gyroscopic[1], jz * dot_z + gyroscopic[2])
     return heading_matrix(at), rate, rate_dot, model.mass_kg * force, torque
 
 
-def _turned(at: Heading, v: Vector) -> tuple[Scalar, Scalar, Scalar]:
+def _to_heading(at: Heading, v: Vector) -> tuple[Scalar, Scalar, Scalar]:
     """Return a NED vector in the heading frame."""
     return at.cos * v[0] + at.sin * v[1], at.cos * v[1] - at.sin * v[0], v[2]
 
 
 def _tilt_rates(at: Heading, fx: Scalar, fy: Scalar, fz: Scalar) -> tuple[Scalar, Scalar]:
-    """Roll and pitch rate of z following f: z' = omega_y x - omega_x y, from f' in the heading frame."""
+    """Return roll and pitch rate from f' in the heading frame: z' = omega_y x - omega_x y."""
     zx, zy, zz = at.z
     per = 1.0 / at.n
     per_f = 1.0 / at.force

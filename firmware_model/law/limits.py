@@ -1,4 +1,4 @@
-"""The airframe and the limits that a reference is checked by."""
+"""Airframe and limits that a reference is checked against."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from trimtab.firmware_model.law.allocation import allocation_matrix, invert4
 
 @dataclass(frozen=True, kw_only=True)
 class Airframe:
-    """Mass, inertia and rotors, from which the rotor thrusts follow.
+    """Mass, inertia and rotors, which determine the rotor thrusts along a reference.
 
-    inertia_kg_m2 about x, y, z of FRD; allocation_inverse: 16, row-major, [T, tau] to rotor thrusts.
+    inertia_kg_m2: about x, y, z of FRD. allocation_inverse: 16 values, row-major, maps [T, tau] to rotor
+    thrusts.
     """
 
     mass_kg: float
@@ -33,8 +34,8 @@ class Airframe:
 class Limits:
     """Limits of a reference.
 
-    thrust_headroom: least and greatest share of a rotor's greatest thrust; geofence_m: (low, high) of north,
-    east and down; end_height_m: least height of both ends above the floor z = 0.
+    thrust_headroom: bounds of a rotor's thrust as shares of its greatest thrust. geofence_m: (low, high) of
+    north, east and down. end_height_m: least height of both ends above the floor z = 0.
     """
 
     speed_max_m_s: float
@@ -51,13 +52,13 @@ class Limits:
         for name, intervals in (("thrust share", (self.thrust_headroom,)), ("geofence", self.geofence_m)):
             for low, high in intervals:
                 if not low < high:
-                    raise ValueError(f"{name} {low:.6g} to {high:.6g} is no interval")
+                    raise ValueError(f"{name} {low:.6g} to {high:.6g} is not an interval")
 
 
 def from_parameters(table: Mapping[str, float]) -> tuple[Airframe, Limits]:
-    """Return airframe and limits from values by the names of the protocol's parameter table.
+    """Return airframe and limits from values of the protocol's parameter table, by name.
 
-    Raises KeyError for a missing name, ValueError for values that make no vehicle.
+    Raises KeyError for a missing name and ValueError for inconsistent values.
     """
     rotors = ("ROTOR1", "ROTOR2", "ROTOR3", "ROTOR4")
     positions = [(table[f"{rotor}_X"], table[f"{rotor}_Y"]) for rotor in rotors]

@@ -1,8 +1,8 @@
-"""The operations the law is written with, so that one source serves floats, CasADi symbols and numpy lanes.
+"""Operations of the control law: one source serves floats, CasADi symbols and numpy lanes.
 
-A scalar is whatever the operations take: a float, a casadi.SX or an array with one value a lane. Sums,
-products and comparisons are Python's own operators; everything else goes through the `ops` object passed as
-first argument. `trimtab.host.codegen.ops` has the instances for CasADi and numpy.
+A scalar is a float, a casadi.SX or an array with one value for each lane. Sums, products and comparisons use
+Python's operators. Every other operation goes through the `ops` object that is the first argument.
+`trimtab.host.codegen.ops` has the instances for CasADi and numpy.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from typing import Any, Protocol, TypeAlias
 Scalar: TypeAlias = Any
 """A float, a casadi.SX or an array of shape (lanes,)."""
 Vector: TypeAlias = Sequence[Any]
-"""Scalars in a row: 3 of a vector, 4 of a quaternion (w first), 9 of a matrix (row-major)."""
+"""Sequence of scalars: 3 for a vector, 4 for a quaternion (w first), 9 for a matrix (row-major)."""
 
 
 class Ops(Protocol):
-    """What the law needs beyond + - * / and comparisons."""
+    """Operations that the law needs beyond + - * / and comparisons."""
 
     @property
     def where(self) -> Callable[[Any, Any, Any], Any]:
-        """(condition, a, b) -> a where the condition holds, else b. Both are evaluated: keep both finite."""
+        """(condition, a, b) -> a if the condition holds, else b. Both are evaluated and must be finite."""
         ...
 
     @property
@@ -31,7 +31,7 @@ class Ops(Protocol):
     def maximum(self) -> Callable[[Any, Any], Any]: ...
     @property
     def clip(self) -> Callable[[Any, Any, Any], Any]:
-        """(x, low, high) -> x kept within low..high."""
+        """(x, low, high) -> x limited to low..high."""
         ...
 
     @property
@@ -74,7 +74,7 @@ class FloatOps:
 
     @staticmethod
     def where(condition: Any, a: Any, b: Any) -> Any:
-        """Return `a` where the condition holds, else `b`."""
+        """Return `a` if the condition holds, else `b`."""
         return a if condition else b
 
     @staticmethod
@@ -89,7 +89,7 @@ class FloatOps:
 
     @staticmethod
     def clip(x: Any, low: Any, high: Any) -> Any:
-        """`x` kept within low..high."""
+        """Return `x` limited to low..high."""
         return low if x < low else high if x > high else x
 
     @staticmethod

@@ -1,8 +1,8 @@
-"""The reference between its nodes: septic pieces in position, cubic pieces in yaw.
+"""Interpolation of a reference between its nodes: septic pieces in position, cubic pieces in yaw.
 
-A node holds p, v, a, j in NED, 12 scalars. Pieces that share nodes join with continuous p, v, a and j (C3).
-Who follows a piece works out its polynomials' coefficients once and evaluates them at the time inside, which
-is expected within 0..dt; who calls picks the piece and holds yaw outside its nodes.
+A node holds p, v, a, j in NED, 12 scalars. Adjacent pieces share a node, so p, v, a, j are continuous (C3).
+The caller selects the piece and holds yaw outside its nodes. It computes the coefficients once for each piece
+and evaluates them at the time inside the piece, which must be within 0..dt.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ CUBIC_SIZE = 4
 
 
 def septic_coefficients(dt_s: Scalar, node0: Vector, node1: Vector) -> tuple[Scalar, ...]:
-    """Coefficients of the piece of length `dt_s` between two nodes: x, y, z of power 0 first, 24 in all.
+    """Return the 24 coefficients of the piece of length `dt_s` between two nodes: x, y, z of power 0 first.
 
-    The polynomial of degree 7 in x = s/dt that meets p, v, a, j at both ends. Its first four coefficients are
-    node0's own; the other four solve a constant 4 x 4 system for what is then missing at x = 1.
+    The piece is the polynomial of degree 7 in x = s/dt that interpolates p, v, a, j at both ends. Its first
+    four coefficients follow from node0 alone. The other four solve a constant 4 x 4 system: its right-hand
+    side is the difference between node1 and the cubic of the first four coefficients at x = 1.
     """
     h = dt_s
     h2, h3 = 0.5 * h * h, h * h * h * (1.0 / 6.0)
@@ -36,14 +37,14 @@ def septic_coefficients(dt_s: Scalar, node0: Vector, node1: Vector) -> tuple[Sca
         c5 = -84.0 * p_missing + 39.0 * v_missing - 14.0 * a_missing + 3.0 * j_missing
         c6 = 70.0 * p_missing - 34.0 * v_missing + 13.0 * a_missing - 3.0 * j_missing
         c7 = -20.0 * p_missing + 10.0 * v_missing - 4.0 * a_missing + j_missing
-        own = (c0, node0[3 + axis], 0.5 * node0[6 + axis], node0[9 + axis] * (1.0 / 6.0))
-        rows.append((*own, c4 * per, c5 * (per / h), c6 * (per / (h * h)), c7 * (per / (h * h * h))))
+        low = (c0, node0[3 + axis], 0.5 * node0[6 + axis], node0[9 + axis] * (1.0 / 6.0))
+        rows.append((*low, c4 * per, c5 * (per / h), c6 * (per / (h * h)), c7 * (per / (h * h * h))))
     x, y, z = rows
     return tuple(row[power] for power in range(8) for row in (x, y, z))
 
 
 def septic_at(coefficients: Vector, s_s: Scalar) -> tuple[Triple, Triple, Triple, Triple, Triple]:
-    """Position, velocity, acceleration, jerk, snap: `s_s` into a piece with these coefficients."""
+    """Return position, velocity, acceleration, jerk and snap at time `s_s` inside a piece."""
     p, v, a, j, snap = [], [], [], [], []
     for axis in range(3):
         c0, c1, c2, c3, c4, c5, c6, c7 = (coefficients[3 * power + axis] for power in range(8))
@@ -85,24 +86,29 @@ def septic_at(coefficients: Vector, s_s: Scalar) -> tuple[Triple, Triple, Triple
 def septic(
     dt_s: Scalar, s_s: Scalar, node0: Vector, node1: Vector
 ) -> tuple[Triple, Triple, Triple, Triple, Triple]:
-    """Position, velocity, acceleration, jerk, snap: `s_s` into the piece of length `dt_s` between nodes."""
+    """Return position to snap at time `s_s` inside the piece of length `dt_s` between two nodes."""
     return septic_at(septic_coefficients(dt_s, node0, node1), s_s)
 
 
 def cubic_coefficients(
     dt_s: Scalar, y0: Scalar, r0: Scalar, y1: Scalar, r1: Scalar
 ) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """Coefficients of the cubic of length `dt_s` from yaw y0, rate r0 to y1, r1, power 0 first.
+    """Return the coefficients, power 0 first, of the cubic from yaw y0 and rate r0 to y1 and r1 in `dt_s`.
 
-    Yaw is not wrapped: y1 - y0 is the turn made. A held yaw is y0 = y1, r0 = r1 = 0.
+    Yaw is not wrapped: the vehicle turns by y1 - y0. A constant yaw has y0 = y1, r0 = r1 = 0.
     """
-    turn = (y1 - y0) / dt_s - r0
-    bend = r1 - r0
-    return y0, r0, (3.0 * turn - bend) / dt_s, (bend - 2.0 * turn) / (dt_s * dt_s)
+    mean_rate_change = (y1 - y0) / dt_s - r0
+    rate_change = r1 - r0
+    return (
+        y0,
+        r0,
+        (3.0 * mean_rate_change - rate_change) / dt_s,
+        (rate_change - 2.0 * mean_rate_change) / (dt_s * dt_s),
+    )
 
 
 def cubic_at(coefficients: Vector, s_s: Scalar) -> tuple[Scalar, Scalar]:
-    """Yaw and yaw rate, `s_s` into a piece with these coefficients."""
+    """Return yaw and yaw rate at time `s_s` inside a piece."""
     c0, c1, c2, c3 = (coefficients[power] for power in range(4))
     b2 = c3 * s_s + c2
     b1 = b2 * s_s + c1
@@ -110,12 +116,12 @@ def cubic_at(coefficients: Vector, s_s: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def cubic_acceleration(coefficients: Vector, s_s: Scalar) -> Scalar:
-    """Yaw acceleration, `s_s` into a piece with these coefficients."""
+    """Return the yaw acceleration at time `s_s` inside a piece."""
     return 2.0 * coefficients[2] + 6.0 * coefficients[3] * s_s
 
 
 def hermite_yaw(
     dt_s: Scalar, s_s: Scalar, y0: Scalar, r0: Scalar, y1: Scalar, r1: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Yaw and yaw rate, `s_s` into the cubic piece of length `dt_s` between (y0, r0) and (y1, r1)."""
+    """Return yaw and yaw rate at time `s_s` inside the cubic of length `dt_s` from (y0, r0) to (y1, r1)."""
     return cubic_at(cubic_coefficients(dt_s, y0, r0, y1, r1), s_s)

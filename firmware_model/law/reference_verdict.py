@@ -1,4 +1,4 @@
-"""The verdict on a reference: the first limit that it breaks, with the numbers."""
+"""Verdict on a reference: the first limit that it violates, with value and bound."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import IntEnum
 
 
 class ReferenceReason(IntEnum):
-    """Why a reference was refused; the numbers travel on the wire and never change."""
+    """Reasons for the refusal of a reference. The values are part of the protocol and never change."""
 
     NONE = 0
     TOO_FEW_NODES = 1
@@ -24,15 +24,15 @@ class ReferenceReason(IntEnum):
     THRUST_LOW = 11
     THRUST_HIGH = 12
     NOT_SMOOTH = 13
-    BATTERY = 14  # found by the vehicle, which alone knows its voltage
+    BATTERY = 14  # only the vehicle reports this: the host does not know the voltage
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceVerdict:
-    """`ok`, or the first node whose piece breaks a limit, and the numbers.
+    """Verdict on a reference: `ok`, or the first node whose piece violates a limit, with value and bound.
 
-    text: the fault, at most 64 bytes. message: the fault with node and time. margins: least distance to each
-    bound over the whole flight, negative if broken; empty if the nodes are no reference at all.
+    text: the violation, at most 64 bytes. message: the violation with node and time. margins: least distance
+    to each bound over the whole flight, negative if violated; empty if the nodes do not form a reference.
     """
 
     ok: bool
@@ -56,7 +56,7 @@ def refused(
     text: str,
     at_us: float | None = None,
 ) -> ReferenceVerdict:
-    """Return a refusal of the node at t_us, or of the piece after it at the time at_us."""
+    """Return the refusal of the node at `t_us`, or of the piece after it at the time `at_us`."""
     message = f"node {node} at {t_us * 1e-6:.3f} s: {text}"
     if at_us is not None:
         message += f", at {at_us * 1e-6:.3f} s"

@@ -1,7 +1,7 @@
 """Rotations: quaternions (Hamilton, w first, q_ned_frd), matrices (9, row-major, R_ned_frd), Euler angles.
 
 v_ned = R_ned_frd v_frd. Euler angles Theta are (roll, pitch, yaw). No branch depends on a value, so the same
-source runs on floats, CasADi symbols and numpy lanes.
+source serves floats, CasADi symbols and numpy lanes.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
 
 
 def quat_to_matrix(ops: Ops, q: Vector) -> tuple[Scalar, ...]:
-    """R_ned_frd of a unit quaternion q_ned_frd; 9 scalars, row-major."""
+    """Return R_ned_frd of a unit quaternion q_ned_frd, 9 scalars, row-major."""
     w, x, y, z = q
     x2, y2, z2 = x + x, y + y, z + z
     xx, yy, zz = x * x2, y * y2, z * z2
@@ -41,23 +41,23 @@ def quat_conjugate(q: Vector) -> tuple[Scalar, ...]:
 
 
 def quat_normalize(ops: Ops, q: Vector) -> tuple[Scalar, ...]:
-    """`q` at unit length; finite even for the zero quaternion."""
+    """Return `q` normalized to unit length; finite even for the zero quaternion."""
     w, x, y, z = q
     scale = 1.0 / ops.sqrt(ops.maximum(w * w + x * x + y * y + z * z, 1e-30))
     return (w * scale, x * scale, y * scale, z * scale)
 
 
 def quat_exp(ops: Ops, rotvec: Vector) -> tuple[Scalar, ...]:
-    """Return the unit quaternion that turns by the rotation vector (axis times angle, rad)."""
+    """Return the unit quaternion of a rotation vector (axis times angle, rad)."""
     x, y, z = rotvec
-    # The addition keeps the quotient and its derivatives finite at 0; elsewhere it is below rounding.
+    # The constant keeps the quotient and its derivatives finite at 0; elsewhere rounding absorbs it.
     angle = ops.sqrt(x * x + y * y + z * z + 1e-20)
     scale = ops.sin(0.5 * angle) / angle
     return (ops.cos(0.5 * angle), x * scale, y * scale, z * scale)
 
 
 def quat_from_euler(ops: Ops, roll: Scalar, pitch: Scalar, yaw: Scalar) -> tuple[Scalar, ...]:
-    """q_ned_frd of ZYX Euler angles."""
+    """Return q_ned_frd of ZYX Euler angles."""
     cr, sr = ops.cos(0.5 * roll), ops.sin(0.5 * roll)
     cp, sp = ops.cos(0.5 * pitch), ops.sin(0.5 * pitch)
     cy, sy = ops.cos(0.5 * yaw), ops.sin(0.5 * yaw)
@@ -70,13 +70,13 @@ def quat_from_euler(ops: Ops, roll: Scalar, pitch: Scalar, yaw: Scalar) -> tuple
 
 
 def matrix_to_euler(ops: Ops, R: Vector) -> tuple[Scalar, Scalar, Scalar]:
-    """Roll, pitch, yaw of R_ned_frd; pitch within +-pi/2."""
+    """Return roll, pitch and yaw of R_ned_frd; pitch is within +-pi/2."""
     pitch = ops.asin(ops.clip(-R[6], -1.0, 1.0))
     return (ops.atan2(R[7], R[8]), pitch, ops.atan2(R[3], R[0]))
 
 
 def euler_to_matrix(ops: Ops, rpy: Vector) -> tuple[Scalar, ...]:
-    """R_ned_frd of (roll, pitch, yaw); 9 scalars, row-major."""
+    """Return R_ned_frd of (roll, pitch, yaw), 9 scalars, row-major."""
     roll, pitch, yaw = rpy
     cr, sr = ops.cos(roll), ops.sin(roll)
     cp, sp = ops.cos(pitch), ops.sin(pitch)
@@ -90,17 +90,17 @@ def euler_to_matrix(ops: Ops, rpy: Vector) -> tuple[Scalar, ...]:
 
 
 def euler_rates(ops: Ops, rpy: Vector, rate: Vector) -> tuple[Scalar, Scalar, Scalar]:
-    """Time derivative of (roll, pitch, yaw) for a body rate in FRD: W(Theta) omega of paper equation 1."""
+    """Return d/dt (roll, pitch, yaw) for a body rate in FRD: W(Theta) omega of paper equation 1."""
     roll, pitch, _ = rpy
     p, q, r = rate
     cr, sr = ops.cos(roll), ops.sin(roll)
     cp = ops.cos(pitch)
-    turn = (sr * q + cr * r) / cp
-    return (p + ops.sin(pitch) * turn, cr * q - sr * r, turn)
+    yaw_rate = (sr * q + cr * r) / cp
+    return (p + ops.sin(pitch) * yaw_rate, cr * q - sr * r, yaw_rate)
 
 
 def mat_vec(R: Vector, v: Vector) -> tuple[Scalar, Scalar, Scalar]:
-    """R v."""
+    """Return R v."""
     x, y, z = v
     return (
         R[0] * x + R[1] * y + R[2] * z,
@@ -110,7 +110,7 @@ def mat_vec(R: Vector, v: Vector) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def mat_t_vec(R: Vector, v: Vector) -> tuple[Scalar, Scalar, Scalar]:
-    """R^T v: for R_ned_frd from the world into the body."""
+    """Return R^T v. For R_ned_frd this maps NED to FRD."""
     x, y, z = v
     return (
         R[0] * x + R[3] * y + R[6] * z,
@@ -125,12 +125,15 @@ def cross(a: Vector, b: Vector) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def dot(a: Vector, b: Vector) -> Scalar:
-    """Return a . b, of three scalars each."""
+    """Return the scalar product a . b of two vectors of 3 scalars."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def attitude_error(R_des: Vector, R: Vector) -> tuple[Scalar, Scalar, Scalar]:
-    """e_R = 1/2 vee(R_des^T R - R^T R_des): sin(angle) times the axis of the turn from R_des to R, in FRD."""
+    """Return e_R = 1/2 vee(R_des^T R - R^T R_des) in FRD.
+
+    e_R is sin(angle) times the axis of the rotation from R_des to R.
+    """
     a, b = R_des, R
     return (
         0.5 * ((a[2] * b[1] + a[5] * b[4] + a[8] * b[7]) - (a[1] * b[2] + a[4] * b[5] + a[7] * b[8])),

@@ -1,4 +1,4 @@
-"""Scan a reference against the limits: inside every piece, with the thrust of every rotor."""
+"""Check a reference against the limits at samples inside every piece, including the thrust of each rotor."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ Node = tuple[int, Sequence[float]]
 YawNode = tuple[int, float, float]
 """t_us, yaw and yaw rate."""
 
-LONGEST_SAMPLE_US = 12_500
-MOST_SAMPLES = 512
+SAMPLE_INTERVAL_MAX_US = 12_500
+SAMPLES_MAX = 512
 """Greatest number of samples in a piece: a longer piece does not curve faster."""
 
 _REASONS: dict[str, tuple[ReferenceReason, str]] = {
@@ -39,7 +39,7 @@ _REASONS: dict[str, tuple[ReferenceReason, str]] = {
     "thrust_low": (ReferenceReason.THRUST_LOW, "of max"),
     "thrust_high": (ReferenceReason.THRUST_HIGH, "of max"),
 }
-"""ReferenceReason and unit by the margin's name."""
+"""ReferenceReason and unit by name of the margin."""
 _AXES = ("north", "east", "down")
 
 _Flat = tuple[Sequence[float], Sequence[float], Sequence[float], Sequence[float], Sequence[float]]
@@ -56,7 +56,7 @@ def scan(
     samples_per_piece: int,
     origin: Sequence[float],
 ) -> ReferenceVerdict:
-    """Return the verdict on every sample along the flight: the first violation, and the least margins."""
+    """Return the verdict over all samples of the flight: the first violation and the least margins."""
     margins = dict.fromkeys(_REASONS, math.inf)
     first: ReferenceVerdict | None = None
     bounds = _Bounds(model, limits, origin)
@@ -75,7 +75,7 @@ def scan(
 
 
 class _Bounds:
-    """The limits of one vehicle around one origin, in the form that a sample is compared with."""
+    """Limits of one vehicle relative to one origin, for the comparison with samples."""
 
     def __init__(self, model: Airframe, limits: Limits, origin: Sequence[float]) -> None:
         self._limits = limits
@@ -126,7 +126,7 @@ def _samples(
 ) -> Iterator[tuple[int, float, _Flat, float, float, float]]:
     """Yield piece, time (us), p to snap, yaw, yaw rate and yaw acceleration of every sample, in order.
 
-    Pieces of position and of yaw are cut at each other's ends. Each part is sampled at both ends and in
+    The pieces of position and of yaw are split at each other's ends. Each part is sampled at both ends and in
     between, because snap and yaw acceleration jump from one part to the next.
     """
     times = [t_us for t_us, _ in nodes]
@@ -137,7 +137,7 @@ def _samples(
         position = septic_coefficients((t1 - t0) * 1e-6, node0, node1)
         yaw_us, heading = yaw_piece(yaw_nodes, start_us)
         length = end_us - start_us
-        count = min(max(samples_per_piece, -(-length // LONGEST_SAMPLE_US)), MOST_SAMPLES)
+        count = min(max(samples_per_piece, -(-length // SAMPLE_INTERVAL_MAX_US)), SAMPLES_MAX)
         for k in range(count + 1):
             t_us = start_us + length * k / count
             yaw_s = (t_us - yaw_us) * 1e-6
@@ -151,7 +151,7 @@ def _samples(
 
 
 def yaw_piece(yaw_nodes: Sequence[YawNode], t_us: int) -> tuple[int, tuple[float, float, float, float]]:
-    """Return start (us) and coefficients of the yaw piece at t_us; yaw is constant outside the nodes."""
+    """Return start (us) and coefficients of the yaw piece at `t_us`. Yaw is constant outside the nodes."""
     after = bisect_right(yaw_nodes, t_us, key=lambda node: node[0])
     if after == 0 or after == len(yaw_nodes):
         return t_us, (yaw_nodes[max(after - 1, 0)][1], 0.0, 0.0, 0.0)

@@ -1,7 +1,7 @@
 """One tick of the flight MCU at 1 kHz: estimate, reference, feed-forward, control, allocation, running sums.
 
-`step(ops, inputs) -> outputs` is pure: what must be remembered comes in and goes out as the block `memory`.
-The same source runs on floats, is traced by CasADi for the compiled engines, and runs on numpy lanes.
+`step(ops, inputs) -> outputs` is a pure function: its state is the block `memory`, both input and output. The
+same source runs on floats and on numpy lanes, and CasADi traces it for the compiled engines.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from trimtab.firmware_model.law.allocation import (
 from trimtab.firmware_model.law.dfbc import Gains, Reference, outer_loop, rate_loop
 from trimtab.firmware_model.law.estimator import Estimate, EstimatorGains, correct, predict
 from trimtab.firmware_model.law.flatness import Body, flat_attitude, flat_rates
-from trimtab.firmware_model.law.observer import disturbance_seen, lagged_thrust, observe
+from trimtab.firmware_model.law.observer import lagged_thrust, measured_disturbance, observe
 from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
 from trimtab.firmware_model.law.reference import CUBIC_SIZE, SEPTIC_SIZE, cubic_at, septic_at
 from trimtab.firmware_model.law.rotations import attitude_error, quat_to_matrix
@@ -30,30 +30,30 @@ TICK_S = 0.001
 MOTOR_COUNTS = 65536.0
 """Counts of the running sum per unit of motor command and tick."""
 GYRO_COUNTS = 4096.0
-"""Per rad/s and tick."""
+"""Counts of the running sum per rad/s and tick."""
 FORCE_COUNTS = 1024.0
-"""Per m/s^2 and tick."""
+"""Counts of the running sum per m/s^2 and tick."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """A named vector going in or out."""
+    """A named input or output vector."""
 
     name: str
     size: int
 
 
 EST_P, EST_V, EST_Q, EST_BIAS = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
-"""The estimate in `memory`: p_ned, v_ned, q_ned_frd, gyro bias."""
+"""Estimate in the block `memory`: p_ned, v_ned, q_ned_frd, gyro bias."""
 RATE_FILTERED = slice(13, 16)
 RATE_INTEGRAL = slice(16, 19)
 MOTOR_SUM, GYRO_SUM, FORCE_SUM = slice(19, 23), slice(23, 26), slice(26, 29)
-"""Running sums in counts since boot, not yet rounded: the sender takes floor and wraps."""
+"""Running sums in counts since boot, before rounding: telemetry takes the floor modulo 2^32."""
 LAST_COMMAND = slice(29, 33)
 OBSERVER = slice(33, 36)
-"""The observer's estimate d_hat (m/s^2, NED)."""
+"""Estimate d_hat of the disturbance observer (m/s^2, NED)."""
 OBSERVER_THRUST = slice(36, 37)
-"""Collective thrust (N) commanded so far, behind the nominal lag."""
+"""Commanded collective thrust (N) after the nominal rotor lag."""
 MEMORY_SIZE = 37
 MEMORY: dict[str, slice] = {
     "p": EST_P,
@@ -84,17 +84,17 @@ _DIRECT = (
     "EST_POS", "EST_VEL", "EST_ATT", "EST_BIAS", "EST_BIAS_MAX",
     "OBS_GAIN", "MOTOR_LAG",
 )  # fmt: skip
-_ROTORS = tuple(f"ROTOR{i}_{what}" for i in (1, 2, 3, 4) for what in ("X", "Y", "SPIN"))
+_ROTORS = tuple(f"ROTOR{i}_{field}" for i in (1, 2, 3, 4) for field in ("X", "Y", "SPIN"))
 SOURCES: tuple[str, ...] = (*_DIRECT, *_ROTORS, "TORQUE_PER_N")
-"""Names of the parameter table that the law reads; meaning and unit are the table's."""
+"""Names of the parameters that the control law reads from the protocol's table."""
 PARAMETERS: tuple[str, ...] = (*_DIRECT, *(f"ALLOCATION_{k}" for k in range(TABLE_SIZE)))
-"""Layout of the block `parameters`: values from the table, then `allocation_table` of its rotors."""
+"""Layout of the block `parameters`: values from the table, then the `allocation_table` of its rotors."""
 _AT = {name: k for k, name in enumerate(PARAMETERS)}
 _ALLOCATION = slice(_AT["ALLOCATION_0"], None)
 
 OFFBOARD_SIZE = 10
-"""Block `offboard`: 1 where the commands below take the outer loop's place; collective thrust (N); body rate
-(rad/s, FRD); weight of the attitude error; attitude q_ned_frd, a unit quaternion.
+"""Size of the block `offboard`: 1 if the following commands replace the outer loop; collective thrust (N);
+body rate (rad/s, FRD); weight of the attitude error; attitude q_ned_frd, a unit quaternion.
 """
 NO_OFFBOARD = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
@@ -110,7 +110,7 @@ INPUTS: tuple[Block, ...] = (
     Block(name="armed", size=1),
     Block(name="observing", size=1),
     Block(name="feedback_weights", size=2),
-    Block(name="piece", size=1 + SEPTIC_SIZE),  # time inside (s), coefficients
+    Block(name="piece", size=1 + SEPTIC_SIZE),  # time inside the piece (s), coefficients
     Block(name="yaw_piece", size=1 + CUBIC_SIZE),
     Block(name="offboard", size=OFFBOARD_SIZE),
     Block(name="feedforward", size=feedforward.FF_SIZE),
@@ -130,9 +130,9 @@ OUTPUTS: tuple[Block, ...] = (
 
 
 def parameter_vector(table: Mapping[str, float]) -> tuple[float, ...]:
-    """Return the block `parameters` for a table that has the names of `SOURCES`.
+    """Return the block `parameters` for values by the names of `SOURCES`.
 
-    Raises KeyError for a missing name and ValueError for rotors that cannot produce every torque.
+    Raises KeyError for a missing name and ValueError if the rotors cannot produce every torque.
     """
     positions = [(table[f"ROTOR{i}_X"], table[f"ROTOR{i}_Y"]) for i in (1, 2, 3, 4)]
     spins = [table[f"ROTOR{i}_SPIN"] for i in (1, 2, 3, 4)]
@@ -143,19 +143,19 @@ def parameter_vector(table: Mapping[str, float]) -> tuple[float, ...]:
 def initial_memory(
     p: Sequence[float] = (0.0, 0.0, 0.0), q: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
 ) -> tuple[float, ...]:
-    """Return the block `memory` of a vehicle at rest at pose p (NED), q_ned_frd."""
+    """Return the block `memory` of a vehicle at rest at position p (NED) and attitude q_ned_frd."""
     memory = [0.0] * MEMORY_SIZE
     memory[EST_P], memory[EST_Q] = p, q
     return tuple(memory)
 
 
 def body(parameters: Vector) -> Body:
-    """Mass and inertia out of the block `parameters`."""
+    """Return mass and inertia from the block `parameters`."""
     return Body(parameters[0], parameters[1:4])
 
 
 def gains(parameters: Vector) -> Gains:
-    """Return the controller's gains out of the block `parameters`."""
+    """Return the controller's gains from the block `parameters`."""
     start = _AT["POS_P_N"]
     triples = [parameters[start + 3 * k : start + 3 * k + 3] for k in range(6)]
     return Gains(
@@ -166,28 +166,28 @@ def gains(parameters: Vector) -> Gains:
 
 
 def integral_limit(parameters: Vector) -> Vector:
-    """Bounds of the rate integral (rad/s^2) out of the block `parameters`."""
+    """Return the bounds of the rate integral (rad/s^2) from the block `parameters`."""
     start = _AT["RATE_ILIM_X"]
     return parameters[start : start + 3]
 
 
 def estimator_gains(parameters: Vector) -> EstimatorGains:
-    """Return the estimator's gains out of the block `parameters`."""
+    """Return the estimator's gains from the block `parameters`."""
     start = _AT["EST_POS"]
     return EstimatorGains(*parameters[start : start + 4])
 
 
 def observer(parameters: Vector) -> tuple[Scalar, Scalar]:
-    """Gain of the disturbance observer (1/s) and nominal rotor lag (s) out of the block `parameters`."""
+    """Return observer gain (1/s) and nominal rotor lag (s) from the block `parameters`."""
     return parameters[_AT["OBS_GAIN"]], parameters[_AT["MOTOR_LAG"]]
 
 
 def motors(
     ops: Ops, parameters: Vector, collective_n: Scalar, torque: Vector, gain: Scalar
 ) -> tuple[list[Scalar], list[Scalar], Scalar]:
-    """Motor commands (0..1), the nominal rotor thrusts they stand for (N), 1 where something was given up.
+    """Return motor commands (0..1), their nominal rotor thrusts (N), and 1 if the rotors saturate, else 0.
 
-    `gain` is real over nominal rotor thrust: the rotors are asked for that much less.
+    gain: actual over nominal rotor thrust. The demand is divided by it.
     """
     thrust_max, c1, c2 = parameters[4], parameters[5], parameters[6]
     per_gain = 1.0 / gain
@@ -203,7 +203,7 @@ def motors(
 
 
 def feedforward_terms(ops: Ops, block: Vector, ref: Reference, ff_accel_ned: Vector) -> tuple[Vector, Vector]:
-    """Return residual acceleration along the reference and its derivative (NED): block plus network."""
+    """Return the residual acceleration along the reference (block plus network) and its derivative, NED."""
     R_flat, _ = flat_attitude(ops, ref.a, ref.yaw)
     rate = flat_rates(ops, ref.a, ref.j, ref.yaw, ref.yaw_rate)
     accel = feedforward.specific_force_ned(ops, block, ref.v, R_flat)
@@ -212,17 +212,17 @@ def feedforward_terms(ops: Ops, block: Vector, ref: Reference, ff_accel_ned: Vec
 
 
 def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
-    """Return the output blocks of one tick; inputs must be finite.
+    """Return the output blocks of one tick. Inputs must be finite.
 
-    `mocap_new`, `armed`, `observing` and the first value of `offboard` are 0 or 1. While `observing` is 0 the
-    observer's estimate stays constant.
+    `mocap_new`, `armed`, `observing` and the first value of `offboard` are 0 or 1. The observer's estimate
+    stays constant while `observing` is 0.
     """
     memory, parameters, block = inputs["memory"], inputs["parameters"], inputs["feedforward"]
     gyro, force = inputs["gyro"], inputs["specific_force"]
     est, R, rate = _estimate(ops, inputs)
     d_hat = _disturbance(ops, inputs, est, R)
 
-    # Reference and the known residual along it.
+    # Reference, and the residual acceleration along it.
     piece, yaw_piece = inputs["piece"], inputs["yaw_piece"]
     p_r, v_r, a_r, j_r, _ = septic_at(piece[1:], piece[0])
     yaw, yaw_rate = cubic_at(yaw_piece[1:], yaw_piece[0])
@@ -255,11 +255,11 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
         on * ops.clip(i + TICK_S * d, -limit, limit)
         for i, d, limit in zip(integral, integral_dot, integral_limit(parameters), strict=True)
     ]
-    given = gain * (thrust[0] + thrust[1] + thrust[2] + thrust[3])
+    commanded = gain * (thrust[0] + thrust[1] + thrust[2] + thrust[3])
     _, lag_s = observer(parameters)
-    lagged = lagged_thrust(memory[OBSERVER_THRUST.start], given, lag_s, TICK_S)
+    lagged = lagged_thrust(memory[OBSERVER_THRUST.start], commanded, lag_s, TICK_S)
     observed = [on * x for x in (*d_hat, lagged)]
-    # The last command is the one that acted over the interval this tick closes.
+    # The previous command acted over the interval that ends with this tick.
     last = memory[LAST_COMMAND]
     sums = [
         *(s + MOTOR_COUNTS * u for s, u in zip(memory[MOTOR_SUM], last, strict=True)),
@@ -299,19 +299,19 @@ def _disturbance(ops: Ops, inputs: Mapping[str, Vector], est: Estimate, R: Vecto
     memory, parameters = inputs["memory"], inputs["parameters"]
     obs_gain, _ = observer(parameters)
     v_dot = [(now - before) / TICK_S for now, before in zip(est.v, memory[EST_V], strict=True)]
-    seen = disturbance_seen(v_dot, R, memory[OBSERVER_THRUST.start], parameters[0])
+    measured = measured_disturbance(v_dot, R, memory[OBSERVER_THRUST.start], parameters[0])
     observing = ops.where(inputs["observing"][0] > 0.5, obs_gain, 0.0)
-    return observe(ops, observing, memory[OBSERVER], seen, TICK_S)
+    return observe(ops, observing, memory[OBSERVER], measured, TICK_S)
 
 
 def _offboard(
     ops: Ops, k: Gains, block: Vector, R: Vector, collective: Scalar, rate_cmd: Vector
 ) -> tuple[Scalar, list[Scalar]]:
-    """Return collective thrust and body rate: the block's commands if it is on, else those given."""
+    """Return collective thrust and body rate of the block `offboard` if it is on, else the given ones."""
     direct = block[0] > 0.5
     error = attitude_error(quat_to_matrix(ops, block[6:10]), R)
-    asked = [w - block[5] * gain * e for w, gain, e in zip(block[2:5], k.attitude, error, strict=True)]
+    rates = [w - block[5] * gain * e for w, gain, e in zip(block[2:5], k.attitude, error, strict=True)]
     return (
         ops.where(direct, block[1], collective),
-        [ops.where(direct, a, w) for a, w in zip(asked, rate_cmd, strict=True)],
+        [ops.where(direct, a, w) for a, w in zip(rates, rate_cmd, strict=True)],
     )

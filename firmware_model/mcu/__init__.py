@@ -1,1 +1,1 @@
-"""The two processors and the serial lines between them."""
+"""Flight processor, radio processor and the serial lines between them."""

@@ -1,4 +1,4 @@
-"""The flight processor: bytes and sensor values in, motor commands out. Everything happens in its tick."""
+"""The flight processor: bytes and sensor samples in, motor commands out. All work is done in its tick."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight import track
 from trimtab.firmware_model.flight.engine import Engine
-from trimtab.firmware_model.flight.flight import LOOK_TICKS, Flight
+from trimtab.firmware_model.flight.flight import UPDATE_TICKS, Flight
 from trimtab.firmware_model.flight.parameters import stored_parameters
 from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.flight.swap import agree_swap
@@ -35,13 +35,13 @@ from trimtab.protocol.upload import Agreement, ReceiverEvent, UploadEvent, Uploa
 BAUD = 921_600
 RX_BYTES = 2_048
 TX_BYTES = 4_096
-LOOK_US = LOOK_TICKS * TICK_US
+UPDATE_US = UPDATE_TICKS * TICK_US
 FOREIGN_US = 5_000_000
-"""Time between two reports of bytes that make no message."""
-FOREIGN_LEAST = 3
-"""Least number of wrong checksums in that time that noise does not explain."""
+"""Interval of the check for messages of another dialect version."""
+FOREIGN_COUNT_MIN = 3
+"""Least number of wrong checksums in FOREIGN_US that noise does not explain."""
 CATCH_UP_TICKS = 20
-"""Greatest number of missed ticks that one tick makes up for."""
+"""Greatest number of missed ticks that one tick runs in addition."""
 
 
 def flight_uart(*, baud: int = BAUD, chunk_bytes: int | None = None, idle_us: int = 0) -> UartPort:
@@ -55,26 +55,35 @@ class FlightMcu:
     Parameters
     ----------
     engine
-        `law.step` as an engine, used by this processor alone.
+        `law.step` as an engine, used by this processor only.
     parameters
-        Values by the names of the protocol's table, with defaults for missing ones. Values in the store, set
-        before, take precedence.
+        Values by name of the protocol's table; missing ones take their defaults. Values in the store take
+        precedence.
     store
         Non-volatile memory.
     uid
-        Number of this power-up, at most 18 bytes; sent as AUTOPILOT_VERSION.uid2, little-endian.
+        Unique number of this power-up, at most 18 bytes; sent little-endian as AUTOPILOT_VERSION.uid2.
     vehicle_id
-        Id of the vehicle file that the parameters come from, 6 bytes.
+        Id of the vehicle file of the parameters, 6 bytes.
     uart
         This end of the line to the radio processor; `flight_uart()` by default.
     loop_times
-        Returns what the cycle counter has measured of the ticks since the last call.
+        Returns the timing of the ticks since the last call, as a cycle counter measures it.
     check
-        Returns whether a blob may be used, as `verdict.check_blob` does.
+        Returns the verdict on a blob; `verdict.check_blob` by default.
 
-    `motor_command` is a view of four numbers in 0..1, updated by each tick; the view itself never changes.
-    `late_ticks` counts the ticks that began later than one tick after the previous one. Raises ValueError for
-    parameters that the table refuses or that contradict each other.
+    Attributes
+    ----------
+    motor_command
+        View of four numbers in 0..1, updated by each tick. The view itself never changes.
+    late_ticks
+        Number of ticks that started later than one tick after the previous one.
+    unsendable
+        Number of messages with a value that its field cannot represent.
+    unsent
+        Number of messages that did not fit into the transmit buffer.
+
+    Raises ValueError for parameters that are out of bounds or inconsistent.
     """
 
     def __init__(
@@ -94,8 +103,8 @@ class FlightMcu:
         self.parameters = stored_parameters(parameters, store, vehicle_id)
         self.flight = Flight(engine=engine, parameters=self.parameters)
         self.motor_command = self.flight.outputs["motor_command"]
-        self.unsendable = 0  # messages whose numbers fit no field
-        self.unsent = 0  # messages for which the line had no room
+        self.unsendable = 0
+        self.unsent = 0
         self._store = store
         self._blob_check = check
         self._identity = Identity(uid=uid, vehicle_id=vehicle_id)
@@ -127,7 +136,7 @@ class FlightMcu:
         self._swap_us = NEVER_US
         self._following: track.Track | None = None
         self._last_us = -TICK_US
-        self._look_us = 0
+        self._update_us = 0
         self._status_us = 0
         self._heartbeat_us = 0
         self._loop_times = loop_times
@@ -145,16 +154,16 @@ class FlightMcu:
     def tick(
         self, now_us: int, gyro: Sequence[float], specific_force: Sequence[float], battery_v: float
     ) -> None:
-        """Run one tick. The rotors get `motor_command` until the next one.
+        """Run one tick. `motor_command` applies until the next tick.
 
         Parameters
         ----------
         now_us
-            Time since power-up.
+            Time since power-up in us.
         gyro, specific_force
-            FRD, in rad/s and m/s^2.
+            Samples in rad/s and m/s^2, FRD.
         battery_v
-            Voltage of the battery.
+            Battery voltage.
         """
         if now_us >= self.uart.due_us:
             self._receive(now_us)
@@ -164,9 +173,9 @@ class FlightMcu:
         if now_us >= self._swap_us:
             self._swap(now_us)
         self.flight.tick(now_us, gyro, specific_force)
-        if now_us >= self._look_us:
+        if now_us >= self._update_us:
             self._battery_v = battery_v
-            self._look(now_us)
+            self._update(now_us)
 
     def _receive(self, now_us: int) -> None:
         """Handle the messages that have arrived; send the answers at once."""
@@ -179,19 +188,21 @@ class FlightMcu:
         if self._out:
             self._flush(now_us)
 
-    def _look(self, now_us: int) -> None:
-        """Check and report, every ten ticks."""
-        self._look_us = now_us - now_us % LOOK_US + LOOK_US
+    def _update(self, now_us: int) -> None:
+        """Run checks, services and telemetry, every UPDATE_TICKS."""
+        self._update_us = now_us - now_us % UPDATE_US + UPDATE_US
         flight = self.flight
         streams = self._services.streams
-        flight.look(now_us, self._battery_v)
+        flight.update(now_us, self._battery_v)
         if self._swap_us < NEVER_US and flight.state is not State.TRACKING:
             self._call_off(now_us)
-        if not (self._on_floor() and self._upload.under_way(now_us)):  # else the upload has the air to itself
+        if not (
+            self._on_floor() and self._upload.in_progress(now_us)
+        ):  # otherwise the upload uses the whole link
             self._report_at_rate(now_us)
         if now_us >= self._status_us or flight.changed:
             self._status_us = now_us - now_us % telemetry.STATUS_US + telemetry.STATUS_US
-            if flight.changed or streams.own_due(FcStatus.id, now_us):
+            if flight.changed or streams.private_due(FcStatus.id, now_us):
                 flight.changed = False
                 self._queue(self._status(now_us))
         if now_us >= self._heartbeat_us:
@@ -199,7 +210,7 @@ class FlightMcu:
             self._queue(telemetry.heartbeat(flight))
         while flight.texts:
             self._services.text(*flight.texts.popleft())
-        self._services.look(now_us)
+        self._services.update(now_us)
         if now_us >= self._foreign_us:
             self._notice_foreign(now_us)
         self._flush(now_us)
@@ -208,23 +219,23 @@ class FlightMcu:
         streams = self._services.streams
         try:
             for message in telemetry.at_rate(self.flight, now_us):
-                if not streams.slowed or streams.own_due(message.id, now_us):
+                if not streams.slowed or streams.private_due(message.id, now_us):
                     self._queue(message)
         except (ValueError, OverflowError):
             self.unsendable += 1
 
     def _notice_foreign(self, now_us: int) -> None:
-        """Report messages of another dialect version: they look like known ones with wrong checksums."""
+        """Report messages of another dialect version: their checksums are wrong."""
         self._foreign_us = now_us + FOREIGN_US
-        fresh, self._foreign = self._codec.bad_checksums - self._foreign, self._codec.bad_checksums
-        if fresh >= FOREIGN_LEAST:
-            text = f"{fresh} messages not understood; dialect {DIALECT_VERSION} here"
+        count, self._foreign = self._codec.bad_checksums - self._foreign, self._codec.bad_checksums
+        if count >= FOREIGN_COUNT_MIN:
+            text = f"{count} unknown messages; dialect here is {DIALECT_VERSION}"
             self._services.text(mavlink.MAV_SEVERITY_WARNING, text)
 
     def _catch_up(self, now_us: int, gyro: Sequence[float], specific_force: Sequence[float]) -> None:
-        """Run the missed ticks with the present sensor values: the law's step is always one tick."""
+        """Run the missed ticks with the present samples: a step of the control law is always one tick."""
         self.late_ticks += 1
-        self.flight.watch.late(now_us)
+        self.flight.monitor.record_late_tick(now_us)
         first_us = max(self._last_us + TICK_US, now_us - CATCH_UP_TICKS * TICK_US)
         for missed_us in range(first_us, now_us, TICK_US):
             self.flight.tick(missed_us, gyro, specific_force)
@@ -236,7 +247,7 @@ class FlightMcu:
             self.unsendable += 1
 
     def _flush(self, now_us: int) -> None:
-        """Send the queue: all of it if there is room, else as many messages as fit."""
+        """Send the queued messages that fit into the transmit buffer."""
         out, self._out = self._out, []
         data = b"".join(out)
         if len(data) <= self.uart.tx_free(now_us):
@@ -281,7 +292,7 @@ class FlightMcu:
     def _uploaded(self, event: ReceiverEvent) -> None:
         self.flight.changed = True
         if event.event is UploadEvent.COMMITTED and self._on_floor():
-            self._load(event.kind)  # in flight it has already taken over
+            self._load(event.kind)  # in flight the reference has already taken over
 
     def _limits_changed(self) -> None:
         """Check the live and the staged blobs again."""
@@ -292,7 +303,7 @@ class FlightMcu:
     # Takeover in flight.
 
     def _agree(self, kind: int, data: bytes, at_tick: int, now_us: int) -> Agreement:
-        """Return whether this blob takes over at a tick; this ends any earlier agreement."""
+        """Return the answer to a takeover request, which cancels any earlier agreement."""
         self._swap_us, flight = NEVER_US, self.flight
         if kind != Kind.REFERENCE:
             return Agreement(result=UploadResult.BAD_REQUEST)

@@ -1,6 +1,6 @@
-"""The radio processor: whole messages between a serial line and radio frames. It reads no payload.
+"""The radio processor: moves complete messages between a serial line and radio frames.
 
-The ground radio is another one of these: its serial line is the host's port.
+It does not decode payloads. The ground radio is a second instance, with the host's port as its serial line.
 """
 
 from __future__ import annotations
@@ -18,28 +18,27 @@ BAUD = 921_600
 RX_BYTES = 4_096
 TX_BYTES = 8_192
 AIR_BYTES = 1_024
-"""Room for what has come over the air until the next tick; what finds none is lost and counted."""
+"""Buffer for bytes received over the air until the next tick. Frames that do not fit are lost and counted."""
 STATS_US = 1_000_000
 """Interval of RADIO_STATS."""
 _PIECE = bytes([PIECE])
 
 
 class RadioMcu:
-    """One radio. Both its sides see bytes; they move from one to the other in its own tick, and only there.
+    """One radio with a serial line. Only its tick moves bytes between the two sides.
+
+    Ticks before `due_us` may be omitted. `due_us` is the earlier of `uart.due_us` and `radio_due_us`.
 
     Parameters
     ----------
     address
-        system and component on RADIO_STATS, `messages.VEHICLE_RADIO` or `messages.HOST_RADIO`.
+        System and component in RADIO_STATS, `messages.VEHICLE_RADIO` or `messages.HOST_RADIO`.
     poses
-        poses that may wait for a slot; 2 where they come at 200 Hz.
+        Greatest number of poses that wait for a slot; 2 for poses at 200 Hz.
     baud, rx_bytes, tx_bytes, chunk_bytes, idle_us
-        the serial line.
+        Parameters of the serial line; see `UartPort`.
     frame_bytes
-        what a radio frame holds.
-
-    `due_us` is when the next tick has something to do, the sooner of the line's `uart.due_us` and of
-    `own_due_us`; ticks before may be left out.
+        Payload of a radio frame.
     """
 
     def __init__(
@@ -68,20 +67,20 @@ class RadioMcu:
         self._air: deque[bytes] = deque()
         self._air_bytes = 0
         self._stats_us = STATS_US
-        self.own_due_us = STATS_US
+        self.radio_due_us = STATS_US
 
     @property
     def due_us(self) -> int:
-        """When the next tick has something to do."""
-        return min(self.uart.due_us, self.own_due_us)
+        """Time of the next tick that has work to do."""
+        return min(self.uart.due_us, self.radio_due_us)
 
     @property
     def pose_waits(self) -> bool:
-        """Whether a pose waits for the air."""
+        """Whether a pose waits for transmission."""
         return self.packer.pose_waits
 
     def tick(self, now_us: int) -> bool:
-        """Whether something waits for the air; moves what line and air have brought since the last tick."""
+        """Move the bytes received since the last tick; return whether a frame waits for transmission."""
         if self._air:
             self._pass_down(now_us)
         uart, packer = self.uart, self.packer
@@ -90,13 +89,11 @@ class RadioMcu:
                 packer.offer(message)
         if now_us >= self._stats_us:
             self._report(now_us)
-        self.own_due_us = 0 if self._air else self._stats_us
+        self.radio_due_us = 0 if self._air else self._stats_us
         return packer.waiting > 0
 
     def air_send(self, now_us: int) -> bytes | None:
-        """Return the next frame for the air: whole messages, or a piece of a long one; None where nothing
-        waits.
-        """
+        """Return the next frame (complete messages or a piece of a long one), or None if none waits."""
         frame = self.packer.take()
         if frame is not None:
             self.frames_sent += 1
@@ -115,10 +112,10 @@ class RadioMcu:
             return
         self._air.append(frame)
         self._air_bytes += len(frame)
-        self.own_due_us = 0
+        self.radio_due_us = 0
 
     def _pass_down(self, now_us: int) -> None:
-        """Frames go out on the line as they came; those that find no room wait."""
+        """Send received frames over the serial line. Frames that do not fit wait."""
         air, uart = self._air, self.uart
         while air and uart.tx_free(now_us) >= len(air[0]):
             frame = air.popleft()
@@ -126,7 +123,7 @@ class RadioMcu:
             uart.write(frame, now_us)
 
     def _report(self, now_us: int) -> None:
-        """RADIO_STATS goes to the host: along the line from the ground radio, else through the air."""
+        """Send RADIO_STATS to the host: over the serial line from the ground radio, else over the air."""
         self._stats_us = now_us - now_us % STATS_US + STATS_US
         self._assembler.expire(now_us)
         message = self._codec.encode(

@@ -1,7 +1,7 @@
-"""Byte pipes between processors: baud-limited, with finite buffers, computed from timestamps.
+"""Serial lines between processors: limited baud rate and finite buffers, computed from timestamps.
 
-Nothing here runs per byte. A sender notes when the line starts to carry its bytes; a receiver works out, when
-it looks, how many have arrived since. Times are kept exactly, as integers in units of 1/baud microseconds.
+No code runs per byte. The sender records when the line starts to carry its bytes. The receiver computes, when
+it reads, how many of them have arrived. Times are exact: integers in units of 1/baud microseconds.
 """
 
 from __future__ import annotations
@@ -12,31 +12,32 @@ from trimtab.firmware_model.clock import NEVER_US
 
 _BITS_PER_BYTE = 10  # one start bit, eight data bits, one stop bit
 _BYTE_UNITS = _BITS_PER_BYTE * 1_000_000
-_SEGMENTS_MAX = 256  # writes kept on the line before they are accounted for
+_SEGMENTS_MAX = 256  # writes that may be on the line before arrived bytes move to the receive buffer
 
 
 class UartPort:
-    """One processor's end of a serial line: a transmitter and a receive buffer of stated size.
+    """One processor's end of a serial line: a transmitter and a receive buffer of finite size.
 
     A byte that arrives while the receive buffer is full is lost and counted in `overruns`. A write that does
-    not fit into the transmit buffer is refused whole and counted in `refused`: no message goes out cut.
+    not fit into the transmit buffer is refused as a whole and counted in `refused`, so no message is
+    truncated.
 
-    `due_us` is the time at which the receiver would raise its interrupt, as one does whose bytes are moved by
-    DMA: the line has gone idle, or a chunk is full. A processor that compares its clock with `due_us` needs
-    no other polling.
+    `due_us` is the time of the receiver's interrupt. As with DMA reception, the interrupt is raised when the
+    line becomes idle or a chunk is full. A processor that compares its clock with `due_us` needs no other
+    polling.
 
     Parameters
     ----------
     baud
-        bits a second of the transmitter.
+        Baud rate of the transmitter, bit/s.
     rx_bytes
-        size of the receive buffer.
+        Size of the receive buffer.
     tx_bytes
-        size of the transmit buffer.
+        Size of the transmit buffer.
     chunk_bytes
-        bytes that raise the interrupt; half the receive buffer where not given.
+        Number of bytes that raises the interrupt; half the receive buffer by default.
     idle_us
-        how long a quiet line takes to count as idle.
+        Time without a byte after which the line counts as idle.
     """
 
     def __init__(
@@ -62,10 +63,9 @@ class UartPort:
         self._buffer = b""
 
     def write(self, data: bytes, now_us: int) -> bool:
-        """Return true where all of `data` was queued for the line; False where the transmit buffer had no
-        room.
+        """Queue all of `data` for transmission; return False if the transmit buffer has no room.
 
-        An unconnected port sends into the air: the bytes take their time and are gone.
+        The bytes of an unconnected port take the same time and are lost.
         """
         size = len(data)
         now = now_us * self.baud
@@ -85,12 +85,12 @@ class UartPort:
         return True
 
     def tx_free(self, now_us: int) -> int:
-        """Bytes that a write at `now_us` may have without being refused."""
+        """Return the free space of the transmit buffer at `now_us`, in bytes."""
         backlog = self._busy_until - now_us * self.baud
         return self.tx_bytes if backlog <= 0 else self.tx_bytes + (-backlog // _BYTE_UNITS)
 
     def read(self, now_us: int) -> bytes:
-        """All bytes that arrived up to `now_us` and found room, oldest first; empties the receive buffer."""
+        """Empty the receive buffer and return the bytes that arrived up to `now_us`, oldest first."""
         self._arrive(now_us)
         data, self._buffer = self._buffer, b""
         if self._incoming:
@@ -102,7 +102,7 @@ class UartPort:
     def _carry(self, start: int, data: bytes) -> None:
         self._incoming.append((start, data))
         if len(self._incoming) > _SEGMENTS_MAX and self._peer is not None:
-            self._arrive(start // self._peer.baud)  # nobody reads: what has arrived settles in the buffer
+            self._arrive(start // self._peer.baud)  # no reader: move arrived bytes to the buffer
         self._plan_due()
 
     def _arrive(self, now_us: int) -> None:
@@ -129,7 +129,7 @@ class UartPort:
             self._taken = 0
 
     def _plan_due(self) -> None:
-        """Set `due_us` to when the burst now on the line has ended and it is idle, or a chunk has come."""
+        """Set `due_us` to the time at which the line becomes idle after this burst, or a chunk is full."""
         peer = self._peer
         if self._buffer or peer is None or not self._incoming:
             self.due_us = 0 if self._buffer else NEVER_US
@@ -150,9 +150,9 @@ class UartPort:
 
 
 def connect(a: UartPort, b: UartPort) -> None:
-    """Join two ports by a line each way.
+    """Connect two ports in both directions.
 
-    Raises ValueError where either port is already connected.
+    Raises ValueError if either port is already connected.
     """
     if a is b or a._peer is not None or b._peer is not None:
         raise ValueError("both ends must be two different ports that are not connected yet")

@@ -1,1 +1,1 @@
-"""What the vehicle offers over the link: commands, parameters, setpoints, files, telemetry."""
+"""Services of the vehicle over the link: commands, parameters, setpoints, files, telemetry."""

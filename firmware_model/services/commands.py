@@ -1,4 +1,4 @@
-"""Commands over the link, each answered by COMMAND_ACK; a refusal says why in a text."""
+"""Command messages. COMMAND_ACK answers each command; a text gives the reason of a refusal."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from trimtab.firmware_model.flight.flight import Flight
-from trimtab.firmware_model.flight.phases import TAKEOFF_LEAST
+from trimtab.firmware_model.flight.phases import TAKEOFF_HEIGHT_MIN
 from trimtab.firmware_model.flight.supervisor import Event, State
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import Message, mavlink
@@ -30,7 +30,7 @@ _MODES: dict[tuple[float, float | None], Event] = {
     (4.0, 6.0): Event.LAND,
     (6.0, None): Event.OFFBOARD,
 }
-"""Main mode and sub mode as PX4 numbers them; None: any sub mode."""
+"""Events by PX4 main mode and sub mode. None stands for any sub mode."""
 
 
 class Commands:
@@ -39,10 +39,15 @@ class Commands:
     Parameters
     ----------
     send
-        puts a message on the line. text: tells people. requests: what can be asked for by
-        MAV_CMD_REQUEST_MESSAGE, by message id. on_upload: is told what a commit brought about. more: commands
-    that are carried out elsewhere
-        MAV_RESULT from a command and the time.
+        Sends a message.
+    text
+        Sends severity and text to the host.
+    requests
+        Functions that make the messages for MAV_CMD_REQUEST_MESSAGE, by message id.
+    on_upload
+        Receives the events of a commit, and the time.
+    more
+        Handlers of further commands; each returns MAV_RESULT, given the message and the time.
     """
 
     def __init__(
@@ -77,19 +82,19 @@ class Commands:
         }
 
     def long(self, message: m.CommandLong, now_us: int) -> None:
-        """Carry the command out or refuse it, and acknowledge it."""
+        """Execute or refuse a command, and acknowledge it."""
         act = self._commands.get(message.command)
         result = _UNSUPPORTED if act is None else act(message, now_us)
         self._send(m.CommandAck(message.command, result, 0, 0, *m.sender_of(message)))
 
     def int(self, message: m.CommandInt, now_us: int) -> None:
-        """As `long`; the place is in 1e-4 m in a local frame, and none in any other."""
-        place = (math.nan, math.nan)
+        """Handle COMMAND_INT like COMMAND_LONG. x and y are 1e-4 m in a local frame, else ignored."""
+        position = (math.nan, math.nan)
         if message.frame in _LOCAL_FRAMES:
-            place = (1e-4 * message.x, 1e-4 * message.y)
+            position = (1e-4 * message.x, 1e-4 * message.y)
         first = (message.param1, message.param2, message.param3, message.param4)
         target = (message.target_system, message.target_component)
-        long = m.CommandLong(*target, message.command, 0, *first, *place, message.z)
+        long = m.CommandLong(*target, message.command, 0, *first, *position, message.z)
         long._header.srcSystem, long._header.srcComponent = m.sender_of(message)
         self.long(long, now_us)
 
@@ -108,7 +113,7 @@ class Commands:
         return self._event(Event.KILL if message.param2 == m.FORCE else Event.DISARM, now_us)
 
     def _check(self, message: m.CommandLong, now_us: int) -> int:
-        """Every reason why arming would be refused, as texts."""
+        """Report every reason why arming would be refused, as texts."""
         if self._flight.state is not State.STANDBY:
             self._text(_WARNING, f"not in standby: {self._flight.state.name.lower()}")
             return _NOT_NOW
@@ -123,7 +128,7 @@ class Commands:
         height = message.param7
         if math.isnan(height) or height == 0.0:
             return self._event(Event.TAKEOFF, now_us)
-        if not TAKEOFF_LEAST <= height < math.inf:
+        if not TAKEOFF_HEIGHT_MIN <= height < math.inf:
             return mavlink.MAV_RESULT_DENIED
         return self._event(Event.TAKEOFF, now_us, height)
 
@@ -147,7 +152,7 @@ class Commands:
         return _ACCEPTED
 
     def _commit(self, message: m.CommandLong, now_us: int) -> int:
-        """Commit by MAV_CMD_USER_1: the id's 12 hex digits as three 16-bit numbers."""
+        """Commit the staged blob by MAV_CMD_USER_1, which has the 12 hex digits of its id as three uint16."""
         parts = (message.param1, message.param2, message.param3)
         if not all(math.isfinite(part) and 0 <= part <= 0xFFFF for part in parts):
             return mavlink.MAV_RESULT_DENIED

@@ -1,9 +1,9 @@
-"""The blobs on board as files: a folder a kind, in it what is live and what is staged.
+"""The blobs on board as files: one folder for each kind, with the live and the staged blob.
 
 | path | read | write |
 |---|---|---|
-| /ref/live.ref, /ff/live.ff | what flies, byte by byte | never |
-| /ref/staged.ref, /ff/staged.ff | what waits for a commit | checked on board as a whole, then staged |
+| /ref/live.ref, /ff/live.ff | the exact bytes of the live blob | never |
+| /ref/staged.ref, /ff/staged.ff | the staged blob | the complete file is checked on board, then staged |
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _INFO = mavlink.MAV_SEVERITY_INFO
 
 
 class File(NamedTuple):
-    """One of the files that there may be."""
+    """A file that may exist."""
 
     kind: Kind
     staged: bool
@@ -30,7 +30,7 @@ class File(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """One line of a folder's list; `size` in bytes, None for a folder."""
+    """An entry of a directory listing. size: bytes; None for a folder."""
 
     name: str
     size: int | None
@@ -42,21 +42,23 @@ FILES = {
     for folder, kind in FOLDERS.items()
     for staged in (False, True)
 }
-"""By path without the first slash."""
-_WHY = {
-    UploadResult.BUSY: "an upload or a swap is under way",
+"""Files by path without the leading slash."""
+_REASONS = {
+    UploadResult.BUSY: "an upload or a swap is in progress",
     UploadResult.TOO_LARGE: "too large",
     UploadResult.BAD_REQUEST: "empty",
 }
 
 
 class BlobFiles:
-    """Reads and writes by path.
+    """Reads and writes blobs by path.
 
     Parameters
     ----------
     text
-        tells people. on_upload: is told what writing and removing brought about.
+        Sends severity and text to the host.
+    on_upload
+        Receives the events of writing and removing a file, and the time.
     """
 
     def __init__(
@@ -67,7 +69,7 @@ class BlobFiles:
         text: Callable[[int, str], None],
         on_upload: Callable[[list[ReceiverEvent], int], None],
     ) -> None:
-        self.most_bytes = store.bank_bytes
+        self.bytes_max = store.bank_bytes
         self._store = store
         self._upload = upload
         self._text = text
@@ -75,34 +77,34 @@ class BlobFiles:
 
     @staticmethod
     def find(path: str) -> File | None:
-        """Return the file of this path, None where there never is one."""
+        """Return the file at this path, or None if the path is never valid."""
         return FILES.get(path.lstrip("/"))
 
     def entries(self, path: str) -> list[Entry] | None:
-        """Return what the folder holds, None where it is no folder."""
+        """Return the entries of a folder, or None if there is no such folder."""
         folder = path.strip("/")
         if folder == "":
             return [Entry(name=name, size=None) for name in FOLDERS]
         if folder not in FOLDERS:
             return None
-        found = []
+        entries = []
         for name, file in FILES.items():
             data = self.read(file)
             if name.startswith(f"{folder}/") and data is not None:
-                found.append(Entry(name=name.partition("/")[2], size=len(data)))
-        return found
+                entries.append(Entry(name=name.partition("/")[2], size=len(data)))
+        return entries
 
     def read(self, file: File) -> bytes | None:
-        """Its bytes as they are on board, None where there are none."""
+        """Return the bytes of a file on board, or None if it does not exist."""
         if not file.staged:
             return self._store.live(file.kind)
         kind, _ = self._upload.staged()
         return self._store.staged(file.kind) if kind == file.kind else None
 
     def write(self, path: str, data: bytes, now_us: int) -> bool:
-        """Whether `data` is staged now; where it is not, nothing of it is kept and a text says why."""
+        """Stage `data`; return False if it was refused. A text reports the result."""
         file = self.find(path)
-        assert file is not None, "only files that there may be are opened"
+        assert file is not None, "only valid paths are opened"
         result, verdict, events = self._upload.put(file.kind, data, now_us)
         self._on_upload(events, now_us)
         name = path.rpartition("/")[2]
@@ -110,20 +112,20 @@ class BlobFiles:
             self._text(_INFO, f"{name} accepted: {len(data)} bytes")
             return True
         if verdict is None or verdict.ok:
-            self._text(_WARNING, f"{name} refused: {_WHY.get(result, result.name.lower())}")
+            self._text(_WARNING, f"{name} refused: {_REASONS.get(result, result.name.lower())}")
         else:
             node = "" if verdict.node is None else f" at node {verdict.node}"
             self._text(_WARNING, f"{name} refused{node}:")
             self._text(_WARNING, verdict.message)
         return False
 
-    def broken(self, path: str, held: int, size: int) -> None:
-        """Report a file that was closed with bytes missing."""
+    def report_incomplete(self, path: str, count: int, size: int) -> None:
+        """Report a file that was closed after `count` of `size` bytes."""
         name = path.rpartition("/")[2]
-        self._text(_WARNING, f"{name} refused: {size - held} of {size} bytes missing")
+        self._text(_WARNING, f"{name} refused: {size - count} of {size} bytes missing")
 
     def remove(self, file: File, now_us: int) -> bool:
-        """Whether there was a staged file, which is no more."""
+        """Remove a staged file; return False if there was none."""
         result, events = self._upload.remove(file.kind, now_us)
         self._on_upload(events, now_us)
         return result is UploadResult.OK

@@ -1,7 +1,7 @@
-"""Handlers of messages: one for each type; answers go out through `send`.
+"""Message handlers, one for each message type.
 
-This module answers clock comparison, version, echo, missions (none) and uploads. Parameters, commands,
-telemetry of other stations and files have modules of their own.
+This module handles TIMESYNC, PING, version requests, missions (there are none) and uploads. Other modules
+handle parameters, commands, setpoints, telemetry for other stations, and files.
 """
 
 from __future__ import annotations
@@ -57,12 +57,11 @@ class Identity:
 
 @dataclass(frozen=True, kw_only=True)
 class Hooks:
-    """What the handlers call.
+    """Functions that the handlers call.
 
-    send: puts a message on the line. status: returns FC_STATUS at a time in us. battery_v: returns the
-    battery's voltage. on_upload: receives each event of an upload. on_limits: called when the limits that
-    references are checked by have changed. on_parameter: receives the name and value of a parameter that was
-    set.
+    send: sends a message. status: returns FC_STATUS at a time in us. battery_v: returns the battery voltage.
+    on_upload: receives each event of an upload. on_limits: called after a change of the limits that
+    references are checked against. on_parameter: receives name and value of a parameter that was set.
     """
 
     send: Callable[[Message], None]
@@ -74,7 +73,7 @@ class Hooks:
 
 
 class Handlers:
-    """Handlers of the messages that arrive. `streams`: telemetry for stations other than Trimtab's host."""
+    """Handlers of received messages. `streams` is the telemetry for stations other than Trimtab's host."""
 
     def __init__(
         self,
@@ -97,7 +96,7 @@ class Handlers:
             parameters=parameters,
             send=send,
             text=self.text,
-            keep=hooks.on_parameter,
+            on_set=hooks.on_parameter,
             on_limits=hooks.on_limits,
         )
         self.streams = Streams(flight=flight, send=send, battery_v=hooks.battery_v)
@@ -144,7 +143,7 @@ class Handlers:
         )
 
     def receive(self, message: Message, now_us: int) -> None:
-        """Handle the message if it addresses this vehicle and its kind is known."""
+        """Handle a message that addresses this vehicle. Unknown types are ignored."""
         if message.get_srcSystem() == m.VEHICLE[0]:
             return
         target = getattr(message, "target_system", 0)
@@ -156,22 +155,22 @@ class Handlers:
         if handler is not None:
             handler(message, now_us)
 
-    def look(self, now_us: int) -> None:
-        """Send what is due: list entries, telemetry, files and upload reports."""
-        self._parameter_service.look()
-        self.streams.look(now_us)
-        self._ftp.look(now_us)
+    def update(self, now_us: int) -> None:
+        """Send the messages that are due: parameter lists, telemetry, files and upload reports."""
+        self._parameter_service.update()
+        self.streams.update(now_us)
+        self._ftp.update(now_us)
         deadline_us = self._upload.next_deadline_us()
         if deadline_us is not None and now_us >= deadline_us:
             self.take(self._upload.advance(now_us), now_us)
 
     def text(self, severity: int, text: str) -> None:
-        """Send `text` as STATUSTEXT, in lines of 50 bytes."""
+        """Send `text` as STATUSTEXT messages of at most TEXT_BYTES."""
         for line in textwrap.wrap(text, TEXT_BYTES):
             self._send(m.StatusText(severity, line.encode("ascii", errors="replace")))
 
     def take(self, events: list[ReceiverEvent], now_us: int) -> None:
-        """Pass on the events of an upload and send its answers."""
+        """Report the events of an upload and send its answers."""
         for event in events:
             self._on_upload(event)
         for answer in self._upload.send(now_us):

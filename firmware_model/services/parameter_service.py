@@ -1,4 +1,4 @@
-"""Parameters over the link: the list, single values, and setting them in standby."""
+"""Parameter messages: list all values, read one value, and set a value in standby."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from trimtab.protocol.messages import Message, mavlink
 from trimtab.protocol.parameter_wire import REAL32, decode, encode, type_of
 from trimtab.protocol.parameters import BY_NAME
 
-VALUES_PER_LOOK = 2
-"""PARAM_VALUEs sent at each look while a list goes out: 200 a second."""
+VALUES_PER_UPDATE = 2
+"""Number of PARAM_VALUE messages of a list in each update: 200 per second."""
 _WARNING = mavlink.MAV_SEVERITY_WARNING
 _TYPE_NAMES = {True: "INT32", False: "REAL32"}
 
@@ -25,9 +25,13 @@ class ParameterService:
     Parameters
     ----------
     send
-        puts a message on the line. text: tells people. keep: gets the name and value of what was set.
+        Sends a message.
+    text
+        Sends severity and text to the host.
+    on_set
+        Receives name and value of a parameter that was set.
     on_limits
-        is called where what references are checked by has changed.
+        Called after a change of the limits or the airframe that references are checked against.
     """
 
     def __init__(
@@ -37,41 +41,41 @@ class ParameterService:
         parameters: ParameterValues,
         send: Callable[[Message], None],
         text: Callable[[int, str], None],
-        keep: Callable[[str, float], None],
+        on_set: Callable[[str, float], None],
         on_limits: Callable[[], None],
     ) -> None:
         self._flight = flight
         self._parameters = parameters
         self._send = send
         self._text = text
-        self._keep = keep
+        self._on_set = on_set
         self._on_limits = on_limits
         self._listing: deque[int] = deque()
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Send the next entries of a requested list."""
-        for _ in range(min(VALUES_PER_LOOK, len(self._listing))):
+        for _ in range(min(VALUES_PER_UPDATE, len(self._listing))):
             self._send_value(self._listing.popleft())
 
     def list(self, message: m.ParamRequestList, now_us: int) -> None:
-        """All values follow, a few at each look.
+        """Queue all values; each update sends a few of them.
 
-        Every station hears them: where another list is under way, what it still holds serves both, and what
-        has gone out already follows it.
+        Every station receives the values. If a list is already in progress, its remaining values serve both
+        requests, and the values already sent are appended.
         """
         waiting = set(self._listing)
         self._listing.extend(index for index in range(len(self._parameters)) if index not in waiting)
 
     def read(self, message: m.ParamRequestRead, now_us: int) -> None:
-        """One value follows, where there is such a parameter."""
+        """Send one value if the parameter exists."""
         index = message.param_index if message.param_index >= 0 else index_of(message.param_id)
         if index is not None and name_at(index) is not None:
             self._send_value(index)
 
     def set(self, message: m.ParamSet, now_us: int) -> None:
-        """Set in standby alone; the answer is the value on board, whatever became of the request.
+        """Set a parameter, in standby only, and answer with the value on board, also after a refusal.
 
-        A whole number may come as REAL32 too: MAVProxy sends all of them so.
+        A whole number may also arrive as REAL32: MAVProxy sends all parameters in this way.
         """
         name = message.param_id
         index = index_of(name)
@@ -90,7 +94,7 @@ class ParameterService:
         parameters = self._parameters
         before = (parameters.airframe, parameters.limits)
         try:
-            self._keep(name, parameters.set(name, value))
+            self._on_set(name, parameters.set(name, value))
         except ValueError as error:
             self._text(_WARNING, str(error))
             return

@@ -1,4 +1,4 @@
-"""Setpoints over the link: what a message asks for, or why it is not followed."""
+"""Setpoint messages: converts each message to a target, or refuses it with a reason."""
 
 from __future__ import annotations
 
@@ -26,18 +26,20 @@ NOT_FINITE = "setpoint: numbers that are not finite are left out"
 
 
 class SetpointService:
-    """Handlers of setpoint messages; what is wrong with them is told once each.
+    """Handlers of setpoint messages. Each reason for a refusal is reported once.
 
     Parameters
     ----------
     take
-        follows a target. text: tells people (severity, text).
+        Receives target and time.
+    text
+        Sends severity and text to the host.
     """
 
     def __init__(self, *, take: Callable[[Target, int], None], text: Callable[[int, str], None]) -> None:
         self._take = take
         self._text = text
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     def position(self, message: m.SetPositionTarget, now_us: int) -> None:
         """Follow or refuse SET_POSITION_TARGET_LOCAL_NED."""
@@ -46,10 +48,10 @@ class SetpointService:
             message.x, message.y, message.z, message.vx, message.vy, message.vz,
             message.afx, message.afy, message.afz,
         )  # fmt: skip
-        given = self._given(numbers, mask)
-        p, v, a = given[0:3], given[3:6], given[6:9]
-        (yaw,) = self._given((message.yaw,), mask >> 10)
-        (yaw_rate,) = self._given((message.yaw_rate,), mask >> 11)
+        fields = self._fields(numbers, mask)
+        p, v, a = fields[0:3], fields[3:6], fields[6:9]
+        (yaw,) = self._fields((message.yaw,), mask >> 10)
+        (yaw_rate,) = self._fields((message.yaw_rate,), mask >> 11)
         if frame not in (_LOCAL, _OFFSET, _BODY):
             self._refuse(f"setpoint refused: frame {frame} not known")
         elif mask & _FORCE and any(x is not None for x in a):
@@ -74,8 +76,8 @@ class SetpointService:
         mask = message.type_mask
         rates = (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
         ignored = sum(bool(mask & bit) << k for k, bit in enumerate(_RATES))
-        rate = self._given(rates, ignored)
-        (thrust,) = self._given((message.thrust,), mask >> 6)
+        rate = self._fields(rates, ignored)
+        (thrust,) = self._fields((message.thrust,), mask >> 6)
         q = None if mask & _NO_ATTITUDE else tuple(message.q)
         length = 1.0 if q is None else math.hypot(*q)
         if thrust is None:
@@ -92,17 +94,17 @@ class SetpointService:
             )
             self._take(target, now_us)
 
-    def _given(self, numbers: Sequence[float], ignored: int) -> list[float | None]:
-        """Return the numbers, None where the mask's bit is set or where they are not finite."""
-        found: list[float | None] = []
+    def _fields(self, numbers: Sequence[float], ignored: int) -> list[float | None]:
+        """Return the numbers, with None for those that are masked out (bits of `ignored`) or not finite."""
+        fields: list[float | None] = []
         for k, number in enumerate(numbers):
-            wanted = not ignored >> k & 1
-            if wanted and not math.isfinite(number):
+            used = not ignored >> k & 1
+            if used and not math.isfinite(number):
                 self._refuse(NOT_FINITE)
-            found.append(number if wanted and math.isfinite(number) else None)
-        return found
+            fields.append(number if used and math.isfinite(number) else None)
+        return fields
 
     def _refuse(self, text: str) -> None:
-        if text not in self._told:
-            self._told.add(text)
+        if text not in self._reported:
+            self._reported.add(text)
             self._text(mavlink.MAV_SEVERITY_WARNING, text)

@@ -1,16 +1,16 @@
-"""The vehicle in MAVLink's own telemetry messages, each made from the flight, the time and the battery.
+"""Standard MAVLink telemetry messages of the vehicle.
 
-All of them take (flight, now_us, battery_v). NaN of a broken estimate goes out as it is.
+All functions take (flight, now_us, battery_v). A NaN of an invalid estimate is sent unchanged.
 """
 
 from __future__ import annotations
 
 import math
 
+from trimtab.firmware_model.flight.condition_monitor import FLOOR_HEIGHT
 from trimtab.firmware_model.flight.failsafe import Failsafe
 from trimtab.firmware_model.flight.flight import Flight
 from trimtab.firmware_model.flight.supervisor import State
-from trimtab.firmware_model.flight.watch import FLOOR_HEIGHT
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import mat_t_vec, matrix_to_euler, quat_to_matrix
@@ -38,7 +38,7 @@ _LANDED = {
     State.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
     State.FAILSAFE: mavlink.MAV_LANDED_STATE_LANDING,
 }
-"""In all other states by height: offboard may begin on the floor."""
+"""Landed state by flight state. In all other states the height decides: offboard may start on the floor."""
 _MV_MAX = 0xFFFE
 _NOT_MEASURED = -1
 _TEMPERATURE_NONE = 0x7FFF
@@ -46,9 +46,10 @@ _CELL_NONE = 0xFFFF
 
 
 def sys_status(flight: Flight, now_us: int, battery_v: float) -> m.SysStatus:
-    """SYS_STATUS: the gyro is healthy once calibrated, vision while poses come, the check if it passes.
+    """Return SYS_STATUS.
 
-    The fence is healthy until it was left: MAVProxy calls anything else a breach.
+    The gyro is healthy once calibrated, vision while poses arrive, and the pre-arm check if it passes. The
+    geofence is healthy until the vehicle leaves it: MAVProxy reports any other value as a breach.
     """
     health = _ALWAYS | _BATTERY
     if flight.failsafe is not Failsafe.GEOFENCE:
@@ -64,7 +65,7 @@ def sys_status(flight: Flight, now_us: int, battery_v: float) -> m.SysStatus:
 
 
 def battery_status(flight: Flight, now_us: int, battery_v: float) -> m.BatteryStatus:
-    """BATTERY_STATUS: the whole battery's voltage as one cell; charge by voltage, in a straight line."""
+    """Return BATTERY_STATUS: total voltage as one cell, and charge as a linear function of the voltage."""
     percent = _percent(flight, battery_v)
     low = percent == 0
     return m.BatteryStatus(
@@ -86,7 +87,7 @@ def battery_status(flight: Flight, now_us: int, battery_v: float) -> m.BatterySt
 
 
 def extended_sys_state(flight: Flight, now_us: int, battery_v: float) -> m.ExtendedSysState:
-    """EXTENDED_SYS_STATE: on the ground, taking off, in the air or landing."""
+    """Return EXTENDED_SYS_STATE: on the ground, taking off, in the air or landing."""
     landed = _LANDED.get(flight.state)
     if landed is None:
         on_floor = flight.height_m < FLOOR_HEIGHT
@@ -95,14 +96,14 @@ def extended_sys_state(flight: Flight, now_us: int, battery_v: float) -> m.Exten
 
 
 def home_position(flight: Flight, now_us: int, battery_v: float) -> m.HomePosition:
-    """HOME_POSITION: where the last take-off began, the present estimate before the first; local NED."""
+    """Return HOME_POSITION: start of the last take-off, or the estimate before the first; local NED."""
     memory = flight.outputs["memory"].tolist()
     x, y, z = flight.home_ned or memory[law.EST_P]
     return m.HomePosition(0, 0, 0, x, y, z, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, now_us)
 
 
 def attitude(flight: Flight, now_us: int, battery_v: float) -> m.Attitude:
-    """ATTITUDE: roll, pitch, yaw of body FRD in NED, and the body rate."""
+    """Return ATTITUDE: roll, pitch and yaw of FRD in NED, and the body rate."""
     R = quat_to_matrix(FLOAT, flight.outputs["memory"].tolist()[law.EST_Q])
     roll, pitch, yaw = matrix_to_euler(FLOAT, R)
     p, q, r = _rate(flight)
@@ -110,14 +111,14 @@ def attitude(flight: Flight, now_us: int, battery_v: float) -> m.Attitude:
 
 
 def attitude_quaternion(flight: Flight, now_us: int, battery_v: float) -> m.AttitudeQuaternion:
-    """ATTITUDE_QUATERNION: w first."""
+    """Return ATTITUDE_QUATERNION, w first."""
     w, x, y, z = flight.outputs["memory"].tolist()[law.EST_Q]
     p, q, r = _rate(flight)
     return m.AttitudeQuaternion(_boot_ms(now_us), w, x, y, z, p, q, r, [0.0] * 4)
 
 
 def local_position(flight: Flight, now_us: int, battery_v: float) -> m.LocalPositionNed:
-    """LOCAL_POSITION_NED."""
+    """Return LOCAL_POSITION_NED."""
     memory = flight.outputs["memory"].tolist()
     x, y, z = memory[law.EST_P]
     vx, vy, vz = memory[law.EST_V]
@@ -125,7 +126,7 @@ def local_position(flight: Flight, now_us: int, battery_v: float) -> m.LocalPosi
 
 
 def odometry(flight: Flight, now_us: int, battery_v: float) -> m.Odometry:
-    """ODOMETRY: pose in local NED, velocity in body FRD, covariances not known."""
+    """Return ODOMETRY: pose in local NED, velocity in body FRD, unknown covariances."""
     memory = flight.outputs["memory"].tolist()
     x, y, z = memory[law.EST_P]
     attitude = memory[law.EST_Q]
@@ -150,7 +151,7 @@ def _millivolts(battery_v: float) -> int:
 
 
 def _percent(flight: Flight, battery_v: float) -> int:
-    """Charge by voltage, between the parameters for empty and full; -1 where they make no range."""
+    """Return the charge in percent by voltage, from BAT_EMPTY_V to BAT_FULL_V; -1 if it is undefined."""
     empty, full = flight.parameters["BAT_EMPTY_V"], flight.parameters["BAT_FULL_V"]
     if not full > empty or not math.isfinite(battery_v):
         return _NOT_MEASURED

@@ -1,6 +1,6 @@
-"""What the vehicle says unasked: FC_CONTROL and FC_ESTIMATE at 100 Hz, FC_STATUS at 10, HEARTBEAT at 1.
+"""Periodic telemetry: FC_CONTROL and FC_ESTIMATE at 100 Hz, FC_STATUS at 10 Hz, HEARTBEAT at 1 Hz.
 
-FC_OBSERVER comes at 100 Hz while the observer is on.
+FC_OBSERVER follows at 100 Hz while the observer is on.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _MASK16 = 0xFFFF
 
 
 class LoopTimes(NamedTuple):
-    """Of some ticks, in us: longest and mean time of their work, furthest that one began from when due."""
+    """Timing of several ticks in us: longest and mean duration, greatest deviation from the due time."""
 
     longest_us: int
     mean_us: int
@@ -36,7 +36,7 @@ class LoopTimes(NamedTuple):
 
 
 class OnBoard(NamedTuple):
-    """What FC_STATUS says beside the flight: blobs on board, health of the processor and of its line."""
+    """Fields of FC_STATUS that do not concern the flight: blobs, processor load, serial line."""
 
     vehicle_id: bytes
     reference_id: bytes
@@ -52,11 +52,10 @@ class OnBoard(NamedTuple):
 
 
 def at_rate(flight: Flight, now_us: int) -> Iterator[Message]:
-    """Yield the messages at 100 Hz of this tick, in the order in which they leave.
+    """Yield the 100 Hz messages of this tick in the order of transmission.
 
-    The observer's comes behind the estimate, whose frame has room for it, and before the control message, so
-    that a host has both when the latter arrives. Raises ValueError or OverflowError where something is not
-    finite.
+    FC_OBSERVER follows FC_ESTIMATE, because both fit into one radio frame. It precedes FC_CONTROL, so a host
+    has both when FC_CONTROL arrives. Raises ValueError or OverflowError if a value is not finite.
     """
     if flight.parameters["OBS_GAIN"] > 0.0:
         yield estimate(flight, now_us)
@@ -68,9 +67,9 @@ def at_rate(flight: Flight, now_us: int) -> Iterator[Message]:
 
 
 def control(flight: Flight, now_us: int) -> Message:
-    """FC_CONTROL of this tick. What is commanded is 0 while the rotors are off; the sums run on.
+    """Return FC_CONTROL of this tick. While the rotors are off, commands are 0 and the sums continue.
 
-    Raises ValueError or OverflowError where the law's outputs are not finite.
+    Raises ValueError or OverflowError if an output of the control law is not finite.
     """
     outputs, memory = flight.outputs, flight.outputs["memory"]
     on = flight.rotors_on
@@ -87,7 +86,7 @@ def control(flight: Flight, now_us: int) -> Message:
 
 
 def estimate(flight: Flight, now_us: int) -> Message:
-    """FC_ESTIMATE of this tick. Raises ValueError or OverflowError where the estimate is not finite."""
+    """Return FC_ESTIMATE of this tick. Raises ValueError or OverflowError if a value is not finite."""
     memory = flight.outputs["memory"].tolist()
     bias = memory[law.EST_BIAS]
     pose_us = flight.poses.measured_us
@@ -103,14 +102,14 @@ def estimate(flight: Flight, now_us: int) -> Message:
 
 
 def observer(flight: Flight, now_us: int) -> Message:
-    """FC_OBSERVER of this tick. Raises ValueError or OverflowError where the estimate is not finite."""
+    """Return FC_OBSERVER of this tick. Raises ValueError or OverflowError if a value is not finite."""
     return observer_message(
         now_us // TICK_US, disturbance_ned=flight.outputs["memory"][law.OBSERVER].tolist()
     )
 
 
 def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
-    """FC_STATUS of this tick. What it says of the time since the last one begins anew."""
+    """Return FC_STATUS of this tick and reset the quantities that cover the time since the last one."""
     tracking_us = flight.tracking_us
     battery_mv = 1000.0 * board.battery_v
     return FcStatus(
@@ -142,7 +141,7 @@ def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
 
 
 def heartbeat(flight: Flight) -> Heartbeat:
-    """HEARTBEAT as of now."""
+    """Return the present HEARTBEAT."""
     state = flight.state
     armed = state not in (State.BOOT, State.STANDBY)
     return vehicle_heartbeat(int(state), armed=armed, failsafe=state is State.FAILSAFE)

@@ -1,8 +1,8 @@
-"""One bank of the non-volatile memory: the log of what became of a blob, its chunks, a mark for each chunk.
+"""A bank of the non-volatile memory: a log of the blob's progress, its chunks, and a mark for each chunk.
 
-The log is a sector of records that are only ever appended, each with a checksum of its own: a torn one does
-not count, and the next goes behind it. A mark is the checksum of its chunk, written after it: a torn chunk
-has none, and a torn mark matches nothing.
+The log is a sector to which records are appended, each with its own checksum. A partly written record is
+invalid, and the next record follows it. A mark is the checksum of its chunk and is written after the chunk: a
+partly written chunk has no mark, and a partly written mark does not match.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _NO_MARK = ERASED * _CRC.size
 
 
 class Step(IntEnum):
-    """What became of the blob in a bank."""
+    """Progress of the blob in a bank."""
 
     BEGUN = 1
     STAGED = 2
@@ -33,7 +33,7 @@ class Step(IntEnum):
 
 
 class Record(NamedTuple):
-    """One line of the log. `sequence` grows over all banks of a memory; the digest is of SHA-256."""
+    """A record of the log. `sequence` increases over all banks of a memory; the digest is a SHA-256."""
 
     step: Step
     kind: int
@@ -43,7 +43,7 @@ class Record(NamedTuple):
 
 
 class Bank:
-    """A bank of `blob_bytes` for blobs of one kind, from `start` on."""
+    """A bank for blobs of one kind and up to `blob_bytes`, from address `start` on."""
 
     def __init__(self, flash: Flash, start: int, kind: int, blob_bytes: int) -> None:
         self.kind = kind
@@ -55,14 +55,14 @@ class Bank:
 
     @staticmethod
     def bytes_of(blob_bytes: int) -> int:
-        """Bytes of memory that a bank for blobs of this size takes."""
+        """Return the size in memory of a bank for blobs of up to `blob_bytes`."""
         return SECTOR_BYTES + _sectors(_CRC.size * chunk_count(blob_bytes)) + _sectors(blob_bytes)
 
     # The log.
 
     def records(self) -> list[Record]:
         """Return the valid records, oldest first."""
-        found = []
+        records = []
         for start in self._written_slots():
             raw = self._flash.read(start, _RECORD.size + _CRC.size)
             body = raw[: _RECORD.size]
@@ -70,19 +70,19 @@ class Bank:
                 continue
             step, kind, sequence, size, digest = _RECORD.unpack(body)
             if step in tuple(Step) and kind == self.kind and 0 < size <= self._blob_bytes:
-                found.append(Record(Step(step), kind, sequence, size, digest))
-        return found
+                records.append(Record(Step(step), kind, sequence, size, digest))
+        return records
 
     def last(self) -> Record | None:
-        """Return the newest valid record."""
+        """Return the newest valid record, or None."""
         return next(reversed(self.records()), None)
 
     def unreadable(self) -> bool:
-        """Whether the log was written and none of it makes sense."""
+        """Return whether the log was written but has no valid record."""
         return not self.records() and not self._flash.blank_at(self._log, SECTOR_BYTES)
 
     def slots_free(self) -> int:
-        """Return records that the log still has room for."""
+        """Return the number of free records in the log."""
         return SLOTS - len(list(self._written_slots()))
 
     def append(self, record: Record) -> None:
@@ -95,7 +95,7 @@ class Bank:
         self._flash.program(start, body + _CRC.pack(zlib.crc32(body)))
 
     def _written_slots(self) -> Iterator[int]:
-        """Where the records stand; a slot that was never written ends the log."""
+        """Yield the addresses of the records. The first blank slot ends the log."""
         for start in range(self._log, self._log + SECTOR_BYTES, SLOT_BYTES):
             if self._flash.blank_at(start, SLOT_BYTES):
                 return
@@ -104,22 +104,22 @@ class Bank:
     # The blob.
 
     def forget(self) -> None:
-        """Empty the log, and with it the bank."""
+        """Erase the log and thereby empty the bank."""
         self._flash.erase(self._log, SECTOR_BYTES)
 
     def erase(self, size: int) -> None:
-        """Make room for a blob of `size` bytes. The log is erased first."""
+        """Erase the memory for a blob of `size` bytes, the log first."""
         self.forget()
         self._flash.erase(self._marks, _CRC.size * chunk_count(size))
         self._flash.erase(self._data, size)
 
     def put(self, blob: Record, index: int, chunk: bytes) -> None:
-        """Store the chunk, then mark it."""
+        """Store a chunk, then mark it."""
         self._flash.program(self._data + index * CHUNK_BYTES, chunk)
         self._flash.program(self._marks + index * _CRC.size, _mark(blob, chunk))
 
     def held(self, blob: Record) -> bytearray:
-        """One byte for each chunk of the blob: 1 where it is here and matches its mark."""
+        """Return one byte for each chunk of the blob: 1 if it is stored and matches its mark."""
         held = bytearray(chunk_count(blob.size))
         data = self.data(blob)
         for index in range(len(held)):
@@ -129,17 +129,17 @@ class Bank:
         return held
 
     def data(self, blob: Record) -> bytes:
-        """Return what stands where the blob should, whole or not."""
+        """Return the memory of the blob, complete or not."""
         return self._flash.read(self._data, blob.size)
 
     def whole(self, blob: Record) -> bytes | None:
-        """Return the blob, None where its bytes do not make its digest."""
+        """Return the blob, or None if its bytes do not match its digest."""
         data = self.data(blob)
         return data if hashlib.sha256(data).digest() == blob.digest else None
 
 
 def _mark(blob: Record, chunk: bytes) -> bytes:
-    """Checksum of a chunk of this blob and no other."""
+    """Return the checksum of a chunk, which depends on the blob's digest."""
     return _CRC.pack(zlib.crc32(chunk, zlib.crc32(blob.digest)))
 
 

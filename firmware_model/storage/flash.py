@@ -1,8 +1,8 @@
-"""Non-volatile memory as a flight controller has it: flash, erased by the sector and written bit by bit.
+"""Model of the flash memory of a flight controller: sectors are erased, and bits are cleared.
 
-Erasing sets a sector to 0xFF; programming can only clear bits. A power cut in between leaves the bytes before
-it written, a byte that was being programmed half, and the rest as they were. Pages, the time an erase takes
-and wear are not modelled.
+Erasing sets a sector to 0xFF. Programming can only clear bits. A power cut leaves the bytes before it
+written, the byte being programmed partly written, and all later bytes unchanged. The model does not include
+pages, erase times and wear.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ ERASED = b"\xff"
 
 
 class PowerCut(Exception):
-    """Power failed in the middle of a write; whoever was running is gone."""
+    """Power failed during a write: the firmware stops here."""
 
 
 class Flash:
@@ -23,15 +23,15 @@ class Flash:
     Parameters
     ----------
     image
-        what it holds; changed in place.
+        Content of the memory, changed in place.
     file
-        descriptor of a file with the same content, which gets every write at once, so that a killed
-        process leaves exactly what it had written. None: the memory lasts as long as the object.
+        Descriptor of a file with the same content. Every write goes to it immediately, so a killed process
+        leaves exactly the bytes it had written. None: the memory lasts as long as the object.
 
     Attributes
     ----------
     written
-        bytes erased and programmed since construction.
+        Number of bytes erased or programmed since construction.
     """
 
     def __init__(self, image: bytearray, file: int | None = None) -> None:
@@ -40,29 +40,29 @@ class Flash:
         self.image = image
         self.written = 0
         self._file = file
-        self._left: int | None = None
+        self._bytes_until_cut: int | None = None
 
     @classmethod
     def blank(cls, size: int) -> Flash:
-        """Erased memory of `size` bytes."""
+        """Return erased memory of `size` bytes."""
         return cls(bytearray(ERASED) * size)
 
     def cut_after(self, count: int) -> None:
-        """Let power fail after `count` more bytes are written; PowerCut from then on."""
-        self._left = count
+        """Make power fail after `count` more bytes. Every later write raises PowerCut."""
+        self._bytes_until_cut = count
 
     def read(self, start: int, size: int) -> bytes:
-        """Return the `size` bytes from `start` on."""
+        """Return `size` bytes from `start` on."""
         return bytes(self.image[start : start + size])
 
     def blank_at(self, start: int, size: int) -> bool:
-        """Whether these bytes are all erased."""
+        """Return whether all these bytes are erased."""
         return self.image[start : start + size] == ERASED * size
 
     def program(self, start: int, data: bytes) -> None:
         """Clear the bits from `start` on that are 0 in `data`.
 
-        Raises ValueError beyond the end, PowerCut where power fails on the way.
+        Raises ValueError beyond the end of the memory, and PowerCut if power fails.
         """
         size = len(data)
         self._check(start, size)
@@ -76,12 +76,13 @@ class Flash:
         self._write(start, new)
 
     def erase(self, start: int, size: int) -> None:
-        """Erase, one by one, the sectors from `start` on that hold `size` bytes.
+        """Erase, one after another, the sectors from `start` on that hold `size` bytes.
 
-        Raises ValueError where `start` begins no sector or beyond the end, PowerCut where power fails.
+        Raises ValueError if no sector starts at `start` or beyond the end of the memory, and PowerCut if
+        power fails.
         """
         if start % SECTOR_BYTES:
-            raise ValueError(f"no sector begins at {start}")
+            raise ValueError(f"no sector starts at {start}")
         for sector in range(start, start + size, SECTOR_BYTES):
             self._check(sector, SECTOR_BYTES)
             done = self._power(SECTOR_BYTES)
@@ -96,11 +97,11 @@ class Flash:
             self._file = None
 
     def _power(self, size: int) -> int:
-        """How many of `size` bytes there is still power for."""
-        if self._left is None:
+        """Return how many of `size` bytes can be written before the power cut."""
+        if self._bytes_until_cut is None:
             return size
-        done = min(size, self._left)
-        self._left -= done
+        done = min(size, self._bytes_until_cut)
+        self._bytes_until_cut -= done
         return done
 
     def _check(self, start: int, size: int) -> None:

@@ -1,7 +1,7 @@
-"""Parameters in non-volatile memory: whose they are and what was set, as a whole in one of two sectors.
+"""Parameters in non-volatile memory: vehicle id and set values, stored together in one of two sectors.
 
-A change is written to the sector that is not in force, with a checksum and a sequence number; a torn write
-leaves the other one in force.
+A change is written to the inactive sector with a checksum and a sequence number. After an interrupted write
+the other sector stays active.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _ROW = struct.Struct("<16sf")
 ROWS_MAX = (SECTOR_BYTES - _CRC.size - _HEAD.size) // _ROW.size
 
 
-class _Kept(NamedTuple):
+class _Stored(NamedTuple):
     sequence: int
     sector: int
     vehicle_id: bytes
@@ -28,52 +28,54 @@ class _Kept(NamedTuple):
 
 
 class Settings:
-    """What is kept from `start` on.
+    """Parameters stored from address `start` on.
 
     Attributes
     ----------
     damaged
-        whether something was written there that makes no sense.
+        Whether the memory was written but neither sector is valid.
     """
 
     def __init__(self, flash: Flash, start: int) -> None:
         self._flash = flash
         self._start = start
-        found = [kept for sector in (0, 1) if (kept := self._read(sector)) is not None]
-        self._kept = max(found, default=None)
-        self.damaged = not found and not flash.blank_at(start, SETTINGS_BYTES)
+        valid = [stored for sector in (0, 1) if (stored := self._read(sector)) is not None]
+        self._stored = max(valid, default=None)
+        self.damaged = not valid and not flash.blank_at(start, SETTINGS_BYTES)
 
     @property
     def vehicle_id(self) -> bytes | None:
-        """Id of the vehicle file (6 B) that the values belong to, None where nothing was ever kept."""
-        return None if self._kept is None else self._kept.vehicle_id
+        """Id (6 B) of the vehicle file that the values belong to; None before the first `keep`."""
+        return None if self._stored is None else self._stored.vehicle_id
 
     @property
     def values(self) -> dict[str, float]:
-        """What was set, by name."""
-        return {} if self._kept is None else dict(self._kept.values)
+        """Values that were set, by name."""
+        return {} if self._stored is None else dict(self._stored.values)
 
     def keep(self, vehicle_id: bytes, values: Mapping[str, float]) -> None:
-        """Put these values in force; after a power failure the values before may be.
+        """Store these values. After a power cut during the write, the previous values may be active.
 
-        Raises ValueError for more values than there is room for.
+        Raises ValueError for more than ROWS_MAX values.
         """
         if len(values) > ROWS_MAX:
-            raise ValueError(f"there is room for {ROWS_MAX} parameters, not {len(values)}")
-        sequence, sector = (1, 0) if self._kept is None else (self._kept.sequence + 1, 1 - self._kept.sector)
+            raise ValueError(f"at most {ROWS_MAX} parameters fit, not {len(values)}")
+        sequence, sector = 1, 0
+        if self._stored is not None:
+            sequence, sector = self._stored.sequence + 1, 1 - self._stored.sector
         body = _HEAD.pack(sequence, len(values), vehicle_id)
         body += b"".join(_ROW.pack(name.encode(), value) for name, value in values.items())
         start = self._start + sector * SECTOR_BYTES
         self._flash.erase(start, SECTOR_BYTES)
         self._flash.program(start, _CRC.pack(zlib.crc32(body)) + body)
-        self._kept = _Kept(sequence, sector, vehicle_id, dict(values))
+        self._stored = _Stored(sequence, sector, vehicle_id, dict(values))
 
     def change(self, name: str, value: float) -> None:
-        """Change one value and keep the others. Raises as `keep` does."""
-        if self._kept is not None and self._kept.values.get(name) != value:
-            self.keep(self._kept.vehicle_id, {**self._kept.values, name: value})
+        """Store one changed value together with the others. Raises ValueError like `keep`."""
+        if self._stored is not None and self._stored.values.get(name) != value:
+            self.keep(self._stored.vehicle_id, {**self._stored.values, name: value})
 
-    def _read(self, sector: int) -> _Kept | None:
+    def _read(self, sector: int) -> _Stored | None:
         raw = self._flash.read(self._start + sector * SECTOR_BYTES, SECTOR_BYTES)
         sequence, count, vehicle_id = _HEAD.unpack_from(raw, _CRC.size)
         body = raw[_CRC.size : _CRC.size + _HEAD.size + min(count, ROWS_MAX) * _ROW.size]
@@ -82,4 +84,4 @@ class Settings:
         values = {}
         for name, value in _ROW.iter_unpack(body[_HEAD.size :]):
             values[name.rstrip(b"\0").decode("ascii", "replace")] = value
-        return _Kept(sequence, sector, vehicle_id, values)
+        return _Stored(sequence, sector, vehicle_id, values)

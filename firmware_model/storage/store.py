@@ -1,9 +1,9 @@
-"""What the flight MCU keeps over a power cut: blobs, an upload in progress, parameters that were set.
+"""Non-volatile store of the flight MCU: blobs, an upload in progress, and set parameters.
 
-There are two banks for each kind of blob, one of them live. A blob is gathered, checked and staged in the
-bank that is not live; one record then makes it live and is whole or not there at all. Nothing is believed
-that does not make its checksum: what is live is the newest blob that was committed and is whole, else the one
-before it. The store holds no truth of its own; construct the next one on the same flash.
+There are two banks for each kind of blob, and one of them is live. A blob is received, checked and staged in
+the other bank. A single record then makes it live, and this write is atomic. Data with a wrong checksum is
+invalid: the live blob is the newest committed blob that is intact, or else its predecessor. All state is in
+the flash, so a new store on the same flash continues where the previous one ended.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from trimtab.protocol.blobs import BLOB_BYTES_MAX, Kind
 from trimtab.protocol.upload import CHUNK_BYTES, Incoming
 
 MAGIC = b"trimtab memory 1"
-"""What a memory begins with; the number is that of its layout."""
+"""First bytes of a memory; the number identifies its layout."""
 _SLOTS_SPARE = 2
 
 
 def memory_bytes(bank_bytes: int = BLOB_BYTES_MAX) -> int:
-    """Bytes of flash that a store with banks of this size takes."""
+    """Return the size of the flash for a store with banks of this size."""
     return SECTOR_BYTES + SETTINGS_BYTES + 2 * len(Kind) * Bank.bytes_of(bank_bytes)
 
 
 class ReferenceStore:
-    """Live and staged blobs and uploads in progress, by kind (`blobs.Kind`), and parameters that were set.
+    """Live and staged blobs and uploads in progress, by kind (`blobs.Kind`), and set parameters.
+
+    Every method that writes raises PowerCut if power fails.
 
     Parameters
     ----------
     flash
-        the memory, of `memory_bytes(bank_bytes)`; a blank one where not given. One that does not
-        begin with MAGIC is made blank.
+        Memory of `memory_bytes(bank_bytes)`; blank by default. A memory that does not start with MAGIC is
+        erased.
     bank_bytes
-        size of one bank.
-
-    Every method that writes raises PowerCut where power fails.
+        Size of one bank.
 
     Attributes
     ----------
     faults
-        what was found damaged, a line for people each.
+        Texts that report damaged data.
     settings
-        parameters that were set.
+        Set parameters.
     """
 
     def __init__(self, flash: Flash | None = None, *, bank_bytes: int = BLOB_BYTES_MAX) -> None:
@@ -60,7 +60,7 @@ class ReferenceStore:
             self._format()
         self.settings = Settings(flash, SECTOR_BYTES)
         if self.settings.damaged:
-            self.faults.append("memory: parameters that were set are lost")
+            self.faults.append("memory: the set parameters are lost")
         self._banks: dict[int, tuple[Bank, Bank]] = {}
         start = SECTOR_BYTES + SETTINGS_BYTES
         for kind in Kind:
@@ -71,27 +71,27 @@ class ReferenceStore:
         self._open: dict[int, tuple[Bank, Record]] = {}
         self._sequence = 0
         for kind in Kind:
-            self._look_at(kind)
+            self._inspect(kind)
 
-    # What is live, and what is staged.
+    # Live and staged blobs.
 
     def live(self, kind: int) -> bytes | None:
-        """Bytes of the live blob of this kind, None where there is none."""
-        found = self._live(kind)
-        return None if found is None else found[1]
+        """Return the bytes of the live blob of this kind, or None."""
+        live = self._live(kind)
+        return None if live is None else live[1]
 
     def staged(self, kind: int) -> bytes | None:
-        """Bytes of the staged blob of this kind, None where nothing waits."""
+        """Return the bytes of the staged blob of this kind, or None."""
         if kind not in self._open:
             return None
         bank, record = self._open[kind]
         return bank.whole(record) if record.step is Step.STAGED else None
 
     def stage(self, kind: int, blob: bytes) -> str:
-        """SHA-256 (hex) of `blob`, which now lies staged in the bank that is not live.
+        """Stage `blob` in the bank that is not live and return its SHA-256 (hex).
 
-        What is gathered of it already is not written again.
-        Raises ValueError where the blob is empty or larger than a bank.
+        A blob that was received in full is not written again. Raises ValueError if the blob is empty or
+        larger than a bank.
         """
         digest = hashlib.sha256(blob).digest()
         opened = self._open.get(kind)
@@ -105,13 +105,13 @@ class ReferenceStore:
         return digest.hex()
 
     def commit(self, kind: int) -> bytes:
-        """Return the blob that has become live: the staged one, read back and checked against its digest.
+        """Make the staged blob live and return it, read back and checked against its digest.
 
-        Raises ValueError where nothing is staged or the bank no longer holds what was staged.
+        Raises ValueError if no blob is staged or the bank is damaged.
         """
         bank, record = self._open.get(kind, (None, None))
         if bank is None or record is None or record.step is not Step.STAGED:
-            raise ValueError("nothing is staged")
+            raise ValueError("no blob is staged")
         blob = bank.whole(record)
         if blob is None:
             raise ValueError("the staged bank is damaged")
@@ -120,7 +120,7 @@ class ReferenceStore:
         return blob
 
     def discard(self, kind: int) -> None:
-        """Forget what was gathered or staged; keep what is live."""
+        """Discard the received or staged blob of this kind; the live blob stays."""
         if kind in self._open:
             self._open.pop(kind)[0].forget()
 
@@ -129,21 +129,21 @@ class ReferenceStore:
         self._open.pop(kind, None)
         live = self._live(kind)
         for bank in sorted(self._banks[kind], key=lambda bank: live is not None and bank is live[0]):
-            bank.forget()  # the live one last, or the one before it would be live again
+            bank.forget()  # the live bank last; otherwise its predecessor would become live again
 
     # An upload in progress.
 
     def incoming(self) -> Incoming | None:
-        """Return the newest blob that is gathered or staged, with the chunks that are here; None for none."""
+        """Return the newest blob that is being received or staged, with its held chunks, or None."""
         if not self._open:
             return None
         bank, record = max(self._open.values(), key=lambda opened: opened[1].sequence)
         return Incoming(record.kind, record.size, record.digest, bank.held(record))
 
     def begin(self, kind: int, size: int, digest: bytes) -> None:
-        """Drop what was gathered of this kind and make room for another blob.
+        """Discard the received or staged blob of this kind and prepare for another one.
 
-        Raises ValueError where the blob is empty or larger than a bank.
+        Raises ValueError if the blob is empty or larger than a bank.
         """
         if not 0 < size <= self.bank_bytes:
             raise ValueError(f"a blob must have 1 to {self.bank_bytes} bytes, not {size}")
@@ -155,22 +155,22 @@ class ReferenceStore:
         self._open[kind] = bank, self._append(bank, record, Step.BEGUN)
 
     def put(self, kind: int, index: int, chunk: bytes) -> None:
-        """Store this chunk of the blob that was begun, so that it survives a power cut."""
+        """Store a chunk of the blob being received, so that it survives a power cut."""
         bank, record = self._open[kind]
         bank.put(record, index, chunk)
 
-    def gathered(self, kind: int) -> bytes:
-        """Return the bytes of the blob that was begun, as they stand in memory, whole or not."""
+    def received(self, kind: int) -> bytes:
+        """Return the bytes in memory of the blob being received, complete or not."""
         bank, record = self._open[kind]
         return bank.data(record)
 
-    # Inside.
+    # Internals.
 
     def _live(self, kind: int) -> tuple[Bank, bytes] | None:
-        """Return the bank with the newest committed blob that is whole, and that blob."""
-        lives = [(bank.last(), bank) for bank in self._banks[kind]]
-        committed = [(last, bank) for last, bank in lives if last is not None and last.step is Step.LIVE]
-        for record, bank in sorted(committed, key=lambda live: -live[0].sequence):
+        """Return the bank with the newest committed blob that is intact, and that blob."""
+        banks = [(bank.last(), bank) for bank in self._banks[kind]]
+        committed = [(last, bank) for last, bank in banks if last is not None and last.step is Step.LIVE]
+        for record, bank in sorted(committed, key=lambda entry: -entry[0].sequence):
             blob = bank.whole(record)
             if blob is not None:
                 return bank, blob
@@ -182,8 +182,8 @@ class ReferenceStore:
         bank.append(record)
         return record
 
-    def _look_at(self, kind: int) -> None:
-        """After power-up: what was open, and what is not as it should be."""
+    def _inspect(self, kind: int) -> None:
+        """Restore the open upload of this kind after power-up and record damaged banks."""
         for bank in self._banks[kind]:
             last = bank.last()
             if last is None:
@@ -198,7 +198,7 @@ class ReferenceStore:
                 self._open[kind] = bank, last
 
     def _format(self) -> None:
-        """Blank the memory except for its header, which is written last."""
+        """Erase the memory and write its header last."""
         flash = self.flash
         if not flash.blank_at(0, len(flash.image)):
             self.faults.append("memory damaged and erased: nothing is live")

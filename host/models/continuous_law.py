@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from trimtab.firmware_model.law import step as law_step
-from trimtab.firmware_model.law.observer import GREATEST, disturbance_seen
+from trimtab.firmware_model.law.observer import DISTURBANCE_MAX, measured_disturbance
 from trimtab.firmware_model.law.ops import Ops
 from trimtab.firmware_model.law.rotations import dot
 
@@ -70,11 +70,12 @@ def observer_rates(
     """
     *d_hat, thrust = states
     bandwidth, lag = law_step.observer(firmware)
-    measured = disturbance_seen(v_dot_ned, R, thrust, law_step.body(firmware).mass_kg)
+    measured = measured_disturbance(v_dot_ned, R, thrust, law_step.body(firmware).mass_kg)
     rates = [bandwidth * (s - d) for d, s in zip(d_hat, measured, strict=True)]
     square = dot(d_hat, d_hat)
-    growth = ops.maximum(dot(d_hat, rates), 0.0) / ops.maximum(square, GREATEST * GREATEST)
-    outward = ops.where(square >= GREATEST * GREATEST, growth, 0.0)  # the estimate is at its bound
+    bound_squared = DISTURBANCE_MAX * DISTURBANCE_MAX
+    growth = ops.maximum(dot(d_hat, rates), 0.0) / ops.maximum(square, bound_squared)
+    outward = ops.where(square >= bound_squared, growth, 0.0)  # the estimate is at its bound
     rates = [rate - outward * d for rate, d in zip(rates, d_hat, strict=True)]
     return [*rates, (commanded_thrust - thrust) / (lag + hold_s)]
 

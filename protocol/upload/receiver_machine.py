@@ -1,4 +1,4 @@
-"""Run the transitions of an upload: the state, the blob in hand, and the action of each transition."""
+"""State machine of the receiver of an upload: state, current blob, and the action of each transition."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from trimtab.protocol.blobs import Kind
 from trimtab.protocol.messages import UploadResult, UploadState
-from trimtab.protocol.upload.blob_in_hand import Blob, BlobInHand, BlobStore
+from trimtab.protocol.upload.current_blob import Blob, BlobStore, CurrentBlob
 from trimtab.protocol.upload.receiver_reports import Reports
 from trimtab.protocol.upload.receiver_table import TABLE, Action, Event, Refusal
 from trimtab.protocol.upload.transfer import (
@@ -21,24 +21,24 @@ from trimtab.protocol.upload.transfer import (
 
 
 class ReceiverMachine:
-    """The state of an upload, and what each event does to it.
+    """State machine of one upload after another.
 
     Parameters
     ----------
     store
-        Store in which blobs are gathered, staged and committed. An upload that it still holds continues; a
+        Store in which blobs are received, staged and committed. An upload that it still holds is resumed; a
         complete one is checked again.
     check
-        Returns whether a blob (kind, bytes) may be used. It gets only bytes whose digest is right.
+        Returns the verdict on a blob (kind, bytes). It is called only with bytes that match the digest.
     reports
         Schedule of the reports to the host.
 
     Attributes
     ----------
     state
-        State of the blob in hand.
+        State of the current blob.
     verdict
-        Verdict of the check on the blob in hand; None before the check.
+        Verdict of the check on the current blob; None before the check.
     live
         SHA-256 digest of the live blob of each kind.
     agreement
@@ -50,7 +50,7 @@ class ReceiverMachine:
         self.verdict: Verdict | None = None
         self.live: dict[int, bytes] = {}
         self.agreement = Agreement()
-        self.hand = BlobInHand(store)
+        self.current = CurrentBlob(store)
         self._store = store
         self._check = check
         self._reports = reports
@@ -60,14 +60,14 @@ class ReceiverMachine:
             Action.KEEP: self._report_soon,
             Action.REPORT: self.report,
             Action.REPORT_SOON: self._report_soon,
-            Action.ASK_FOR_BEGIN: self._report_soon,
+            Action.REQUEST_BEGIN: self._report_soon,
             Action.STAGE: self._stage,
             Action.REFUSE: self._refuse,
             Action.DROP: self._drop,
             Action.COMMIT: self._commit,
             Action.REFUSE_COMMIT: self._refuse_commit,
-            Action.SAY_BUSY: self._say_busy,
-            Action.SAY_LIVE: self._say_live,
+            Action.ANSWER_BUSY: self._answer_busy,
+            Action.ANSWER_LIVE: self._answer_live,
             Action.DISCARD: self._discard,
             Action.CHECK_AGAIN: self._check_again,
         }
@@ -76,11 +76,11 @@ class ReceiverMachine:
         self._resume(store.incoming())
 
     def run(self, event: Event, blob: Blob, now_us: int) -> None:
-        """Take the transition of `event`, which is about `blob`: change the state, then act."""
+        """Take the transition of `event`, which concerns `blob`: change the state, then act."""
         entry = TABLE(self.state, event)
-        same = self.hand.has_digest(blob.digest)
+        same = self.current.has_digest(blob.digest)
         if same:
-            self._reports.hear(now_us)
+            self._reports.message_arrived(now_us)
         if isinstance(entry, Refusal):
             if entry.result is not None:
                 self._answer(blob.digest, self.state if same else UploadState.IDLE, entry.result)
@@ -89,84 +89,84 @@ class ReceiverMachine:
         self._actions[entry.action](blob, now_us)
 
     def complete(self, now_us: int) -> None:
-        """Check the blob in hand, of which every chunk is held."""
-        if not self.hand.is_intact():
-            self.run(Event.CORRUPT, self.hand.blob, now_us)
+        """Check the current blob, all chunks of which are held."""
+        if not self.current.is_intact():
+            self.run(Event.CORRUPT, self.current.blob, now_us)
             return
-        self.verdict = self._check(self.hand.blob.kind, self.hand.data())
+        self.verdict = self._check(self.current.blob.kind, self.current.data())
         event = Event.CHECK_PASSED if self.verdict.ok else Event.CHECK_REFUSED
-        self.run(event, self.hand.blob, now_us)
+        self.run(event, self.current.blob, now_us)
 
     def take_events(self) -> list[ReceiverEvent]:
-        """Return the events since the last call."""
+        """Return and clear the events since the last call."""
         events, self._events = self._events, []
         return events
 
-    # Actions. The state is already the one afterwards.
+    # Actions. The state has already changed.
 
     def _begin(self, blob: Blob, now_us: int) -> None:
-        if self.hand:
+        if self.current:
             self._clear(UploadEvent.DISCARDED, "another upload began")
-        self.hand.begin(blob)
-        self._reports.hear(now_us)
-        self._tell(UploadEvent.BEGAN, f"receiving {blob.size} bytes")
+        self.current.begin(blob)
+        self._reports.message_arrived(now_us)
+        self._emit(UploadEvent.BEGAN, f"receiving {blob.size} bytes")
         self.report(blob, now_us)
 
     def report(self, blob: Blob, now_us: int) -> None:
-        """Queue the report on the blob in hand, or the answer to a chunk of an unknown one."""
-        self._reports.reported()
-        if not self.hand:
+        """Queue a report on the current blob, or the answer to a chunk of an unknown blob."""
+        self._reports.clear_due()
+        if not self.current:
             if self._reports.stray_tag is not None:
                 self._answer_tag(self._reports.stray_tag, UploadState.IDLE, UploadResult.UNKNOWN)
                 self._reports.stray_tag = None
             return
-        self._reports.remind(now_us)
+        self._reports.schedule_reminder(now_us)
         refused = self.state is UploadState.REFUSED
         result = UploadResult.REFUSED if refused else UploadResult.OK
-        self._answer(self.hand.blob.digest, self.state, result)
+        self._answer(self.current.blob.digest, self.state, result)
         if self.verdict is not None:
-            self._reports.verdict(self.hand.blob.digest, self.verdict)
+            self._reports.verdict(self.current.blob.digest, self.verdict)
 
     def _report_soon(self, blob: Blob, now_us: int) -> None:
-        self._reports.soon(self.hand.chunks - self.hand.held, now_us)
+        self._reports.schedule(self.current.chunks - self.current.held, now_us)
 
     def _stage(self, blob: Blob, now_us: int) -> None:
-        self._store.stage(self.hand.blob.kind, self.hand.data())
-        self._tell(UploadEvent.ACCEPTED, "staged")
+        self._store.stage(self.current.blob.kind, self.current.data())
+        self._emit(UploadEvent.ACCEPTED, "staged")
         self.report(blob, now_us)
 
     def _refuse(self, blob: Blob, now_us: int) -> None:
-        self._tell(UploadEvent.REFUSED, self.verdict.message if self.verdict else "")
+        self._emit(UploadEvent.REFUSED, self.verdict.message if self.verdict else "")
         self.report(blob, now_us)
 
     def _drop(self, blob: Blob, now_us: int) -> None:
-        self._answer(self.hand.blob.digest, UploadState.IDLE, UploadResult.CORRUPT)
-        self._clear(UploadEvent.CORRUPT, "its bytes do not make its digest")
+        self._answer(self.current.blob.digest, UploadState.IDLE, UploadResult.CORRUPT)
+        self._clear(UploadEvent.CORRUPT, "its bytes do not match its digest")
 
     def _commit(self, blob: Blob, now_us: int) -> None:
-        kind = self.hand.blob.kind
+        kind = self.current.blob.kind
         try:
             self._store.commit(kind)
-        except ValueError:  # the memory failed: the staged blob is lost
+        except ValueError:  # the memory is damaged: the staged blob is lost
             self._drop(blob, now_us)
             return
         self._note_live(kind)
-        self._say_live(self.hand.blob, now_us)
+        self._answer_live(self.current.blob, now_us)
         self._clear(UploadEvent.COMMITTED, "live")
 
     def _refuse_commit(self, blob: Blob, now_us: int) -> None:
-        self._answer(self.hand.blob.digest, self.state, self.agreement.result)
+        self._answer(self.current.blob.digest, self.state, self.agreement.result)
         if self.agreement.verdict is not None:
-            self._reports.verdict(self.hand.blob.digest, self.agreement.verdict)
+            self._reports.verdict(self.current.blob.digest, self.agreement.verdict)
 
-    def _say_busy(self, blob: Blob, now_us: int) -> None:
-        self._answer(self.hand.blob.digest, self.state, UploadResult.BUSY)
+    def _answer_busy(self, blob: Blob, now_us: int) -> None:
+        self._answer(self.current.blob.digest, self.state, UploadResult.BUSY)
 
-    def _say_live(self, blob: Blob, now_us: int) -> None:
+    def _answer_live(self, blob: Blob, now_us: int) -> None:
         self._answer(blob.digest, UploadState.LIVE, UploadResult.OK)
 
     def _discard(self, blob: Blob, now_us: int) -> None:
-        self._answer(self.hand.blob.digest, UploadState.IDLE, UploadResult.OK)
+        self._answer(self.current.blob.digest, UploadState.IDLE, UploadResult.OK)
         self._clear(UploadEvent.DISCARDED, "aborted")
 
     def _check_again(self, blob: Blob, now_us: int) -> None:
@@ -175,21 +175,21 @@ class ReceiverMachine:
     # Helpers.
 
     def _resume(self, incoming: Incoming | None) -> None:
-        """Resume the upload that the store holds, without a report yet."""
+        """Resume the upload that the store holds, without a report."""
         for kind in Kind:
             if incoming is None or kind != incoming.kind:
                 self._store.discard(kind)
         if incoming is None:
             return
-        self.hand.resume(incoming)
+        self.current.resume(incoming)
         self.state = UploadState.RECEIVING
-        if self.hand.held == self.hand.chunks:
+        if self.current.held == self.current.chunks:
             self.complete(0)
-        self._reports.take()  # reports follow a request
+        self._reports.take()  # discarded: the first report follows a request
 
     def _clear(self, event: UploadEvent, text: str) -> None:
-        self._tell(event, text)
-        self.hand.forget(discard=event is not UploadEvent.COMMITTED)
+        self._emit(event, text)
+        self.current.forget(discard=event is not UploadEvent.COMMITTED)
         self.verdict = None
         self._reports.forget()
 
@@ -198,9 +198,9 @@ class ReceiverMachine:
         if live is not None:
             self.live[kind] = hashlib.sha256(live).digest()
 
-    def _tell(self, event: UploadEvent, text: str) -> None:
+    def _emit(self, event: UploadEvent, text: str) -> None:
         self._events.append(
-            ReceiverEvent(event=event, kind=self.hand.blob.kind, id=self.hand.blob.id, text=text)
+            ReceiverEvent(event=event, kind=self.current.blob.kind, id=self.current.blob.id, text=text)
         )
 
     def _answer(self, digest: bytes, state: UploadState, result: UploadResult) -> None:
@@ -208,5 +208,10 @@ class ReceiverMachine:
 
     def _answer_tag(self, tag: int, state: UploadState, result: UploadResult) -> None:
         self._reports.answer(
-            tag, state, result, kind=self.hand.blob.kind, held=self.hand.held, have=self.hand.held_chunks
+            tag,
+            state,
+            result,
+            kind=self.current.blob.kind,
+            held=self.current.held,
+            have=self.current.held_chunks,
         )

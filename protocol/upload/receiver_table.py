@@ -1,4 +1,4 @@
-"""What the receiver of an upload does on which event in which state."""
+"""Transition table of the receiver of an upload."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from trimtab.protocol.upload.transfer import Table
 
 
 class Event(Enum):
-    """What can happen. SAME: to the blob in hand, LIVE: to one in use, OTHER: to neither."""
+    """Events. SAME concerns the current blob, LIVE a live blob, OTHER any other blob."""
 
     BEGIN_SAME = auto()
     BEGIN_LIVE = auto()
@@ -29,47 +29,47 @@ class Event(Enum):
     COMMIT_LIVE = auto()
     COMMIT_OTHER = auto()
     COMMIT_AT = auto()
-    """A commit at an agreed time, which is possible as far as the blob is here."""
+    """A commit at a tick to which the owner agrees."""
     COMMIT_AT_REFUSED = auto()
     DUE = auto()
-    """The agreed time has come."""
+    """The agreed tick has been reached."""
     CALLED_OFF = auto()
-    """What it was agreed for is no longer flown."""
+    """The vehicle no longer flies the reference that the agreement was for."""
     ABORT_SAME = auto()
     ABORT_OTHER = auto()
 
 
 class Action(Enum):
-    """What is done on the way."""
+    """Actions of the transitions."""
 
     BEGIN = auto()
     KEEP = auto()
     REPORT = auto()
     REPORT_SOON = auto()
-    ASK_FOR_BEGIN = auto()
+    REQUEST_BEGIN = auto()
     STAGE = auto()
     REFUSE = auto()
     DROP = auto()
     COMMIT = auto()
     REFUSE_COMMIT = auto()
-    SAY_BUSY = auto()
-    SAY_LIVE = auto()
+    ANSWER_BUSY = auto()
+    ANSWER_LIVE = auto()
     DISCARD = auto()
     CHECK_AGAIN = auto()
 
 
 class Move(NamedTuple):
-    """A transition: the state afterwards and what is done."""
+    """A transition: the next state and the action."""
 
     state: UploadState
     action: Action
 
 
 class Refusal(NamedTuple):
-    """Nothing changes; `result` is answered, None stands for silence."""
+    """A refused event: the state does not change. `result` is the answer; None sends no answer."""
 
     result: UploadResult | None
-    why: str
+    reason: str
 
 
 Entry = Move | Refusal
@@ -80,28 +80,28 @@ STATES = (
     UploadState.REFUSED,
     UploadState.SCHEDULED,
 )
-"""LIVE is never the receiver's state: it is what is answered about a blob in use."""
+"""States of the receiver. LIVE is not one of them: it only answers requests about a live blob."""
 
 _S, _E, _A, _R = UploadState, Event, Action, UploadResult
-_NOTHING_HERE = Refusal(_R.UNKNOWN, "nothing of that blob is here")
-_NO_BLOB = Refusal(None, "no blob in hand")
-_COMPLETE = Refusal(None, "all chunks are here already")
-_INCOMPLETE = Refusal(_R.BAD_REQUEST, "not all chunks are here")
+_UNKNOWN_BLOB = Refusal(_R.UNKNOWN, "unknown blob")
+_NO_BLOB = Refusal(None, "no current blob")
+_COMPLETE = Refusal(None, "all chunks are held already")
+_INCOMPLETE = Refusal(_R.BAD_REQUEST, "chunks are missing")
 _FOREIGN = Refusal(None, "a chunk of another blob")
-_NOT_AGREED = Refusal(None, "no time has been agreed")
+_NOT_AGREED = Refusal(None, "no tick is agreed")
 
 
 def _everywhere(state: UploadState) -> dict[Event, Entry]:
-    """Return the entries that are alike in every state."""
+    """Return the entries that are the same in every state."""
     return {
-        _E.BEGIN_LIVE: Move(state, _A.SAY_LIVE),
+        _E.BEGIN_LIVE: Move(state, _A.ANSWER_LIVE),
         _E.BEGIN_OTHER: Move(_S.RECEIVING, _A.BEGIN),
         _E.BEGIN_BAD_KIND: Refusal(_R.BAD_KIND, "no such kind of blob"),
-        _E.BEGIN_BAD_REQUEST: Refusal(_R.BAD_REQUEST, "empty, or cut into chunks of another size"),
-        _E.BEGIN_TOO_LARGE: Refusal(_R.TOO_LARGE, "larger than the room for it"),
-        _E.COMMIT_LIVE: Move(state, _A.SAY_LIVE),
-        _E.COMMIT_OTHER: _NOTHING_HERE,
-        _E.ABORT_OTHER: _NOTHING_HERE,
+        _E.BEGIN_BAD_REQUEST: Refusal(_R.BAD_REQUEST, "empty, or another chunk size"),
+        _E.BEGIN_TOO_LARGE: Refusal(_R.TOO_LARGE, "larger than the capacity"),
+        _E.COMMIT_LIVE: Move(state, _A.ANSWER_LIVE),
+        _E.COMMIT_OTHER: _UNKNOWN_BLOB,
+        _E.ABORT_OTHER: _UNKNOWN_BLOB,
         _E.DUE: _NOT_AGREED,
         _E.CALLED_OFF: _NOT_AGREED,
     }
@@ -116,7 +116,7 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.BEGIN_SAME: _NO_BLOB,
             _E.CHUNK_NEW: _NO_BLOB,
             _E.CHUNK_HELD: _NO_BLOB,
-            _E.CHUNK_FOREIGN: Move(_S.IDLE, _A.ASK_FOR_BEGIN),
+            _E.CHUNK_FOREIGN: Move(_S.IDLE, _A.REQUEST_BEGIN),
             _E.CHECK_PASSED: _NO_BLOB,
             _E.CHECK_REFUSED: _NO_BLOB,
             _E.CORRUPT: _NO_BLOB,
@@ -151,7 +151,7 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.CHECK_REFUSED: Move(_S.REFUSED, _A.REFUSE),
             _E.CORRUPT: _COMPLETE,
             _E.COMMIT_SAME: Move(_S.IDLE, _A.COMMIT),
-            _E.COMMIT_BUSY: Refusal(_R.BUSY, "at once only while the vehicle does not fly"),
+            _E.COMMIT_BUSY: Refusal(_R.BUSY, "an immediate commit needs a vehicle on the floor"),
             _E.COMMIT_AT: Move(_S.SCHEDULED, _A.REPORT),
             _E.COMMIT_AT_REFUSED: Move(_S.STAGED, _A.REFUSE_COMMIT),
             _E.ABORT_SAME: Move(_S.IDLE, _A.DISCARD),
@@ -181,7 +181,7 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.CHECK_REFUSED: _COMPLETE,
             _E.CORRUPT: _COMPLETE,
             _E.COMMIT_SAME: Move(_S.IDLE, _A.COMMIT),
-            _E.COMMIT_BUSY: Move(_S.STAGED, _A.SAY_BUSY),
+            _E.COMMIT_BUSY: Move(_S.STAGED, _A.ANSWER_BUSY),
             _E.COMMIT_AT: Move(_S.SCHEDULED, _A.REPORT),
             _E.COMMIT_AT_REFUSED: Move(_S.STAGED, _A.REFUSE_COMMIT),
             _E.DUE: Move(_S.IDLE, _A.COMMIT),

@@ -1,9 +1,9 @@
-"""The host's end of an upload: announce a blob, send chunks until all are held, commit.
+"""The host's end of an upload: announces a blob, sends chunks until all are held, and commits.
 
-Every status says which chunks are held; `chunk_schedule` decides which one leaves next. If no answer comes,
-the announcement goes out again. Its answer lists everything that the receiver holds, also after a restart.
-Every question has a number that its answers repeat, so an earlier answer, perhaps to a host that was killed,
-is not taken for the new one.
+Every status reports which chunks are held; `chunk_schedule` decides which chunk is sent next. If no answer
+arrives, the sender repeats the announcement. The answer lists all chunks that the receiver holds, also after
+a restart. Every announcement has a number that its answers repeat, so an answer to an earlier announcement,
+possibly of a host that was killed, is not mistaken for the answer to the present one.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from trimtab.protocol.upload.transfer import (
 )
 
 WINDOW = 40
-"""Chunks under way at a time: 4.4 kB, which fit the radio's queue for uploads and the air."""
+"""Greatest number of chunks in flight: 4.4 kB, which fit the radio's upload queue and the air."""
 INTERVAL_US = 2_150
-"""Least time between two chunks: one slot of the radio, and a little for what comes back."""
-_ASK_US = 10_000
-"""Time after which an unanswered announcement or commit goes out again."""
+"""Least time between two chunks: one slot of the radio plus a margin for the return traffic."""
+_REPEAT_US = 10_000
+"""Time after which an unanswered announcement or commit is repeated."""
 _QUERY_US = 10_000
-"""Unit of time that numbers the first question. A host never asks more often, so one that follows another at
-once uses other numbers."""
+"""Unit of time that numbers the first announcement. A host announces at most once in this time, so a host
+that immediately follows another one uses different numbers."""
 _QUERIES = 255
 _RESTARTS_MAX = 8
 _OVERDUE_MIN_US = 50_000
@@ -41,37 +41,40 @@ _OVERDUE_MAX_US = 500_000
 
 
 class UploadSender:
-    """Sends one blob. Call `send` for what is due, `receive` with what arrives, `advance` at the deadline.
+    """Sends one blob.
+
+    The owner sends the messages that `send` returns, passes received messages to `receive`, and calls
+    `advance` at the deadline.
 
     Parameters
     ----------
     blob
-        The bytes, 1 to SIZE_MAX.
+        Bytes of the blob, 1 to SIZE_MAX.
     kind
         One of `blobs.Kind`.
     commit
-        Make the blob live once it is accepted; otherwise it stays staged.
+        Whether to make the blob live once it is accepted; otherwise it stays staged.
     at_tick
-        The vehicle's tick at which the blob takes over in flight; None to make it live at once, on the floor.
+        Tick of the vehicle at which the blob takes over in flight; None for an immediate commit on the floor.
     window, interval_us
-        Greatest number of chunks under way, and least time between two chunks.
+        Greatest number of chunks in flight, and least time between two chunks.
     patience_us
         Time without progress after which the upload fails.
 
     Attributes
     ----------
     state
-        Progress of the upload; `over` once it is DONE or FAILED.
+        Progress of the upload; `over` is true once it is DONE or FAILED.
     reason
-        Why it failed, for people; empty before.
+        Text that explains a failure; empty before.
     verdict
-        Verdict of the vehicle's check; None before.
+        Verdict of the vehicle's check; None before the check.
     chunks, held
-        Number of chunks, and of those that the vehicle holds.
+        Number of chunks, and number of chunks that the vehicle holds.
     messages_sent, chunks_sent, chunks_repeated
-        Counts. chunks_sent includes the repeated ones.
+        Counts. chunks_sent includes repeated chunks.
     restarts
-        How often the vehicle had lost everything.
+        Number of times that the vehicle had lost all chunks.
     """
 
     def __init__(
@@ -109,7 +112,7 @@ class UploadSender:
         self._tag = tag_of(self.digest)
         self._schedule = ChunkSchedule(self.chunks, window=window, interval_us=interval_us)
         self._query = 0
-        self._asked = False
+        self._announced = False
         self._overdue = 0
         self._active_us: int | None = None
         self._progress_us = 0
@@ -118,10 +121,10 @@ class UploadSender:
             Action.NOTHING: lambda message, now_us: None,
             Action.NOTE_HELD: self._note_held,
             Action.RESTART: self._restart,
-            Action.ASK: self._ask,
+            Action.ANNOUNCE: self._announce,
             Action.COMMIT: self._commit,
             Action.FAIL_REFUSED: self._fail_refused,
-            Action.FAIL_HOPELESS: lambda message, now_us: self._fail("the vehicle lost it again and again"),
+            Action.FAIL_RESTARTS: lambda message, now_us: self._fail("the vehicle lost it repeatedly"),
             Action.FAIL_REJECTED: self._fail_rejected,
             Action.FAIL_BUSY: self._fail_busy,
             Action.FAIL_SILENCE: self._fail_silence,
@@ -130,7 +133,7 @@ class UploadSender:
 
     @property
     def id(self) -> str:
-        """First 12 hex digits of the SHA-256."""
+        """First 12 hex digits of the SHA-256 of the blob."""
         return self.digest[:6].hex()
 
     @property
@@ -152,10 +155,10 @@ class UploadSender:
         """Handle a message; return whether it was about this upload."""
         if isinstance(message, m.UploadVerdict) and message.tag == self._tag:
             self.verdict = _read_verdict(message)
-            event = self._staged() if self.verdict.ok else Event.REFUSED_WHY
+            event = self._staged() if self.verdict.ok else Event.REFUSAL_VERDICT
         elif isinstance(message, m.UploadStatus) and message.tag == self._tag:
             if self.state is SenderState.OPENING and message.query != self._query:
-                return True  # an answer from before the question
+                return True  # an answer to an earlier announcement
             event = self._status_event(message)
         else:
             return False
@@ -168,7 +171,7 @@ class UploadSender:
         return True
 
     def advance(self, now_us: int) -> None:
-        """Ask again if an answer is overdue; give up at the end of the patience."""
+        """Repeat an overdue request; fail after `patience_us` without progress."""
         if self.over or self._active_us is None:
             return
         if now_us - self._progress_us >= self._patience_us:
@@ -183,7 +186,7 @@ class UploadSender:
         if self._active_us is None:
             self._active_us = self._progress_us = now_us
             self._query = now_us // _QUERY_US
-            self._ask(None, now_us)
+            self._announce(None, now_us)
         out, self._out = self._out, []
         if self.state is SenderState.SENDING:
             out.extend(self._chunk(index) for index in self._schedule.due(now_us, self._status_us))
@@ -210,7 +213,7 @@ class UploadSender:
     # Classify answers as events.
 
     def _staged(self) -> Event:
-        return Event.STAGED if self._commit_wanted else Event.STAGED_ENOUGH
+        return Event.STAGED if self._commit_wanted else Event.STAGED_ONLY
 
     def _status_event(self, status: m.UploadStatus) -> Event:
         state, result = status.state, status.result
@@ -231,11 +234,11 @@ class UploadSender:
         ):
             return Event.REJECTED
         if self.restarts >= _RESTARTS_MAX:
-            return Event.HOPELESS
+            return Event.TOO_MANY_RESTARTS
         return Event.CORRUPT if result == UploadResult.CORRUPT else Event.FORGOTTEN
 
     def _do(self, event: Event, message: Message | None, now_us: int) -> bool:
-        """Take the transition of `event`; return whether there is one in this state."""
+        """Take the transition of `event`; return False if this state ignores it."""
         entry = TABLE(self.state, event)
         if isinstance(entry, Refusal):
             return False
@@ -247,10 +250,10 @@ class UploadSender:
 
     # Actions.
 
-    def _ask(self, message: Message | None, now_us: int) -> None:
-        self._schedule.note_question()
-        if not self._asked:  # a repeated question keeps its number: any answer to it will do
-            self._asked = True
+    def _announce(self, message: Message | None, now_us: int) -> None:
+        self._schedule.note_announcement()
+        if not self._announced:  # a repetition keeps its number: any answer to it is valid
+            self._announced = True
             self._query = self._query % _QUERIES + 1
         size, digest = len(self._blob), self.digest
         self._out.append(m.UploadBegin(size, self._target, self._kind, CHUNK_BYTES, self._query, digest))
@@ -259,8 +262,8 @@ class UploadSender:
         self.restarts += 1
         self.verdict = None
         self._schedule.restart()
-        self._asked = False
-        self._ask(message, now_us)
+        self._announced = False
+        self._announce(message, now_us)
 
     def _commit(self, message: Message | None, now_us: int) -> None:
         self._out.append(m.UploadCommit(self._at_tick, self._target, self._kind, self.digest))
@@ -268,9 +271,9 @@ class UploadSender:
     def _note_held(self, message: Message | None, now_us: int) -> None:
         if not isinstance(message, m.UploadStatus) or message.base > self.chunks:
             return
-        complete = self._asked and message.query == self._query
+        complete = self._announced and message.query == self._query
         if complete:
-            self._asked = False
+            self._announced = False
         bitmap = decode_bitmap(bytes(message.bitmap), message.base)
         if self._schedule.note_held(message.base, bitmap, now_us, complete=complete):
             self._progress_us = now_us
@@ -281,11 +284,11 @@ class UploadSender:
         return m.UploadChunk(self._tag, index, self._target, data)
 
     def _overdue_us(self) -> int:
-        """Return the time after which a question is repeated; it doubles while no answer comes."""
-        once = _ASK_US
+        """Return the time after which a request is repeated; it doubles while no answer arrives."""
+        initial_us = _REPEAT_US
         if self.state is SenderState.SENDING:
-            once = max(_OVERDUE_MIN_US, self._schedule.rtt_us + self._schedule.rtt_us // 4 + 10_000)
-        return min(once << max(0, min(self._overdue - 4, 8)), max(once, _OVERDUE_MAX_US))
+            initial_us = max(_OVERDUE_MIN_US, self._schedule.rtt_us + self._schedule.rtt_us // 4 + 10_000)
+        return min(initial_us << max(0, min(self._overdue - 4, 8)), max(initial_us, _OVERDUE_MAX_US))
 
     def _abort(self, message: Message | None, now_us: int) -> None:
         self._fail("cancelled")
@@ -297,9 +300,9 @@ class UploadSender:
     def _fail_busy(self, message: Message | None, now_us: int) -> None:
         at_once = self._at_tick == m.NO_TICK
         self._fail(
-            "the vehicle does not swap it while it flies"
+            "the vehicle is flying and swaps a blob only at an agreed tick"
             if at_once
-            else "the vehicle flies no reference that it could follow"
+            else "the vehicle flies no reference that the upload could follow"
         )
 
     def _fail_silence(self, message: Message | None, now_us: int) -> None:
@@ -316,9 +319,9 @@ class UploadSender:
         if result == UploadResult.TOO_LARGE:
             self._fail(f"the vehicle has no room for {len(self._blob)} bytes")
         elif result == UploadResult.BAD_KIND:
-            self._fail(f"the vehicle takes no blobs of kind {self._kind}")
+            self._fail(f"the vehicle accepts no blobs of kind {self._kind}")
         else:
-            self._fail("the vehicle takes no chunks of this size")
+            self._fail("the vehicle accepts no chunks of this size")
 
 
 def _read_verdict(message: m.UploadVerdict) -> Verdict:

@@ -1,4 +1,4 @@
-"""What the sender of an upload does on which event in which state."""
+"""Transition table of the sender of an upload."""
 
 from __future__ import annotations
 
@@ -9,63 +9,63 @@ from trimtab.protocol.upload.transfer import Table
 
 
 class SenderState(Enum):
-    """How far the sender is."""
+    """States of the sender."""
 
     OPENING = auto()
-    """Announced, not yet answered."""
+    """The blob is announced, and no answer has arrived."""
     SENDING = auto()
     CHECKING = auto()
-    """All chunks arrived and were refused, or the tick was; the verdict with the reason is still to come."""
+    """The blob or the tick was refused, and the verdict with the reason has not arrived."""
     COMMITTING = auto()
     DONE = auto()
-    """Live, agreed to take over at a tick, or staged where no commit was wanted."""
+    """The blob is live, its takeover is agreed, or it is staged and no commit was requested."""
     FAILED = auto()
-    """`UploadSender.reason` says why."""
+    """The upload failed; `UploadSender.reason` explains it."""
 
 
 class Event(Enum):
-    """What can happen."""
+    """Events of the sender."""
 
     RECEIVING = auto()
     STAGED = auto()
-    """Accepted, and to be committed."""
-    STAGED_ENOUGH = auto()
-    """Accepted, and not to be committed."""
+    """The blob is accepted, and a commit was requested."""
+    STAGED_ONLY = auto()
+    """The blob is accepted, and no commit was requested."""
     REFUSED = auto()
-    REFUSED_WHY = auto()
-    """The verdict that says why it was refused."""
+    REFUSAL_VERDICT = auto()
+    """The verdict with the reason of a refusal arrived."""
     LIVE = auto()
     SCHEDULED = auto()
-    """It takes over at the tick asked for."""
+    """The blob takes over at the requested tick."""
     NOT_TAKEN = auto()
-    """It cannot take over at that tick; the verdict says why."""
+    """The blob cannot take over at the requested tick; the verdict gives the reason."""
     FORGOTTEN = auto()
-    """The receiver knows nothing of the blob: it was started anew, or gave up on a silence."""
+    """The receiver does not know the blob: it restarted or discarded the upload."""
     CORRUPT = auto()
-    """What arrived did not make the digest, and was dropped."""
-    HOPELESS = auto()
-    """One of the two once too often."""
+    """The received bytes did not match the digest and were discarded."""
+    TOO_MANY_RESTARTS = auto()
+    """FORGOTTEN or CORRUPT, after the greatest number of restarts."""
     REJECTED = auto()
-    """Of a size or kind that the receiver does not take."""
+    """The receiver does not accept blobs of this size or kind."""
     BUSY = auto()
     """A commit is not possible now."""
     OVERDUE = auto()
-    """No answer for longer than an answer takes."""
+    """An answer has not arrived in time."""
     SILENCE = auto()
-    """No progress for as long as patience lasts."""
+    """There was no progress for `patience_us`."""
     CANCEL = auto()
 
 
 class Action(Enum):
-    """What is done on the way."""
+    """Actions of the transitions."""
 
     NOTHING = auto()
     NOTE_HELD = auto()
     RESTART = auto()
-    ASK = auto()
+    ANNOUNCE = auto()
     COMMIT = auto()
     FAIL_REFUSED = auto()
-    FAIL_HOPELESS = auto()
+    FAIL_RESTARTS = auto()
     FAIL_REJECTED = auto()
     FAIL_BUSY = auto()
     FAIL_SILENCE = auto()
@@ -73,60 +73,60 @@ class Action(Enum):
 
 
 class Move(NamedTuple):
-    """A transition: the state afterwards and what is done."""
+    """A transition: the next state and the action."""
 
     state: SenderState
     action: Action
 
 
 class Refusal(NamedTuple):
-    """Nothing changes."""
+    """An ignored event: the state does not change."""
 
-    why: str
+    reason: str
 
 
 Entry = Move | Refusal
 _S, _E, _A = SenderState, Event, Action
 _OVER = Refusal("the upload is over")
 
-_UNDER_WAY: dict[Event, Entry] = {
+_IN_PROGRESS: dict[Event, Entry] = {
     _E.RECEIVING: Move(_S.SENDING, _A.NOTE_HELD),
     _E.STAGED: Move(_S.COMMITTING, _A.COMMIT),
-    _E.STAGED_ENOUGH: Move(_S.DONE, _A.NOTHING),
+    _E.STAGED_ONLY: Move(_S.DONE, _A.NOTHING),
     _E.REFUSED: Move(_S.CHECKING, _A.NOTHING),
-    _E.REFUSED_WHY: Move(_S.FAILED, _A.FAIL_REFUSED),
+    _E.REFUSAL_VERDICT: Move(_S.FAILED, _A.FAIL_REFUSED),
     _E.LIVE: Move(_S.DONE, _A.NOTHING),
     _E.SCHEDULED: Move(_S.DONE, _A.NOTHING),
-    _E.NOT_TAKEN: Refusal("no commit has been asked for"),
+    _E.NOT_TAKEN: Refusal("no commit was requested"),
     _E.FORGOTTEN: Move(_S.OPENING, _A.RESTART),
     _E.CORRUPT: Move(_S.OPENING, _A.RESTART),
-    _E.HOPELESS: Move(_S.FAILED, _A.FAIL_HOPELESS),
+    _E.TOO_MANY_RESTARTS: Move(_S.FAILED, _A.FAIL_RESTARTS),
     _E.REJECTED: Move(_S.FAILED, _A.FAIL_REJECTED),
-    _E.BUSY: Refusal("no commit has been asked for"),
+    _E.BUSY: Refusal("no commit was requested"),
     _E.SILENCE: Move(_S.FAILED, _A.FAIL_SILENCE),
     _E.CANCEL: Move(_S.FAILED, _A.ABORT),
 }
-"""The receiver's word decides, wherever the sender thought it was."""
+"""Entries of every state in progress: the receiver's state overrides the sender's."""
 
 TABLE: Table[SenderState, Event, Entry] = Table(
     SenderState,
     Event,
     {
         _S.OPENING: {
-            **_UNDER_WAY,
-            _E.FORGOTTEN: Refusal("announced again already"),
-            _E.OVERDUE: Move(_S.OPENING, _A.ASK),
+            **_IN_PROGRESS,
+            _E.FORGOTTEN: Refusal("already announced again"),
+            _E.OVERDUE: Move(_S.OPENING, _A.ANNOUNCE),
         },
-        _S.SENDING: {**_UNDER_WAY, _E.OVERDUE: Move(_S.SENDING, _A.ASK)},
+        _S.SENDING: {**_IN_PROGRESS, _E.OVERDUE: Move(_S.SENDING, _A.ANNOUNCE)},
         _S.CHECKING: {
-            **_UNDER_WAY,
+            **_IN_PROGRESS,
             _E.RECEIVING: Refusal("an answer from before the last chunk"),
-            _E.OVERDUE: Move(_S.CHECKING, _A.ASK),
+            _E.OVERDUE: Move(_S.CHECKING, _A.ANNOUNCE),
         },
         _S.COMMITTING: {
-            **_UNDER_WAY,
+            **_IN_PROGRESS,
             _E.RECEIVING: Refusal("an answer from before the last chunk"),
-            _E.STAGED: Refusal("the commit is under way"),
+            _E.STAGED: Refusal("the commit was sent"),
             _E.BUSY: Move(_S.FAILED, _A.FAIL_BUSY),
             _E.NOT_TAKEN: Move(_S.CHECKING, _A.NOTHING),
             _E.OVERDUE: Move(_S.COMMITTING, _A.COMMIT),

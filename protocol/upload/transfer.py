@@ -1,4 +1,4 @@
-"""What both ends of an upload share: chunks, tags, bitmaps, verdicts, and the table of a state machine."""
+"""Types shared by both ends of an upload: chunks, tags, bitmaps, verdicts, and transition tables."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Generic, NamedTuple, TypeVar
 from trimtab.protocol.messages import UploadResult
 
 CHUNK_BYTES = 99
-"""Bytes of a blob in one UPLOAD_CHUNK, which then fills a radio frame."""
+"""Bytes of a blob in one UPLOAD_CHUNK: the message then fills a radio frame."""
 CHUNKS_MAX = 0xFFFF
 SIZE_MAX = CHUNK_BYTES * CHUNKS_MAX
 BITMAP_BYTES = 64
@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 
 class UploadEvent(IntEnum):
-    """What an upload told its owner."""
+    """Events of an upload that its owner receives."""
 
     BEGAN = 0
     ACCEPTED = 1
@@ -35,7 +35,7 @@ class UploadEvent(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class ReceiverEvent:
-    """One event, the blob it is about (12 hex digits of its SHA-256, its kind) and a line for people."""
+    """An event with kind and id of its blob (12 hex digits of the SHA-256) and a text for people."""
 
     event: UploadEvent
     kind: int
@@ -45,13 +45,13 @@ class ReceiverEvent:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What the on-board check found.
+    """Verdict of the on-board check.
 
     Fields:
-        node: number of the node concerned, None for none.
-        reason: code of the reason, 0 where accepted.
-        value, bound: the quantity out of bounds and its bound, 0 where there is none.
-        message: at most 64 bytes of UTF-8 travel.
+        node: index of the node concerned, or None.
+        reason: code of the reason; 0 if accepted.
+        value, bound: the value out of bounds and its bound; 0 without one.
+        message: text for people; only its first 64 bytes of UTF-8 are sent.
     """
 
     ok: bool
@@ -70,21 +70,21 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """Whether a staged blob takes over at a tick: OK, or the result to answer and why."""
+    """Answer to a takeover request: OK, or the result of the refusal with a verdict."""
 
     result: UploadResult = UploadResult.OK
     verdict: Verdict | None = None
 
 
 class Table(Generic[S, E, T]):
-    """What happens on which event in which state. Complete: built only where every pair has an entry."""
+    """Transition table. Raises ValueError unless every pair of state and event has an entry."""
 
     def __init__(self, states: Iterable[S], events: Iterable[E], rows: Mapping[S, Mapping[E, T]]) -> None:
         events = list(events)
         for state in states:
             missing = [event.name for event in events if event not in rows.get(state, {})]
             if missing:
-                raise ValueError(f"{state.name} says nothing about {', '.join(missing)}")
+                raise ValueError(f"{state.name} has no entry for {', '.join(missing)}")
         self.rows = rows
 
     def __call__(self, state: S, event: E) -> T:
@@ -93,7 +93,7 @@ class Table(Generic[S, E, T]):
 
 
 class Incoming(NamedTuple):
-    """A blob that is gathered: kind, size, SHA-256, and one byte for each chunk, 1 where it is here."""
+    """A blob being received: kind, size, SHA-256, and one byte for each chunk, 1 if it is held."""
 
     kind: int
     size: int
@@ -102,33 +102,33 @@ class Incoming(NamedTuple):
 
 
 def chunk_count(size: int) -> int:
-    """Return number of chunks of a blob of `size` bytes."""
+    """Return the number of chunks of a blob of `size` bytes."""
     return -(-size // CHUNK_BYTES)
 
 
 def tag_of(digest: bytes) -> int:
-    """Return the number by which chunks and answers name the blob."""
+    """Return the tag that identifies the blob in chunks and answers."""
     return digest[0] | digest[1] << 8
 
 
 def encode_bitmap(held: bytearray, base: int) -> bytes:
-    """UPLOAD_STATUS.bitmap for chunks from `base` on; `held` has one byte a chunk, 1 where it is held."""
+    """Return UPLOAD_STATUS.bitmap for the chunks from `base` on. held: one byte for each chunk, 1 if held."""
     window = held[base : base + 8 * BITMAP_BYTES]
-    bits = sum(1 << i for i, have in enumerate(window) if have)
+    bits = sum(1 << i for i, is_held in enumerate(window) if is_held)
     return bits.to_bytes(BITMAP_BYTES, "little")
 
 
 def decode_bitmap(bitmap: bytes, base: int) -> list[int]:
-    """Numbers of the chunks that the bitmap says are held."""
+    """Return the indices of the chunks that are held according to the bitmap."""
     bits = int.from_bytes(bitmap, "little")
-    found = []
+    indices = []
     while bits:
         low = bits & -bits
-        found.append(base + low.bit_length() - 1)
+        indices.append(base + low.bit_length() - 1)
         bits ^= low
-    return found
+    return indices
 
 
 def encode_text(text: str) -> bytes:
-    """`text` as UTF-8, cut at a character's end to what a message holds."""
+    """Return `text` as UTF-8, truncated after a whole character to at most MESSAGE_BYTES."""
     return text.encode()[:MESSAGE_BYTES].decode(errors="ignore").encode()

@@ -16,7 +16,7 @@ from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.verdict import check_blob
 from trimtab.firmware_model.law import step as law
-from trimtab.firmware_model.mcu.flight_mcu import LOOK_US, FlightMcu
+from trimtab.firmware_model.mcu.flight_mcu import UPDATE_US, FlightMcu
 from trimtab.firmware_model.mcu.radio_mcu import BAUD, RadioMcu
 from trimtab.firmware_model.mcu.uart import UartPort, connect
 from trimtab.firmware_model.storage.flash import Flash
@@ -89,13 +89,13 @@ class VehicleEnd:
         self._parameters = to_parameters(craft)
         self._id = craft.id_bytes
         self._on_us = 0
-        self._look_us = 0
+        self._update_us = 0
         self._power_up()
 
     @property
     def due_us(self) -> int:
         """When it next has something to do."""
-        due_us = min(self.radio.due_us, self.flight.uart.due_us, self._look_us)
+        due_us = min(self.radio.due_us, self.flight.uart.due_us, self._update_us)
         return due_us if due_us > self._on_us else self._on_us
 
     def reset(self, now_us: int) -> None:
@@ -103,7 +103,7 @@ class VehicleEnd:
         self.resets += 1
         self.store = ReferenceStore(Flash(self.store.flash.image))
         self._on_us = now_us + OFF_US
-        self._look_us = 0
+        self._update_us = 0
         self._power_up()
 
     @property
@@ -125,8 +125,8 @@ class VehicleEnd:
         if now_us < self._on_us:
             return False
         waits = now_us >= self.radio.due_us and self.radio.tick(now_us)
-        if now_us >= min(self.flight.uart.due_us, self._look_us):
-            self._look_us = now_us - now_us % LOOK_US + LOOK_US
+        if now_us >= min(self.flight.uart.due_us, self._update_us):
+            self._update_us = now_us - now_us % UPDATE_US + UPDATE_US
             self.flight.tick(now_us, _GYRO, _FORCE, _VOLTS)
         return waits
 

@@ -208,7 +208,7 @@ def test_link_page_tells_the_rates_of_stock_telemetry_as_they_are() -> None:
     assert told == {
         MESSAGES[number][0]: (
             "on request" if stream.default_us < 0 else f"{1_000_000 // stream.default_us} Hz",
-            str(1_000_000 // stream.least_us),
+            str(1_000_000 // stream.min_us),
         )
         for number, stream in STREAMS.items()
     }

@@ -132,7 +132,7 @@ class Rig:
             self.sample = gyro, shaken(body.force, now)
         flight.tick(now, *self.sample)
         if now % 10_000 == 0:
-            flight.look(now, self.battery_v)
+            flight.update(now, self.battery_v)
         while flight.texts:
             self.texts.append(flight.texts.popleft()[1])
         if self.seen[-1] is not flight.state:

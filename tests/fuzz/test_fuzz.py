@@ -189,11 +189,11 @@ def test_long_messages_leave_the_ground_radio_in_pieces() -> None:
 
 @pytest.mark.usefixtures("_one_crash_a_batch")
 def test_pieces_that_make_no_message_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    def cut(message: bytes, number: int, frame_bytes: int = uwb.FRAME_BYTES) -> list[bytes]:
+    def split_message(message: bytes, number: int, frame_bytes: int = uwb.FRAME_BYTES) -> list[bytes]:
         return [piece[:-1] for piece in before(message, number, frame_bytes)]
 
-    before = uwb.cut
-    monkeypatch.setattr(uwb, "cut", cut)
+    before = uwb.split_message
+    monkeypatch.setattr(uwb, "split_message", split_message)
     crashes = _crashes("radio").crashes
     assert crashes
     assert all("the ground radio sends 02" in crash.error for crash in crashes)

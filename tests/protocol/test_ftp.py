@@ -25,7 +25,7 @@ def test_any_bytes_decode_and_encode_again(payload):
 
 
 def test_too_much_data_is_refused():
-    with pytest.raises(ValueError, match="240 bytes do not fit"):
+    with pytest.raises(ValueError, match="at most 239 bytes, not 240"):
         Packet(number=0, session=0, opcode=7, data=bytes(240)).encode()
 
 

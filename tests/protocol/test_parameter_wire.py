@@ -30,7 +30,7 @@ def test_float_is_as_it_is():
 
 @pytest.mark.parametrize("value", [0.5, 1e10, math.nan, math.inf])
 def test_what_is_no_whole_number_is_refused(value):
-    with pytest.raises(ValueError, match="is no int32"):
+    with pytest.raises(ValueError, match="is not an int32"):
         encode(value, INT32)
 
 

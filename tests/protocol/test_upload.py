@@ -55,7 +55,7 @@ class Store:
         self.data[index * CHUNK_BYTES : index * CHUNK_BYTES + len(chunk)] = chunk
         self.begun.held[index] = 1
 
-    def gathered(self, kind: int) -> bytes:
+    def received(self, kind: int) -> bytes:
         return bytes(self.data)
 
     def stage(self, kind: int, blob: bytes) -> None:
@@ -450,7 +450,7 @@ def test_commit_while_flying_is_refused_as_busy() -> None:
     link.receiver = make_receiver(store, may_commit=False)
     link.run()
     assert link.sender.state is SenderState.FAILED
-    assert "while it flies" in link.sender.reason
+    assert "only at an agreed tick" in link.sender.reason
     assert store.lives == {}
 
 

@@ -23,7 +23,7 @@ def test_every_state_and_event_has_a_transition_or_a_refusal_with_a_reason(table
         for event in events:
             entry = table(state, event)
             if isinstance(entry, receiver.Refusal | sender.Refusal):
-                assert entry.why
+                assert entry.reason
             else:
                 assert entry.state in states
 
@@ -31,7 +31,7 @@ def test_every_state_and_event_has_a_transition_or_a_refusal_with_a_reason(table
 def test_a_table_with_a_gap_is_refused_when_built() -> None:
     rows = {state: dict.fromkeys(receiver.Event, "x") for state in receiver.STATES}
     del rows[UploadState.STAGED][receiver.Event.CORRUPT]
-    with pytest.raises(ValueError, match="STAGED says nothing about CORRUPT"):
+    with pytest.raises(ValueError, match="STAGED has no entry for CORRUPT"):
         Table(receiver.STATES, receiver.Event, rows)
 
 

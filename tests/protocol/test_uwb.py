@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 from tests.narrowing import not_none
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
-from trimtab.protocol.stream import HEADER_BYTES, LONGEST_BYTES, MAGIC, StreamSplitter, message_id, split
+from trimtab.protocol.stream import HEADER_BYTES, MAGIC, MESSAGE_BYTES_MAX, StreamSplitter, message_id, split
 from trimtab.protocol.uwb import CAPACITY_BYTES, PRIORITIES, FramePacker, Priority
 from trimtab.protocol.uwb_pieces import (
     FRAME_BYTES,
-    FRAME_LEAST,
+    FRAME_BYTES_MIN,
     PIECE,
     PIECE_HEADER_BYTES,
-    PIECED_MOST,
-    PIECES_WAIT_US,
+    PIECE_TIMEOUT_US,
+    PIECED_MESSAGES_MAX,
     Assembler,
-    cut,
+    split_message,
 )
 
 CODEC = Codec(1, 1)
@@ -74,12 +74,12 @@ def test_splitter_gives_whole_messages_of_the_stream_in_order_and_stays_small(se
     rng = random.Random(seed)
     makers = (pose, control, estimate, timesync, command, text, chunk)
     sent = [rng.choice(makers)() for _ in range(40)]
-    stream = bytes(byte for byte in b"".join(sent) if rng.random() >= loss) + bytes(LONGEST_BYTES)
+    stream = bytes(byte for byte in b"".join(sent) if rng.random() >= loss) + bytes(MESSAGE_BYTES_MAX)
     splitter, found, at = StreamSplitter(), [], 0
     for step in (*cuts, len(stream)):
         found += splitter.feed(stream[at : at + step])
         at += step
-        assert splitter.pending_bytes < LONGEST_BYTES
+        assert splitter.pending_bytes < MESSAGE_BYTES_MAX
     kept = iter(sent)
     assert all(message in kept for message in found)
     assert sum(map(len, found)) + splitter.bad_bytes + splitter.pending_bytes == len(stream)
@@ -93,7 +93,10 @@ def test_splitter_loses_only_the_message_that_a_lost_byte_belongs_to() -> None:
     for lost in range(len(frames[1])):
         damaged = frames[1][:lost] + frames[1][lost + 1 :]
         splitter = StreamSplitter()
-        assert splitter.feed(frames[0] + damaged + frames[2] + bytes(LONGEST_BYTES)) == [frames[0], frames[2]]
+        assert splitter.feed(frames[0] + damaged + frames[2] + bytes(MESSAGE_BYTES_MAX)) == [
+            frames[0],
+            frames[2],
+        ]
 
 
 def signed(message: bytes, signature: bytes) -> bytes:
@@ -223,7 +226,7 @@ def test_packer_sends_the_urgent_between_the_pieces_of_a_long_message() -> None:
 
 
 def test_packer_that_drops_a_message_half_sent_goes_on_with_a_whole_one() -> None:
-    packer = FramePacker(frame_bytes=FRAME_LEAST)
+    packer = FramePacker(frame_bytes=FRAME_BYTES_MIN)
     telemetry = [control(k) for k in range(10)]
     packer.offer(telemetry[0])
     assembler = Assembler()
@@ -232,7 +235,7 @@ def test_packer_that_drops_a_message_half_sent_goes_on_with_a_whole_one() -> Non
         packer.offer(message)
     out = []
     while (frame := packer.take()) is not None:
-        assert len(frame) <= FRAME_LEAST
+        assert len(frame) <= FRAME_BYTES_MIN
         out.append(assembler.receive(frame, 0))
     assert [message for message in out if message] == telemetry[10 - len(out) // 2 :]
 
@@ -247,7 +250,7 @@ def test_packer_takes_a_pose_longer_than_a_frame_as_any_urgent_message() -> None
     assert packer.take() is None
 
 
-@pytest.mark.parametrize("size", [FRAME_LEAST, 100, FRAME_BYTES])
+@pytest.mark.parametrize("size", [FRAME_BYTES_MIN, 100, FRAME_BYTES])
 @settings(max_examples=100, deadline=None)
 @given(
     seed=st.integers(0, 2**32),
@@ -284,7 +287,7 @@ def test_any_stream_of_messages_comes_out_whole_or_not_at_all(
             assert message is None or message in offered
             frame = message or b""
         found += splitter.feed(frame)
-    found += splitter.feed(bytes(LONGEST_BYTES))
+    found += splitter.feed(bytes(MESSAGE_BYTES_MAX))
     assert set(found) <= set(offered)
     longs = [message for message in found if len(message) > size]
     assert len(longs) == len(set(longs))
@@ -296,27 +299,29 @@ def test_any_stream_of_messages_comes_out_whole_or_not_at_all(
 
 def test_assembler_counts_a_message_once_whose_piece_is_lost_and_takes_the_next() -> None:
     assembler = Assembler()
-    for piece in cut(ftp(1), 7)[1:]:
+    for piece in split_message(ftp(1), 7)[1:]:
         assert assembler.receive(piece, 1000) is None
-    assembler.expire(1000 + PIECES_WAIT_US - 1)
+    assembler.expire(1000 + PIECE_TIMEOUT_US - 1)
     assert assembler.broken == 0
-    assembler.expire(1000 + PIECES_WAIT_US)
-    assembler.expire(1000 + 2 * PIECES_WAIT_US)
+    assembler.expire(1000 + PIECE_TIMEOUT_US)
+    assembler.expire(1000 + 2 * PIECE_TIMEOUT_US)
     assert assembler.broken == 1
-    assert [assembler.receive(piece, 0) for piece in cut(ftp(2), 8)][-1] == ftp(2)
-    assert [assembler.receive(piece, 500_000) for piece in cut(ftp(2), 8)] == [None] * 3  # twice on the way
+    assert [assembler.receive(piece, 0) for piece in split_message(ftp(2), 8)][-1] == ftp(2)
+    assert [assembler.receive(piece, 500_000) for piece in split_message(ftp(2), 8)] == [
+        None
+    ] * 3  # twice on the way
     # The number again, long after: another message.
-    again = [assembler.receive(piece, PIECES_WAIT_US) for piece in cut(ftp(3), 8)]
+    again = [assembler.receive(piece, PIECE_TIMEOUT_US) for piece in split_message(ftp(3), 8)]
     assert again[-1] == ftp(3)
 
 
 def test_assembler_keeps_few_messages_and_counts_the_oldest_as_broken() -> None:
     assembler = Assembler()
-    pieces = [cut(ftp(k), k) for k in range(PIECED_MOST + 2)]
+    pieces = [split_message(ftp(k), k) for k in range(PIECED_MESSAGES_MAX + 2)]
     for message in pieces:
         assembler.receive(message[0], 0)
     assert assembler.broken == 2
-    assert [assembler.receive(piece, 0) for piece in pieces[-1][1:]][-1] == ftp(PIECED_MOST + 1)
+    assert [assembler.receive(piece, 0) for piece in pieces[-1][1:]][-1] == ftp(PIECED_MESSAGES_MAX + 1)
 
 
 def test_assembler_takes_any_bytes() -> None:
@@ -327,16 +332,18 @@ def test_assembler_takes_any_bytes() -> None:
         assert assembler.receive(frame, 1000 * k) is None
     assembler.expire(10**9)
     for number in range(256):
-        assert [assembler.receive(piece, 10**9) for piece in cut(ftp(number), number)][-1] == ftp(number)
+        assert [assembler.receive(piece, 10**9) for piece in split_message(ftp(number), number)][-1] == ftp(
+            number
+        )
 
 
 def test_pieces_and_messages_begin_with_bytes_that_no_flip_of_seven_bits_mixes_up() -> None:
     assert PIECE ^ MAGIC == 0xFF
-    assert -(-LONGEST_BYTES // (FRAME_LEAST - PIECE_HEADER_BYTES)) <= 0x0F
+    assert -(-MESSAGE_BYTES_MAX // (FRAME_BYTES_MIN - PIECE_HEADER_BYTES)) <= 0x0F
 
 
 def test_packer_for_too_small_a_frame_is_refused() -> None:
-    with pytest.raises(ValueError, match=f"at least {FRAME_LEAST}, not 63"):
+    with pytest.raises(ValueError, match=f"at least {FRAME_BYTES_MIN}, not 63"):
         FramePacker(frame_bytes=63)
 
 

@@ -35,7 +35,7 @@ def judged(flight: Flight, event: Event, *, heard: bool = True) -> None:
         assert failing.any()
         assert status.action[failing].max() == row.action
         assert any(row.text.encode() in text for text in said)
-    assert not any(b"no touchdown noticed" in text for text in said)
+    assert not any(b"no touchdown detected" in text for text in said)
     if row.action is Action.LAND_IN_PLACE:
         assert flight.mocap is not None
         assert abs(flight.mocap.p[-1, 2]) < 0.1
@@ -155,7 +155,7 @@ def test_flight_that_fails_between_arming_and_start_is_told_as_one(
 ) -> None:
     simulated = simulate(world_seed=8644)
     late = BY_EVENT[Event.LOOP_OVERRUN]
-    seen_first(simulated, State.ARMED, lambda flight, now_us: flight._strike(late, now_us))
+    seen_first(simulated, State.ARMED, lambda flight, now_us: flight._trigger(late, now_us))
     with pytest.raises(FlightEnded, match="ended in failsafe: ticks too late") as caught:
         fly(simulated)
     flight = read_flight(caught.value.result.log)

@@ -21,7 +21,7 @@ import numpy as np
 from trimtab.firmware_model.law import step as law_step
 from trimtab.firmware_model.law.allocation import TABLE_SIZE
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.firmware_model.law.dfbc import GREATEST_FEEDBACK
+from trimtab.firmware_model.law.dfbc import FEEDBACK_MAX
 from trimtab.host.models.bias import standing_errors
 from trimtab.host.models.dynamics import rotor_torque
 from trimtab.host.models.network import Layout
@@ -128,7 +128,7 @@ class JaxLoop:
         p_r, v_r, a_r, j_r = drive[:12].reshape(4, 3)
         yaw, yaw_rate, ff_accel, ff_jerk = drive[12], drive[13], drive[14:17], drive[17:20]
         feedback = self._k_p * (p_r - p) + self._k_v * (v_r - v)
-        most = GREATEST_FEEDBACK**2
+        most = FEEDBACK_MAX**2
         feedback = feedback * jnp.sqrt(most / jnp.maximum(jnp.sum(feedback * feedback), most))
         f = GRAVITY * _DOWN + ff_accel - a_r - feedback
         collective = self._model_mass * jnp.maximum(f @ R[:, 2], self._least)

@@ -7,12 +7,12 @@ import math
 import pytest
 
 from trimtab.firmware_model.flight.braking import Room
+from trimtab.firmware_model.flight.condition_monitor import ConditionMonitor
 from trimtab.firmware_model.flight.failsafe import Failsafe
 from trimtab.firmware_model.flight.offboard import Offboard
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.setpoints import Bounds, PositionTarget, towards
 from trimtab.firmware_model.flight.supervisor import Event, State
-from trimtab.firmware_model.flight.watch import Watch
 from trimtab.protocol.parameters import DEFAULTS
 
 AT_2_M = (0.0, 0.0, -2.0, *(0.0,) * 9)
@@ -81,11 +81,11 @@ def test_pose_in_the_air_is_used_within_its_bounds(make_rig, name, value, north_
     ("name", "landed"), [("LAND_HEIGHT", False), ("LAND_STOP_SPEED", False), (None, True)]
 )
 def test_touchdown_follows_its_height_and_speed(name, landed):
-    watch = Watch(ParameterValues({**DEFAULTS, **({} if name is None else {name: 0.06})}))
-    watch.start(1_000_000)
+    monitor = ConditionMonitor(ParameterValues({**DEFAULTS, **({} if name is None else {name: 0.06})}))
+    monitor.start(1_000_000)
     signs = {"height": 0.1, "speed": 0.1, "descending": True}
-    watch.landed(1_100_000, **signs)
-    assert watch.landed(1_350_000, **signs) is landed
+    monitor.has_landed(1_100_000, **signs)
+    assert monitor.has_landed(1_350_000, **signs) is landed
 
 
 @pytest.mark.parametrize(("height", "lowest_m"), [(0.2, -0.2), (1.0, -1.0)])

@@ -4,10 +4,10 @@ import math
 
 import pytest
 
+from trimtab.firmware_model.flight.condition_monitor import ConditionMonitor, Observation
 from trimtab.firmware_model.flight.failsafe import BY_EVENT, CONDITIONS, Action, Failsafe, escalate
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.supervisor import FAILURES, FLYING, Event, State, update
-from trimtab.firmware_model.flight.watch import Seen, Watch
 from trimtab.protocol.messages import mavlink
 from trimtab.protocol.parameters import BY_NAME, DEFAULTS
 
@@ -57,7 +57,7 @@ def test_escalate_never_goes_back():
 
 
 START_US = 1_000_000
-FINE = Seen(
+FINE = Observation(
     cos_tilt=1.0,
     age_us=10_000,
     p=(0.0, 0.0, -1.0),
@@ -69,28 +69,28 @@ FINE = Seen(
 
 
 class Looks:
-    """A watch that is looked at every 10 ms; everything is fine but what a test changes."""
+    """A monitor that is updated every 10 ms; everything is fine but what a test changes."""
 
     def __init__(self, **parameters):
-        self.watch = Watch(ParameterValues(parameters))
-        self.watch.start(START_US)
+        self.monitor = ConditionMonitor(ParameterValues(parameters))
+        self.monitor.start(START_US)
         self.now_us = START_US
-        self.watch.pose_us = self.watch.host_us = START_US
+        self.monitor.pose_us = self.monitor.host_us = START_US
         self.stale = frozenset()
         self.ticks = self.saturated = 0
         self.look()
 
     def look(self, saturated=0, **changes):
         """Events of the conditions that hold at this look."""
-        watch, now = self.watch, self.now_us
+        monitor, now = self.monitor, self.now_us
         for name in ("pose_us", "host_us", "setpoint_us"):
             if name not in self.stale:
-                setattr(watch, name, now)
+                setattr(monitor, name, now)
         self.ticks, self.saturated = self.ticks + 10, self.saturated + saturated
         seen = FINE._replace(flight_ticks=self.ticks, saturated_ticks=self.saturated, imu=(float(now),))
-        watch.see(now, seen._replace(**changes))
+        monitor.observe(now, seen._replace(**changes))
         self.now_us += 10_000
-        return [row.event for row in watch.holding()]
+        return [row.event for row in monitor.active_conditions()]
 
     def until(self, event, most_s=20.0, **changes):
         """Seconds of looks until the event alone holds."""
@@ -177,12 +177,12 @@ def test_watch_battery_and_imu_can_be_switched_off():
 def test_watch_late_ticks_hold_where_there_are_many_within_the_time():
     looks = Looks(FS_LOOP_MAX=5, FS_LOOP_S=1.0)
     for _ in range(8):
-        looks.watch.late(looks.now_us)
+        looks.monitor.record_late_tick(looks.now_us)
         for _ in range(30):
             assert looks.look() == []
     found: list[Event] = []
     for _ in range(5):
-        looks.watch.late(looks.now_us)
+        looks.monitor.record_late_tick(looks.now_us)
         found = looks.look()
     assert found == [Event.LOOP_OVERRUN]
     for _ in range(98):
@@ -195,44 +195,46 @@ def test_watch_tilt_that_is_not_a_number_counts_as_tilted():
 
 
 @pytest.fixture
-def watch():
-    watch = Watch(ParameterValues({}))
-    watch.start(START_US)
-    return watch
+def monitor():
+    monitor = ConditionMonitor(ParameterValues({}))
+    monitor.start(START_US)
+    return monitor
 
 
-def test_landed_needs_all_signs_for_their_time(watch):
+def test_landed_needs_all_signs_for_their_time(monitor):
     signs = {"height": 0.05, "speed": 0.02, "descending": True}
-    assert not watch.landed(1_100_000, **signs)
-    assert not watch.landed(1_150_000, **{**signs, "height": 0.5})
-    assert not watch.landed(1_340_000, **signs)
-    assert watch.landed(1_350_000, **signs)
-    assert not watch.landed(1_360_000, **{**signs, "speed": 0.3})
-    assert not watch.landed(1_600_000, **{**signs, "descending": False})
+    assert not monitor.has_landed(1_100_000, **signs)
+    assert not monitor.has_landed(1_150_000, **{**signs, "height": 0.5})
+    assert not monitor.has_landed(1_340_000, **signs)
+    assert monitor.has_landed(1_350_000, **signs)
+    assert not monitor.has_landed(1_360_000, **{**signs, "speed": 0.3})
+    assert not monitor.has_landed(1_600_000, **{**signs, "descending": False})
 
 
-def test_landed_on_the_floor_it_took_off_from_is_at_once(watch):
-    assert watch.landed(1_000_000, height=0.02, speed=0.5, descending=False)
-    assert not watch.landed(1_010_000, height=0.035, speed=0.5, descending=True)
+def test_landed_on_the_floor_it_took_off_from_is_at_once(monitor):
+    assert monitor.has_landed(1_000_000, height=0.02, speed=0.5, descending=False)
+    assert not monitor.has_landed(1_010_000, height=0.035, speed=0.5, descending=True)
 
 
-def test_carried_allows_for_the_thrust_seen_aloft(watch):
+def test_carried_allows_for_the_thrust_seen_aloft(monitor):
     for _ in range(4_000):
-        watch.aloft(force=9.81, thrust=7.0)
-    assert watch.thrust_ratio == pytest.approx(9.81 / 7.0, rel=1e-6)
-    assert not watch.carried(1_100_000, force=9.81, thrust=7.0, floor=4.2, learn=True)
-    assert not watch.carried(1_350_000, force=9.81, thrust=7.0, floor=4.2, learn=True)
-    assert watch.carried(1_550_000, force=9.81, thrust=5.0, floor=4.2, learn=True)
+        monitor.update_thrust_ratio(force=9.81, thrust=7.0)
+    assert monitor.thrust_ratio == pytest.approx(9.81 / 7.0, rel=1e-6)
+    assert not monitor.is_supported(1_100_000, force=9.81, thrust=7.0, floor=4.2, learn=True)
+    assert not monitor.is_supported(1_350_000, force=9.81, thrust=7.0, floor=4.2, learn=True)
+    assert monitor.is_supported(1_550_000, force=9.81, thrust=5.0, floor=4.2, learn=True)
 
 
-def test_carried_takes_what_comes_on_slowly_for_thrust_and_a_step_for_the_floor(watch):
+def test_carried_takes_what_comes_on_slowly_for_thrust_and_a_step_for_the_floor(monitor):
     now_us = 1_000_000
     for k in range(300):  # thrust is worth half as much again within 3 s
         now_us += 10_000
-        assert not watch.carried(now_us, force=9.81, thrust=9.81 / (1.0 + 0.15e-2 * k), floor=4.2, learn=True)
-    thrust = 9.81 / watch.thrust_ratio
+        assert not monitor.is_supported(
+            now_us, force=9.81, thrust=9.81 / (1.0 + 0.15e-2 * k), floor=4.2, learn=True
+        )
+    thrust = 9.81 / monitor.thrust_ratio
     stepped_us = now_us
-    while not watch.carried(now_us, force=9.81, thrust=thrust - 2.5, floor=4.2, learn=True):
+    while not monitor.is_supported(now_us, force=9.81, thrust=thrust - 2.5, floor=4.2, learn=True):
         now_us += 10_000
     assert now_us - stepped_us <= 250_000
 
@@ -240,10 +242,10 @@ def test_carried_takes_what_comes_on_slowly_for_thrust_and_a_step_for_the_floor(
 @pytest.mark.parametrize(
     ("floor", "excess", "noticed"), [(1.5, 0.9, False), (1.5, 1.2, True), (3.0, 1.2, False), (9.0, 2.2, True)]
 )
-def test_carried_asks_for_half_of_what_a_floor_gives_within_bounds(watch, floor, excess, noticed):
+def test_carried_asks_for_half_of_what_a_floor_gives_within_bounds(monitor, floor, excess, noticed):
     signs = {"force": 9.81, "thrust": 9.81 - excess, "floor": floor, "learn": False}
-    assert not watch.carried(1_000_000, **signs)
-    assert watch.carried(1_210_000, **signs) is noticed
+    assert not monitor.is_supported(1_000_000, **signs)
+    assert monitor.is_supported(1_210_000, **signs) is noticed
 
 
 def test_defaults_give_mocap_less_time_than_the_link():

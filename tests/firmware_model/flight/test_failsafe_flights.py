@@ -6,10 +6,10 @@ import math
 
 import pytest
 
+from trimtab.firmware_model.flight.condition_monitor import FLOOR_HEIGHT
 from trimtab.firmware_model.flight.failsafe import BY_EVENT, Action, Failsafe
 from trimtab.firmware_model.flight.setpoints import AttitudeTarget
 from trimtab.firmware_model.flight.supervisor import Event, State
-from trimtab.firmware_model.flight.watch import FLOOR_HEIGHT
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import mavlink
 from trimtab.protocol.parameters import DEFAULTS
@@ -36,7 +36,7 @@ def on_the_floor(rig, seconds=15.0):
 def landed_softly(rig):
     on_the_floor(rig)
     assert -FLOOR_HEIGHT < rig.body.p[2] <= 0.0
-    assert "no touchdown noticed: motors off" not in rig.texts
+    assert "no touchdown detected: motors off" not in rig.texts
 
 
 def in_quick_flight(rig, make_track):
@@ -192,7 +192,7 @@ def test_poses_after_a_gap_in_quick_flight_are_taken_again(make_rig, make_track,
         rig.run(0.45)
         rig.mocap = True
         rig.run(0.1)
-        assert rig.now_us - rig.flight.watch.pose_us < 30_000
+        assert rig.now_us - rig.flight.monitor.pose_us < 30_000
     assert rig.flight.failsafe is Failsafe.NONE
     on_the_floor(rig)
 
@@ -404,7 +404,7 @@ def test_vehicle_is_not_armed_while_it_is_carried_about(make_rig):
 
 
 @pytest.mark.parametrize(
-    ("askew_deg", "reason"), [(9.0, None), (12.0, "poses askew: mend frame or rigid body")]
+    ("askew_deg", "reason"), [(9.0, None), (12.0, "poses tilted: fix frame or rigid body")]
 )
 def test_poses_askew_are_not_armed_with(make_rig, make_body, askew_deg, reason):
     """The vehicle stands level, its rigid body was defined on a slope: it would lean as far, and drift."""

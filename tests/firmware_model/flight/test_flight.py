@@ -4,9 +4,9 @@ import math
 
 import pytest
 
+from trimtab.firmware_model.flight.condition_monitor import FLOOR_HEIGHT
 from trimtab.firmware_model.flight.failsafe import Action, Failsafe
 from trimtab.firmware_model.flight.supervisor import Event, State
-from trimtab.firmware_model.flight.watch import FLOOR_HEIGHT
 from trimtab.firmware_model.law import step as law
 from trimtab.protocol.parameters import DEFAULTS
 
@@ -39,7 +39,7 @@ def test_flight_as_planned_tracks_within_three_centimetres_and_ends_in_standby(m
     rig.tick()
     assert max(rig.command) == 0.0
     assert "reference ended: holding, then landing" in rig.texts
-    assert "no touchdown noticed: motors off" not in rig.texts
+    assert "no touchdown detected: motors off" not in rig.texts
 
 
 def test_hold_lasts_as_long_as_the_parameter_says(make_rig):
@@ -182,7 +182,7 @@ def test_link_lost_in_flight_stops_and_lands_in_place(make_rig):
     rig.run(10.0, until=State.STANDBY)
     assert -FLOOR_HEIGHT < rig.body.p[2] <= 0.0
     assert place < rig.body.p[0] < place + 1.0
-    assert "no touchdown noticed: motors off" not in rig.texts
+    assert "no touchdown detected: motors off" not in rig.texts
 
 
 def test_link_lost_then_mocap_lost_escalates_and_keeps_the_first_cause(make_rig):
@@ -355,7 +355,7 @@ def test_observer_forgets_in_a_level_descent(make_rig, make_body):
     rig.tick()
     assert observed(rig) == [0.0] * 3
     rig.run(10.0, until=State.STANDBY)
-    assert "no touchdown noticed: motors off" not in rig.texts
+    assert "no touchdown detected: motors off" not in rig.texts
 
 
 def test_parameters_of_the_law_are_the_tables(make_rig):

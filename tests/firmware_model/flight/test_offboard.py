@@ -6,10 +6,10 @@ import math
 
 import pytest
 
+from trimtab.firmware_model.flight.condition_monitor import FLOOR_HEIGHT
 from trimtab.firmware_model.flight.failsafe import Failsafe
 from trimtab.firmware_model.flight.setpoints import AttitudeTarget, PositionTarget
 from trimtab.firmware_model.flight.supervisor import Event, State
-from trimtab.firmware_model.flight.watch import FLOOR_HEIGHT
 from trimtab.firmware_model.law import step as law
 from trimtab.protocol.parameters import DEFAULTS
 
@@ -450,7 +450,7 @@ def test_failsafes_hold_in_a_flight_that_began_by_setpoints(make_rig, spoil, fai
         assert rig.now_us < 20_000_000
     assert (rig.flight.state, rig.flight.failsafe) == (State.FAILSAFE, failsafe)
     rig.run(12.0, until=State.STANDBY)
-    assert "no touchdown noticed: motors off" not in rig.texts
+    assert "no touchdown detected: motors off" not in rig.texts
 
 
 # Attitude and rate.

@@ -58,7 +58,7 @@ def test_player_late_skips_pieces_it_missed(player, pieces):
 
 
 def test_player_at_rest_never_ends(player, pieces):
-    player.rest(pieces, 1_000)
+    player.hold_first_piece(pieces, 1_000)
     assert player.switch_us == NEVER_US
     assert player.piece[1] == 0.0
 

@@ -6,11 +6,11 @@ import pytest
 
 from trimtab.firmware_model.flight.readiness import (
     CHECKS,
-    Facts,
+    ArmingState,
     GyroCalibration,
-    Rest,
+    StillnessDetector,
+    arming_refusals,
     contradiction,
-    reasons,
     start_refusal,
 )
 from trimtab.firmware_model.flight.supervisor import Event
@@ -19,17 +19,17 @@ from trimtab.host.vehicle import list_vehicles, load_vehicle, to_parameters
 from trimtab.protocol.parameters import DEFAULTS
 
 LEVEL = (0.0, 0.0, -9.81)
-READY = Facts(
+READY = ArmingState(
     calibrated=True,
-    posed=True,
+    has_pose=True,
     still=True,
-    askew_deg=0.0,
-    askew_max_deg=10.0,
+    pose_tilt_deg=0.0,
+    pose_tilt_max_deg=10.0,
     cos_tilt=1.0,
     cos_tilt_min=math.cos(math.radians(20.0)),
     p=(0.0, 0.0, 0.0),
     fence=((-3.0, 3.0), (-3.0, 3.0), (-2.0, 0.3)),
-    holding=frozenset(),
+    active=frozenset(),
     battery=None,
     contradiction=None,
 )
@@ -40,7 +40,7 @@ def look_along(calibration, gyro_at, *, force=LEVEL, count=60, start=0):
     sums = [0.0, 0.0, 0.0]
     for k in range(start, start + count):
         gyro = gyro_at(k)
-        done = calibration.look(10_000 * k, gyro, force, tuple(sums), bias_max=0.2, still_rate=0.15)
+        done = calibration.update(10_000 * k, gyro, force, tuple(sums), bias_max=0.2, still_rate=0.15)
         if done:
             return k
         sums = [total + 10 * 4096.0 * rate for total, rate in zip(sums, gyro_at(k + 1), strict=True)]
@@ -81,25 +81,25 @@ def test_calibration_never_ends_while_falling_or_turning(gyro, force):
     ],
 )
 def test_vehicle_is_still_once_it_has_been_for_a_tenth_of_a_second(speed, force, still):
-    rest = Rest()
-    rest.begin(1_000_000)
+    detector = StillnessDetector()
+    detector.reset(1_000_000)
     told = []
     for k in range(12):
-        rest.look(1_000_000 + 10_000 * k, speed, force)
-        told.append(rest.still)
+        detector.update(1_000_000 + 10_000 * k, speed, force)
+        told.append(detector.still)
     assert told == [False] * 10 + [still] * 2
-    rest.look(1_120_000, 0.0, (0.0, 0.0, -7.0))
-    assert not rest.still
+    detector.update(1_120_000, 0.0, (0.0, 0.0, -7.0))
+    assert not detector.still
 
 
 def test_askew_is_the_smoothed_angle_of_what_is_felt_from_up():
-    rest = Rest()
-    assert rest.askew_deg == 0.0
+    detector = StillnessDetector()
+    assert detector.pose_tilt_deg == 0.0
     for k in range(200):
-        rest.look(
+        detector.update(
             10_000 * k, 0.0, (0.0, 9.81 * math.sin(0.2) + (2.0 if k % 2 else -2.0), -9.81 * math.cos(0.2))
         )
-    assert rest.askew_deg == pytest.approx(math.degrees(0.2), abs=0.5)
+    assert detector.pose_tilt_deg == pytest.approx(math.degrees(0.2), abs=0.5)
 
 
 @pytest.mark.parametrize(
@@ -107,32 +107,32 @@ def test_askew_is_the_smoothed_angle_of_what_is_felt_from_up():
     [
         ({}, None),
         ({"calibrated": False}, "gyro not calibrated: keep still"),
-        ({"posed": False}, "no mocap"),
+        ({"has_pose": False}, "no mocap"),
         ({"cos_tilt": math.cos(math.radians(21.0))}, "tilted"),
         ({"cos_tilt": math.nan}, "tilted"),
         ({"cos_tilt": math.cos(math.radians(19.0))}, None),
         ({"still": False}, "moving: let it stand still"),
-        ({"still": False, "posed": False}, "no mocap"),  # without poses speed is a guess
-        ({"askew_deg": 10.1}, "poses askew: mend frame or rigid body"),
-        ({"askew_deg": math.nan}, "poses askew: mend frame or rigid body"),
-        ({"askew_deg": 9.9}, None),
-        ({"askew_deg": 19.0, "posed": False}, "no mocap"),
+        ({"still": False, "has_pose": False}, "no mocap"),  # without poses speed is a guess
+        ({"pose_tilt_deg": 10.1}, "poses tilted: fix frame or rigid body"),
+        ({"pose_tilt_deg": math.nan}, "poses tilted: fix frame or rigid body"),
+        ({"pose_tilt_deg": 9.9}, None),
+        ({"pose_tilt_deg": 19.0, "has_pose": False}, "no mocap"),
         ({"p": (0.0, 3.1, 0.0)}, "outside the fence"),
-        ({"holding": frozenset([Event.IMU_STUCK])}, "IMU stuck: it repeats one sample"),
-        ({"holding": frozenset([Event.MOCAP_LATE])}, "mocap late"),
-        ({"holding": frozenset([Event.BATTERY_LOW])}, "battery low: charge it"),
-        ({"holding": frozenset([Event.LOOP_OVERRUN])}, "ticks too late"),
-        ({"holding": frozenset([Event.LINK_LOST])}, "no host heard"),
+        ({"active": frozenset([Event.IMU_STUCK])}, "IMU stuck: it repeats one sample"),
+        ({"active": frozenset([Event.MOCAP_LATE])}, "mocap late"),
+        ({"active": frozenset([Event.BATTERY_LOW])}, "battery low: charge it"),
+        ({"active": frozenset([Event.LOOP_OVERRUN])}, "ticks too late"),
+        ({"active": frozenset([Event.LINK_LOST])}, "no host heard"),
         ({"battery": "battery at 13.40 V, below 13.60 V"}, "battery at 13.40 V, below 13.60 V"),
         ({"contradiction": "no good"}, "no good"),
     ],
 )
 def test_reasons_name_what_is_missing(change, reason):
-    assert reasons(READY._replace(**change)) == ([] if reason is None else [reason])
+    assert arming_refusals(READY._replace(**change)) == ([] if reason is None else [reason])
 
 
 def test_reasons_are_told_all_at_once_and_fit_a_text():
-    told = reasons(READY._replace(calibrated=False, posed=False, cos_tilt=0.0, p=(9.0, 9.0, 9.0)))
+    told = arming_refusals(READY._replace(calibrated=False, has_pose=False, cos_tilt=0.0, p=(9.0, 9.0, 9.0)))
     assert told == ["gyro not calibrated: keep still", "no mocap", "tilted", "outside the fence"]
     assert all(len(f"arm refused: {check.text}") <= TEXT_BYTES for check in CHECKS)
     assert len("arm refused: battery at 13.40 V, below 13.60 V") <= TEXT_BYTES

@@ -151,9 +151,9 @@ def test_track_holds_yaw_outside_its_nodes():
 
 
 def test_track_with_pieces_out_of_order_raises():
-    with pytest.raises(ValueError, match="one after the other"):
+    with pytest.raises(ValueError, match="increasing order"):
         track([(0, (0.0,) * 12), (0, (0.0,) * 12), (10, (0.0,) * 12)], [(0, 0.0, 0.0)])
-    with pytest.raises(ValueError, match="begins with a piece"):
+    with pytest.raises(ValueError, match="at least two nodes"):
         track([(0, (0.0,) * 12)], [(0, 0.0, 0.0)])
 
 
@@ -179,11 +179,11 @@ def test_track_says_whether_it_rests_at_both_ends(start, end, yaw, rests):
     for node, changes in ((a, start), (b, end)):
         for place, value in changes.items():
             node[place] = value
-    assert track([(0, tuple(a)), (2_000_000, tuple(b))], yaw).rests is rests
+    assert track([(0, tuple(a)), (2_000_000, tuple(b))], yaw).ends_at_rest is rests
 
 
 def test_track_that_ends_inside_a_yaw_piece_ends_at_the_yaw_reached_there():
     nodes = [(t_us, (0.0, 0.0, -1.0, *REST)) for t_us in (0, 2_000_000)]
     t = track(nodes, [(0, 0.0, 0.0), (4_000_000, 1.0, 0.0)])
     assert t.end_yaw == pytest.approx(0.5)  # half-way through a cubic from rest to rest
-    assert not t.rests
+    assert not t.ends_at_rest

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.firmware_model.law.dfbc import GREATEST_FEEDBACK, Reference, control
+from trimtab.firmware_model.law.dfbc import FEEDBACK_MAX, Reference, control
 from trimtab.firmware_model.law.flatness import flat_attitude, flat_rates
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import euler_to_matrix, mat_vec
@@ -81,7 +81,7 @@ def test_control_with_weights_zero_ignores_position_and_velocity():
 
 def test_control_far_off_bounds_the_feedback_in_its_direction():
     collective, *_ = _hover(p=(0.0, 0.0, 1e4))
-    assert collective == pytest.approx(BODY.mass_kg * (GRAVITY + GREATEST_FEEDBACK))
+    assert collective == pytest.approx(BODY.mass_kg * (GRAVITY + FEEDBACK_MAX))
     _, _, near, _ = _hover(p=(300.0, 400.0, 0.0), weights=(1.0, 0.0))
     _, _, far, _ = _hover(p=(600.0, 800.0, 0.0), weights=(1.0, 0.0))
     assert near == pytest.approx(far)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.estimator import (
-    LONGEST_INTERVAL_S,
+    INTERVAL_MAX_S,
     Estimate,
     EstimatorGains,
     converges,
@@ -192,7 +192,7 @@ def _worst_left(gains, interval, age):
 @pytest.mark.parametrize("age", [0.0, 0.1])
 def test_errors_die_out_within_the_bound_of_the_gains_and_grow_beyond_it(share, age):
     """share: of 2 h gain in 2 h gain + h^2 rate_gain, which is 4 at the bound."""
-    h = LONGEST_INTERVAL_S
+    h = INTERVAL_MAX_S
     for size, stable in ((0.95, True), (1.05, False)):
         gain, rate_gain = 4.0 * size * share / (2.0 * h), 4.0 * size * (1.0 - share) / (h * h)
         assert converges(gain, rate_gain) == stable

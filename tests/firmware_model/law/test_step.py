@@ -12,7 +12,7 @@ from trimtab.firmware_model.law.allocation import allocation_matrix, command_to_
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.feedforward import GAIN, NEUTRAL, PREDICTION_TIME
 from trimtab.firmware_model.law.flatness import flat_attitude
-from trimtab.firmware_model.law.observer import GREATEST
+from trimtab.firmware_model.law.observer import DISTURBANCE_MAX
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.reference import septic_coefficients
 from trimtab.firmware_model.law.rotations import (
@@ -188,7 +188,7 @@ def test_step_in_a_turned_world_gives_the_same_commands(random_steps):
     assert np.allclose(other["memory"][0:6], turn_all(np.array(one["memory"][0:6])), atol=1e-9)
     observed = np.array(one["memory"])[law.OBSERVER]
     assert np.allclose(np.array(other["memory"])[law.OBSERVER], turn(observed), atol=1e-9)
-    assert (np.linalg.norm(observed, axis=0) > 0.999 * GREATEST).mean() > 0.1  # bounds are in it
+    assert (np.linalg.norm(observed, axis=0) > 0.999 * DISTURBANCE_MAX).mean() > 0.1  # bounds are in it
     assert np.allclose(other["memory"][10:19], one["memory"][10:19], atol=1e-9)
     assert np.allclose(quat_multiply(half, one["memory"][law.EST_Q]), other["memory"][law.EST_Q], atol=1e-12)
 

@@ -209,7 +209,7 @@ def test_param_whole_numbers_travel_as_bits_both_ways(make_session):
     ("name", "raw", "kind", "text"),
     [
         (b"BAT_CELLS", 3.0, 1, "BAT_CELLS kept: set it as INT32"),
-        (b"BAT_CELLS", 3.5, REAL32, "BAT_CELLS: 3.5 is no whole number"),
+        (b"BAT_CELLS", 3.5, REAL32, "BAT_CELLS: 3.5 is not a whole number"),
         (b"MASS", encode(1.0, INT32), INT32, "MASS kept: set it as REAL32"),
         (b"MASS", 1.0, 1, "MASS kept: set it as REAL32"),
         (b"BAT_CELLS", encode(99.0, INT32), INT32, "BAT_CELLS: 99 is outside 1..24"),
@@ -294,7 +294,7 @@ def test_param_set_that_contradicts_another_is_refused_and_the_next_check_works(
     session.send(m.ParamSet(1, 1, b"FENCE_N_MIN", 20.0, 9))  # north of FENCE_N_MAX
     session.run(0.2)
     assert session.received(m.ParamValue)[-1].param_value == DEFAULTS["FENCE_N_MIN"]
-    assert "FENCE_N_MIN: geofence 20 to 10 is no interval" in session.texts()
+    assert "FENCE_N_MIN: geofence 20 to 10 is not an interval" in session.texts()
     assert session.put(make_blob()).state.name == "DONE"
 
 
@@ -495,7 +495,7 @@ def test_messages_of_another_dialect_version_are_told_apart_from_silence(make_se
         session.radio.uart.write(bytes(frame), session.now_us)
         session.run(0.1)
     session.run(5.0)
-    assert any("not understood" in text for text in session.texts())
+    assert any("unknown messages" in text for text in session.texts())
     assert session.flight.state is State.STANDBY
 
 

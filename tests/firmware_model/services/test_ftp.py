@@ -94,7 +94,7 @@ class Server:
         self.sent.clear()
         for _ in range(count):
             self.now_us += 10_000
-            self.server.look(self.now_us)
+            self.server.update(self.now_us)
 
 
 def nak(answer, error):
@@ -284,7 +284,7 @@ def test_writing_while_an_upload_runs_is_refused_and_does_not_mix():
     for message in sender.send(0):
         server.upload.receive(message, 0)
     assert nak(server.put(LIVE[:300]), Error.FAIL)
-    assert server.texts == ["staged.ref refused: an upload or a swap is under way"]
+    assert server.texts == ["staged.ref refused: an upload or a swap is in progress"]
     assert server.upload.state is UploadState.RECEIVING
     assert server.upload.held == 0
 

@@ -46,11 +46,11 @@ def test_set_refused_changes_nothing():
     [("FENCE_N_MIN", 20.0), ("FENCE_D_MAX", -6.0), ("LIM_THR_LO", 0.65), ("LIM_THR_HI", 0.0)],
 )
 def test_limits_that_contradict_each_other_are_refused(name, value):
-    with pytest.raises(ValueError, match="is no interval"):
+    with pytest.raises(ValueError, match="is not an interval"):
         ParameterValues({name: value})
     values = ParameterValues({})
     before, limits = dict(values), values.limits
-    with pytest.raises(ValueError, match=f"{name}: .*is no interval"):
+    with pytest.raises(ValueError, match=f"{name}: .*is not an interval"):
         values.set(name, value)
     assert (dict(values), values.limits) == (before, limits)
 

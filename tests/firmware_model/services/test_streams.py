@@ -6,7 +6,13 @@ from array import array
 import pytest
 
 from trimtab.firmware_model.flight.supervisor import State
-from trimtab.firmware_model.services.streams import ASKED_MOST_US, GROUPS, OWN, STATION_US, STREAMS
+from trimtab.firmware_model.services.streams import (
+    GROUPS,
+    INTERVAL_MAX_US,
+    PRIVATE_INTERVALS_US,
+    STATION_US,
+    STREAMS,
+)
 from trimtab.protocol import messages as m
 from trimtab.protocol.generated.frames import MESSAGES
 from trimtab.protocol.messages import mavlink
@@ -162,11 +168,11 @@ def test_interval_is_set_told_and_kept_above_its_floor(make_line, number):
     line.command(GET, float(number), source=STATION)
     line.run(0.1)
     (told,) = line.received(m.MessageInterval)
-    assert (told.message_id, told.interval_us) == (number, STREAMS[number].least_us)
+    assert (told.message_id, told.interval_us) == (number, STREAMS[number].min_us)
     assert acks(line) == [(SET, 0, STATION), (GET, 0, STATION)]
     line.inbox.clear()
     line.run(2.0)
-    assert counts(line)[number] == pytest.approx(2e6 / STREAMS[number].least_us, abs=1.0)
+    assert counts(line)[number] == pytest.approx(2e6 / STREAMS[number].min_us, abs=1.0)
     line.command(SET, float(number), -1.0, source=STATION)
     line.run(0.1)
     line.inbox.clear()
@@ -207,7 +213,11 @@ def test_own_messages_can_be_slowed_but_neither_sped_up_nor_stopped(make_line, k
     line.inbox.clear()
     line.run(2.0)
     assert len(line.received(kind)) == pytest.approx(4, abs=1)
-    for wish, interval_us in ((1.0, OWN[kind.id]), (-1.0, 1_000_000), (0.0, OWN[kind.id])):
+    for wish, interval_us in (
+        (1.0, PRIVATE_INTERVALS_US[kind.id]),
+        (-1.0, 1_000_000),
+        (0.0, PRIVATE_INTERVALS_US[kind.id]),
+    ):
         line.command(SET, float(kind.id), wish, source=STATION)
         line.command(GET, float(kind.id), source=STATION)
         line.run(0.1)
@@ -277,7 +287,7 @@ def test_interval_without_end_is_bounded_by_what_an_answer_can_say(make_line):
         line.command(command, float(m.Attitude.id), *more)
         line.run(0.1)
     (answer,) = line.received(m.MessageInterval)
-    assert (answer.message_id, answer.interval_us) == (m.Attitude.id, ASKED_MOST_US)
+    assert (answer.message_id, answer.interval_us) == (m.Attitude.id, INTERVAL_MAX_US)
     assert line.flight.unsendable == 0
 
 

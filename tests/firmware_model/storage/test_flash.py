@@ -53,7 +53,7 @@ def test_writes_beyond_the_end_or_off_a_sector_are_refused():
         flash.program(SECTOR_BYTES - 1, b"ab")
     with pytest.raises(ValueError, match="beyond"):
         flash.erase(0, SECTOR_BYTES + 1)
-    with pytest.raises(ValueError, match="no sector begins"):
+    with pytest.raises(ValueError, match="no sector starts"):
         flash.erase(1, 1)
 
 

@@ -60,5 +60,5 @@ def test_garbage_is_told_and_written_over():
 
 
 def test_more_values_than_there_is_room_for_are_refused():
-    with pytest.raises(ValueError, match="room for 204 parameters, not 205"):
+    with pytest.raises(ValueError, match="at most 204 parameters fit, not 205"):
         Settings(Flash.blank(SETTINGS_BYTES), 0).keep(ID, {f"P{k}": 0.0 for k in range(205)})

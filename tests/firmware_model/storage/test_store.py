@@ -15,7 +15,7 @@ def test_store_new_holds_nothing():
     store = ReferenceStore()
     assert store.live(REF) is None
     assert store.staged(REF) is None
-    with pytest.raises(ValueError, match="nothing is staged"):
+    with pytest.raises(ValueError, match="no blob is staged"):
         store.commit(REF)
 
 

@@ -1,4 +1,4 @@
-"""The blob that is being received: what it is, and which of its chunks the store holds."""
+"""The blob that is being received, with the chunks that the store holds."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from trimtab.protocol.upload.transfer import CHUNK_BYTES, Incoming, chunk_count
 
 
 class BlobStore(Protocol):
-    """Where blobs are kept: one live of each kind, and one that is gathered and then staged."""
+    """Store of blobs: one live blob of each kind, and one that is received and then staged."""
 
     def live(self, kind: int) -> bytes | None: ...
     def incoming(self) -> Incoming | None: ...
     def begin(self, kind: int, size: int, digest: bytes) -> None: ...
     def put(self, kind: int, index: int, chunk: bytes) -> None: ...
-    def gathered(self, kind: int) -> bytes: ...
+    def received(self, kind: int) -> bytes: ...
     def stage(self, kind: int, blob: bytes) -> object: ...
     def commit(self, kind: int) -> object: ...
     def discard(self, kind: int) -> None: ...
 
 
 class Blob(NamedTuple):
-    """What a message says of a blob: SHA-256 digest, kind, size in bytes."""
+    """Identity of a blob in a message: SHA-256 digest, kind, size in bytes."""
 
     digest: bytes = b""
     kind: int = 0
@@ -37,8 +37,8 @@ class Blob(NamedTuple):
 NO_BLOB = Blob()
 
 
-class BlobInHand:
-    """The blob in hand, or NO_BLOB. Its chunks lie in the store; `held_chunks` has a 1 for each one held."""
+class CurrentBlob:
+    """The blob being received, or NO_BLOB. Its chunks are in the store; `held_chunks` is 1 for each one."""
 
     def __init__(self, store: BlobStore) -> None:
         self.blob = NO_BLOB
@@ -46,7 +46,7 @@ class BlobInHand:
         self._store = store
 
     def __bool__(self) -> bool:
-        """Return whether there is a blob in hand."""
+        """Return whether a blob is being received."""
         return self.blob is not NO_BLOB
 
     @property
@@ -60,17 +60,17 @@ class BlobInHand:
         return self.held_chunks.count(1)
 
     def has_digest(self, digest: bytes) -> bool:
-        """Return whether the blob in hand has this digest."""
+        """Return whether the current blob has this digest."""
         return bool(self) and digest == self.blob.digest
 
     def begin(self, blob: Blob) -> None:
-        """Begin to gather `blob`."""
+        """Start to receive `blob`."""
         self.blob = blob
         self.held_chunks = bytearray(chunk_count(blob.size))
         self._store.begin(blob.kind, blob.size, blob.digest)
 
     def put(self, index: int, data: bytes) -> None:
-        """Store chunk `index`; `data` may have padding behind it."""
+        """Store chunk `index`. `data` may be padded at its end."""
         start = index * CHUNK_BYTES
         stop = min(start + CHUNK_BYTES, self.blob.size)
         self._store.put(self.blob.kind, index, data[: stop - start])
@@ -82,15 +82,15 @@ class BlobInHand:
         self.held_chunks = incoming.held
 
     def data(self) -> bytes:
-        """Return the bytes gathered."""
-        return self._store.gathered(self.blob.kind)
+        """Return the bytes received."""
+        return self._store.received(self.blob.kind)
 
     def is_intact(self) -> bool:
-        """Return whether the bytes gathered have the blob's digest."""
+        """Return whether the bytes received match the digest."""
         return hashlib.sha256(self.data()).digest() == self.blob.digest
 
     def forget(self, *, discard: bool) -> None:
-        """Let go of the blob. discard: also remove its bytes from the store."""
+        """Reset to NO_BLOB. discard: also remove the bytes from the store."""
         if discard and self.blob.kind:
             self._store.discard(self.blob.kind)
         self.blob = NO_BLOB

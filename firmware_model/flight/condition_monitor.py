@@ -1,0 +1,204 @@
+"""Monitor of the failsafe conditions and of touchdown: times and counters for the failsafe table."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from trimtab.firmware_model.clock import NEVER_US
+from trimtab.firmware_model.flight.failsafe import CONDITIONS, Condition
+from trimtab.firmware_model.flight.parameters import ParameterValues
+from trimtab.firmware_model.flight.supervisor import Event
+
+FLOOR_HEIGHT = 0.03
+"""Height (m) above the take-off floor below which a descent ends immediately. In wind a vehicle descends
+tilted, and attitude control would tip it over on the floor within a quarter of a second.
+"""
+TOUCH_FORCE = 1.0
+"""Least excess of the specific force over rotor thrust (m/s^2) that indicates contact with the floor."""
+TOUCH_FORCE_MAX = 2.0
+"""Greatest excess (m/s^2) that contact may require: near the floor the ground effect increases thrust."""
+LEVEL = 0.94
+"""Least cosine of the tilt at which thrust and force are compared: beyond it, inflow changes the thrust."""
+_SATURATED_SHARE = 0.9  # of the ticks between two updates
+_FLIGHT_GAIN = 0.005  # of the thrust ratio in each update: a time constant of 2 s
+_DESCENT_GAIN = 0.02  # likewise in a level descent: 0.5 s
+TOUCH_US = 200_000
+"""Time for which a sign of touchdown must last."""
+
+
+Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+"""(low, high) of north, east and down, m."""
+
+
+def fence(parameters: Mapping[str, float], margin_m: float = 0.0) -> Box:
+    """Return the flight volume, enlarged by a margin on every side."""
+    n, e, d = (
+        (parameters[f"FENCE_{axis}_MIN"] - margin_m, parameters[f"FENCE_{axis}_MAX"] + margin_m)
+        for axis in "NED"
+    )
+    return n, e, d
+
+
+def within(p: Sequence[float], box: Box) -> bool:
+    """Return whether a position lies in the box."""
+    return all(low <= x <= high for x, (low, high) in zip(p, box, strict=True))
+
+
+class Observation(NamedTuple):
+    """State of the vehicle at one update, from which the conditions are evaluated.
+
+    Parameters
+    ----------
+    cos_tilt
+        Cosine of the estimated tilt.
+    age_us
+        Age of the newest pose used; None before the first.
+    p
+        Estimated position, NED.
+    battery_v
+        Measured voltage; a value that is not finite counts as missing.
+    imu
+        Samples of gyro and accelerometer.
+    flight_ticks, saturated_ticks
+        Numbers of ticks since power-up.
+    """
+
+    cos_tilt: float
+    age_us: int | None
+    p: tuple[float, float, float]
+    battery_v: float
+    imu: tuple[float, ...]
+    flight_ticks: int
+    saturated_ticks: int
+
+
+class ConditionMonitor:
+    """Evaluates which conditions of the failsafe table have lasted for their times, by timestamps.
+
+    `pose_us`, `host_us`, `setpoint_us`: times of the last pose used, host message and setpoint.
+    """
+
+    def __init__(self, parameters: ParameterValues) -> None:
+        self.pose_us = 0
+        self.host_us = 0
+        self.setpoint_us = NEVER_US  # while no setpoints are followed
+        self.volts: float | None = None  # smoothed
+        self.thrust_ratio = 1.0  # actual over nominal thrust, estimated in flight
+        # Times of the last update at which:
+        self._level_us = 0  # tilt was within its bound
+        self._no_touch_us = 0  # there was no sign of touchdown
+        self._recent_us = 0  # the newest pose was within its age bound
+        self._inside_us = 0  # the position was within the fence
+        self._unsaturated_us = 0  # the motors were not saturated
+        self._charged_us = 0  # the battery was above its bound
+        self._imu_us = 0  # the IMU sample changed
+        self._imu: tuple[float, ...] = ()
+        self._update_us = 0
+        self._ticks = (0, 0)
+        self._late_ticks_us: deque[int] = deque()
+        self.configure(parameters)
+
+    def configure(self, parameters: ParameterValues) -> None:
+        """Read times and bounds from the parameters."""
+        self._timeouts = tuple(
+            (row, parameters.us(row.timeout) if row.lasting else 0)
+            for row in CONDITIONS
+            if row.timeout is not None
+            and not (row.event is Event.IMU_STUCK and parameters["FS_IMU_S"] == 0.0)
+        )
+        self._cos_tilt = math.cos(math.radians(parameters["FS_TILT_DEG"]))
+        self.pose_lost_us = parameters.us("FS_MOCAP_S")
+        self._age_us = parameters.us("FS_AGE_S")
+        self._land_height, self._stop_speed = parameters["LAND_HEIGHT"], parameters["LAND_STOP_SPEED"]
+        share, empty, full = (parameters[name] for name in ("FS_BAT_SHARE", "BAT_EMPTY_V", "BAT_FULL_V"))
+        self._low_v = empty + share * (full - empty) if share > 0.0 else -math.inf
+        self._smooth_us = parameters.us("FS_BAT_S")
+        self._fence = fence(parameters, parameters["FS_FENCE_M"])
+        self._late_us = parameters.us("FS_LOOP_S")
+        self._late_ticks_us = deque(self._late_ticks_us, maxlen=round(parameters["FS_LOOP_MAX"]))
+
+    def start(self, now_us: int) -> None:
+        """Restart the times of tilt and touchdown at the start of a phase."""
+        self._level_us = self._no_touch_us = now_us
+
+    def record_late_tick(self, now_us: int) -> None:
+        """Record a late tick."""
+        self._late_ticks_us.append(now_us)
+
+    def observe(self, now_us: int, observation: Observation) -> None:
+        """Record the present state of the vehicle."""
+        if observation.cos_tilt >= self._cos_tilt:
+            self._level_us = now_us
+        if observation.age_us is None or observation.age_us <= self._age_us:
+            self._recent_us = now_us
+        if within(observation.p, self._fence):
+            self._inside_us = now_us
+        counts = (observation.flight_ticks, observation.saturated_ticks)
+        ticks, saturated = (b - a for a, b in zip(self._ticks, counts, strict=True))
+        self._ticks = counts
+        if saturated < _SATURATED_SHARE * ticks or not ticks:
+            self._unsaturated_us = now_us
+        if observation.imu != self._imu:
+            self._imu, self._imu_us = observation.imu, now_us
+        elapsed_us = now_us - self._update_us
+        self._update_us = now_us
+        battery_v = observation.battery_v
+        if math.isfinite(battery_v):  # a NaN would persist in the smoothed voltage
+            if self.volts is None:
+                self.volts = battery_v
+            self.volts += (battery_v - self.volts) * elapsed_us / (self._smooth_us + elapsed_us)
+        if self.volts is None or self.volts >= self._low_v:
+            self._charged_us = now_us
+
+    def active_conditions(self) -> list[Condition]:
+        """Return the conditions active at the last update, in the order of the table."""
+        late, now_us = self._late_ticks_us, self._update_us
+        overrun = len(late) == late.maxlen and now_us - late[0] <= self._late_us
+        since = {
+            Event.TILTED: self._level_us,
+            Event.IMU_STUCK: self._imu_us,
+            Event.MOCAP_LOST: self.pose_us,
+            Event.MOCAP_LATE: self._recent_us,
+            Event.FENCE_LEFT: self._inside_us,
+            Event.SATURATED: self._unsaturated_us,
+            Event.BATTERY_LOW: self._charged_us,
+            Event.LOOP_OVERRUN: late[0] if overrun else now_us,
+            Event.LINK_LOST: self.host_us,
+            Event.SETPOINTS_LOST: self.setpoint_us,
+        }
+        return [row for row, timeout_us in self._timeouts if now_us - since[row.event] > timeout_us]
+
+    def has_landed(self, now_us: int, *, height: float, speed: float, descending: bool) -> bool:
+        """Return whether a vehicle with known height (m) and speed (m/s) has landed."""
+        stopped = self._touch_lasted(
+            now_us, descending and height < self._land_height and speed < self._stop_speed
+        )
+        return stopped or height < FLOOR_HEIGHT
+
+    def update_thrust_ratio(self, *, force: float, thrust: float, share: float = _FLIGHT_GAIN) -> None:
+        """Update the thrust ratio from force and thrust over mass (m/s^2, up) in level flight.
+
+        thrust: commanded thrust after the nominal rotor lag. share: gain of the update.
+        """
+        ratio = min(max(force / max(thrust, 1.0), 0.5), 2.0)
+        self.thrust_ratio += share * (ratio - self.thrust_ratio)
+
+    def is_supported(self, now_us: int, *, force: float, thrust: float, floor: float, learn: bool) -> bool:
+        """Return whether the floor supports the vehicle: force over mass (m/s^2, up) exceeds thrust.
+
+        floor: excess of the force on a floor. learn: whether a slow change of the excess updates the thrust
+        ratio. Such changes come from air at other heights, a tether that slackens, or ground effect.
+        """
+        bound = min(max(0.5 * floor, TOUCH_FORCE), TOUCH_FORCE_MAX)
+        touching = force - self.thrust_ratio * thrust > bound
+        if learn and not touching:
+            self.update_thrust_ratio(force=force, thrust=thrust, share=_DESCENT_GAIN)
+        return self._touch_lasted(now_us, touching)
+
+    def _touch_lasted(self, now_us: int, touching: bool) -> bool:
+        if not touching:
+            self._no_touch_us = now_us
+        return now_us - self._no_touch_us >= TOUCH_US
