@@ -33,7 +33,7 @@ def command(
     import time
 
     from trimtab.host.apps.demo import report
-    from trimtab.host.apps.demo.session import WORLD, DemoOrder, run_demo
+    from trimtab.host.apps.demo.session import WORLD, DemoRequest, run_demo
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.effects import load_effects
@@ -48,7 +48,7 @@ def command(
     airframe = space.vehicle(vehicle)
     folder = free_folder(space.root, output, force)
     outcome = run_demo(
-        DemoOrder(vehicle=airframe, folder=folder, seed=seed, world=world or WORLD, force=force),
+        DemoRequest(vehicle=airframe, folder=folder, seed=seed, world=world or WORLD, force=force),
         load_effects(space.root),
         say=say,
         manoeuvres=lambda: manoeuvres(space, airframe),

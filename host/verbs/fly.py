@@ -14,7 +14,7 @@ from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, Veh
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trimtab.host.link.flight_order import FlightOrder
+    from trimtab.host.link.flight_request import FlightRequest
     from trimtab.host.link.summary import FlightResult
 
 CAMERA_DELAY_MS = 4.0
@@ -143,12 +143,12 @@ def _check(options: FlyOptions) -> None:
         raise UsageError(f"--mocap-delay-ms {options.mocap_delay_ms:g} is no delay, give 0 to 1000")
 
 
-def _order(reference: Path, options: FlyOptions) -> FlightOrder:
+def _order(reference: Path, options: FlyOptions) -> FlightRequest:
     """Read the files that the options name. Raises UsageError."""
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
     from trimtab.host.link.blob_files import model_of, read_feedforward, read_reference
-    from trimtab.host.link.flight_order import FlightOrder
+    from trimtab.host.link.flight_request import FlightRequest
     from trimtab.host.link.swap import swap_time_us
     from trimtab.host.workspace import open_workspace
 
@@ -164,7 +164,7 @@ def _order(reference: Path, options: FlyOptions) -> FlightOrder:
     at_us = None if at is None else round(1e6 * at)
     swap_us = 0 if following is None else swap_time_us(blob, following, at_us)
     log = options.output or Path(f"{reference.stem}-{options.flight}.mcap")
-    return FlightOrder(
+    return FlightRequest(
         vehicle=vehicle,
         reference=blob,
         feedforward=feedforward,
@@ -205,7 +205,9 @@ def _parameters(assignments: tuple[str, ...]) -> dict[str, float]:
     return values
 
 
-def _fly_simulated(order: FlightOrder, options: FlyOptions, on_phase: Callable[[str], None]) -> FlightResult:
+def _fly_simulated(
+    order: FlightRequest, options: FlyOptions, on_phase: Callable[[str], None]
+) -> FlightResult:
     """Fly a simulated vehicle from below the reference's first node. Write its truth beside the log."""
     from contextlib import closing
 

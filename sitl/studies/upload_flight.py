@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.vehicle import load_vehicle
@@ -94,7 +94,7 @@ def _fly(
     vehicle = SimulatedVehicle.create(craft, world_seed=seed, flight=number, radio=RADIOS[channel])
     vehicle.watch_air(air)
     with tempfile.TemporaryDirectory() as folder:
-        order = FlightOrder(
+        order = FlightRequest(
             vehicle=craft, reference=first, log_path=Path(folder) / "flight.mcap", then=then, swap_us=at_us
         )
         return fly_lockstep(order, vehicle), air

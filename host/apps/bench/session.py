@@ -6,7 +6,7 @@ import tempfile
 from contextlib import closing
 from pathlib import Path
 
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.plan import plan
@@ -25,7 +25,7 @@ def realtime_factor(vehicle: Vehicle) -> float:
     with tempfile.TemporaryDirectory(prefix="trimtab-bench-") as folder:
         for flight in range(_FLIGHTS):
             simulated = vehicle_class().create(vehicle, flight=flight, start_ned=(north, east, 0.0))
-            order = FlightOrder(
+            order = FlightRequest(
                 vehicle=vehicle, reference=reference, log_path=Path(folder) / f"flight-{flight}.mcap"
             )
             with closing(simulated):

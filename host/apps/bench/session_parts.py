@@ -20,7 +20,7 @@ from scipy.interpolate import make_interp_spline
 
 from trimtab.host.codegen import find_compiler
 from trimtab.host.codegen.compiler import ENGINE_VARIABLE
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.upload import upload_lockstep
 from trimtab.host.link.vehicle import vehicle_class
@@ -71,7 +71,7 @@ def run(*, timed: bool) -> tuple[float, int, dict[str, float]]:
     if timed:
         simulated.start_profile()
     with tempfile.TemporaryDirectory() as folder:
-        order = FlightOrder(vehicle=vehicle, reference=reference, log_path=Path(folder) / "flight.mcap")
+        order = FlightRequest(vehicle=vehicle, reference=reference, log_path=Path(folder) / "flight.mcap")
         begin = time.process_time()
         fly_lockstep(order, simulated)
         spent = time.process_time() - begin

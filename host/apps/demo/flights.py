@@ -16,7 +16,7 @@ from typing import Any
 
 from trimtab.host.base import artefacts
 from trimtab.host.base.errors import FlightFailed
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import FlightEnded, fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.upload import UploadResult, upload_port
@@ -82,7 +82,7 @@ class Airfield:
 
         Raises FlightFailed where it ends in failsafe or early; the log is readable then too.
         """
-        order = FlightOrder(
+        order = FlightRequest(
             vehicle=self.vehicle,
             reference=reference,
             feedforward=feedforward,

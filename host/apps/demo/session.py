@@ -43,7 +43,7 @@ FAILURES = (Refused, SolverError, FlightFailed)
 
 
 @dataclass(frozen=True, kw_only=True)
-class DemoOrder:
+class DemoRequest:
     """Settings of a demo.
 
     folder: receives every file, made if missing; `force` overwrites. routes: None to draw them from the seed.
@@ -75,7 +75,7 @@ class Outcome:
 
 
 def run_demo(
-    order: DemoOrder,
+    order: DemoRequest,
     effects: Mapping[str, Effect],
     *,
     say: Say = lambda line: None,
@@ -92,7 +92,7 @@ def run_demo(
 
 class _Demo:
     def __init__(
-        self, order: DemoOrder, effects: Mapping[str, Effect], say: Say, manoeuvres: Manoeuvres | None
+        self, order: DemoRequest, effects: Mapping[str, Effect], say: Say, manoeuvres: Manoeuvres | None
     ) -> None:
         self._order = order
         self._effects = effects

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from trimtab.firmware_model.law.reference import septic
 from trimtab.firmware_model.storage.store import ReferenceStore
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.route import list_routes
 from trimtab.host.vehicle import Vehicle, list_vehicles, load_vehicle
@@ -117,7 +117,7 @@ def record() -> Source:
     tapped = _Tapped.create(vehicle, world="empty")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.mcap"
-        order = FlightOrder(vehicle=vehicle, reference=reference, feedforward=feedforward, log_path=path)
+        order = FlightRequest(vehicle=vehicle, reference=reference, feedforward=feedforward, log_path=path)
         fly_lockstep(order, tapped)
         log = path.read_bytes()
     files = {"vehicle": list_vehicles(), "route": list_routes(), "world": list_worlds()}

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.log import prepare as module
@@ -28,7 +28,7 @@ def flight(tmp_path_factory) -> Flight:
     start = reference.nodes_ned()[0].state
     simulated = SimulatedVehicle.create(vehicle, flight=1, start_ned=(start[0], start[1], 0.0))
     with closing(simulated):
-        fly_lockstep(FlightOrder(vehicle=vehicle, reference=reference, log_path=path), simulated)
+        fly_lockstep(FlightRequest(vehicle=vehicle, reference=reference, log_path=path), simulated)
     return read_flight(path)
 
 

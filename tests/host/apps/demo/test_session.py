@@ -21,7 +21,7 @@ from trimtab.host.apps.demo.files import JSON_NAME, MODEL_NAME, REPORT_NAME
 from trimtab.host.apps.demo.flights import TRUTH_SUFFIX
 from trimtab.host.apps.demo.routes import DemoRoutes
 from trimtab.host.apps.demo.seeds import host_seed, world_seed
-from trimtab.host.apps.demo.session import DemoOrder, Outcome, run_demo
+from trimtab.host.apps.demo.session import DemoRequest, Outcome, run_demo
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.models.file import read_model
@@ -40,7 +40,7 @@ def demo(
     tmp_path_factory: pytest.TempPathFactory, short_routes: DemoRoutes
 ) -> tuple[Path, Outcome, list[str]]:
     folder = tmp_path_factory.mktemp("demo")
-    order = DemoOrder(vehicle=load_vehicle("research"), folder=folder, seed=SEED, routes=short_routes)
+    order = DemoRequest(vehicle=load_vehicle("research"), folder=folder, seed=SEED, routes=short_routes)
     said: list[str] = []
     return folder, run_demo(order, load_effects(), say=said.append), said
 
