@@ -262,7 +262,7 @@ class LinkCounts:
         return client.bytes_sent - sent, client.bytes_received - received
 
     def frames(self) -> tuple[int, int, int]:
-        """Return frames sent, received and lost by both radios; without their reports, the host's messages."""
+        """Return frames sent, received and lost: of both radios if they report, else the host's messages."""
         radios = self.radios()
         if radios is not None:
             # Accurate to a few frames: a duplicate hides a loss, and a frame in the air looks like one.

@@ -9,14 +9,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from multiprocessing.connection import wait as wait_for_any
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.base.pieces import alone_in, claim
+from trimtab.host.base.pieces import OnProgress, alone_in, claim
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import Ledger, read_json, sha256_of
 from trimtab.sitl.studies.flights import (
@@ -38,7 +38,6 @@ from trimtab.sitl.studies.thin import copier_of, plan_thin_references, programme
 from trimtab.sitl.studies.worlds import PlannedWorld, plan_worlds
 
 LEDGER = "ledger.json"
-Report = Callable[[float, float, str], None]
 """Called with what is done, what there is to do, and a word on the last thing done."""
 
 _FLOWN, _JUDGED = 1.0, 2.0
@@ -68,7 +67,7 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
     with_baselines: bool = False,
     real: Path | None = None,
     programme: Programme = BLIND,
-    report: Report = lambda done, total, detail: None,
+    on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """Run the blind study, or resume it; return its outcome as plain data.
 
@@ -108,10 +107,10 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
             )
             for world in planned
         ]
-        _work(tasks, ledger, jobs, report)
+        _work(tasks, ledger, jobs, on_progress)
         scores = [_scores(task) for task in tasks]
         done = len(tasks) * (_FLOWN + _JUDGED)
-        recorded = judge_real(groups, folder, lambda detail: report(done, done, detail))
+        recorded = judge_real(groups, folder, lambda detail: on_progress(done, done, detail))
     return _outcome({"seed": seed, "worlds": worlds, "folder": str(folder)}, scores, recorded)
 
 
@@ -134,7 +133,7 @@ def _outcome(
     }
 
 
-def _work(tasks: list[Task], ledger: Ledger, jobs: int, report: Report) -> None:
+def _work(tasks: list[Task], ledger: Ledger, jobs: int, on_progress: OnProgress) -> None:
     """Score every task. What was scored before is checked and left alone."""
     to_fly: list[Task] = []
     to_judge: list[Task] = []
@@ -147,7 +146,7 @@ def _work(tasks: list[Task], ledger: Ledger, jobs: int, report: Report) -> None:
         else:
             to_fly.append(task)
     total = len(tasks) * (_FLOWN + _JUDGED)
-    report(done, total, "")
+    on_progress(done, total, "")
     if not to_fly:
         return
     to_fly.reverse()
@@ -165,12 +164,12 @@ def _work(tasks: list[Task], ledger: Ledger, jobs: int, report: Report) -> None:
                 said = future.result()
                 if flown:
                     done += _JUDGED
-                    report(done, total, f"world {task.world.name}: {said}")
+                    on_progress(done, total, f"world {task.world.name}: {said}")
                 else:
                     ledger.record(task.world.name, said)
                     to_judge.append(task)
                     done += _FLOWN
-                    report(done, total, f"world {task.world.name} flown and sealed")
+                    on_progress(done, total, f"world {task.world.name} flown and sealed")
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from trimtab.host.base.errors import UsageError
-from trimtab.host.base.pieces import Piece, run_pieces
+from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import read_json
 from trimtab.sitl.studies.flights import BLIND, TRUTH, Programme, fly_and_seal, plan_references
@@ -33,8 +33,6 @@ TRACED = replace(BLIND, held_out=())
 DRAWS = 1000
 """Bootstrap draws over worlds behind each interval."""
 
-Report = Callable[[float, float, str], None]
-
 
 def run(
     *,
@@ -44,7 +42,7 @@ def run(
     jobs: int,
     worlds: int = WORLDS,
     programme: Programme = TRACED,
-    report: Report = lambda done, total, detail: None,
+    on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """Return what the worlds make of each measured rule: `answer`, `lines`, `tables` and `scores`.
 
@@ -68,16 +66,16 @@ def run(
         raise UsageError(f"--worlds {worlds}: give 2 or more")
     folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
-    order = {"study": NAME, "seed": seed, "vehicle": load_vehicle(vehicle).id}
+    config = {"study": NAME, "seed": seed, "vehicle": load_vehicle(vehicle).id}
     plan_references(folder, vehicle, programme)
     names = [f"{index:04d}" for index in range(worlds)]
     results = run_pieces(
         [Piece(name=name, kind="world", arguments={"index": i}) for i, name in enumerate(names)],
         partial(_measure_world, seed=seed, vehicle=vehicle, programme=programme),
         folder=folder,
-        order=order,
+        config=config,
         jobs=jobs,
-        report=report,
+        on_progress=on_progress,
     )
     scores = {name: results[name]["result"] for name in names}
     rows = calibrated(list(scores.values()), seed)

@@ -7,13 +7,13 @@ Every part leaves a file in the folder, so a study that was cut short goes on wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.base.pieces import Piece, run_pieces
+from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import StudyError, write_whole
 from trimtab.sitl.studies.fuzz.run import run_fuzz
@@ -48,7 +48,6 @@ _INTERRUPTED = {
     "vehicle": "vehicle reset, 0.3 s without power",
 }
 Row = dict[str, str]
-Report = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +73,7 @@ def run(
     vehicle: str,
     jobs: int,
     quick: bool = False,
-    report: Report = lambda done, total, detail: None,
+    on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """Return the study's outcome: `answer` (the machine's object), `lines` and `tables` (for people),
     `scores`.
@@ -92,9 +91,9 @@ def run(
     pieces = [
         Piece(name=part.name, kind=part.kind, arguments=asdict(part), weight=part.weight) for part in parts
     ]
-    order = {"study": NAME, "seed": seed, "quick": quick}
+    config = {"study": NAME, "seed": seed, "quick": quick}
     results = run_pieces(
-        pieces, partial(_do, seed=seed), folder=folder, order=order, jobs=jobs, report=report
+        pieces, partial(_do, seed=seed), folder=folder, config=config, jobs=jobs, on_progress=on_progress
     )
     found = _rows(parts, results)
     write_whole(folder / PICTURE, picture().encode())

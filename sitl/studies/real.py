@@ -74,7 +74,7 @@ def read_groups(path: Path) -> list[Group]:
 
 
 def judge_real(
-    groups: Sequence[Group], folder: Path, report: Callable[[str], None] = lambda _: None
+    groups: Sequence[Group], folder: Path, on_progress: Callable[[str], None] = lambda _: None
 ) -> list[dict[str, Any]]:
     """Return a row of plain data for each group: name, used, held_out, verdict, effects, before_m, after_m,
     trace_s.
@@ -85,7 +85,7 @@ def judge_real(
     rows = []
     for index, group in enumerate(groups):
         rows.append(real_row(group, _verdict(group, folder / REAL / f"{index:02d}")))
-        report(f"{group.name}: {rows[-1]['verdict']}")
+        on_progress(f"{group.name}: {rows[-1]['verdict']}")
     return rows
 
 

@@ -94,7 +94,7 @@ def _fly(
     vehicle = SimulatedVehicle.create(craft, world_seed=seed, flight=number, radio=RADIOS[channel])
     vehicle.watch_air(air)
     with tempfile.TemporaryDirectory() as folder:
-        order = FlightRequest(
+        request = FlightRequest(
             vehicle=craft, reference=first, log_path=Path(folder) / "flight.mcap", then=then, swap_us=at_us
         )
-        return fly_lockstep(order, vehicle), air
+        return fly_lockstep(request, vehicle), air

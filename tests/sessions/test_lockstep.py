@@ -615,7 +615,7 @@ def test_session_that_loses_log_and_link_names_no_log(
 
     with full_disk(200_000), pytest.raises(LinkError) as caught:
         fly(simulated, on_phase=cut)
-    assert "the log up to there" not in str(caught.value)
+    assert "the log up to this point" not in str(caught.value)
 
 
 def test_session_whose_log_cannot_be_begun_stays_on_the_floor(

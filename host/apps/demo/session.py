@@ -20,7 +20,7 @@ from trimtab.host.apps.demo.plans import Planned, fastest, plan_again, plan_firs
 from trimtab.host.apps.demo.predict import predicted_rmse_m
 from trimtab.host.apps.demo.routes import DemoRoutes, draw_routes
 from trimtab.host.apps.demo.seeds import host_seed, world_seed
-from trimtab.host.apps.demo.steps import Say, Steps
+from trimtab.host.apps.demo.steps import OnMessage, Steps
 from trimtab.host.base.errors import FlightFailed, Refused, SolverError, TrimtabError
 from trimtab.host.base.output import json_text
 from trimtab.host.effects import Effect
@@ -78,7 +78,7 @@ def run_demo(
     order: DemoRequest,
     effects: Mapping[str, Effect],
     *,
-    say: Say = lambda line: None,
+    on_message: OnMessage = lambda line: None,
     manoeuvres: Manoeuvres | None = None,
 ) -> Outcome:
     """Run a demo; its files are in the folder of `order`.
@@ -87,22 +87,26 @@ def run_demo(
     FlightFailed for a failsafe before the trace, and the errors of tracing. Logs of finished flights stay
     readable.
     """
-    return _Demo(order, effects, say, manoeuvres).run()
+    return _Demo(order, effects, on_message, manoeuvres).run()
 
 
 class _Demo:
     def __init__(
-        self, order: DemoRequest, effects: Mapping[str, Effect], say: Say, manoeuvres: Manoeuvres | None
+        self,
+        order: DemoRequest,
+        effects: Mapping[str, Effect],
+        on_message: OnMessage,
+        manoeuvres: Manoeuvres | None,
     ) -> None:
         self._order = order
         self._effects = effects
-        self._say = say
+        self._on_message = on_message
         self._manoeuvres = manoeuvres
         self._seed = host_seed(order.seed)
         self._files = DemoFiles(
             folder=order.folder, vehicle=order.vehicle, seed=self._seed, force=order.force
         )
-        self._steps = Steps(say)
+        self._steps = Steps(on_message)
         self._routes = order.routes or draw_routes(self._seed, order.vehicle.limits)
         self._field = Airfield(
             vehicle=order.vehicle,
@@ -116,7 +120,7 @@ class _Demo:
     def run(self) -> Outcome:
         self._field.check()
         order = self._order
-        self._say(
+        self._on_message(
             f"demo with seed {order.seed}, vehicle {order.vehicle.name}; every file goes to {order.folder}"
         )
         order.folder.mkdir(parents=True, exist_ok=True)

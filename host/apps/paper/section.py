@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.host.base.errors import UsageError
-from trimtab.host.base.pieces import Piece, Report, run_pieces
+from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
 from trimtab.host.vehicle import load_vehicle
 
 
@@ -36,7 +36,7 @@ def study_of(
         jobs: int,
         worlds: int = by_default,
         quick: bool = False,
-        report: Report = lambda done, total, detail: None,
+        on_progress: OnProgress = lambda done, total, detail: None,
     ) -> dict[str, Any]:
         """Return the study's outcome: `answer` (the machine's object), `lines` (for people), `scores` (all
         pieces).
@@ -47,10 +47,10 @@ def study_of(
         if worlds < 1:
             raise UsageError(f"--worlds {worlds}: give 1 or more")
         folder = folder.absolute()
-        order = {"study": name, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick}
+        config = {"study": name, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick}
         work = partial(do, vehicle=vehicle, seed=seed)
         wanted = pieces(seed, worlds, quick)
-        found = run_pieces(wanted, work, folder=folder, order=order, jobs=jobs, report=report)
+        found = run_pieces(wanted, work, folder=folder, config=config, jobs=jobs, on_progress=on_progress)
         answer = {"study": name, "seed": seed, "worlds": worlds, "quick": quick, "folder": str(folder)}
         return {**summary(answer, found), "scores": found}
 

@@ -117,8 +117,8 @@ def record() -> Source:
     tapped = _Tapped.create(vehicle, world="empty")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.mcap"
-        order = FlightRequest(vehicle=vehicle, reference=reference, feedforward=feedforward, log_path=path)
-        fly_lockstep(order, tapped)
+        request = FlightRequest(vehicle=vehicle, reference=reference, feedforward=feedforward, log_path=path)
+        fly_lockstep(request, tapped)
         log = path.read_bytes()
     files = {"vehicle": list_vehicles(), "route": list_routes(), "world": list_worlds()}
     texts = {what: tuple(path.read_bytes() for path in found.values()) for what, found in files.items()}

@@ -147,8 +147,8 @@ def test_learn_verb_networks_in_the_bodys_frame_are_kept_as_such(logs, tmp_path,
     ("words", "told"),
     [
         (["--effects", "lnear-drag"], "--effects lnear-drag: no such effect; there are"),
-        (["--no-network", "--effects", "none"], "there is nothing to learn"),
-        (["--method", "paper", "--frame", "body"], "learns a network in the world's frame"),
+        (["--no-network", "--effects", "none"], "nothing to learn; leave out --no-network"),
+        (["--method", "paper", "--frame", "body"], "learns only a network in the world frame"),
     ],
 )
 def test_learn_verb_refuses_what_does_not_go_together(logs, tmp_path, capsys, words, told):

@@ -74,7 +74,7 @@ def test_prepare_gap_does_not_count_and_is_noted(flight):
 def test_prepare_rows_that_are_no_number_are_noted(flight):
     assert flight.mocap is not None
     (found,) = prepare([replace(flight, mocap=replace(flight.mocap, left_out=3))])
-    assert found.notes == ("flight.mcap: 3 rows of poses hold what is no number; left out",)
+    assert found.notes == ("flight.mcap: 3 rows of poses with values that are not finite were left out",)
 
 
 def test_prepare_cuts_a_flight_where_it_leaves_the_range_of_euler_angles(flight, monkeypatch):

@@ -106,7 +106,7 @@ def test_plan_page_without_a_model_colours_by_speed_and_says_what_is_not_known(h
     bare = plan(ROUTE, VEHICLE)
     without = page(bare, ROUTE, VEHICLE, ResidualModel(), {})
     assert "coloured by speed" in without
-    assert "no model predicts any" in without
+    assert "none, without a model" in without
     assert "coloured by predicted residual" in html
 
 

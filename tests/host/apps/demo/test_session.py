@@ -42,7 +42,7 @@ def demo(
     folder = tmp_path_factory.mktemp("demo")
     order = DemoRequest(vehicle=load_vehicle("research"), folder=folder, seed=SEED, routes=short_routes)
     said: list[str] = []
-    return folder, run_demo(order, load_effects(), say=said.append), said
+    return folder, run_demo(order, load_effects(), on_message=said.append), said
 
 
 Demo = tuple[Path, Outcome, list[str]]

@@ -15,7 +15,7 @@ from trimtab.host.vehicle import Vehicle
 
 def run(world: str, seed: int, folder: Path, vehicle: Vehicle, routes: DemoRoutes) -> Outcome:
     order = DemoRequest(vehicle=vehicle, folder=folder, seed=seed, world=world, routes=routes)
-    return run_demo(order, load_effects(), say=lambda _: None)
+    return run_demo(order, load_effects(), on_message=lambda _: None)
 
 
 @pytest.mark.parametrize("world", ["flapping", pytest.param("tether", marks=pytest.mark.full)])
