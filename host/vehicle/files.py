@@ -72,9 +72,7 @@ def find_file(name_or_path: str | Path, folder: str, workspace: Path | None, *, 
     known = list_files(folder, workspace)
     if text not in known:
         raise ConfigurationError(
-            [
-                f"{text}: no such {what} (known: {', '.join(known) or 'none'}); give one of these or a path to a .toml"
-            ]
+            [f"{text}: no such {what} (known: {', '.join(known) or 'none'}); give one or a path to a .toml"]
         )
     return known[text]
 

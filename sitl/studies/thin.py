@@ -33,19 +33,19 @@ class Case:
 
 
 def _one_flight(whole: Programme) -> Programme:
-    return replace(whole, learning=whole.learning[:1], held_out=(), twins=1)
+    return replace(whole, learning=whole.learning[:1], held_out=(), repeats=1)
 
 
 def _no_twins(whole: Programme) -> Programme:
-    return replace(whole, twins=1)
+    return replace(whole, repeats=1)
 
 
 def _two_vehicles(whole: Programme) -> Programme:
-    return replace(whole, learning=(whole.learning[0], OTHER), held_out=(), twins=1)
+    return replace(whole, learning=(whole.learning[0], OTHER), held_out=(), repeats=1)
 
 
 def _three_seconds(whole: Programme) -> Programme:
-    return replace(whole, learning=(SHORT,), held_out=(), twins=1)
+    return replace(whole, learning=(SHORT,), held_out=(), repeats=1)
 
 
 def _hover(whole: Programme) -> Programme:

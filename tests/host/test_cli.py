@@ -107,7 +107,7 @@ def test_every_listed_verb_answers_help(capsys: pytest.CaptureFixture[str]) -> N
         (GateMissed("low"), 1),
         (FlightFailed("failsafe"), 1),
         (UsageError("bad"), 2),
-        (ConfigurationError(["v.toml: mass_kg: missing, add it"]), 2),
+        (ConfigurationError(["v.toml: mass_kg: missing; add it"]), 2),
         (LinkError("no vehicle"), 3),
         (SolverError("gave up"), 4),
         (LogError("cut"), 5),
@@ -134,13 +134,13 @@ def test_every_problem_of_a_file_is_its_own_line(
     verb: Callable[[Callable[..., object]], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     def command() -> None:
-        raise ConfigurationError(["v.toml: a: missing, add it", "v.toml: b: unknown key, remove it"])
+        raise ConfigurationError(["v.toml: a: missing; add it", "v.toml: b: unknown key; remove it"])
 
     verb(command)
     assert cli.main(["probe"]) == 2
     assert capsys.readouterr().err.splitlines() == [
-        "trimtab: v.toml: a: missing, add it",
-        "trimtab: v.toml: b: unknown key, remove it",
+        "trimtab: v.toml: a: missing; add it",
+        "trimtab: v.toml: b: unknown key; remove it",
     ]
 
 

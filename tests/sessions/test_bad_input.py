@@ -606,7 +606,7 @@ def test_blob_for_another_vehicle_than_the_ports_is_refused(
 
 
 def test_sitl_refused_leaves_no_truth(refused: Refused) -> None:
-    refused("sitl", "--port", "foo", "--truth", "t.json", code=2, parts=["foo", "choose pty"])
+    refused("sitl", "--port", "foo", "--truth", "t.json", code=2, parts=["foo", "give pty"])
     for place in (("nan", "0"), ("0", "inf")):
         refused("sitl", "--port", "pty", "--start", *place, code=2, parts=["--start", "two numbers in m"])
     outside = ["--start 0 -10.5: east -10.5 m is outside the fence of research, give -10 to 10"]

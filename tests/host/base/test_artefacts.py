@@ -95,7 +95,7 @@ def read_only() -> Iterator[Path]:
 
 def test_output_in_a_read_only_folder_is_refused_before_the_work(read_only: Path) -> None:
     for check in (check_output, check_log, lambda path: check_folder(path, ())):
-        with pytest.raises(UsageError, match=r"a\.mcap: its folder cannot be written to, choose another"):
+        with pytest.raises(UsageError, match=r"a\.mcap: its folder cannot be written to; choose another"):
             check(read_only / "a.mcap")
 
 

@@ -177,7 +177,7 @@ def test_plan_page_names_the_node_of_the_greatest_sensitivity(made: Plan, html: 
     assert off is not None
     node = int(off.attitude.argmax())
     wanted = f"{off.attitude[node]:.3g} m/s^2 per rad, node {node} at {off.t_s[node]:.2f} s"
-    assert f"<td>greatest sensitivity of it to attitude</td><td>{wanted}</td>" in html
+    assert f"<td>its greatest sensitivity to attitude</td><td>{wanted}</td>" in html
 
 
 GATED = Route(
