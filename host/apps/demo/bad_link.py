@@ -44,8 +44,8 @@ def fly(vehicle: Vehicle, reference: Reference, seed: int, link: str, log: Path)
         start_yaw=reference.yaw_nodes()[0].yaw,
     )
     try:
-        order = FlightRequest(vehicle=vehicle, reference=reference, log_path=log, upload=True)
-        return fly_lockstep(order, simulated)
+        request = FlightRequest(vehicle=vehicle, reference=reference, log_path=log, upload=True)
+        return fly_lockstep(request, simulated)
     except FlightEnded as ended:
         return ended.result
 

@@ -12,7 +12,7 @@ OnMessage = Callable[[str], None]
 
 
 class Steps:
-    """Times the steps of a demo and prints a line after each. times: (title, seconds) of each step so far."""
+    """Steps of a demo with a line of output after each. `times` holds (title, seconds) of each step."""
 
     def __init__(self, on_message: OnMessage) -> None:
         self._on_message = on_message

@@ -1,8 +1,8 @@
 """Inputs for the fuzzer, and a search for the valid messages in them.
 
 Frames are packed from the dialect's field tables with pymavlink's checksum. Valid messages are found by
-trying pymavlink's decoder at every offset. Neither shares code with the tested programs. pymavlink's stream parser
-cannot serve as the oracle: after damage, it drops as many bytes as a false header claims.
+trying pymavlink's decoder at every offset. Neither shares code with the tested programs. pymavlink's stream
+parser cannot serve as the oracle: after damage, it drops as many bytes as a false header claims.
 """
 
 from __future__ import annotations

@@ -178,7 +178,7 @@ def test_demo_answers_with_the_keys_of_trace_and_its_own(demo: Demo) -> None:
 
 def test_demo_report_is_one_file_with_both_comparisons_and_its_numbers(demo: Demo) -> None:
     html = (demo[0] / REPORT_NAME).read_text()
-    for text in ("Flown before and after", "What got worse", "new plan, effects applied", "planned path, m"):
+    for text in ("Flown before and after", "Deteriorations", "new plan, effects applied", "planned path, m"):
         assert text in html
     assert "http://" not in html.replace("http://www.w3.org", "")
     data = html.partition('<script type="application/json" id="data">')[2].partition("</script>")[0]
